@@ -1,1 +1,5 @@
-"""TBD."""
+"""Pluggable chains, one a file."""
+
+from .adaptive_background import AdaptiveBackground
+
+__all__ = ["AdaptiveBackground"]

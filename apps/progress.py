@@ -1,0 +1,70 @@
+"""A progress bar with rate and time left, also where the length is unknown or nobody watches."""
+
+import sys
+import time
+from types import TracebackType
+from typing import Never, Self
+
+from tqdm import tqdm
+
+SPARSE_SECONDS = 10.0  # between lines where standard error is no terminal
+
+
+class Progress:
+    """Progress on standard error: a bar in a terminal, elsewhere a line every 10 s at most.
+
+    Parameters
+    ----------
+    label
+        what is being done.
+    total
+        number of frames expected; `None` for an unknown length.
+    done
+        frames that an earlier run has done; they do not count for the rate.
+    """
+
+    def __init__(self, label: str, total: int | None, done: int = 0) -> None:
+        self._label = label
+        self._total = total
+        self._first = self._done = done
+        self._started = self._printed = time.monotonic()
+        self._bar: tqdm[Never] | None = None
+        if sys.stderr.isatty():
+            self._bar = tqdm(
+                total=total, initial=done, desc=label, unit=" frames", dynamic_ncols=True, file=sys.stderr
+            )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def update(self, n_frames: int = 1) -> None:
+        """Count frames as done."""
+        self._done += n_frames
+        if self._bar is not None:
+            self._bar.update(n_frames)
+            return
+        now = time.monotonic()
+        if now - self._printed >= SPARSE_SECONDS:
+            self._printed = now
+            print(self._line(now), file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """Leave the last state of the bar, and the cursor on a new line."""
+        if self._bar is not None:
+            self._bar.close()
+
+    def _line(self, now: float) -> str:
+        rate = (self._done - self._first) / (now - self._started)
+        line = f"{self._label}: {self._done}"
+        if self._total is not None:
+            line += f" of {self._total}"
+        line += f" frames, {rate:.1f} frames/s"
+        if self._total is not None and rate > 0:
+            left = max(0.0, (self._total - self._done) / rate)
+            line += f", {tqdm.format_interval(left)} left"
+        return line

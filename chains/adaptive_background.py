@@ -1,0 +1,228 @@
+"""Adaptive background as a chain: the empty scene, pixel by pixel, under changing light.
+
+The RSMCM paper's low-level chain (§4.2): a Gaussian per pixel, whose posterior after a frame is a mixture of
+"the pixel was seen" and "it was covered", collapsed by its moments. Since P(B) is multiplied with what other
+chains predict, the background stays as it is behind an object that they track.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..inference.protocols import Incoming
+from ..models import buffers, colour
+from ..models.background import BackgroundPrediction, LightField
+from ..models.background_kernels import light_ratios, second_look
+from ..models.frame import Frame
+from ..models.layer_kernels import update_behind
+from ..models.memo import LastCall
+from ..models.pixel_labels import PixelLabels, PixelMessage
+
+Planes = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class BackgroundState:
+    """What is known of the empty scene.
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px.
+    mean
+        `(channels, n_pixels)` float32, in the planes of `models.colour`, under the first frame's light.
+    variance
+        `(n_pixels,)` float32, squared grey levels: of the mean.
+    noise
+        `(n_pixels,)` float32, squared grey levels: of a single look at the pixel.
+    light
+        `(block_rows, block_columns)` float32: today's light relative to that of `mean`.
+    candidate, seen
+        second hypothesis: `(n_pixels * channels,)` uint8 colour that is neither background nor an object,
+        and `(n_pixels,)` uint8 how many looks it has lasted.
+    elapsed
+        s since the last look.
+    """
+
+    size: tuple[int, int]
+    mean: Planes
+    variance: Planes
+    noise: Planes
+    light: Planes
+    candidate: NDArray[np.uint8]
+    seen: NDArray[np.uint8]
+    elapsed: float
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The empty scene as it looks under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
+        height, width = self.size
+        field = LightField(self.light, self.size)
+        rows, position = field.rows(), field.row_positions()
+        above = position.astype(np.intp)
+        share = (position - above)[:, None]
+        light = rows[above] * (1 - share) + rows[above + 1] * share
+        return colour.to_image(self.mean * light.reshape(-1), (height, width))
+
+
+@dataclass(frozen=True)
+class AdaptiveBackground:
+    """Per-pixel adaptive background.
+
+    Parameters
+    ----------
+    prior
+        P(B=1) of a pixel of which nobody else knows anything.
+    noise
+        squared grey levels: sensor noise plus the scene's own, at first; `noise_rate` is the share by which a
+        pixel's own noise follows what is seen of it each frame (0: fixed variance as in the paper).
+    drift
+        squared grey levels per second by which a background value may wander.
+    first_variance
+        squared grey levels: of a value seen once.
+    settle_time
+        s for which a new colour must stay, where no chain predicts an object, to become background
+        (the second hypothesis); infinite switches it off.
+    pooling
+        weight of the 24 neighbours' log odds in a pixel's own.
+    follow_light
+        estimate a smooth field of light in every frame, so that clouds and lamps do not make foreground.
+    """
+
+    prior: float = 0.95
+    noise: float = 30.0
+    noise_rate: float = 0.02
+    drift: float = 1.25
+    first_variance: float = 20.0
+    settle_time: float = 3.0
+    pooling: float = 0.3
+    follow_light: bool = True
+    name: str = "background"
+    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.prior < 1:
+            raise ValueError(f"prior: got {self.prior}, expected a probability between 0 and 1")
+        for name in ("noise", "first_variance", "settle_time"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+        for name in ("noise_rate", "drift", "pooling"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected 0 or more")
+
+    @property
+    def uses_cavity(self) -> bool:
+        """The light of a frame is found in its image before the pixels are predicted."""
+        return self.follow_light
+
+    def initial(self, frame: Frame) -> BackgroundState:
+        """The first image is taken for the empty scene, with the variance of a single look."""
+        image = frame.image
+        if image is None:
+            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
+        height, width = image.shape[:2]
+        n_pixels = height * width
+        return BackgroundState(
+            size=(height, width),
+            mean=colour.to_planes(image),
+            variance=np.full(n_pixels, self.first_variance, np.float32),
+            noise=np.full(n_pixels, self.noise, np.float32),
+            light=np.ones(_light_grid(height, width), np.float32),
+            candidate=np.zeros(image.size, np.uint8),
+            seen=np.zeros(n_pixels, np.uint8),
+            elapsed=0.0,
+        )
+
+    def predict(self, state: BackgroundState, dt: float) -> BackgroundState:
+        """Values wander: their variance grows when they are next looked at."""
+        return replace(state, elapsed=state.elapsed + dt)
+
+    def message(self, state: BackgroundState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
+        """P(B) and the predicted value of every pixel (mu_{R -> F}), under the light of this frame."""
+        return PixelMessage(background=self._last(self._prediction, state, incoming[feature].image))
+
+    def update(self, state: BackgroundState, incoming: Incoming) -> BackgroundState:
+        """Background after the frame, each pixel weighted by r = P(B=1 | everything).
+
+        With prediction N(R; m, s), d = I - m and K = s / (s + noise) the mean becomes m + r K d and the
+        variance (1 - r K) s + r (1 - r) K^2 d^2.
+        """
+        (told,) = incoming.values()
+        image = told.image
+        if image is None:
+            return state
+        prediction = self._last(self._prediction, state, image)
+        after = prediction.claim(image)
+        covered = buffers.empty(after.log_odds.shape, np.uint8)
+        covered[:] = 0
+        light_rows, row_positions = prediction.light.rows(), prediction.light.row_positions()
+        for region in told.regions:
+            update_behind(
+                region.top, region.left, region.shift, state.size[1], colour.patch(image, *region.box),
+                after.pooled, state.mean, state.variance, state.noise, light_rows, row_positions,
+                np.float32(prediction.drift), np.float32(self.first_variance), np.float32(self.noise_rate),
+                after.mean, after.variance, after.noise, covered,
+            )  # fmt: skip
+        candidate, seen = buffers.empty(state.candidate.shape, np.uint8), buffers.empty(state.seen.shape, np.uint8)
+        np.copyto(candidate, state.candidate)
+        np.copyto(seen, state.seen)
+        elapsed = state.elapsed
+        if elapsed > 0:
+            channels = len(state.mean)
+            second_look(
+                np.ascontiguousarray(image).reshape(-1), after.pooled, covered, state.size[1], light_rows,
+                row_positions, colour.from_pixels(channels), np.float32(8.0 * channels * self.noise),
+                min(max(round(self.settle_time / elapsed), 3), 250), np.float32(self.first_variance),
+                after.mean, after.variance, candidate, seen,
+            )  # fmt: skip
+        return replace(
+            state,
+            mean=after.mean,
+            variance=after.variance,
+            noise=after.noise,
+            light=prediction.light.blocks,
+            candidate=candidate,
+            seen=seen,
+            elapsed=0.0,
+        )
+
+    def _prediction(self, state: BackgroundState, image: NDArray[np.uint8] | None) -> BackgroundPrediction:
+        light = state.light if image is None or not self.follow_light else self._light_now(state, image)
+        return BackgroundPrediction(
+            size=state.size,
+            mean=state.mean,
+            variance=state.variance,
+            noise=state.noise,
+            light=LightField(light, state.size),
+            prior=self.prior,
+            drift=self.drift * state.elapsed,
+            noise_rate=self.noise_rate,
+            pooling=self.pooling,
+        )
+
+    def _light_now(self, state: BackgroundState, image: NDArray[np.uint8]) -> Planes:
+        """Light of this frame: smooth, and moved only by what most of a neighbourhood agrees on.
+
+        Objects change the ratio of seen to predicted brightness too, but not by the same factor all over a
+        neighbourhood of five by five blocks (a fifth of the picture's width).
+        """
+        before = LightField(state.light, state.size)
+        ratios, agreement = np.empty_like(state.light), np.empty_like(state.light)
+        height, width = state.size
+        light_ratios(
+            np.ascontiguousarray(image).reshape(-1), state.mean, before.rows(), before.row_positions(),
+            height, width, ratios, agreement,
+        )  # fmt: skip
+        change = np.where(agreement > 0.3, np.log(ratios), 0.0).astype(np.float32)
+        smooth = cv2.medianBlur(cv2.copyMakeBorder(change, 2, 2, 2, 2, cv2.BORDER_REFLECT_101), 5)[2:-2, 2:-2]
+        smooth = cv2.blur(smooth, (3, 3))
+        follow = np.where(np.abs(smooth) > 0.02, 1.0, 0.2).astype(np.float32)
+        light: Planes = np.clip(state.light * np.exp(follow * smooth), 0.1, 10.0)
+        return light
+
+
+def _light_grid(height: int, width: int) -> tuple[int, int]:
+    """Blocks of light over a picture: 24 along its longer side, at least two each way."""
+    block = max(height, width) / 24
+    return max(round(height / block), 2), max(round(width / block), 2)

@@ -1,0 +1,181 @@
+"""Trees of dataclasses and arrays in one `.npz` file: never pickled, checked before it is written, atomic.
+
+Arrays are members of their own, named by their place in the tree; the member `skeleton` is JSON with all the
+rest. Values are read by their declared kinds: dataclasses, `NDArray`, `int`, `float`, `bool`, `str`, `None`,
+`X | None`, `tuple[X, ...]`, `tuple[X, Y]`, `list[X]`, `dict[str, X]`, `dict[int, X]`,
+`numpy.random.Generator`, and `Any` or `object` for plain JSON. A nested mapping of names to kinds stands for
+a record without a class of its own.
+"""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+FORMAT = "rsmcm state 1"
+SKELETON = "skeleton"
+SCALARS = (int, float, bool, str, NoneType)
+GENERATORS = {
+    "PCG64": np.random.PCG64,
+    "PCG64DXSM": np.random.PCG64DXSM,
+    "MT19937": np.random.MT19937,
+    "Philox": np.random.Philox,
+    "SFC64": np.random.SFC64,
+}
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def save(path: str | Path, values: Mapping[str, Any], kinds: Mapping[str, Any]) -> None:
+    """Write `values`, which are of the given `kinds`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        if a value is not of its kind, so that it could not be read back.
+    OSError
+        if the file cannot be written; nothing is left behind and an older file stays as it was.
+    """
+    arrays: Arrays = {}
+    skeleton = json.dumps({"format": FORMAT, "values": _encode(values, arrays, "")})
+    _restore(json.loads(skeleton)["values"], kinds, arrays)
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with open(partial, "wb") as stream:
+            np.savez(stream, allow_pickle=False, **{SKELETON: np.array(skeleton), **arrays})
+        os.replace(partial, path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def load(path: str | Path, kinds: Mapping[str, Any]) -> dict[str, Any]:
+    """Read what `save` wrote with the same `kinds`.
+
+    Raises
+    ------
+    ValueError
+        in one line that names the file, if it is broken, of another format, or holds other things.
+    OSError
+        if the file cannot be opened.
+    """
+    with open(path, "rb") as stream:
+        try:
+            with np.lib.npyio.NpzFile(stream, allow_pickle=False) as members:
+                arrays = {name: members[name] for name in members.files}
+            content = json.loads(str(arrays.pop(SKELETON)))
+            found, values = content["format"], content["values"]
+        except Exception as error:  # broken bytes make zip, numpy and JSON raise almost anything
+            raise ValueError(
+                f"{path}: got no readable state file, expected one that was saved here"
+            ) from error
+    if found != FORMAT:
+        raise ValueError(f"{path}: got format {found!r}, expected {FORMAT!r}")
+    try:
+        return _restore(values, kinds, arrays)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _encode(value: Any, arrays: Arrays, place: str) -> Any:
+    """JSON for a value, whose arrays go to `arrays`."""
+    if isinstance(value, np.ndarray | np.generic):
+        # A numpy scalar stays one: a Python number would promote differently in the resumed run.
+        if value.dtype.hasobject:
+            raise TypeError(f"{place}: got an array of Python objects, expected numbers")
+        arrays[place] = np.asarray(value)
+        return {"array": place}
+    if isinstance(value, np.random.Generator):
+        return _encode(value.bit_generator.state, arrays, place)
+    if is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
+    if isinstance(value, Mapping):
+        return {key: _encode(item, arrays, _below(place, key)) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_encode(item, arrays, _below(place, index)) for index, item in enumerate(value)]
+    return value
+
+
+def _restore(data: Any, kinds: Mapping[str, Any], arrays: Arrays) -> dict[str, Any]:
+    """Decode everything; nothing may be left over."""
+    unread = dict(arrays)
+    values: dict[str, Any] = _decode(data, kinds, unread, "")
+    if unread:
+        raise ValueError(f"{next(iter(unread))}: got an array, expected plain JSON")
+    return values
+
+
+def _decode(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
+    """The value of a kind from its JSON and the arrays, which are taken out of `arrays`."""
+    origin, inner = get_origin(kind) or kind, get_args(kind)
+    is_array = isinstance(data, dict) and isinstance(data.get("array"), str) and data["array"] in arrays
+    if origin in (Any, object):
+        return data
+    if origin in (Union, UnionType) and len(inner) == 2 and NoneType in inner:
+        (present,) = (part for part in inner if part is not NoneType)
+        return None if data is None else _decode(data, present, arrays, place)
+    if origin is np.ndarray and is_array:
+        return arrays.pop(data["array"])
+    if origin in SCALARS and is_array:
+        return arrays.pop(data["array"])[()]
+    if origin in SCALARS and (type(data) is origin or (origin is float and type(data) is int)):
+        return data
+    if origin is np.random.Generator and isinstance(data, dict) and data.get("bit_generator") in GENERATORS:
+        bits = GENERATORS[data["bit_generator"]](0)
+        bits.state = _decode(data, _kind_of(bits.state), arrays, place)
+        return np.random.Generator(bits)
+    if origin is dict and inner[0] in (str, int) and isinstance(data, dict):
+        key_kind, item_kind = inner
+        return {
+            key_kind(key): _decode(item, item_kind, arrays, _below(place, key)) for key, item in data.items()
+        }
+    if origin in (tuple, list) and isinstance(data, list):
+        parts = [inner[0]] * len(data) if origin is list or inner[-1] is Ellipsis else list(inner)
+        if len(parts) == len(data):
+            pairs = zip(data, parts, strict=True)
+            return origin(
+                _decode(item, part, arrays, _below(place, n)) for n, (item, part) in enumerate(pairs)
+            )
+    if isinstance(kind, Mapping) or is_dataclass(origin):
+        return _decode_record(data, kind, arrays, place)
+    raise ValueError(f"{place}: got {str(data)[:40]!r}, expected {_spelled(kind)}")
+
+
+def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
+    if isinstance(kind, Mapping):
+        record, build = kind, dict
+    else:
+        hints = get_type_hints(kind)
+        record = {field.name: hints[field.name] for field in fields(kind) if field.init}
+        build = kind
+    found = data if isinstance(data, dict) else {}
+    if found.keys() != record.keys():
+        raise ValueError(
+            f"{place or 'file'}: got {', '.join(found) or 'nothing'}, expected {', '.join(record) or 'nothing'}"
+        )
+    return build(
+        **{name: _decode(found[name], part, arrays, _below(place, name)) for name, part in record.items()}
+    )
+
+
+def _kind_of(value: Any) -> Any:
+    """Kind of a bit generator's state: nested dictionaries of numbers and, for some, arrays."""
+    return {name: _kind_of(part) for name, part in value.items()} if isinstance(value, dict) else type(value)
+
+
+def _below(place: str, key: object) -> str:
+    """Name of a part, without characters that a zip member's name cannot have."""
+    name = quote(str(key), safe="")
+    return f"{place}/{name}" if place else name
+
+
+def _spelled(kind: Any) -> str:
+    return str(getattr(kind, "__name__", kind)) if not get_args(kind) else str(kind)

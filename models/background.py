@@ -1,0 +1,176 @@
+"""A picture of the empty scene as a prediction of pixels, and what an image says of it.
+
+Per pixel the scene shows `light * mean` plus noise where nothing stands in front of it, and anything where
+something does. Reading an image against that prediction is the one pass over all pixels of a frame; its
+result (log odds of "background", and the mean and variances that would follow) is kept with the prediction.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import buffers, colour
+from .background_kernels import (
+    ODDS_STEPS,
+    log_evidence_sum,
+    pool_log_odds,
+    subtract_colour,
+    subtract_grey,
+)
+from .threads import over_bands
+
+Planes = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class LightField:
+    """How bright the scene is lit now, relative to the picture that is remembered, on a grid of blocks.
+
+    Parameters
+    ----------
+    blocks
+        `(block_rows, block_columns)` float32, 1 where the light is as it was.
+    size
+        `(height, width)` px of the picture.
+    """
+
+    blocks: Planes
+    size: tuple[int, int]
+
+    def rows(self) -> Planes:
+        """`(block_rows + 1, width)` float32: interpolated along x at block centres; the last row is doubled."""
+        columns = self.blocks.shape[1]
+        position = np.clip((np.arange(self.size[1]) + 0.5) * columns / self.size[1] - 0.5, 0, columns - 1)
+        left = np.minimum(position.astype(np.intp), columns - 2)
+        share = (position - left).astype(np.float32)
+        across = self.blocks[:, left] * (1 - share) + self.blocks[:, left + 1] * share
+        return np.concatenate([across, across[-1:]])
+
+    def row_positions(self) -> Planes:
+        """`(height,)` float32: where between the rows of `rows()` each pixel row lies."""
+        count = self.blocks.shape[0]
+        position = np.clip((np.arange(self.size[0]) + 0.5) * count / self.size[0] - 0.5, 0, count - 1)
+        return position.astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Subtraction:
+    """What an image says of a predicted background.
+
+    Parameters
+    ----------
+    log_odds
+        `(n_pixels,)` int8, steps of 1/20 nat: log of P(B=1) N(I; ...) over P(B=0) U, within +-6 nats.
+    pooled
+        the same with the neighbours' share (see `BackgroundPrediction`).
+    mean, variance, noise
+        of the background afterwards if no other chain had anything to say.
+    """
+
+    log_odds: NDArray[np.int8]
+    pooled: NDArray[np.int8]
+    mean: Planes
+    variance: Planes
+    noise: Planes
+
+
+@dataclass(frozen=True, eq=False)
+class BackgroundPrediction:
+    """Prediction of every pixel's background value: N(L; light * mean, light^2 * (variance + drift) + noise).
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px.
+    mean
+        `(channels, n_pixels)` float32 in the planes of `models.colour`.
+    variance, noise
+        `(n_pixels,)` float32, squared grey levels: of the mean, and of a single look (sensor and scene).
+    light
+        of this frame.
+    prior
+        P(B=1), that a pixel shows background.
+    drift
+        squared grey levels added to the variance since the last look.
+    noise_rate
+        share by which `noise` follows what is seen, 0 to keep it fixed.
+    pooling
+        weight of the 24 neighbours' log odds in a pixel's own: neighbours mostly share their label, but are
+        not independent looks. 0 makes every pixel decide for itself.
+    """
+
+    size: tuple[int, int]
+    mean: Planes
+    variance: Planes
+    noise: Planes
+    light: LightField
+    prior: float
+    drift: float
+    noise_rate: float
+    pooling: float
+    _readings: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
+
+    @property
+    def channels(self) -> int:
+        """1 for grey, 3 for colour."""
+        return int(self.mean.shape[0])
+
+    @property
+    def log_prior_odds(self) -> float:
+        """Log of P(B=1) over P(B=0) times the uniform density, in the units of the planes."""
+        odds = np.log(self.prior) - np.log1p(-self.prior)
+        return float(
+            odds
+            + self.channels * (np.log(256.0) - 0.5 * np.log(2 * np.pi))
+            + np.log(colour.VOLUME[self.channels])
+        )
+
+    def against(self, image: NDArray[np.uint8]) -> Subtraction:
+        """Read an image against the prediction; the same image is read only once."""
+        known = self._readings.get(id(image))
+        if known is None:
+            known = (image, self._subtract(image))
+            self._readings[id(image)] = known
+        return known[1]
+
+    def claim(self, image: NDArray[np.uint8]) -> Subtraction:
+        """Like `against`, but the arrays are the caller's to change: the prediction forgets them."""
+        reading = self.against(image)
+        del self._readings[id(image)]
+        return reading
+
+    def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
+        """Log probability of the image, summed over its pixels as if they were independent (nats).
+
+        `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0.
+        """
+        reading = self.against(image)
+        shift = np.zeros(1, np.float32) if pixel_shift is None else pixel_shift
+        uniform = np.log1p(-self.prior) - self.channels * np.log(256.0)
+        total = log_evidence_sum(reading.log_odds, shift, np.float32(1 / ODDS_STEPS))
+        return float(total + uniform * reading.log_odds.size)
+
+    def _subtract(self, image: NDArray[np.uint8]) -> Subtraction:
+        height, width = self.size
+        n_pixels = height * width
+        mean = buffers.empty(self.mean.shape, np.float32)
+        variance = buffers.empty((n_pixels,), np.float32)
+        noise = buffers.empty((n_pixels,), np.float32)
+        log_odds = buffers.empty((n_pixels,), np.int8)
+        pooled = buffers.empty((n_pixels,), np.int8)
+        pixels = np.ascontiguousarray(image).reshape(-1)
+        light_rows, row_positions = self.light.rows(), self.light.row_positions()
+        kernel = subtract_colour if self.channels == 3 else subtract_grey
+        drift, log_prior = np.float32(self.drift), np.float32(self.log_prior_odds)
+        noise_rate, pooling = np.float32(self.noise_rate), np.float32(self.pooling)
+
+        def subtract(first: int, end: int) -> None:
+            kernel(
+                first, end, width, pixels, self.mean, self.variance, self.noise, light_rows, row_positions,
+                drift, log_prior, noise_rate, mean, variance, noise, log_odds,
+            )  # fmt: skip
+
+        over_bands(subtract, height)
+        over_bands(lambda first, end: pool_log_odds(first, end, height, width, log_odds, pooling, pooled), height)
+        return Subtraction(log_odds, pooled, mean, variance, noise)

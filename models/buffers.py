@@ -1,0 +1,37 @@
+"""Arrays that are used again once nobody looks at them any more.
+
+States are values: every frame makes new arrays, and whoever keeps an old state keeps its arrays. Asking the
+operating system for fresh pages costs more than the work on a frame, so arrays whose last reader is gone are
+handed out again.
+"""
+
+import sys
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+_IDLE_REFERENCES = 3  # the pool's list, the loop variable and getrefcount's own argument
+_LONGEST_LIST = 12
+
+_pool: dict[tuple[tuple[int, ...], str], list[NDArray[Any]]] = {}
+_lock = Lock()
+
+
+def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    """Give an uninitialised array of `shape` and `dtype`, one that nobody refers to any more if there is one.
+
+    Views count as references, so an array is handed out again only when no view of it is left either.
+    """
+    key = (shape, np.dtype(dtype).str)
+    with _lock:
+        arrays = _pool.setdefault(key, [])
+        for array in arrays:
+            if sys.getrefcount(array) == _IDLE_REFERENCES:
+                return array
+        array = np.empty(shape, dtype)
+        if len(arrays) == _LONGEST_LIST:
+            arrays.pop(0)
+        arrays.append(array)
+        return array

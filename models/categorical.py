@@ -1,0 +1,86 @@
+"""A feature with a handful of possible values: doors and lights, and the small graphs that test the engine."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp
+
+from .frame import Frame
+
+
+class CategoricalMessage:
+    """A weight for each value of the feature.
+
+    Parameters
+    ----------
+    log_weights
+        `(size,)`; minus infinity for an impossible value.
+    """
+
+    def __init__(self, log_weights: ArrayLike) -> None:
+        self.log_weights: NDArray[np.float64] = np.asarray(log_weights, np.float64)
+
+    @property
+    def log_mass(self) -> float:
+        """Log of the sum of the weights."""
+        return float(logsumexp(self.log_weights))
+
+    def probabilities(self) -> NDArray[np.float64]:
+        """`(size,)` weights that sum to 1.
+
+        Raises
+        ------
+        ValueError
+            if every value is impossible.
+        """
+        log_mass = self.log_mass
+        if log_mass == -np.inf:
+            raise ValueError("message: got weight 0 for every value, expected one that is possible")
+        return np.exp(self.log_weights - log_mass)
+
+    def __mul__(self, other: "CategoricalMessage") -> "CategoricalMessage":
+        return CategoricalMessage(self.log_weights + other.log_weights)
+
+
+@dataclass(frozen=True)
+class Categorical:
+    """Feature node with a few values.
+
+    Parameters
+    ----------
+    name
+        of the node.
+    size
+        number of values.
+    log_likelihood
+        log p(I | F = each value), `(size,)`, of a frame whose image is there. `None` for a feature of which
+        images say nothing by themselves.
+    """
+
+    name: str
+    size: int
+    log_likelihood: Callable[[Frame], ArrayLike] | None = None
+
+    def uniform(self) -> CategoricalMessage:
+        """The constant 1."""
+        return CategoricalMessage(np.zeros(self.size))
+
+    def evidence(self, frame: Frame, prior: CategoricalMessage) -> CategoricalMessage:
+        """Likelihood of the frame; `prior` is not needed.
+
+        Raises
+        ------
+        ValueError
+            if `log_likelihood` gives another number of values.
+        """
+        if self.log_likelihood is None:
+            return self.uniform()
+        message = CategoricalMessage(self.log_likelihood(frame))
+        if message.log_weights.shape != (self.size,):
+            raise ValueError(
+                f"log_likelihood of {self.name!r}: got {message.log_weights.shape} at frame {frame.number}, "
+                f"expected ({self.size},)"
+            )
+        return message

@@ -1,0 +1,313 @@
+"""Pixel labels and values as a feature node: F_k = (B_k, L_k), "is background" and the latent colour.
+
+Messages are cheap: they refer to what chains predict (a background picture, layers of objects) and to the
+image; products gather factors, and loops over pixels run when somebody asks for a number. Where a chain has
+nothing to say, its message has no factor, and nothing is computed.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import buffers, colour
+from .background import BackgroundPrediction, Subtraction
+from .background_kernels import ODDS_STEPS
+from .frame import Frame
+from .layer_kernels import compose_layer, shift_of
+
+Map = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """What one object says of the pixels in its box: that it covers them, and with what colour.
+
+    Parameters
+    ----------
+    top, left
+        px, of the box; it may reach over the picture's edge.
+    mask
+        `(height, width)` float32, probability that the object covers the pixel.
+    appearance
+        `(channels, height, width)` float32 in the planes of `models.colour`; `None` for any colour.
+    spread
+        squared grey levels: variance of the object's colour about its appearance.
+    outliers
+        share of pixels whose colour is not as remembered.
+    strength
+        how much likelier this object is to be seen in front of the background than something nobody knows.
+    ghost
+        instead: there is no object where the mask is, whatever the background remembers.
+    """
+
+    top: int
+    left: int
+    mask: Map
+    appearance: Map | None
+    spread: float = 300.0
+    outliers: float = 0.1
+    strength: float = 10.0
+    ghost: bool = False
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """Top, left, bottom, right (exclusive) px."""
+        height, width = self.mask.shape
+        return self.top, self.left, self.top + height, self.left + width
+
+    @property
+    def log_density_ratio(self) -> float:
+        """Log of N(I; I, spread) over the uniform density of colours."""
+        if self.appearance is None:
+            return 0.0
+        channels = self.appearance.shape[0]
+        density = -0.5 * channels * np.log(2 * np.pi * self.spread) + np.log(colour.VOLUME[channels])
+        return float(density + channels * np.log(256.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Layers that overlap, composed: what they say together inside the box that holds them.
+
+    Parameters
+    ----------
+    top, left
+        px, inside the picture.
+    clear
+        `(height, width)` float32: weight of B=1, the chance that no layer covers the pixel.
+    explained
+        `(height, width)` float32: weight of B=0 with this pixel's colour, relative to "anything" alone.
+    shift
+        log of clear over explained.
+    """
+
+    top: int
+    left: int
+    clear: Map
+    explained: Map
+    shift: Map
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """Top, left, height, width px."""
+        return self.top, self.left, self.clear.shape[0], self.clear.shape[1]
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns in the picture."""
+        height, width = self.clear.shape
+        return slice(self.top, self.top + height), slice(self.left, self.left + width)
+
+
+class LayerStack:
+    """Layers front to back, and what they say together of an image; the same image is read only once."""
+
+    def __init__(self, layers: Sequence[Layer]) -> None:
+        self.layers = tuple(layers)
+        self._regions: dict[int, tuple[NDArray[np.uint8] | None, tuple[Region, ...]]] = {}
+
+    def __len__(self) -> int:
+        return len(self.layers)
+
+    def __add__(self, behind: "LayerStack") -> "LayerStack":
+        if not self.layers or not behind.layers:
+            return self if self.layers else behind
+        return LayerStack(self.layers + behind.layers)
+
+    def regions(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> tuple[Region, ...]:
+        """The layers, composed, where they speak; `size` is the picture's `(height, width)` px."""
+        known = self._regions.get(id(image))
+        if known is None:
+            known = (image, tuple(self._compose(image, size)))
+            self._regions[id(image)] = known
+        return known[1]
+
+    def _compose(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> Iterator[Region]:
+        for group in _overlapping([layer for layer in self.layers if _inside(layer, size)]):
+            boxes = np.array([layer.box for layer in group])
+            top, left = np.maximum(boxes[:, :2].min(axis=0), 0)
+            bottom, right = np.minimum(boxes[:, 2:].max(axis=0), size)
+            region = empty_region(int(top), int(left), int(bottom - top), int(right - left))
+            patch = None if image is None else colour.patch(image, *region.box)
+            for layer in group:
+                add_layer(region, layer, patch)
+            shift_of(region.clear, region.explained, region.shift)
+            yield region
+
+
+NO_LAYERS = LayerStack(())
+
+
+@dataclass(frozen=True, eq=False)
+class PixelMessage:
+    """A product of factors over all pixels: a background prediction, layers of objects, an image.
+
+    For every pixel it is a function of b in {0, 1} and the latent colour L. The background speaks of b = 1
+    (P(B=1) N(L; its mean, its variance)) and leaves b = 0 the rest (P(B=0) U, any colour); layers are composed front
+    to back in their order: w1 = prod(1 - M_j), w0 = 1 + sum_j strength M_j f_j(L) prod_{i<j} (1 - M_i); the
+    image ties L to what was seen.
+
+    Parameters
+    ----------
+    background
+        at most one.
+    layers
+        front to back.
+    image
+        uint8 `(height, width[, 3])`, or `None`.
+    """
+
+    background: BackgroundPrediction | None = None
+    layers: LayerStack = NO_LAYERS
+    image: NDArray[np.uint8] | None = None
+
+    def __mul__(self, other: Self) -> Self:
+        if self.background is not None and other.background is not None:
+            raise ValueError("pixel message: got two background predictions, expected at most one in a product")
+        if self.image is not None and other.image is not None:
+            raise ValueError("pixel message: got two images, expected at most one in a product")
+        return replace(
+            self,
+            background=self.background or other.background,
+            layers=self.layers + other.layers,
+            image=self.image if other.image is None else other.image,
+        )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """`(height, width)` px.
+
+        Raises
+        ------
+        ValueError
+            if neither the image nor a background says how large the picture is.
+        """
+        if self.image is not None:
+            return self.image.shape[0], self.image.shape[1]
+        if self.background is not None:
+            return self.background.size
+        raise ValueError("pixel message: got neither image nor background, so the picture's size is not known")
+
+    @cached_property
+    def reading(self) -> Subtraction | None:
+        """The image read against the background, if both are there."""
+        if self.image is None or self.background is None:
+            return None
+        return self.background.against(self.image)
+
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        """The layers, composed; everywhere else they say nothing."""
+        return self.layers.regions(self.image, self.size)
+
+    def foreground(self) -> NDArray[np.uint8]:
+        """`(height, width)` uint8: 255 where P(B=0) is over one half, else 0."""
+        out = self._log_odds()
+        mask: NDArray[np.uint8] = buffers.empty(out.shape, np.uint8)
+        np.less(out, 0, out=mask.view(np.bool_))
+        mask *= 255
+        for region in self.regions:
+            window = region.window
+            odds = out[window] * np.float32(1 / ODDS_STEPS) + region.shift
+            mask[window] = np.where(odds < 0, 255, 0)
+        return mask
+
+    def background_probability(self) -> Map:
+        """`(height, width)` float32: P(B=1) of every pixel."""
+        odds = self._log_odds() * np.float32(1 / ODDS_STEPS)
+        for region in self.regions:
+            odds[region.window] += region.shift
+        probability: Map = 1 / (1 + np.exp(-odds))
+        return probability
+
+    @property
+    def log_mass(self) -> float:
+        """Log of the integral over labels and colours, summed over pixels (nats)."""
+        if self.background is None:
+            return 0.0
+        if self.image is None:
+            return 0.0
+        shift = None
+        scale = 0.0
+        if self.layers:
+            shift = np.zeros(self.size, np.float32)
+            for region in self.regions:
+                shift[region.window] = region.shift
+                scale += float(np.log(region.explained, dtype=np.float64).sum())
+            shift = shift.reshape(-1)
+        return self.background.log_likelihood(self.image, shift) + scale
+
+    def _log_odds(self) -> NDArray[np.int8]:
+        """`(height, width)` int8 log odds of background without the layers."""
+        height, width = self.size
+        if self.reading is not None:
+            return self.reading.pooled.reshape(height, width)
+        prior = 0.5 if self.background is None else self.background.prior
+        odds = float(np.clip(np.log(prior) - np.log1p(-prior), -6, 6))
+        return np.full((height, width), round(odds * ODDS_STEPS), np.int8)
+
+
+@dataclass(frozen=True)
+class PixelLabels:
+    """Feature node of per-pixel labels and colours, shared by background, blobs, and whatever covers pixels.
+
+    RSMCM paper §4.2. Departures: colours as well as grey values; the observation noise is part of each
+    prediction's own noise, since only their sum is ever used.
+    """
+
+    name: str = "pixels"
+
+    def uniform(self) -> PixelMessage:
+        """The message that says nothing."""
+        return PixelMessage()
+
+    def evidence(self, frame: Frame, prior: PixelMessage) -> PixelMessage:
+        """The image: L is what was seen."""
+        return PixelMessage(image=frame.image)
+
+
+def empty_region(top: int, left: int, height: int, width: int) -> Region:
+    """A region in which no layer has spoken yet."""
+    maps = np.ones((3, height, width), np.float32)
+    return Region(top, left, maps[0], maps[1], maps[2])
+
+
+def add_layer(region: Region, layer: Layer, patch: Map | None) -> None:
+    """Put a layer behind those that the region holds already.
+
+    `patch` `(channels, height, width)` are the image's planes in the region, `None` if there is no image.
+    """
+    appearance = layer.appearance
+    if patch is None or appearance is None:
+        appearance = np.zeros((0, *layer.mask.shape), np.float32)
+        patch = np.zeros((0, *region.clear.shape), np.float32)
+    compose_layer(
+        region.clear, region.explained, patch, layer.top - region.top, layer.left - region.left, layer.mask,
+        appearance, np.float32(0.5 / layer.spread), np.float32(layer.log_density_ratio),
+        np.float32(layer.outliers), np.float32(layer.strength), layer.ghost,
+    )  # fmt: skip
+
+
+def _inside(layer: Layer, size: tuple[int, int]) -> bool:
+    top, left, bottom, right = layer.box
+    return top < size[0] and left < size[1] and bottom > 0 and right > 0
+
+
+def _overlapping(layers: Sequence[Layer]) -> list[list[Layer]]:
+    """Groups of layers that are connected by overlapping boxes, each in the given order."""
+    group_of = list(range(len(layers)))
+    for i, one in enumerate(layers):
+        for j in range(i):
+            other = layers[j]
+            a, b = one.box, other.box
+            if a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3] and group_of[i] != group_of[j]:
+                old, new = group_of[i], group_of[j]
+                group_of = [new if group == old else group for group in group_of]
+    groups: dict[int, list[Layer]] = {}
+    for layer, group in zip(layers, group_of, strict=True):
+        groups.setdefault(group, []).append(layer)
+    return list(groups.values())

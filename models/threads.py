@@ -1,0 +1,41 @@
+"""Bands of rows on several threads, for kernels that release the interpreter's lock."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+_settings = {"threads": min(2, os.cpu_count() or 1)}
+_workers: dict[int, ThreadPoolExecutor] = {}
+
+
+def set_threads(count: int) -> None:
+    """Use `count` threads in the kernels that work on bands of rows; 1 keeps all work in the caller's.
+
+    Raises
+    ------
+    ValueError
+        if `count` is below 1.
+    """
+    if count < 1:
+        raise ValueError(f"threads: got {count}, expected 1 or more")
+    _settings["threads"] = count
+
+
+def thread_count() -> int:
+    """Give the number of threads that kernels use."""
+    return _settings["threads"]
+
+
+def over_bands(work: Callable[[int, int], None], n_rows: int) -> None:
+    """Call `work(first_row, end_row)` on consecutive bands that together cover `n_rows` rows."""
+    count = min(_settings["threads"], n_rows)
+    if count == 1:
+        work(0, n_rows)
+        return
+    if count not in _workers:
+        _workers[count] = ThreadPoolExecutor(count - 1, thread_name_prefix="rsmcm-band")
+    edges = [n_rows * k // count for k in range(count + 1)]
+    waiting = [_workers[count].submit(work, edges[k], edges[k + 1]) for k in range(1, count)]
+    work(edges[0], edges[1])
+    for future in waiting:
+        future.result()

@@ -1,0 +1,121 @@
+"""The generated scene: exact truth, the same bytes for the same seed, and events when they are due."""
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.apps.scenes import LIGHT_AFTER_JUMP, Scene, sleeping_man
+
+SMALL = (160, 120)
+
+
+def quiet(n_frames: int = 400, **settings: int) -> Scene:
+    """A scene without noise and drift, whose pixels change only where something moves."""
+    return sleeping_man(n_frames, size=SMALL, noise=0, light_drift=0, **settings)
+
+
+def test_same_seed_same_bytes_in_any_order() -> None:
+    one, other = sleeping_man(seed=3, size=SMALL), sleeping_man(seed=3, size=SMALL)
+    late, early = one.render(90).image, one.render(10).image
+    assert np.array_equal(early, other.render(10).image)
+    assert np.array_equal(late, other.render(90).image)
+    assert not np.array_equal(early, sleeping_man(seed=4, size=SMALL).render(10).image)
+
+
+def test_frames_have_times_and_numbers_from_one() -> None:
+    scene = sleeping_man(3, size=SMALL)
+    frames = list(scene)
+    assert [frame.number for frame in frames] == [1, 2, 3]
+    assert [frame.time for frame in frames] == [0, scene.dt, 2 * scene.dt]
+    assert frames[0].image.shape == (120, 160, 3)
+    assert len(scene) == len(scene.masks) == 3
+    assert np.array_equal(scene[-1].image, frames[-1].image)
+    assert len(scene[1:]) == 2
+    with pytest.raises(IndexError):
+        scene.masks[3]
+
+
+@pytest.mark.parametrize("index", [60, 150, 330])
+def test_mask_covers_what_differs_from_the_empty_street(index: int) -> None:
+    scene = quiet(car_leaves=400)
+    changed = np.any(scene.render(index).image != scene.render(0).image, axis=-1)
+    mask = scene.foreground(index)
+    assert mask.any()
+    # outside the mask, only pixels of the outline, covered by half or less, may differ
+    near = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    assert not (changed & ~near).any()
+    # inside, a pixel keeps its colour only by chance
+    assert (mask & ~changed).sum() < 0.01 * mask.sum()
+
+
+def test_person_walks_in_stands_and_walks_out() -> None:
+    scene = quiet()
+    assert not scene.masks[0].any()
+    inside = [bool(scene.person(index).any()) for index in range(0, 400, 5)]
+    assert inside.index(True) * 5 in range(40, 60)
+    assert not inside[-1]
+    places = [scene.boxes(index)[-1].box for index in range(110, 300, 10)]
+    assert np.ptp([left for left, *_ in places]) <= 4
+    # swaying: consecutive standing masks differ a little, and by little
+    differing = (scene.person(150) != scene.person(156)).sum()
+    assert 0 < differing < 0.1 * scene.person(150).sum()
+
+
+def test_longer_stand_and_further_visits() -> None:
+    assert quiet(1500, stand=1300).person(1300).any()
+    again = [quiet(2000).boxes(index) for index in range(400, 800, 20)]
+    assert {box.identity for boxes in again for box in boxes if box.kind == "pedestrian"} == {3}
+
+
+def test_parked_car_is_background_until_it_leaves() -> None:
+    scene = quiet(car_leaves=20)
+    assert scene.car(19).any()
+    assert not scene.foreground(19).any()
+    assert np.array_equal(scene.foreground(20), scene.car(20))
+    assert [box.kind for box in scene.boxes(20)] == ["vehicle"]
+    # once it has gone, the ground that it hid is background again
+    assert not scene.foreground(39).all()
+    assert not scene.car(120).any()
+    uncovered = scene.car(0) & ~scene.person(120)
+    assert not (scene.foreground(120) & uncovered).any()
+    assert np.any(scene.render(120).image != scene.render(0).image, axis=-1)[uncovered].mean() > 0.9
+
+
+def test_light_jumps_once() -> None:
+    scene = sleeping_man(60, size=SMALL, light_jump=30, light_drift=0, noise=0, enter=60)
+    before, after = scene.render(29).image, scene.render(30).image
+    assert after.mean() / before.mean() == pytest.approx(LIGHT_AFTER_JUMP, abs=0.01)  # rounding
+    assert np.array_equal(before, scene.render(0).image)
+
+
+def test_noise_has_the_deviation_asked_for() -> None:
+    quiet_image = sleeping_man(size=SMALL, noise=0).render(5).image.astype(float)
+    residual = sleeping_man(size=SMALL, noise=4.0).render(5).image - quiet_image
+    # 57,600 values: the estimate's own deviation is 0.3 %; rounding adds 1/12 twice
+    assert residual.std() == pytest.approx(np.sqrt(16 + 1 / 6), rel=0.02)
+
+
+def test_clouds_darken_and_move() -> None:
+    clear = sleeping_man(size=SMALL, noise=0)
+    cloudy = sleeping_man(size=SMALL, noise=0, clouds=True)
+    shares = [cloudy.render(i).image / np.maximum(clear.render(i).image, 1.0) for i in (0, 25)]
+    assert shares[0].min() > 0.6
+    assert shares[0].min() < 0.75
+    assert shares[0].max() <= 1
+    assert np.abs(shares[0] - shares[1]).max() > 0.2
+
+
+def test_mot_rows_count_from_one() -> None:
+    scene = quiet(80)
+    rows = scene.mot_rows()
+    assert rows.shape[1] == 10
+    frame = int(rows[-1, 0])
+    box = scene.boxes(frame - 1)[0]
+    assert tuple(rows[-1, 1:6]) == (box.identity, box.box[0] + 1, box.box[1] + 1, *box.box[2:])
+
+
+@pytest.mark.parametrize(
+    "settings", [{"size": (20, 20)}, {"n_frames": 0}, {"noise": -1.0}, {"light_drift": 1.0}, {"stand": -1}]
+)
+def test_settings_out_of_range_are_named(settings: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=next(iter(settings))):
+        sleeping_man(**settings)
