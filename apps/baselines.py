@@ -202,7 +202,7 @@ class KalmanHungarian:
         frames without a find after which a track ends.
     """
 
-    def __init__(self, least_overlap: float = 0.3, min_hits: int = 3, max_age: int = 10):
+    def __init__(self, least_overlap: float = 0.1, min_hits: int = 5, max_age: int = 20):
         self._least_overlap = least_overlap
         self._min_hits = min_hits
         self._max_age = max_age

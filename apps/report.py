@@ -10,7 +10,8 @@ import io
 import re
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -30,6 +31,7 @@ SNAPSHOT_WIDTH = 480  # px; wider pictures are kept smaller
 MOST_POINTS = 256  # of a track's path
 MOST_ROWS = 100  # of the table of tracks
 MOST_BINS = 600  # of a plot over time
+SERIES = ("numbers", "times", "n_tracks", "foreground_share", "log_evidence", "seconds")  # per frame
 INK = "#0a0b0c"  # stands for the reader's text colour in plots
 
 
@@ -64,6 +66,12 @@ class Snapshot:
     background: Image
     foreground: Image
     overlay: Image
+
+    @cached_property
+    def saved(self) -> list[Any]:
+        """Number, time and the pictures as PNG in base 64, worked out once however often a run is saved."""
+        pictures = (self.picture, self.background, self.foreground, self.overlay)
+        return [self.number, self.time, *map(_encoded, pictures)]
 
 
 @dataclass(eq=False)
@@ -137,7 +145,7 @@ class RunRecord:
         background, overlay
             called for the few frames of which pictures are kept; `(height, width[, 3])` uint8, BGR.
         log_evidence
-            of the whole frame, nats.
+            of the whole frame, nats; NaN where it was not worked out.
         seconds
             that the frame's processing took.
         """
@@ -163,6 +171,44 @@ class RunRecord:
                 del self.snapshots[1::2]
                 self.stride *= 2
             self.next_snapshot = count + self.stride
+
+    def saved(self) -> dict[str, Any]:
+        """Everything as plain JSON; the snapshots' pictures as PNG in base 64."""
+        return {
+            "series": {name: base64.b64encode(getattr(self, name).tobytes()).decode() for name in SERIES},
+            "tracks": [[identity, asdict(history)] for identity, history in self.tracks.items()],
+            "snapshots": [each.saved for each in self.snapshots],
+            "missing": self.missing,
+            "stride": self.stride,
+            "next_snapshot": self.next_snapshot,
+        }
+
+    @classmethod
+    def restored(cls, data: Mapping[str, Any]) -> "RunRecord":
+        """The record of which `saved` was kept."""
+        record = cls(
+            missing=list(data["missing"]), stride=data["stride"], next_snapshot=data["next_snapshot"]
+        )
+        for name in SERIES:
+            getattr(record, name).frombytes(base64.b64decode(data["series"][name]))
+        for identity, history in data["tracks"]:
+            path = [(x, y) for x, y in history.pop("path")]
+            record.tracks[identity] = TrackHistory(path=path, **history)
+        for number, time, *pictures in data["snapshots"]:
+            record.snapshots.append(Snapshot(number, time, *map(_decoded, pictures)))
+        return record
+
+
+def _encoded(image: Image) -> str:
+    done, data = cv2.imencode(".png", image)
+    if not done:
+        raise ValueError(f"image: got {image.shape} {image.dtype}, which cannot be stored as PNG")
+    return base64.b64encode(data.tobytes()).decode("ascii")
+
+
+def _decoded(text: str) -> Image:
+    data = np.frombuffer(base64.b64decode(text), np.uint8)
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8)
 
 
 def _small(image: Image) -> Image:
@@ -329,7 +375,8 @@ def _plots(record: RunRecord) -> Html:
     def draw(canvas: Figure) -> None:
         axes = canvas.subplots(len(curves), sharex=True)
         for axis, (name, values) in zip(axes, curves, strict=True):
-            axis.plot(times[starts], values, color="#2f7fc1", linewidth=1.2, drawstyle="steps-post")
+            known = np.isfinite(values)
+            axis.plot(times[starts][known], values[known], color="#2f7fc1", linewidth=1.2, drawstyle="steps-post")
             axis.set_ylabel(name)
             axis.margins(x=0.01, y=0.12)
             if not name.startswith("log"):

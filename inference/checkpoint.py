@@ -4,7 +4,7 @@ Arrays are members of their own, named by their place in the tree; the member `s
 rest. Values are read by their declared kinds: dataclasses, `NDArray`, `int`, `float`, `bool`, `str`, `None`,
 `X | None`, `tuple[X, ...]`, `tuple[X, Y]`, `list[X]`, `dict[str, X]`, `dict[int, X]`,
 `numpy.random.Generator`, and `Any` or `object` for plain JSON. A nested mapping of names to kinds stands for
-a record without a class of its own.
+a record without a class of its own, or `None` where it is not there yet.
 """
 
 import json
@@ -124,7 +124,7 @@ def _decode(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
         return None if data is None else _decode(data, present, arrays, place)
     if origin is np.ndarray and is_array:
         return arrays.pop(data["array"])
-    if origin in SCALARS and is_array:
+    if origin in SCALARS and is_array and arrays[data["array"]].ndim == 0:
         return arrays.pop(data["array"])[()]
     if origin in SCALARS and (type(data) is origin or (origin is float and type(data) is int)):
         return data
@@ -144,6 +144,8 @@ def _decode(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
             return origin(
                 _decode(item, part, arrays, _below(place, n)) for n, (item, part) in enumerate(pairs)
             )
+    if isinstance(kind, Mapping) and data is None:
+        return None
     if isinstance(kind, Mapping) or is_dataclass(origin):
         return _decode_record(data, kind, arrays, place)
     raise ValueError(f"{place}: got {str(data)[:40]!r}, expected {_spelled(kind)}")
@@ -158,9 +160,8 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
         build = kind
     found = data if isinstance(data, dict) else {}
     if found.keys() != record.keys():
-        raise ValueError(
-            f"{place or 'file'}: got {', '.join(found) or 'nothing'}, expected {', '.join(record) or 'nothing'}"
-        )
+        got, expected = (", ".join(names) or "nothing" for names in (found, record))
+        raise ValueError(f"{place or 'file'}: got {got}, expected {expected}")
     return build(
         **{name: _decode(found[name], part, arrays, _below(place, name)) for name, part in record.items()}
     )

@@ -6,7 +6,7 @@ from statistics import mean
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import BoxStyle, Circle, FancyArrowPatch, FancyBboxPatch, Patch
+from matplotlib.patches import Circle, FancyArrowPatch, Patch, Rectangle
 
 from .graph import IMAGE, MultiChain
 
@@ -84,7 +84,7 @@ def _node(axes: Axes, name: str, kind: str, place: Point) -> Patch:
     patch: Patch
     if kind == "feature":
         side = 0.9 * RADIUS
-        patch = FancyBboxPatch((x - side, y - side), 2 * side, 2 * side, BoxStyle("square", pad=0))
+        patch = Rectangle((x - side, y - side), 2 * side, 2 * side)
     else:
         patch = Circle(place, RADIUS)
     patch.set(facecolor=FILL[kind], edgecolor=INK, linewidth=1.3, zorder=2)

@@ -53,7 +53,7 @@ class TimeSlice:
         self.frame = frame
         self._sent: dict[tuple[str, str], Message] = {}
         self._read: dict[tuple[str, str], list[Message]] = {}
-        self._products: dict[tuple[str, *tuple[int, ...]], tuple[Sequence[Message], Any]] = {}
+        self._products: dict[tuple[str, tuple[int, ...]], tuple[Sequence[Message], Any]] = {}
 
     def send(self, sender: str, feature: str) -> None:
         """Work out one message, unless it would be the one sent before."""
@@ -109,7 +109,7 @@ class TimeSlice:
     def _multiply(self, feature: str, factors: Sequence[Message]) -> Any:
         if len(factors) == 1:
             return factors[0]
-        key = (feature, *map(id, factors))
+        key = (feature, tuple(map(id, factors)))
         if key not in self._products:
             if factors:
                 product = self._multiply(feature, factors[:-1]) * factors[-1]

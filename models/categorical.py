@@ -1,4 +1,4 @@
-"""A feature with a handful of possible values: doors and lights, and the small graphs that test the engine."""
+"""A feature with a handful of possible values: doors, lights, and the small graphs of the engine's tests."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

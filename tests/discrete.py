@@ -6,7 +6,6 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-
 from rsmcm.inference import Incoming, MultiChain
 from rsmcm.models.categorical import Categorical, CategoricalMessage
 from rsmcm.models.frame import Frame

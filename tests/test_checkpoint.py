@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
-
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP, checkpoint
 from rsmcm.models.categorical import Categorical, CategoricalMessage
 from rsmcm.models.frame import Frame
@@ -230,14 +229,16 @@ def test_broken_bytes_are_never_read_as_something_else(tmp_path: Path) -> None:
         broken = bytearray(content)
         broken[position] ^= 1 << random.integers(8)
         path.write_bytes(broken)
+        message = f"{path}: "
         try:
             state, _ = walking().load(path)
         except ValueError as error:
-            assert str(path) in str(error)
-            assert "\n" not in str(error)
+            message = str(error)
         else:  # a date or a flag of the zip's own
             assert_same(vars(state.states["walk"])["weights"], vars(expected.states["walk"])["weights"])
             assert (state.number, state.time) == (expected.number, expected.time)
+        assert message.startswith(f"{path}: ")
+        assert "\n" not in message
 
 
 @pytest.mark.parametrize("keep", [0, 1, 10, 100, 1000, -1, -30])
@@ -259,21 +260,21 @@ def test_other_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no readable state"):
         walking().load(path)
     np.savez(path, skeleton=np.array(json.dumps({"format": "rsmcm state 0", "values": {}})))
-    with pytest.raises(ValueError, match="run.npz: got format 'rsmcm state 0', expected 'rsmcm state 1'"):
+    with pytest.raises(ValueError, match=r"run.npz: got format 'rsmcm state 0', expected 'rsmcm state 1'"):
         walking().load(path)
 
 
 def test_states_of_other_chains_are_named(tmp_path: Path) -> None:
     path = saved(tmp_path / "run.npz")
     other = RecursiveBP(random_model(np.random.default_rng(0), [("a", "f"), ("b", "f")]))
-    with pytest.raises(ValueError, match="run.npz: states: got walk, expected a, b"):
+    with pytest.raises(ValueError, match=r"run.npz: states: got walk, expected a, b"):
         other.load(path)
 
 
 def test_missing_fields_are_named(tmp_path: Path) -> None:
     path = tmp_path / "part.npz"
     checkpoint.save(path, {"part": {"count": 1}}, {"part": {"count": int}})
-    with pytest.raises(ValueError, match="part.npz: part: got count, expected array, count, score"):
+    with pytest.raises(ValueError, match=r"part.npz: part: got count, expected array, count, score"):
         checkpoint.load(path, {"part": Part})
 
 

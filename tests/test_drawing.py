@@ -5,6 +5,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+
 from .discrete import random_model
 
 LINKS = [("background", "pixels"), ("blobs", "pixels"), ("blobs", "objects"), ("ground", "objects")]

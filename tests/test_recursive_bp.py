@@ -1,14 +1,13 @@
 """Recursive belief propagation against the sum over all states of small graphs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from rsmcm.inference import Belief, Incoming, MultiChain, RecursiveBP
 from rsmcm.models.categorical import Categorical, CategoricalMessage
 from rsmcm.models.frame import Frame
@@ -20,7 +19,6 @@ from .discrete import (
     enumerate_slice,
     image,
     random_model,
-    random_table,
 )
 
 GRAPHS = {
@@ -118,7 +116,6 @@ def test_evidence_behind_a_cut_edge_is_counted_once() -> None:
 
     low = RecursiveBP(MultiChain().connect(chains["a"], features["f"])).step(None, frame)
     read = chains["b"].tables["f"] @ np.exp(low["f"].log_weights) * chains["b"].prior
-    high = MultiChain().connect(chains["b"], features["g"]).connect(chains["c"], features["g"])
     tables = {"g": chains["b"].tables["g"]}
     given_f = DiscreteChain("b", read / read.sum(), np.eye(len(read)), tables)
     high = MultiChain().connect(given_f, features["g"]).connect(chains["c"], features["g"])
@@ -166,20 +163,17 @@ def test_later_sweeps_bring_the_latest_messages_of_the_others() -> None:
 
 
 def test_a_single_message_is_handed_on_as_it_is() -> None:
-    model = random_model(rng(), [("a", "f"), ("b", "f")], {"a": Listener})
+    class Speaker(DiscreteChain):
+        def message(
+            self, state: DiscreteState, feature: Categorical, incoming: Incoming
+        ) -> CategoricalMessage:
+            return said
+
+    model = random_model(rng(), [("a", "f"), ("b", "f")], {"a": Listener, "b": Speaker})
+    said = CategoricalMessage(np.zeros(model.features["f"].size))
     engine = RecursiveBP(model)
-    belief = engine.step(engine.step(None, Frame(image(1), 0.0, 1)).state, Frame(None, 1.0, 2))
-    assert belief["f"] is belief[model.features["f"]]
-    np.testing.assert_array_equal(
-        model.chains["a"].heard[-1][1].log_weights,
-        np.log(belief_prediction(model, engine) @ model.chains["b"].tables["f"]),
-    )
-
-
-def belief_prediction(model: MultiChain, engine: RecursiveBP) -> np.ndarray:
-    first = engine.step(None, Frame(image(1), 0.0, 1))
-    prediction: np.ndarray = first["b"].probabilities @ model.chains["b"].transition
-    return prediction
+    engine.step(engine.step(None, Frame(image(1), 0.0, 1)).state, Frame(None, 1.0, 2))
+    assert model.chains["a"].heard[-1][1] is said
 
 
 @dataclass(frozen=True)
@@ -264,7 +258,6 @@ def test_states_of_other_chains_are_refused() -> None:
     state = RecursiveBP(random_model(rng(), [("z", "f")])).step(None, Frame(image(1), 0.0, 1)).state
     with pytest.raises(ValueError, match="got chains z, expected a"):
         RecursiveBP(random_model(rng(), [("a", "f")])).step(state, Frame(image(1), 1.0, 2))
-    assert replace(state, number=3).states is state.states
 
 
 def test_a_model_is_checked_before_the_first_frame() -> None:
@@ -283,4 +276,3 @@ def test_impossible_values_and_wrong_likelihoods_are_named() -> None:
         Categorical("door", 2, lambda frame: np.zeros(3)).evidence(
             Frame(image(1), 0.0, 1), Categorical("door", 2).uniform()
         )
-    np.testing.assert_array_equal(random_table(rng(), 2, 2).sum(axis=1).round(12), 1)

@@ -1,0 +1,574 @@
+"""Blob tracker as a chain: moving objects with their place, velocity, soft mask and colours.
+
+The RSMCM paper's high-level chain (§4.2): first-order linear dynamics, appearance, and a rendering of every
+object into the pixels. It is registered with what the background's chain and the image say of the pixels,
+then speaks to them at its registered place: a place shared by all its pixels is what one pixel cannot know.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import count
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..inference.protocols import Incoming
+from ..models.blob_kernels import count_foreground, cover, gather, learn, outline_contrast, search
+from ..models.frame import Frame
+from ..models.memo import LastCall
+from ..models.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage
+
+Map = NDArray[np.float32]
+Pair = NDArray[np.float64]
+
+MARGIN = 6
+"""px of empty border in a blob's patch, into which its mask can grow."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """What is reported of an object in a frame.
+
+    Parameters
+    ----------
+    identity
+        from 1, never used twice.
+    box
+        x, y, width, height px; x, y is the top left corner, 0 at the picture's.
+    confidence
+        share of the object's visible part that was seen, 0 to 1; 0 while it is hidden.
+    velocity
+        px/s to the right and down.
+    """
+
+    identity: int
+    box: tuple[float, float, float, float]
+    confidence: float
+    velocity: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Blob:
+    """State of one object.
+
+    Parameters
+    ----------
+    identity
+        from 1.
+    position, velocity
+        `(2,)` px and px/s, (down, right), of the patch's top left corner.
+    covariance
+        `(2, 2)` of position and velocity along either axis.
+    mask
+        `(height, width)` float32 probability of covering a pixel.
+    appearance
+        `(channels, height, width)` float32 planes.
+    hits
+        frames in which it was seen.
+    unseen, still
+        s since it was last seen, and for which it has not moved.
+    confidence
+        share of its visible part that was seen in the last frame.
+    ghost_votes
+        looks in which its outline was found in the background's picture rather than in the image.
+    """
+
+    identity: int
+    position: Pair
+    velocity: Pair
+    covariance: Pair
+    mask: Map
+    appearance: Map
+    hits: int
+    unseen: float
+    still: float
+    confidence: float
+    ghost_votes: int
+
+    @property
+    def corner(self) -> tuple[int, int]:
+        """Top and left px of the patch, as it is rendered."""
+        return int(np.floor(self.position[0] + 0.5)), int(np.floor(self.position[1] + 0.5))
+
+    @cached_property
+    def extent(self) -> tuple[int, int, int, int]:
+        """Top, left, bottom, right (exclusive) px within the patch of what the mask likely covers."""
+        likely = self.mask > 0.45
+        rows, columns = likely.sum(axis=1) > 1, likely.sum(axis=0) > 1
+        if not rows.any() or not columns.any():
+            return 0, 0, self.mask.shape[0], self.mask.shape[1]
+        return (
+            int(rows.argmax()),
+            int(columns.argmax()),
+            len(rows) - int(rows[::-1].argmax()),
+            len(columns) - int(columns[::-1].argmax()),
+        )
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """x, y, width, height px of what the mask likely covers."""
+        top, left, bottom, right = self.extent
+        return self.position[1] + left, self.position[0] + top, float(right - left), float(bottom - top)
+
+    @property
+    def foot(self) -> float:
+        """px, the lowest row: what stands lower in the picture is nearer."""
+        return float(self.position[0] + self.extent[2])
+
+    @property
+    def length(self) -> float:
+        """px, the longer side of the box."""
+        top, left, bottom, right = self.extent
+        return float(max(bottom - top, right - left))
+
+
+@dataclass(frozen=True, eq=False)
+class BlobState:
+    """All objects of a scene.
+
+    Parameters
+    ----------
+    blobs
+        in no particular order.
+    born
+        how many there have been.
+    size
+        `(height, width)` px of the picture.
+    elapsed
+        s since the last look.
+    confirmed_hits
+        frames in which an object must have been seen before it is reported.
+    """
+
+    blobs: tuple[Blob, ...]
+    born: int
+    size: tuple[int, int]
+    elapsed: float
+    confirmed_hits: int
+
+    def tracks(self) -> list[Track]:
+        """Objects that are sure enough to be reported, by identity."""
+        found = [blob for blob in self.blobs if blob.hits >= self.confirmed_hits]
+        return [
+            Track(blob.identity, blob.box, blob.confidence, (float(blob.velocity[1]), float(blob.velocity[0])))
+            for blob in sorted(found, key=lambda blob: blob.identity)
+        ]
+
+
+@dataclass(frozen=True)
+class BlobTracker:
+    """Tracker of any number of blobs.
+
+    Lengths that should grow with the picture are shares of its area or of the blob's own size.
+
+    Parameters
+    ----------
+    smallest
+        share of the picture's area below which a spot is no object.
+    mask_time, colour_time
+        s in which a mask and its colours follow what is seen.
+    spread
+        squared grey levels: variance of a pixel's colour about the remembered one.
+    outliers
+        share of an object's pixels that look otherwise.
+    strength
+        how much likelier a known object is in front of the background than an unknown one.
+    temper
+        how many independent looks one pixel of a registration is worth.
+    acceleration
+        blob lengths per s^2, of the random force on a blob.
+    first_speed
+        blob lengths per s, standard deviation of a new blob's velocity.
+    patience, hidden_patience
+        s for which a blob that should be visible, or is hidden by another, may stay unseen.
+    confirmed_hits
+        frames in which an object must have been seen before it is reported.
+    ghost_votes
+        looks at a still blob's outline that must find it in the background's picture and not in the image
+        before the blob is taken for a ghost.
+    """
+
+    smallest: float = 0.0003
+    mask_time: float = 0.4
+    colour_time: float = 0.4
+    spread: float = 300.0
+    outliers: float = 0.1
+    strength: float = 10.0
+    temper: float = 0.15
+    acceleration: float = 2.0
+    first_speed: float = 2.0
+    patience: float = 0.6
+    hidden_patience: float = 3.0
+    confirmed_hits: int = 5
+    ghost_votes: int = 10
+    name: str = "blobs"
+    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
+
+    uses_cavity = True
+
+    def __post_init__(self) -> None:
+        for name in ("smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration",
+                     "first_speed", "patience", "hidden_patience", "confirmed_hits", "ghost_votes"):  # fmt: skip
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+        if not 0 < self.outliers < 1:
+            raise ValueError(f"outliers: got {self.outliers}, expected a share between 0 and 1")
+
+    def initial(self, frame: Frame) -> BlobState:
+        """No objects: what is there from the first frame on is background until it moves."""
+        if frame.image is None:
+            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
+        height, width = frame.image.shape[:2]
+        return BlobState((), 0, (height, width), 0.0, self.confirmed_hits)
+
+    def predict(self, state: BlobState, dt: float) -> BlobState:
+        """First-order dynamics: velocity stays, but for a random force."""
+        blobs = tuple(self._moved(blob, dt) for blob in state.blobs)
+        return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
+
+    def message(self, state: BlobState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
+        """Where objects cover pixels and with which colours (mu_{S -> F}), front to back."""
+        return PixelMessage(layers=self._last(self._registered, state, incoming[feature])[1])
+
+    def update(self, state: BlobState, incoming: Incoming) -> BlobState:
+        """Objects after the frame: registered, learned from, born and ended."""
+        told: PixelMessage = incoming["pixels"]
+        if told.image is None or told.reading is None:
+            return state
+        blobs, layers = self._last(self._registered, state, told)
+        scene = _Scene(told, layers, state.elapsed)
+        kept = [self._learned(blob, blobs[:rank], scene) for rank, blob in enumerate(blobs)]
+        kept = [blob for blob in kept if self._lives(blob, scene)]
+        numbers = count(state.born + 1)
+        kept = self._merged([part for blob in kept for part in self._parted(blob, numbers, scene)])
+        kept += self._newborn(kept, numbers, scene)
+        return replace(state, blobs=tuple(kept), born=next(numbers) - 1, elapsed=0.0)
+
+    def _moved(self, blob: Blob, dt: float) -> Blob:
+        transition = np.array([[1.0, dt], [0.0, 1.0]])
+        push = np.array([0.5 * dt * dt, dt]) * self.acceleration * blob.length
+        return replace(
+            blob,
+            position=blob.position + dt * blob.velocity,
+            covariance=transition @ blob.covariance @ transition.T + np.outer(push, push) + np.diag([0.05, 0.0]),
+        )
+
+    def _registered(self, state: BlobState, told: PixelMessage) -> tuple[list[Blob], LayerStack]:
+        """Blobs front to back at the place where this frame shows them, and their layers."""
+        blobs = sorted(state.blobs, key=lambda blob: (-blob.foot, blob.identity))
+        if told.image is not None and told.reading is not None:
+            placed: list[Blob] = []
+            for blob in blobs:
+                placed.append(self._placed(blob, placed, told))
+            blobs = placed
+        return blobs, LayerStack([self._layer(blob) for blob in blobs])
+
+    def _layer(self, blob: Blob) -> Layer:
+        top, left = blob.corner
+        if blob.ghost_votes >= self.ghost_votes:
+            shape = cv2.dilate((blob.mask > 0.25).astype(np.float32), np.ones((5, 5), np.uint8))
+            return Layer(top, left, np.asarray(shape, np.float32), None, ghost=True)
+        return Layer(top, left, blob.mask, blob.appearance, self.spread, self.outliers, self.strength)
+
+    def _placed(self, blob: Blob, in_front: Sequence[Blob], told: PixelMessage) -> Blob:
+        """Register a blob with the pixels that nothing in front of it covers, and update place and velocity."""
+        top, left = blob.corner
+        reach = int(np.clip(2.5 * np.sqrt(blob.covariance[0, 0]) + 1, 2, max(6, min(0.35 * blob.length, 24))))
+        window = _Window(told, top - reach, left - reach, blob.mask.shape, reach)
+        window.hide(in_front)
+        assert told.background is not None
+        rivals = 1 / ((1 - told.background.prior) * (1 + np.exp(window.odds)))
+        down, right, variance_y, variance_x = search(
+            reach, blob.position[0] - top, blob.position[1] - left, 1 / max(blob.covariance[0, 0], 0.25),
+            np.float32(self.temper), max(1, blob.mask.size // 1500), window.planes, rivals, window.free,
+            blob.mask, blob.appearance, *self._colour_model(blob),
+        )  # fmt: skip
+        found = np.array([top + down, left + right])
+        variance = float(np.clip(max(variance_y, variance_x), 0.25, 100.0))
+        gain = blob.covariance[:, 0] / (blob.covariance[0, 0] + variance)
+        innovation = found - blob.position
+        return replace(
+            blob,
+            position=blob.position + gain[0] * innovation,
+            velocity=blob.velocity + gain[1] * innovation,
+            covariance=blob.covariance - np.outer(gain, blob.covariance[0]),
+        )
+
+    def _colour_model(self, blob: Blob) -> tuple[np.float32, np.float32, np.float32]:
+        ratio = self._layer_log_ratio(blob.appearance.shape[0])
+        return np.float32(0.5 / self.spread), np.float32(ratio), np.float32(self.outliers)
+
+    def _layer_log_ratio(self, channels: int) -> float:
+        shape = (channels, 1, 1)
+        empty = np.zeros(shape, np.float32)
+        return Layer(0, 0, empty[0], empty, self.spread).log_density_ratio
+
+    def _learned(self, blob: Blob, in_front: Sequence[Blob], scene: "_Scene") -> Blob:
+        """Mask and colours after the frame, and how much of the blob was seen."""
+        if blob.ghost_votes >= self.ghost_votes:
+            return replace(blob, unseen=np.inf)
+        blob = _fitted(blob, scene.size)
+        window = _Window(scene.told, *blob.corner, blob.mask.shape)
+        window.hide(in_front)
+        mask, appearance = np.empty_like(blob.mask), np.empty_like(blob.appearance)
+        total, visible, seen = learn(
+            window.planes, window.odds, window.free, scene.explained(*blob.corner, blob.mask.shape), blob.mask,
+            blob.appearance, *self._colour_model(blob), np.float32(self.strength),
+            np.float32(1 - np.exp(-scene.elapsed / self.mask_time)),
+            np.float32(1 - np.exp(-scene.elapsed / self.colour_time)), mask, appearance,
+        )  # fmt: skip
+        confidence = seen / max(visible, 1e-6)
+        was_seen = visible > 0.3 * total and confidence > 0.35
+        speed = float(np.hypot(*blob.velocity))
+        still = blob.still + scene.elapsed if was_seen and speed * 0.5 < max(1.0, 0.03 * blob.length) else 0.0
+        blob = replace(
+            blob,
+            mask=mask,
+            appearance=appearance,
+            hits=blob.hits + was_seen,
+            unseen=0.0 if was_seen else blob.unseen + scene.elapsed,
+            still=still,
+            confidence=float(confidence) if was_seen else 0.0,
+        )
+        return replace(blob, ghost_votes=self._votes(blob, window, scene) if still > 0.3 else 0)
+
+    def _votes(self, blob: Blob, window: "_Window", scene: "_Scene") -> int:
+        """Whether the outline is an edge of the remembered background instead of one of the image."""
+        picture = scene.picture(*blob.corner, blob.mask.shape)
+        in_image, in_picture, length = outline_contrast(window.planes, picture, window.free, blob.mask, 2)
+        if length < 8:
+            return blob.ghost_votes
+        if in_picture > 1.5 * in_image + 3:
+            return blob.ghost_votes + 1
+        return max(blob.ghost_votes - 2, 0)
+
+    def _lives(self, blob: Blob, scene: "_Scene") -> bool:
+        mass = float(blob.mask.sum())
+        if mass < self.smallest * scene.size[0] * scene.size[1]:
+            return False
+        window = scene.inside(blob)
+        if float(blob.mask[window].sum()) < 0.1 * mass:
+            return False
+        if blob.hits < self.confirmed_hits:
+            return blob.unseen == 0.0
+        hidden = blob.confidence == 0.0 and scene.hidden(blob)
+        return blob.unseen < (self.hidden_patience if hidden else self.patience)
+
+    def _parted(self, blob: Blob, numbers: Iterator[int], scene: "_Scene") -> list[Blob]:
+        """A blob whose mask has come apart sideways is two; crumbs are swept away."""
+        if blob.unseen > 0:
+            return [blob]
+        likely = (blob.mask > 0.3).astype(np.uint8)
+        found, labels, boxes, _ = cv2.connectedComponentsWithStats(likely, connectivity=8)
+        if found <= 2:
+            return [blob]
+        areas = boxes[1:, cv2.CC_STAT_AREA]
+        main = int(areas.argmax()) + 1
+        parts = [blob]
+        mask = blob.mask.copy()
+        for label in range(1, found):
+            if label == main:
+                continue
+            x, _, width, _, area = boxes[label]
+            main_x, main_width = boxes[main, cv2.CC_STAT_LEFT], boxes[main, cv2.CC_STAT_WIDTH]
+            overlap = min(x + width, main_x + main_width) - max(x, main_x)
+            apart = overlap < 0.3 * width
+            if area < 0.05 * areas.max() or (apart and area < 0.2 * areas.max()):
+                mask[labels == label] = 0
+            elif apart and area >= self.smallest * scene.size[0] * scene.size[1]:
+                own = np.where(labels == label, blob.mask, 0).astype(np.float32)
+                mask[labels == label] = 0
+                parts.append(
+                    replace(blob, identity=next(numbers), mask=own, hits=1, still=0.0, ghost_votes=0)
+                )
+        parts[0] = replace(blob, mask=mask)
+        return parts
+
+    def _merged(self, blobs: list[Blob]) -> list[Blob]:
+        """Pieces of one object: above each other, touching, and moving alike."""
+        result: list[Blob] = []
+        for blob in sorted(blobs, key=lambda blob: (-blob.hits, blob.identity)):
+            other = next((k for k, kept in enumerate(result) if _pieces(kept, blob)), None)
+            if other is None:
+                result.append(blob)
+            else:
+                result[other] = _joined(result[other], blob)
+        return result
+
+    def _newborn(self, blobs: Sequence[Blob], numbers: Iterator[int], scene: "_Scene") -> Iterator[Blob]:
+        """Foreground that no blob explains."""
+        smallest = self.smallest * scene.size[0] * scene.size[1]
+        for top, left, bottom, right, area in scene.unexplained(blobs):
+            if area < smallest or min(bottom - top, right - left) < 6:
+                continue
+            top, left, bottom, right = top - MARGIN, left - MARGIN, bottom + MARGIN, right + MARGIN
+            window = _Window(scene.told, top, left, (bottom - top, right - left))
+            window.hide(blobs)
+            mask = np.minimum(0.9, window.free / (1 + np.exp(window.odds))).astype(np.float32)
+            if float(mask.sum()) < smallest:
+                continue
+            length = float(max(bottom - top, right - left) - 2 * MARGIN)
+            yield Blob(
+                identity=next(numbers),
+                position=np.array([float(top), float(left)]),
+                velocity=np.zeros(2),
+                covariance=np.diag([1.0, (self.first_speed * length) ** 2]),
+                mask=mask,
+                appearance=window.planes,
+                hits=1,
+                unseen=0.0,
+                still=0.0,
+                confidence=1.0,
+                ghost_votes=0,
+            )
+
+
+class _Window:
+    """What is known of the pixels in a box: planes, log odds of background, and what nothing else covers."""
+
+    def __init__(self, told: PixelMessage, top: int, left: int, shape: tuple[int, int], border: int = 0) -> None:
+        assert told.image is not None
+        assert told.reading is not None
+        image = told.image if told.image.ndim == 3 else told.image[:, :, None]
+        rows, columns = shape[0] + 2 * border, shape[1] + 2 * border
+        self.top, self.left = top, left
+        self.planes = np.empty((image.shape[2], rows, columns), np.float32)
+        self.odds = np.empty((rows, columns), np.float32)
+        self.free = np.empty((rows, columns), np.float32)
+        log_odds = told.reading.pooled.reshape(image.shape[:2])
+        gather(image, log_odds, top, left, self.planes, self.odds, self.free)
+
+    def hide(self, blobs: Sequence[Blob]) -> None:
+        """Take away what blobs cover."""
+        rows, columns = self.free.shape
+        for blob in blobs:
+            top, left = blob.corner
+            if -blob.mask.shape[0] < top - self.top < rows and -blob.mask.shape[1] < left - self.left < columns:
+                cover(self.free, top - self.top, left - self.left, blob.mask)
+
+
+class _Scene:
+    """A frame as blobs need it when they are updated."""
+
+    def __init__(self, told: PixelMessage, layers: LayerStack, elapsed: float) -> None:
+        self.told = told
+        self.size = told.size
+        self.elapsed = elapsed
+        self._regions = layers.regions(told.image, told.size)
+        self._layers = layers.layers
+
+    def explained(self, top: int, left: int, shape: tuple[int, int]) -> Map:
+        """What all layers together explain of the pixels in a box, 1 where there is none."""
+        out = np.ones(shape, np.float32)
+        for region in self._regions:
+            _paste(out, top, left, region.explained, region.top, region.left)
+        return out
+
+    def picture(self, top: int, left: int, shape: tuple[int, int]) -> Map:
+        """Planes of the remembered background in a box."""
+        background = self.told.background
+        assert background is not None
+        planes = background.mean.reshape(-1, *self.size)
+        out = np.zeros((len(planes), *shape), np.float32)
+        for channel, plane in zip(out, planes, strict=True):
+            _paste(channel, top, left, plane, 0, 0)
+        return out
+
+    def inside(self, blob: Blob) -> tuple[slice, slice]:
+        """The part of a blob's patch that lies in the picture."""
+        (top, left), (rows, columns) = blob.corner, blob.mask.shape
+        return (
+            slice(min(max(0, -top), rows), max(0, min(rows, self.size[0] - top))),
+            slice(min(max(0, -left), columns), max(0, min(columns, self.size[1] - left))),
+        )
+
+    def hidden(self, blob: Blob) -> bool:
+        """Whether another blob's layer covers most of this one."""
+        free = np.ones(blob.mask.shape, np.float32)
+        top, left = blob.corner
+        for layer in self._layers:
+            if layer.mask is not blob.mask:
+                cover(free, layer.top - top, layer.left - left, layer.mask)
+        return float((free * blob.mask).sum()) < 0.5 * float(blob.mask.sum())
+
+    def unexplained(self, blobs: Sequence[Blob]) -> Iterator[tuple[int, int, int, int, int]]:
+        """Top, left, bottom, right and area px of foreground spots that do not touch a blob."""
+        height, width = self.size
+        scale = max(1, round(max(height, width) / 192))
+        assert self.told.reading is not None
+        counts = np.empty((-(-height // scale), -(-width // scale)), np.int32)
+        count_foreground(self.told.reading.pooled, width, scale, counts)
+        for blob in blobs:
+            top, left = blob.corner
+            extent = blob.extent
+            near = scale + 2
+            rows = slice(max(0, (top + extent[0] - near) // scale), max(0, (top + extent[2] + near) // scale + 1))
+            columns = slice(max(0, (left + extent[1] - near) // scale), max(0, (left + extent[3] + near) // scale + 1))
+            counts[rows, columns] = 0
+        spots = (counts * 4 >= scale * scale).astype(np.uint8)
+        found, labels, boxes, _ = cv2.connectedComponentsWithStats(spots, connectivity=8)
+        for label in range(1, found):
+            x, y, columns_, rows_, _ = (int(value) for value in boxes[label])
+            area = int(counts[labels == label].sum())
+            yield scale * y, scale * x, scale * (y + rows_), scale * (x + columns_), area
+
+
+def _paste(out: Map, top: int, left: int, source: Map, source_top: int, source_left: int) -> None:
+    """Copy the common part of two placed arrays."""
+    first_row, first_column = max(top, source_top), max(left, source_left)
+    end_row = min(top + out.shape[0], source_top + source.shape[0])
+    end_column = min(left + out.shape[1], source_left + source.shape[1])
+    if first_row < end_row and first_column < end_column:
+        out[first_row - top : end_row - top, first_column - left : end_column - left] = source[
+            first_row - source_top : end_row - source_top, first_column - source_left : end_column - source_left
+        ]
+
+
+def _fitted(blob: Blob, size: tuple[int, int]) -> Blob:
+    """The blob with a patch that leaves its mask room to grow, and not much more."""
+    likely = blob.mask > 0.25
+    rows, columns = np.flatnonzero(likely.any(axis=1)), np.flatnonzero(likely.any(axis=0))
+    if not len(rows) or not len(columns):
+        return blob
+    before = (rows[0], columns[0])
+    after = (blob.mask.shape[0] - 1 - rows[-1], blob.mask.shape[1] - 1 - columns[-1])
+    if min(*before, *after) >= MARGIN // 2 and max(*before, *after) <= 3 * MARGIN:
+        return blob
+    first = np.array(before) - MARGIN
+    shape = (rows[-1] - rows[0] + 1 + 2 * MARGIN, columns[-1] - columns[0] + 1 + 2 * MARGIN)
+    mask = np.zeros(shape, np.float32)
+    appearance = np.zeros((len(blob.appearance), *shape), np.float32)
+    _paste(mask, int(first[0]), int(first[1]), blob.mask, 0, 0)
+    for new, old in zip(appearance, blob.appearance, strict=True):
+        _paste(new, int(first[0]), int(first[1]), old, 0, 0)
+    return replace(blob, position=blob.position + first, mask=mask, appearance=appearance)
+
+
+def _pieces(one: Blob, other: Blob) -> bool:
+    """Whether two blobs look like parts of one object: one above the other, as wide, moving alike."""
+    x, y, width, height = one.box
+    other_x, other_y, other_width, other_height = other.box
+    gap = max(y, other_y) - min(y + height, other_y + other_height)
+    overlap = min(x + width, other_x + other_width) - max(x, other_x)
+    alike = np.hypot(*(one.velocity - other.velocity)) < 0.3 * max(one.length, other.length)
+    return bool(gap < 0.1 * max(height, other_height) and overlap > 0.7 * min(width, other_width) and alike)
+
+
+def _joined(one: Blob, other: Blob) -> Blob:
+    """One blob of two; it keeps the first one's identity and motion."""
+    corners = np.array([one.corner, other.corner])
+    ends = corners + np.array([one.mask.shape, other.mask.shape])
+    first, shape = corners.min(axis=0), tuple(ends.max(axis=0) - corners.min(axis=0))
+    mask = np.zeros(shape, np.float32)
+    appearance = np.zeros((len(one.appearance), *shape), np.float32)
+    for blob in (other, one):
+        top, left = np.array(blob.corner) - first
+        window = (slice(top, top + blob.mask.shape[0]), slice(left, left + blob.mask.shape[1]))
+        better = blob.mask > mask[window]
+        mask[window][better] = blob.mask[better]
+        for new, old in zip(appearance, blob.appearance, strict=True):
+            new[window][better] = old[better]
+    position = one.position + (first - corners[0])
+    return replace(one, position=position, mask=mask, appearance=appearance, hits=max(one.hits, other.hits))
