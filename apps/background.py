@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..inference import Belief, MultiChain, RecursiveBP
 from ..inference.recursive_bp import BEGINNING
-from ..models import Frame, ObjectBoxes, PixelLabels
+from ..models import Frame, PixelLabels
 from ..models.threads import set_threads, thread_count
 from .ground_truth import MaskTruth, common_frames, read_ground_truth
 from .parameters import SECTIONS, Parameters, read_parameters, with_defaults
@@ -65,15 +65,11 @@ def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None =
     if engine not in ENGINES:
         raise ValueError(f"engine: got {engine!r}, expected one of {', '.join(ENGINES)}")
     chains = {name: chain(**(parameters or {}).get(name, {})) for name, chain in SECTIONS.items()}
-    pixels, objects = PixelLabels(), ObjectBoxes()
+    pixels = PixelLabels()
     model = MultiChain().connect(chains["background"], pixels)
     if engine == "stand-alone":
         return model
-    return (
-        model.connect(chains["blobs"], pixels, feedback=engine == "recursive-bp")
-        .connect(chains["blobs"], objects)
-        .connect(chains["ground"], objects)
-    )
+    return model.connect(chains["blobs"], pixels, feedback=engine == "recursive-bp")
 
 
 @dataclass(frozen=True)
@@ -188,6 +184,10 @@ def run_background(job: Job) -> Outcome:
         return run.carry_out(interruption)
 
 
+class _EndedEarly(Exception):
+    """Leaves the writers' blocks in a way that they keep what a resumed run needs."""
+
+
 class _Run:
     """One run: what it knows, and in which order it is saved."""
 
@@ -197,32 +197,44 @@ class _Run:
         self._engine = engine
         self._state = BEGINNING
         self._record = RunRecord()
-        self._seconds = 0.0  # of wall time, in earlier runs
         self._scoring: Scoring | None = None
+        self._fingerprint: dict[str, Any] = {}
+        self._earlier_seconds = 0.0  # of wall time, before the run was resumed
+        self._started = 0.0
+        self._ended_early = False
+        self._error: Exception | None = None  # of the source, in the middle
 
     def carry_out(self, interruption: "Interruption") -> Outcome:
         job = self._job
-        saved = self._saved_run() if job.resume else None
+        saved = self._load() if job.resume else None
         with open_source(job.source, job.start, job.stop, job.step, after=self._state.number) as source:
             self._fingerprint = source.fingerprint()
+            if job.resume and source.live:
+                raise ValueError(f"--resume: {source.name} is live and cannot be read again")
             if saved is not None:
-                self._check_same(saved, source)
+                _refuse_other("source", _identity(saved["source"]), _identity(self._fingerprint))
             region = read_region(job.roi, source.size) if job.roi else None
             if job.ground_truth is not None:
-                self._scoring = _scoring(job.ground_truth, source, job, region)
+                self._scoring = _scoring(job, job.ground_truth, source, region)
                 if saved is not None:
                     self._scoring.restore(saved["scores"])
             if saved is not None and saved["finished"]:
                 return Outcome(saved["finished"], None)
             prepare_output(job.out, overwrite=job.overwrite, resume=job.resume)
-            background = self._process(source, region, interruption)
-            summary = self._finish(source, background, interruption)
-            return Outcome(summary, interruption.signal)
+            self._started = time.perf_counter()
+            try:
+                self._process(source, region, interruption)
+            except _EndedEarly:
+                self._ended_early = True
+            summary = self._finish(source)
+        if self._error is not None:
+            raise self._error
+        return Outcome(summary, interruption.signal)
 
     def _process(
         self, source: Source, region: NDArray[np.uint8] | None, interruption: "Interruption"
-    ) -> NDArray[np.uint8]:
-        """Take in all frames; return the picture of the background at the end."""
+    ) -> None:
+        """Take in all frames, and complete the files that grow with them."""
         job, number = self._job, self._state.number
         rate = source.rate / job.step
         with (
@@ -231,47 +243,44 @@ class _Run:
             MaskWriter(job.out, job.masks, rate, number) as masks,
             OverlayWriter(job.out / "overlay.mp4", rate, number) as overlay,
         ):
-            self._started = time.perf_counter()
             self._save()
-            since = 0
-            for frame in interruption.frames(source):
+            unsaved = 0
+            for frame in self._frames(source, interruption):
                 before = time.perf_counter()
                 belief = self._engine.step(self._state, frame)
                 found = found_in(belief, source.size, region)
                 spent = time.perf_counter() - before
+                self._state = belief.state
                 tracks.write(frame.number, found.tracks)
                 masks.write(found.foreground, frame.number, frame.time)
                 overlay.write(frame, found.foreground, found.tracks)
                 if self._scoring is not None:
                     self._scoring.add(frame.number, found.foreground)
-                self._note(frame, belief, found, spent)
-                self._state = belief.state
-                since += 1
-                if since == job.every:
-                    since = 0
-                    for writer in (tracks, masks, overlay):
-                        writer.checkpoint()
-                    self._save()
+                self._note(belief, found, spent)
+                unsaved += 1
+                if unsaved == job.every:
+                    unsaved = 0
+                    self._checkpoint(tracks, masks, overlay)
                 progress.update()
-            for writer in (tracks, masks, overlay):
-                writer.checkpoint()
-            self._save()
-            if interruption.signal is not None:  # the segments of videos stay, for --resume
-                overlay.close(finished=False)
-                masks.close(finished=False)
-        if not self._state.states:
-            return np.zeros((source.size[1], source.size[0]), np.uint8)
-        picture: NDArray[np.uint8] = self._state.states["background"].picture()
-        return picture
+            self._checkpoint(tracks, masks, overlay)
+            if interruption.signal is not None or self._error is not None:
+                raise _EndedEarly
 
-    def _note(self, frame: Frame, belief: Belief, found: Found, spent: float) -> None:
-        image = frame.image
-        due = image is not None and len(self._record.numbers) % EVIDENCE_EVERY == 0
+    def _frames(self, source: Source, interruption: "Interruption") -> Iterator[Frame]:
+        """The source's frames until it ends, breaks, or somebody interrupts."""
+        try:
+            yield from interruption.frames(source)
+        except (ValueError, OSError) as error:
+            self._error = error  # told at the end, when the results until here are complete
+
+    def _note(self, belief: Belief, found: Found, spent: float) -> None:
+        frame = belief.frame
 
         def overlay() -> NDArray[np.uint8]:
-            assert image is not None
-            return draw_overlay(image, found.foreground, found.tracks, {}, f"frame {frame.number}")
+            assert frame.image is not None
+            return draw_overlay(frame.image, found.foreground, found.tracks, {}, f"frame {frame.number}")
 
+        due = len(self._record.numbers) % EVIDENCE_EVERY == 0
         self._record.add(
             frame,
             found.tracks,
@@ -282,42 +291,42 @@ class _Run:
             spent,
         )
 
-    def _finish(
-        self, source: Source, background: NDArray[np.uint8], interruption: "Interruption"
-    ) -> dict[str, Any]:
+    def _finish(self, source: Source) -> dict[str, Any]:
+        """Write what is written once, at the end."""
         job = self._job
         metrics = None
         if self._scoring is not None:
             rows = None if job.engine == "stand-alone" else track_rows(read_tracks(job.out / "tracks.txt"))
             metrics = self._scoring.measures(rows)
-        summary = self._summary(source, metrics, interrupted=interruption.signal is not None)
-        write_image(job.out / "background.png", background)
-        write_json(job.out / "summary.json", summary)
-        if self._record.numbers:
+        summary = self._summary(source, metrics)
+        if self._state.states:
+            background = self._state.states["background"].picture()
+            write_image(job.out / "background.png", background)
             title = f"{Path(source.name).name}: {job.engine}"
             write_report(job.out / "report.html", self._record, background, self._settings, metrics, title)
-        if interruption.signal is None and not source.live:
+        write_json(job.out / "summary.json", summary)
+        if not summary["ended_early"]:
             self._save(finished=summary)
         return summary
 
-    def _summary(self, source: Source, metrics: Mapping[str, Any] | None, interrupted: bool) -> dict[str, Any]:
-        record = self._record
-        seconds = self._wall_seconds()
+    def _summary(self, source: Source, metrics: Mapping[str, Any] | None) -> dict[str, Any]:
+        record, seconds = self._record, self._seconds()
+        count = len(record.numbers)
         return {
             "source": source.name,
             "size": list(source.size),
             "rate": source.rate,
-            "frames": len(record.numbers),
-            "first_frame": record.numbers[0] if record.numbers else None,
-            "last_frame": record.numbers[-1] if record.numbers else None,
+            "frames": count,
+            "first_frame": record.numbers[0] if count else None,
+            "last_frame": record.numbers[-1] if count else None,
             "missing_frames": len(record.missing),
             "missing": record.missing,
             "truncated": source.truncated,
-            "interrupted": interrupted,
+            "ended_early": self._ended_early,
             "tracks": len(record.tracks),
             "seconds": seconds,
-            "frames_per_second": len(record.numbers) / seconds if seconds > 0 else None,
-            "engine_frames_per_second": len(record.numbers) / max(sum(record.seconds), 1e-9),
+            "frames_per_second": count / seconds,
+            "frames_per_second_of_engine": count / sum(record.seconds) if count else None,
             "threads": thread_count(),
             "seed": self._job.seed,
             "parameters": self._settings,
@@ -325,31 +334,157 @@ class _Run:
             "metrics": metrics,
         }
 
+    def _checkpoint(self, *writers: TrackWriter | MaskWriter | OverlayWriter) -> None:
+        for writer in writers:
+            writer.checkpoint()
+        self._save()
+
     def _save(self, finished: dict[str, Any] | None = None) -> None:
         about = {
             "settings": self._settings,
             "source": self._fingerprint,
             "record": self._record.saved(),
-            "seconds": self._wall_seconds(),
             "scores": None if self._scoring is None else self._scoring.saved(),
+            "seconds": self._seconds(),
             "finished": finished,
         }
         self._engine.save(self._job.out / "state.npz", self._state, about)
 
-    def _wall_seconds(self) -> float:
-        return self._seconds + time.perf_counter() - self._started
-
-    def _saved_run(self) -> dict[str, Any] | None:
-        """Take over the state of the run to be resumed; return what was saved about it."""
+    def _load(self) -> dict[str, Any] | None:
+        """Take over the state of the run to be resumed; return what was saved with it."""
         path = self._job.out / "state.npz"
         if not path.exists():
             if any(any(self._job.out.glob(pattern)) for pattern in RESULT_PATTERNS):
-                raise ValueError(f"--resume: {path} is not there, so the run cannot go on: use --overwrite")
-            return None  # nothing there at all: this is the beginning
-        with open(path, "rb") as stream:  # before it is asked whether it belongs to the same chains
-            about = _about(path)
-        _refuse_difference("parameters", about["settings"], self._settings)
-        self._state, about = self._engine.load(path)
+                raise ValueError(f"--resume: {path} is not there, so start anew with --overwrite")
+            return None  # nothing is there: this is the beginning
+        try:
+            self._state, about = self._engine.load(path)
+        except ValueError:
+            about = _about_other_chains(path)
+        if about.keys() != {"settings", "source", "record", "scores", "seconds", "finished"}:
+            raise ValueError(f"--resume: {path} is no state of this application")
+        _refuse_other("parameters", about["settings"], self._settings)
         self._record = RunRecord.restored(about["record"])
-        self._seconds = about["seconds"]
+        self._earlier_seconds = about["seconds"]
         return about
+
+    def _seconds(self) -> float:
+        return self._earlier_seconds + time.perf_counter() - self._started
+
+
+def _about_other_chains(path: Path) -> dict[str, Any]:
+    """What was saved about a run whose engine has other chains.
+
+    Raises
+    ------
+    ValueError
+        if it is no state of any engine.
+    """
+    problem: ValueError | None = None
+    for engine in ENGINES:
+        try:
+            return RecursiveBP(build_model(engine)).load(path)[1]
+        except ValueError as error:
+            problem = problem or error
+    assert problem is not None
+    raise problem
+
+
+def _refuse_other(what: str, saved: Mapping[str, Any], now: Mapping[str, Any], above: str = "") -> None:
+    """Refuse to resume where a value was another one."""
+    for name in [*saved, *(name for name in now if name not in saved)]:
+        before, after = saved.get(name), now.get(name)
+        if isinstance(before, Mapping) and isinstance(after, Mapping):
+            _refuse_other(what, before, after, f"{above}{name}.")
+        elif before != after:
+            raise ValueError(
+                f"--resume: other {what} than in the saved run: {above}{name} was {before!r}, now {after!r}"
+            )
+
+
+def _identity(fingerprint: Mapping[str, Any]) -> dict[str, Any]:
+    """What tells sources apart; one that was moved or renamed is the same."""
+    return {name: value for name, value in fingerprint.items() if name != "name" or "sha256" not in fingerprint}
+
+
+def _scoring(job: Job, path: Path, source: Source, region: NDArray[np.uint8] | None) -> Scoring:
+    """Read the truth, and make sure before anything is written that it belongs to this source.
+
+    Raises
+    ------
+    ValueError
+        if it has no frame in common with the source, or masks of another size.
+    """
+    truth = read_ground_truth(path)
+    numbers = list(truth.frames)
+    if source.n_frames is not None:
+        last = job.start + (source.n_frames - 1) * job.step
+        numbers = common_frames(truth, range(job.start, last + 1, job.step))
+    if isinstance(truth, MaskTruth):
+        height, width = truth.labels(numbers[0]).shape
+        if (width, height) != source.size:
+            raise ValueError(
+                f"ground truth: {truth.files[numbers[0]]} has {width}x{height} px, "
+                f"expected {source.size[0]}x{source.size[1]} like {source.name}"
+            )
+    return Scoring(truth, region)
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for name in ("rsmcm", "numpy", "scipy", "numba", "av"):
+        versions[name] = importlib.metadata.version(name)
+    versions["opencv"] = cv2.__version__
+    return versions
+
+
+class Interruption:
+    """Ctrl-C (SIGINT) and SIGTERM as a question that is asked between frames.
+
+    Inside its block, the first signal only ends `frames`; while that waits for a source, at once. A second
+    signal is a `KeyboardInterrupt` wherever it arrives. Outside the main thread, signals are left alone.
+
+    Attributes
+    ----------
+    signal
+        number of the signal that arrived; `None` as long as none did.
+    """
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        self._waiting = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._arrive)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def frames(self, source: Iterator[Frame]) -> Iterator[Frame]:
+        """The source's frames until it ends or a signal arrives."""
+        while self.signal is None:
+            try:
+                self._waiting = True
+                frame = next(source)
+                self._waiting = False
+            except StopIteration:
+                return
+            except KeyboardInterrupt:
+                if self.signal is None:
+                    raise
+                return
+            finally:
+                self._waiting = False
+            yield frame
+
+    def _arrive(self, number: int, _: FrameType | None) -> None:
+        again = self.signal is not None
+        self.signal = number
+        if again or self._waiting:
+            self._waiting = False
+            raise KeyboardInterrupt

@@ -89,7 +89,7 @@ class TrackHistory:
 
     def add(self, number: int, box: tuple[float, float, float, float]) -> None:
         """The track has `box` in frame `number`."""
-        x, y, width, height = box
+        x, y, width, height = map(float, box)
         self.foot = (x + width / 2, y + height)
         if self.n_frames % self.stride == 0:
             self.path.append(self.foot)

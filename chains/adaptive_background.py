@@ -153,14 +153,14 @@ class AdaptiveBackground:
         if image is None:
             return state
         prediction = self._last(self._prediction, state, image)
-        after = prediction.claim(image)
-        covered = buffers.empty(after.log_odds.shape, np.uint8)
+        reading, after = prediction.against(image), prediction.update(image)
+        covered = buffers.empty(reading.log_odds.shape, np.uint8)
         covered[:] = 0
         light_rows, row_positions = prediction.light.rows(), prediction.light.row_positions()
         for region in told.regions:
             update_behind(
                 region.top, region.left, region.shift, state.size[1], colour.patch(image, *region.box),
-                after.pooled, state.mean, state.variance, state.noise, light_rows, row_positions,
+                reading.pooled, state.mean, state.variance, state.noise, light_rows, row_positions,
                 np.float32(prediction.drift), np.float32(self.first_variance), np.float32(self.noise_rate),
                 after.mean, after.variance, after.noise, covered,
             )  # fmt: skip
@@ -171,9 +171,9 @@ class AdaptiveBackground:
         if elapsed > 0:
             channels = len(state.mean)
             second_look(
-                np.ascontiguousarray(image).reshape(-1), after.pooled, covered, state.size[1], light_rows,
-                row_positions, colour.from_pixels(channels), np.float32(8.0 * channels * self.noise),
-                min(max(round(self.settle_time / elapsed), 3), 250), np.float32(self.first_variance),
+                np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, state.size[1], light_rows,
+                row_positions, colour.from_pixels(channels), np.linalg.inv(colour.from_pixels(channels)),
+                np.float32(prediction.tolerance), 2 * prediction.trusted_looks, np.float32(self.first_variance),
                 after.mean, after.variance, candidate, seen,
             )  # fmt: skip
         return replace(
@@ -199,6 +199,10 @@ class AdaptiveBackground:
             drift=self.drift * state.elapsed,
             noise_rate=self.noise_rate,
             pooling=self.pooling,
+            candidate=state.candidate,
+            seen=state.seen,
+            trusted_looks=min(max(round(0.5 * self.settle_time / max(state.elapsed, 1e-3)), 2), 125),
+            tolerance=8.0 * len(state.mean) * self.noise,
         )
 
     def _light_now(self, state: BackgroundState, image: NDArray[np.uint8]) -> Planes:

@@ -15,6 +15,7 @@ from .background_kernels import (
     ODDS_STEPS,
     log_evidence_sum,
     pool_log_odds,
+    recall,
     subtract_colour,
     subtract_grey,
 )
@@ -45,7 +46,7 @@ class LightField:
         left = np.minimum(position.astype(np.intp), columns - 2)
         share = (position - left).astype(np.float32)
         across = self.blocks[:, left] * (1 - share) + self.blocks[:, left + 1] * share
-        return np.concatenate([across, across[-1:]])
+        return np.ascontiguousarray(np.concatenate([across, across[-1:]]))
 
     def row_positions(self) -> Planes:
         """`(height,)` float32: where between the rows of `rows()` each pixel row lies."""
@@ -56,20 +57,24 @@ class LightField:
 
 @dataclass(frozen=True, eq=False)
 class Subtraction:
-    """What an image says of a predicted background.
+    """What an image says of a predicted background, each `(n_pixels,)` int8 in steps of 1/20 nat.
 
     Parameters
     ----------
     log_odds
-        `(n_pixels,)` int8, steps of 1/20 nat: log of P(B=1) N(I; ...) over P(B=0) U, within +-6 nats.
+        log of P(B=1) N(I; ...) over P(B=0) U, within +-6 nats.
     pooled
         the same with the neighbours' share (see `BackgroundPrediction`).
-    mean, variance, noise
-        of the background afterwards if no other chain had anything to say.
     """
 
     log_odds: NDArray[np.int8]
     pooled: NDArray[np.int8]
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """The background after an image, if no other chain has anything to say (see `BackgroundPrediction`)."""
+
     mean: Planes
     variance: Planes
     noise: Planes
@@ -98,6 +103,9 @@ class BackgroundPrediction:
     pooling
         weight of the 24 neighbours' log odds in a pixel's own: neighbours mostly share their label, but are
         not independent looks. 0 makes every pixel decide for itself.
+    candidate, seen
+        `(n_pixels * channels,)` uint8 second colour of every pixel, and `(n_pixels,)` uint8 in how many looks it
+        was seen; from `trusted_looks` on, what is within `tolerance` (squared grey levels) of it is background too.
     """
 
     size: tuple[int, int]
@@ -109,7 +117,12 @@ class BackgroundPrediction:
     drift: float
     noise_rate: float
     pooling: float
+    candidate: NDArray[np.uint8]
+    seen: NDArray[np.uint8]
+    trusted_looks: int
+    tolerance: float
     _readings: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
+    _updates: dict[int, Update] = field(default_factory=dict)
 
     @property
     def channels(self) -> int:
@@ -130,15 +143,15 @@ class BackgroundPrediction:
         """Read an image against the prediction; the same image is read only once."""
         known = self._readings.get(id(image))
         if known is None:
-            known = (image, self._subtract(image))
-            self._readings[id(image)] = known
+            reading, update = self._subtract(image)
+            known = self._readings[id(image)] = (image, reading)
+            self._updates[id(image)] = update
         return known[1]
 
-    def claim(self, image: NDArray[np.uint8]) -> Subtraction:
-        """Like `against`, but the arrays are the caller's to change: the prediction forgets them."""
-        reading = self.against(image)
-        del self._readings[id(image)]
-        return reading
+    def update(self, image: NDArray[np.uint8]) -> Update:
+        """The background after the image. The arrays are the caller's to change: they are forgotten here."""
+        self.against(image)
+        return self._updates.pop(id(image), None) or self._subtract(image)[1]
 
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
         """Log probability of the image, summed over its pixels as if they were independent (nats).
@@ -151,7 +164,7 @@ class BackgroundPrediction:
         total = log_evidence_sum(reading.log_odds, shift, np.float32(1 / ODDS_STEPS))
         return float(total + uniform * reading.log_odds.size)
 
-    def _subtract(self, image: NDArray[np.uint8]) -> Subtraction:
+    def _subtract(self, image: NDArray[np.uint8]) -> tuple[Subtraction, Update]:
         height, width = self.size
         n_pixels = height * width
         mean = buffers.empty(self.mean.shape, np.float32)
@@ -172,5 +185,9 @@ class BackgroundPrediction:
             )  # fmt: skip
 
         over_bands(subtract, height)
+        recall(
+            pixels, self.candidate, self.seen, self.trusted_looks, colour.from_pixels(self.channels),
+            np.float32(self.tolerance), log_odds,
+        )  # fmt: skip
         over_bands(lambda first, end: pool_log_odds(first, end, height, width, log_odds, pooling, pooled), height)
-        return Subtraction(log_odds, pooled, mean, variance, noise)
+        return Subtraction(log_odds, pooled), Update(mean, variance, noise)

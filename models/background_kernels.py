@@ -176,33 +176,55 @@ def light_ratios(pixels, mean, light_rows, row_position, height, width, ratios, 
             agreement[row, column] = close / count
 
 
-@compiled
-def second_look(
-    pixels, log_odds, covered, width, light_rows, row_position, to_planes, tolerance, settle_looks,
-    settled_variance, mean, variance, candidate, seen,
-):  # fmt: skip  # type: ignore[no-untyped-def]
-    """A second hypothesis for pixels that show neither the background nor a predicted object.
+@inlined
+def colour_gap(pixels, candidate, i, to_planes):  # type: ignore[no-untyped-def]
+    """Squared distance in the planes of pixel `i` of a picture and of the candidates."""
+    channels = to_planes.shape[0]
+    distance = _f4(0)
+    for channel in range(channels):
+        difference = _f4(0)
+        for k in range(channels):
+            step = _f4(pixels[channels * i + k]) - _f4(candidate[channels * i + k])
+            difference += to_planes[channel, k] * step
+        distance += difference * difference
+    return distance
 
-    A colour that stays for `settle_looks` takes the place of the mean. Log odds are looked at eight at a time:
-    where all eight are background (no sign bit), nothing else is read.
-    """
-    channels = mean.shape[0]
+
+@compiled
+def recall(pixels, candidate, seen, trusted_looks, to_planes, tolerance, log_odds):  # type: ignore[no-untyped-def]
+    """Foreground that shows the second colour of a pixel which is known to have two is background after all."""
     whole = log_odds.size // 8 * 8
     words = log_odds[:whole].view(np.uint64)
     for start in range(0, log_odds.size, 8):
         if start < whole and words[start // 8] & np.uint64(0x8080808080808080) == np.uint64(0):
             continue
         for i in range(start, min(start + 8, log_odds.size)):
+            if log_odds[i] < 0 and seen[i] >= trusted_looks:
+                if colour_gap(pixels, candidate, i, to_planes) < tolerance:
+                    log_odds[i] = np.int8(ODDS_STEPS)
+
+
+@compiled
+def second_look(
+    pixels, log_odds, covered, width, light_rows, row_position, to_planes, from_planes, tolerance, settle_looks,
+    settled_variance, mean, variance, candidate, seen,
+):  # fmt: skip  # type: ignore[no-untyped-def]
+    """A second hypothesis for pixels that show neither the background nor a predicted object.
+
+    A colour that stays for `settle_looks` changes places with the mean. Log odds are looked at eight at a
+    time: where all eight are background (no sign bit), nothing else is read.
+    """
+    channels = mean.shape[0]
+    whole = log_odds.size // 8 * 8
+    words = log_odds[:whole].view(np.uint64)
+    old = np.empty(channels, np.float32)
+    for start in range(0, log_odds.size, 8):
+        if start < whole and words[start // 8] & np.uint64(0x8080808080808080) == np.uint64(0):
+            continue
+        for i in range(start, min(start + 8, log_odds.size)):
             if log_odds[i] >= 0 or covered[i] != 0:
                 continue
-            distance = _f4(0)
-            for channel in range(channels):
-                difference = _f4(0)
-                for k in range(channels):
-                    step = _f4(pixels[channels * i + k]) - _f4(candidate[channels * i + k])
-                    difference += to_planes[channel, k] * step
-                distance += difference * difference
-            if seen[i] > 0 and distance < tolerance:
+            if seen[i] > 0 and colour_gap(pixels, candidate, i, to_planes) < tolerance:
                 seen[i] += 1
             elif seen[i] > 2:
                 seen[i] -= 2
@@ -212,15 +234,21 @@ def second_look(
                     candidate[channels * i + k] = pixels[channels * i + k]
             if seen[i] < settle_looks:
                 continue
-            seen[i] = 0
             y = i // width
             x = i - y * width
             above = int(row_position[y])
             below_share = row_position[y] - _f4(above)
             light = light_rows[above, x] + below_share * (light_rows[above + 1, x] - light_rows[above, x])
             for channel in range(channels):
+                old[channel] = light * mean[channel, i]
                 value = _f4(0)
                 for k in range(channels):
                     value += to_planes[channel, k] * _f4(pixels[channels * i + k])
                 mean[channel, i] = value / light
+            for channel in range(channels):
+                value = _f4(0)
+                for k in range(channels):
+                    value += from_planes[channel, k] * old[k]
+                candidate[channels * i + channel] = np.uint8(min(max(value + _f4(0.5), _f4(0)), _f4(255)))
             variance[i] = settled_variance
+            seen[i] = settle_looks // 2

@@ -1,0 +1,213 @@
+"""The command `rsmcm`. Everything heavy is imported where a subcommand starts, so that help comes at once."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import App, CycloptsError, Parameter
+
+USAGE_ERROR = 2
+SIGNALLED = 128  # plus the number of the signal: 130 for Ctrl-C
+INTERRUPT = 2
+
+app = App(
+    name="rsmcm",
+    help="Multi-chain tracking: dynamic models of one scene that share latent features and correct each other.",
+    version=version("rsmcm"),
+)
+reproduce = App(name="reproduce", help="Reproduce figures of the papers, with measured values beside wanted ones.")
+app.command(reproduce)
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+@app.command
+def background(
+    source: str,
+    *,
+    out: Path,
+    engine: Literal["recursive-bp", "feed-forward", "stand-alone"] = "recursive-bp",
+    config: Path | None = None,
+    roi: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    start: int = 1,
+    stop: int | None = None,
+    step: int = 1,
+    resume: Flag = False,
+    overwrite: Flag = False,
+    every: int = 500,
+    masks: Literal["none", "png", "video"] = "png",
+    ground_truth: Path | None = None,
+    compare: Flag = False,
+    seed: int = 0,
+    threads: int | None = None,
+) -> int:
+    """Separate moving objects from the background, and track them.
+
+    Writes foreground masks, tracks.txt (MOT format), background.png, overlay.mp4, summary.json and
+    report.html. Ctrl-C ends the run with complete results of what was processed.
+
+    Parameters
+    ----------
+    source
+        A video file, a folder or glob of images, the number of a camera, or an rtsp or http address.
+    out
+        Folder for the results.
+    engine
+        recursive-bp: background and objects correct each other. feed-forward: the background hears nothing of
+        the objects. stand-alone: the background only, no tracks.
+    config
+        TOML file with parameters of the chains, in sections [background], [blobs] and [ground].
+    roi
+        Region of interest: x,y,width,height in px from 0, or a picture that is not black inside. Foreground
+        outside is 0, and objects that stand outside are not reported.
+    start
+        First frame, counted from 1.
+    stop
+        Last frame, included; the end of the source if not given.
+    step
+        Take every n-th frame.
+    resume
+        Go on with the run whose results are in the folder, from its last saved state.
+    overwrite
+        Remove the results that are in the folder.
+    every
+        Save the state each time that so many frames are done.
+    masks
+        Foreground masks as foreground/bin000001.png and so on, as one lossless foreground.mkv, or none.
+    ground_truth
+        A MOT gt.txt or a folder that holds one, or a CDnet folder with groundtruth/.
+    compare
+        Also run the background by itself, feed-forward, MOG2 and KNN on the source, and draw the comparison.
+    seed
+        Of random numbers; recorded with the results.
+    threads
+        How many threads the loops over pixels use.
+    """
+    from . import background as application
+
+    job = application.Job(
+        source, out, engine, config, roi, start, stop, step, resume, overwrite, every, masks, ground_truth,
+        seed, threads,
+    )  # fmt: skip
+    outcome = application.run_background(job)
+    print(_in_words(outcome.summary))
+    print(f"results: {out / 'report.html'}")
+    if compare and outcome.signal is None:
+        from .compare import run_compare
+
+        outcome = run_compare(job)
+        print(f"comparison: {out / 'compare.html'}")
+    return 0 if outcome.signal is None else SIGNALLED + outcome.signal
+
+
+@app.command
+def demo(*, out: Path = Path("results/demo")) -> int:
+    """Track a person who stands still in a generated street, with feedback and without.
+
+    Parameters
+    ----------
+    out
+        Folder for the scene and the results; results of an earlier demo are replaced.
+    """
+    from .demo import run_demo
+
+    return _ended(run_demo(out))
+
+
+@reproduce.command
+def sleeping_man(*, out: Path = Path("results/sleeping-man"), long: Flag = False) -> int:
+    """Figures 1 and 7 of the RSMCM paper: a person stands still and stays foreground.
+
+    Parameters
+    ----------
+    out
+        Folder for the figures.
+    long
+        Also a person who stands for 1300 frames, and shadows of clouds.
+    """
+    from .reproduce import reproduce_sleeping_man
+
+    reproduce_sleeping_man(out, long)
+    return 0
+
+
+@reproduce.command
+def pets(*, out: Path = Path("results/pets"), long: Flag = False) -> int:
+    """Figures 8 and 11 of the RSMCM paper, on PETS2009 S2.L1.
+
+    Parameters
+    ----------
+    out
+        Folder for the figures.
+    long
+        Try all settings of MOG2 and KNN instead of the better half.
+    """
+    from .reproduce import reproduce_pets
+
+    reproduce_pets(out, long)
+    return 0
+
+
+@reproduce.command
+def highway(*, out: Path = Path("results/highway")) -> int:
+    """Foreground of CDnet's highway, against its masks.
+
+    Parameters
+    ----------
+    out
+        Folder for the results.
+    """
+    from .reproduce import reproduce_highway
+
+    reproduce_highway(out)
+    return 0
+
+
+def _ended(signal: int | None) -> int:
+    return 0 if signal is None else SIGNALLED + signal
+
+
+def _in_words(summary: Mapping[str, Any]) -> str:
+    """A run's summary in a few lines."""
+    rate = summary["frames_per_second"]
+    words = f"{summary['frames']} frames, {rate:.1f} a second, {summary['tracks']} tracks"
+    if summary["missing_frames"]:
+        words += f", {summary['missing_frames']} frames missing or unreadable"
+    if summary["truncated"]:
+        words += ", the source ends before its announced end"
+    for group, values in (summary["metrics"] or {}).items():
+        if isinstance(values, Mapping):
+            listed = (
+                f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+                for name, value in values.items()
+            )
+            words += f"\n{group}: {', '.join(listed)}"
+        else:
+            words += f"\n{group}: {values}"
+    return words
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; whatever is wrong with it is one line on standard error and exit code 2."""
+    try:
+        code = app(
+            sys.argv[1:] if arguments is None else arguments,
+            exit_on_error=False,
+            print_error=False,
+            result_action="return_value",
+        )
+    except (CycloptsError, ValueError, OSError) as error:
+        print(f"rsmcm: {_one_line(error)}", file=sys.stderr)
+        code = USAGE_ERROR
+    except KeyboardInterrupt:
+        code = SIGNALLED + INTERRUPT
+    sys.exit(code or 0)
+
+
+def _one_line(error: Exception) -> str:
+    """The error's message without line breaks; system errors as "file: reason"."""
+    if isinstance(error, OSError) and error.strerror and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split()) or type(error).__name__
