@@ -73,6 +73,8 @@ class Blob:
         share of its visible part that was seen in the last frame.
     ghost_votes
         looks in which its outline was found in the background's picture rather than in the image.
+    parting
+        s for which its mask has had a waist between two upright parts.
     """
 
     identity: int
@@ -86,6 +88,7 @@ class Blob:
     still: float
     confidence: float
     ghost_votes: int
+    parting: float
 
     @property
     def corner(self) -> tuple[int, int]:
@@ -188,6 +191,8 @@ class BlobTracker:
     ghost_votes
         looks at a still blob's outline that must find it in the background's picture and not in the image
         before the blob is taken for a ghost.
+    parting_time
+        s for which a blob's mask must have had a waist before it becomes two.
     """
 
     smallest: float = 0.0003
@@ -203,6 +208,7 @@ class BlobTracker:
     hidden_patience: float = 3.0
     confirmed_hits: int = 5
     ghost_votes: int = 10
+    parting_time: float = 0.4
     name: str = "blobs"
     _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
 
@@ -210,7 +216,7 @@ class BlobTracker:
 
     def __post_init__(self) -> None:
         for name in ("smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration",
-                     "first_speed", "patience", "hidden_patience", "confirmed_hits", "ghost_votes"):  # fmt: skip
+                     "first_speed", "patience", "hidden_patience", "confirmed_hits", "ghost_votes", "parting_time"):  # fmt: skip
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
         if not 0 < self.outliers < 1:
@@ -357,34 +363,22 @@ class BlobTracker:
         return blob.unseen < (self.hidden_patience if hidden else self.patience)
 
     def _parted(self, blob: Blob, numbers: Iterator[int], scene: "_Scene") -> list[Blob]:
-        """A blob whose mask has come apart sideways is two; crumbs are swept away."""
+        """A blob that has had a waist between two heads for a while is two; crumbs are swept away."""
         if blob.unseen > 0:
             return [blob]
-        likely = (blob.mask > 0.3).astype(np.uint8)
-        found, labels, boxes, _ = cv2.connectedComponentsWithStats(likely, connectivity=8)
-        if found <= 2:
-            return [blob]
-        areas = boxes[1:, cv2.CC_STAT_AREA]
-        main = int(areas.argmax()) + 1
-        parts = [blob]
-        mask = blob.mask.copy()
-        for label in range(1, found):
-            if label == main:
-                continue
-            x, _, width, _, area = boxes[label]
-            main_x, main_width = boxes[main, cv2.CC_STAT_LEFT], boxes[main, cv2.CC_STAT_WIDTH]
-            overlap = min(x + width, main_x + main_width) - max(x, main_x)
-            apart = overlap < 0.3 * width
-            if area < 0.05 * areas.max() or (apart and area < 0.2 * areas.max()):
-                mask[labels == label] = 0
-            elif apart and area >= self.smallest * scene.size[0] * scene.size[1]:
-                own = np.where(labels == label, blob.mask, 0).astype(np.float32)
-                mask[labels == label] = 0
-                parts.append(
-                    replace(blob, identity=next(numbers), mask=own, hits=1, still=0.0, ghost_votes=0)
-                )
-        parts[0] = replace(blob, mask=mask)
-        return parts
+        column, depth = _waist(blob.mask)
+        parting = blob.parting + scene.elapsed if depth < 0.5 else 0.0
+        left, right = blob.mask[:, :column].sum(), blob.mask[:, column:].sum()
+        smallest = self.smallest * scene.size[0] * scene.size[1]
+        if parting < self.parting_time or min(left, right) < max(smallest, 0.25 * max(left, right)):
+            return [replace(blob, parting=parting, mask=_without_crumbs(blob.mask))]
+        halves = np.zeros((2, *blob.mask.shape), np.float32)
+        halves[0, :, :column], halves[1, :, column:] = blob.mask[:, :column], blob.mask[:, column:]
+        first, second = halves if left >= right else halves[::-1]
+        return [
+            replace(blob, mask=first, parting=0.0, still=0.0, ghost_votes=0),
+            replace(blob, identity=next(numbers), mask=second, parting=0.0, still=0.0, ghost_votes=0),
+        ]
 
     def _merged(self, blobs: list[Blob]) -> list[Blob]:
         """Pieces of one object: above each other, touching, and moving alike."""
@@ -401,7 +395,7 @@ class BlobTracker:
         """Foreground that no blob explains."""
         smallest = self.smallest * scene.size[0] * scene.size[1]
         for top, left, bottom, right, area in scene.unexplained(blobs):
-            if area < smallest or min(bottom - top, right - left) < 6:
+            if area < smallest or min(bottom - top, right - left) < 0.02 * min(scene.size):
                 continue
             top, left, bottom, right = top - MARGIN, left - MARGIN, bottom + MARGIN, right + MARGIN
             window = _Window(scene.told, top, left, (bottom - top, right - left))
@@ -422,6 +416,7 @@ class BlobTracker:
                 still=0.0,
                 confidence=1.0,
                 ghost_votes=0,
+                parting=0.0,
             )
 
 
@@ -501,18 +496,44 @@ class _Scene:
         counts = np.empty((-(-height // scale), -(-width // scale)), np.int32)
         count_foreground(self.told.reading.pooled, width, scale, counts)
         for blob in blobs:
-            top, left = blob.corner
-            extent = blob.extent
-            near = scale + 2
-            rows = slice(max(0, (top + extent[0] - near) // scale), max(0, (top + extent[2] + near) // scale + 1))
-            columns = slice(max(0, (left + extent[1] - near) // scale), max(0, (left + extent[3] + near) // scale + 1))
-            counts[rows, columns] = 0
+            _clear_near(counts, blob, scale)
         spots = (counts * 4 >= scale * scale).astype(np.uint8)
         found, labels, boxes, _ = cv2.connectedComponentsWithStats(spots, connectivity=8)
         for label in range(1, found):
             x, y, columns_, rows_, _ = (int(value) for value in boxes[label])
             area = int(counts[labels == label].sum())
             yield scale * y, scale * x, scale * (y + rows_), scale * (x + columns_), area
+
+
+def _waist(mask: Map) -> tuple[int, float]:
+    """Where a mask is narrowest between two of its upright parts, and how its height there compares to theirs."""
+    profile = np.convolve(mask.sum(axis=0), np.full(3, 1 / 3), "same")
+    beside = np.minimum(np.maximum.accumulate(profile), np.maximum.accumulate(profile[::-1])[::-1])
+    depth = np.where(beside > 0.25 * mask.shape[0], profile / np.maximum(beside, 1e-6), 1.0)
+    column = int(depth.argmin())
+    return column, float(depth[column])
+
+
+def _without_crumbs(mask: Map) -> Map:
+    """The mask without spots that are apart from its main part and small."""
+    found, labels, boxes, _ = cv2.connectedComponentsWithStats((mask > 0.3).astype(np.uint8), connectivity=8)
+    if found <= 2:
+        return mask
+    areas = boxes[:, cv2.CC_STAT_AREA]
+    crumb = areas < 0.1 * areas[1:].max()
+    crumb[0] = False
+    return np.where(crumb[labels], np.float32(0), mask)
+
+
+def _clear_near(counts: NDArray[np.int32], blob: Blob, scale: int) -> None:
+    """Take blocks of `scale` px away that a blob covers or touches."""
+    rows, columns = np.nonzero(blob.mask > 0.2)
+    top, left = blob.corner
+    zone = np.zeros(counts.shape, np.uint8)
+    rows, columns = (rows + top) // scale, (columns + left) // scale
+    inside = (rows >= 0) & (rows < zone.shape[0]) & (columns >= 0) & (columns < zone.shape[1])
+    zone[rows[inside], columns[inside]] = 1
+    counts[cv2.dilate(zone, np.ones((3, 3), np.uint8)) > 0] = 0
 
 
 def _paste(out: Map, top: int, left: int, source: Map, source_top: int, source_left: int) -> None:
@@ -547,13 +568,15 @@ def _fitted(blob: Blob, size: tuple[int, int]) -> Blob:
 
 
 def _pieces(one: Blob, other: Blob) -> bool:
-    """Whether two blobs look like parts of one object: one above the other, as wide, moving alike."""
+    """Whether the second, which is new, is a part of the first that came loose: above or below it, moving alike."""
     x, y, width, height = one.box
     other_x, other_y, other_width, other_height = other.box
     gap = max(y, other_y) - min(y + height, other_y + other_height)
     overlap = min(x + width, other_x + other_width) - max(x, other_x)
-    alike = np.hypot(*(one.velocity - other.velocity)) < 0.3 * max(one.length, other.length)
-    return bool(gap < 0.1 * max(height, other_height) and overlap > 0.7 * min(width, other_width) and alike)
+    together = max(y + height, other_y + other_height) - min(y, other_y)
+    alike = np.hypot(*(one.velocity - other.velocity)) < 0.5 * one.length
+    fresh = other.hits < 10 and together < 1.6 * max(height, other_height)
+    return bool(fresh and gap < 0.1 * height and overlap > 0.7 * min(width, other_width) and alike)
 
 
 def _joined(one: Blob, other: Blob) -> Blob:

@@ -185,9 +185,10 @@ class BackgroundPrediction:
             )  # fmt: skip
 
         over_bands(subtract, height)
+        prior = np.int16(round(ODDS_STEPS * float(np.log(self.prior) - np.log1p(-self.prior))))
         recall(
             pixels, self.candidate, self.seen, self.trusted_looks, colour.from_pixels(self.channels),
             np.float32(self.tolerance), log_odds,
         )  # fmt: skip
-        over_bands(lambda first, end: pool_log_odds(first, end, height, width, log_odds, pooling, pooled), height)
+        over_bands(lambda first, end: pool_log_odds(first, end, height, width, log_odds, prior, pooling, pooled), height)
         return Subtraction(log_odds, pooled), Update(mean, variance, noise)

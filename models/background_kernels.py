@@ -103,10 +103,13 @@ def subtract_grey(
 
 
 @compiled
-def pool_log_odds(first, end, height, width, log_odds, share, pooled):  # type: ignore[no-untyped-def]
-    """Rows `first` to `end`: own log odds and `share` of the 5 x 5 neighbours' (clipped), saturated as int8."""
+def pool_log_odds(first, end, height, width, log_odds, prior, share, pooled):  # type: ignore[no-untyped-def]
+    """Rows `first` to `end`: own log odds and `share` of what the 5 x 5 pixels around saw, saturated as int8.
+
+    What a pixel saw is its log odds without the `prior` (int16, in the same steps), clipped to 4 nats.
+    """
     column = np.empty(width + 4, np.int16)
-    bound = np.int8(4 * ODDS_STEPS)
+    bound = np.int16(4 * ODDS_STEPS)
     column[:] = 0
     for y in range(first, end):
         for x in range(width):
@@ -114,7 +117,7 @@ def pool_log_odds(first, end, height, width, log_odds, share, pooled):  # type: 
         for row in range(max(y - 2, 0), min(y + 3, height)):
             values = log_odds[row * width : (row + 1) * width]
             for x in range(width):
-                column[x + 2] += np.int16(min(max(values[x], -bound), bound))
+                column[x + 2] += min(max(np.int16(np.int16(values[x]) - prior), -bound), bound)
         own, out = log_odds[y * width : (y + 1) * width], pooled[y * width : (y + 1) * width]
         for x in range(width):
             around = column[x] + column[x + 1] + column[x + 2] + column[x + 3] + column[x + 4]
