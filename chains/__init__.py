@@ -2,5 +2,6 @@
 
 from .adaptive_background import AdaptiveBackground
 from .blob_tracker import BlobTracker
+from .ground_plane import GroundPlane
 
-__all__ = ["AdaptiveBackground", "BlobTracker"]
+__all__ = ["AdaptiveBackground", "BlobTracker", "GroundPlane"]

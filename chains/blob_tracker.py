@@ -26,6 +26,9 @@ Pair = NDArray[np.float64]
 MARGIN = 6
 """px of empty border in a blob's patch, into which its mask can grow."""
 
+THINNEST = 0.08
+"""Area over squared length below which a spot is a line (a rope, a wire, an edge that shakes) and no object."""
+
 
 @dataclass(frozen=True)
 class Track:
@@ -352,7 +355,7 @@ class BlobTracker:
 
     def _lives(self, blob: Blob, scene: "_Scene") -> bool:
         mass = float(blob.mask.sum())
-        if mass < self.smallest * scene.size[0] * scene.size[1]:
+        if mass < max(self.smallest * scene.size[0] * scene.size[1], THINNEST * blob.length**2):
             return False
         window = scene.inside(blob)
         if float(blob.mask[window].sum()) < 0.1 * mass:
@@ -395,7 +398,7 @@ class BlobTracker:
         """Foreground that no blob explains."""
         smallest = self.smallest * scene.size[0] * scene.size[1]
         for top, left, bottom, right, area in scene.unexplained(blobs):
-            if area < smallest or min(bottom - top, right - left) < 0.02 * min(scene.size):
+            if area < max(smallest, THINNEST * max(bottom - top, right - left) ** 2):
                 continue
             top, left, bottom, right = top - MARGIN, left - MARGIN, bottom + MARGIN, right + MARGIN
             window = _Window(scene.told, top, left, (bottom - top, right - left))

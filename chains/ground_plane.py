@@ -1,0 +1,396 @@
+"""Ground plane as a chain: objects stand on one plane, so they look the taller the lower they stand.
+
+The RSMCM paper names a level above its object trackers, a model of how objects share a scene, whose
+predictions of their positions guide the trackers (end of §3); it gives no equations. What is here is ours:
+the scene's perspective is learned from the objects that walk through it, each object walks without jumps, and
+both together predict every object's box. What they predict comes from the past alone.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..inference.protocols import Incoming
+from ..models.frame import Frame
+from ..models.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, ObjectBoxes
+
+Numbers = NDArray[np.float64]
+
+FIRST_TRUST, MOST_TRUST = 1.4, 4.0
+"""Log odds that an object stands on the plane: before its first look, and as sure as one can get."""
+
+HALF_HIDDEN = 0.5
+"""Heights: standard deviation of what a look is off by that does not show an object from head to foot."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundState:
+    """Perspective of the scene and the objects in it.
+
+    The height of object k with its foot in row y is scene[0] + scene[1] (y - middle) + scene[2 + k] heights[k]:
+    what the plane makes of everybody, and how much taller or shorter this one is.
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px of the picture; `middle` is its middle row.
+    variation
+        standard deviation of heights over what the plane predicts, as a share of that.
+    scene
+        `(2 + n_objects,)`: px height with the foot in the middle row, px it grows with each row, and each
+        object's share.
+    scene_covariance
+        `(2 + n_objects, 2 + n_objects)`.
+    identities
+        `(n_objects,)` int64, increasing.
+    feet
+        `(n_objects, 2, 2)`: along x and y, position px and velocity px/s.
+    feet_covariance
+        `(n_objects, 2, 2, 2)`: along x and y, of position and velocity.
+    heights
+        `(n_objects,)` px, the scale on which an object moves and varies.
+    aspects, aspect_variances
+        `(n_objects,)` width over height.
+    trust
+        `(n_objects,)` log odds that the object stands on the plane.
+    unseen
+        `(n_objects,)` s since it was last heard of.
+    """
+
+    size: tuple[int, int]
+    variation: float
+    scene: Numbers
+    scene_covariance: Numbers
+    identities: NDArray[np.int64]
+    feet: Numbers
+    feet_covariance: Numbers
+    heights: Numbers
+    aspects: Numbers
+    aspect_variances: Numbers
+    trust: Numbers
+    unseen: Numbers
+
+    @property
+    def middle(self) -> float:
+        """px, middle row of the picture."""
+        return 0.5 * self.size[0]
+
+    def expected_height(self, foot_y: ArrayLike) -> tuple[Numbers, Numbers]:
+        """Height of somebody new.
+
+        Parameters
+        ----------
+        foot_y
+            rows of their feet, px, any shape.
+
+        Returns
+        -------
+        mean, standard deviation
+            px, in that shape. As long as nobody was seen the deviation is about the picture's height.
+        """
+        below = np.asarray(foot_y, np.float64) - self.middle
+        mean = self.scene[0] + self.scene[1] * below
+        covariance = self.scene_covariance
+        variance = covariance[0, 0] + 2 * below * covariance[0, 1] + below**2 * covariance[1, 1]
+        return mean, np.sqrt(variance + (self.variation * mean) ** 2)
+
+    def horizon(self) -> float | None:
+        """Row in which heights shrink to nothing, or `None` as long as it is not clear that they do."""
+        growth, deviation = self.scene[1], np.sqrt(self.scene_covariance[1, 1])
+        if growth < 2 * deviation:
+            return None
+        return float(self.middle - self.scene[0] / growth)
+
+
+@dataclass(frozen=True)
+class GroundPlane:
+    """Scene-level chain over the boxes of objects.
+
+    Heights are a linear regression on the foot's row that all objects share, with a share of each object's
+    own (a Kalman filter without dynamics: cameras and people keep their size); feet have first-order dynamics.
+    Both take looks for a mixture of good ones and bad ones: half hidden, cut off, or no person at all.
+
+    Parameters
+    ----------
+    stature
+        standard deviation of people's sizes, as a share.
+    spread
+        standard deviation of one person's height about their own mean (gait, ragged outlines), as a share.
+    foot_spread
+        heights: standard deviation of the bottom edge's middle about the point on the ground below a person.
+    acceleration
+        heights/s^2, standard deviation of what moves a foot out of its straight way; it lasts half a second.
+    first_speed
+        heights/s, standard deviation of the velocity of somebody new.
+    bad_looks
+        share of looks that do not show an object from head to foot.
+    look_time
+        s after which a look at the same object is worth a new one: outlines err for a while.
+    patience
+        s after which an object that is not heard of is forgotten.
+    """
+
+    stature: float = 0.1
+    spread: float = 0.06
+    foot_spread: float = 0.04
+    acceleration: float = 0.7
+    first_speed: float = 1.0
+    bad_looks: float = 0.1
+    look_time: float = 1.0
+    patience: float = 3.0
+    name: str = "ground"
+
+    def __post_init__(self) -> None:
+        for name in (
+            "stature",
+            "spread",
+            "foot_spread",
+            "acceleration",
+            "first_speed",
+            "look_time",
+            "patience",
+        ):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+        if not 0 < self.bad_looks < 1:
+            raise ValueError(f"bad_looks: got {self.bad_looks}, expected a share between 0 and 1")
+
+    def initial(self, frame: Frame) -> GroundState:
+        """Nobody there, and any perspective: people are taller lower down, if it has to be guessed."""
+        if frame.image is None:
+            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
+        height, width = frame.image.shape[:2]
+        none = np.zeros(0)
+        return GroundState(
+            size=(height, width),
+            variation=float(np.hypot(self.stature, self.spread)),
+            scene=np.array([0.25 * height, 0.3]),
+            scene_covariance=np.diag([(0.5 * height) ** 2, 0.5**2]),
+            identities=np.zeros(0, np.int64),
+            feet=np.zeros((0, 2, 2)),
+            feet_covariance=np.zeros((0, 2, 2, 2)),
+            heights=none,
+            aspects=none,
+            aspect_variances=none,
+            trust=none,
+            unseen=none,
+        )
+
+    def predict(self, state: GroundState, dt: float) -> GroundState:
+        """Feet walk on, but for a random force; perspective and sizes stay."""
+        feet, before = state.feet.copy(), state.feet_covariance
+        feet[:, :, 0] += dt * feet[:, :, 1]
+        force = (0.5 * (self.acceleration * state.heights) ** 2)[:, None]  # px^2/s^3: what lasts half a second
+        covariance = np.empty_like(before)
+        crossed = before[:, :, 0, 1] + dt * before[:, :, 1, 1]
+        covariance[:, :, 0, 0] = before[:, :, 0, 0] + dt * (before[:, :, 0, 1] + crossed) + dt**3 / 3 * force
+        covariance[:, :, 0, 1] = covariance[:, :, 1, 0] = crossed + dt**2 / 2 * force
+        covariance[:, :, 1, 1] = before[:, :, 1, 1] + dt * force
+        return replace(state, feet=feet, feet_covariance=covariance, unseen=state.unseen + dt)
+
+    def message(self, state: GroundState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage:
+        """Every known object's box (mu_{ground -> objects}), uniform when nobody is known.
+
+        The density is N(x) N(y) N(height; plane's at y) N(width; aspect * height). Of the perspective, which
+        all objects share, each gets its own marginal, with the slope at its mean.
+        """
+        if not len(state.identities):
+            return feature.uniform()
+        x, y = state.feet[:, 0, 0], state.feet[:, 1, 0]
+        design = _design(y - state.middle, state.heights)
+        slope = state.scene[1]
+        upright = design @ state.scene - slope * y
+        uncertain = ((design @ state.scene_covariance) * design).sum(axis=1)
+        squares = state.heights**2
+        sway = self.foot_spread**2 * squares
+        precision = np.empty((len(x), 4))
+        precision[:, FOOT_X] = 1 / (state.feet_covariance[:, 0, 0, 0] + sway)
+        precision[:, FOOT_Y] = 1 / (state.feet_covariance[:, 1, 0, 0] + sway)
+        precision[:, WIDTH] = 1 / ((state.aspect_variances + 0.1**2) * squares)
+        precision[:, HEIGHT] = _probability(state.trust) / (uncertain + self.spread**2 * squares)
+        of_x, of_y, of_width, of_height = precision.T
+        information = np.zeros((len(x), 4, 4))
+        information[:, FOOT_X, FOOT_X] = of_x
+        information[:, FOOT_Y, FOOT_Y] = of_y + slope**2 * of_height
+        information[:, FOOT_Y, HEIGHT] = information[:, HEIGHT, FOOT_Y] = -slope * of_height
+        information[:, WIDTH, WIDTH] = of_width
+        information[:, WIDTH, HEIGHT] = information[:, HEIGHT, WIDTH] = -state.aspects * of_width
+        information[:, HEIGHT, HEIGHT] = of_height + state.aspects**2 * of_width
+        vector = np.zeros((len(x), 4))
+        vector[:, FOOT_X] = of_x * x
+        vector[:, FOOT_Y] = of_y * y - slope * of_height * upright
+        vector[:, HEIGHT] = of_height * upright
+        quadratic = of_x * x**2 + of_y * y**2 + of_height * upright**2
+        log_scale = 0.5 * (np.log(precision / (2 * np.pi)).sum(axis=1) - quadratic)
+        return BoxMessage(state.identities, information, vector, log_scale)
+
+    def update(self, state: GroundState, incoming: Incoming) -> GroundState:
+        """Perspective and objects after a look at what others say of the boxes."""
+        (told,) = incoming.values()
+        identities, boxes, covariances = told.moments
+        state = self._joined(state, identities, boxes)
+        if not len(identities):
+            return state
+        seen = np.searchsorted(state.identities, identities)
+        y, height = boxes[:, FOOT_Y], boxes[:, HEIGHT]
+        slope = state.scene[1]
+        # Variance of the height less what an error of the foot's row would change it by along the plane.
+        noise = covariances[:, HEIGHT, HEIGHT] + slope * (
+            slope * covariances[:, FOOT_Y, FOOT_Y] - 2 * covariances[:, FOOT_Y, HEIGHT]
+        )
+        heights = _best_height(state, y, height, noise)
+        noise = noise + (self.spread * heights) ** 2
+
+        scales = np.zeros(len(state.identities))
+        scales[seen] = heights
+        design = _design(y - state.middle, scales, seen)
+        gain = design @ state.scene_covariance
+        off = height - design @ state.scene
+        covariance = gain @ design.T
+        ratio = _good_over_bad(off**2, covariance.diagonal() + noise, (HALF_HIDDEN * heights) ** 2)
+        good = _probability(np.log(ratio * (1 / self.bad_looks - 1)))
+        whole = self._whole(state, boxes)
+        on_plane = _probability(state.trust[seen])
+        worth = np.minimum(state.unseen[seen] / self.look_time, 1.0)
+
+        weight = np.maximum(whole * on_plane * good * worth, 1e-9)
+        solved = np.linalg.solve(covariance + np.diag(noise / weight), gain)
+        scene = state.scene + off @ solved
+        scene_covariance = state.scene_covariance - gain.T @ solved
+        trust, all_heights, unseen = state.trust.copy(), state.heights.copy(), state.unseen.copy()
+        surprise = np.log((1 - self.bad_looks) * ratio + self.bad_looks)
+        trust[seen] = np.clip(trust[seen] + whole * worth * surprise, -MOST_TRUST, MOST_TRUST)
+        all_heights[seen] = heights
+        unseen[seen] = 0.0
+        aspects, aspect_variances = state.aspects.copy(), state.aspect_variances.copy()
+        rate = 0.3 * whole * good * worth
+        change = boxes[:, WIDTH] / np.maximum(height, 1.0) - aspects[seen]
+        aspects[seen] += rate * change
+        aspect_variances[seen] = (1 - rate) * (aspect_variances[seen] + rate * change**2)
+        reliable = 1 - 0.95 * np.where(whole, on_plane * (1 - good), 1.0)
+        feet, feet_covariance = self._walked(state, seen, boxes, covariances, heights, reliable)
+        return replace(
+            state,
+            scene=scene,
+            scene_covariance=0.5 * (scene_covariance + scene_covariance.T),
+            feet=feet,
+            feet_covariance=feet_covariance,
+            heights=all_heights,
+            aspects=aspects,
+            aspect_variances=aspect_variances,
+            trust=trust,
+            unseen=unseen,
+        )
+
+    def _walked(
+        self,
+        state: GroundState,
+        seen: NDArray[np.intp],
+        boxes: Numbers,
+        covariances: Numbers,
+        heights: Numbers,
+        reliable: Numbers,
+    ) -> tuple[Numbers, Numbers]:
+        """Feet and their covariances after a look that is to be relied on so much (0 to 1)."""
+        feet, feet_covariance = state.feet[seen], state.feet_covariance[seen]
+        off = boxes[:, :WIDTH] - feet[:, :, 0]
+        noise = covariances.diagonal(axis1=1, axis2=2)[:, :WIDTH] + (self.foot_spread**2 * heights**2)[:, None]
+        noise = noise / reliable[:, None]
+        variance = feet_covariance[:, :, 0, 0] + noise
+        # People do not jump: a box that does has lost its object, or part of it.
+        ratio = _good_over_bad(off**2, variance, (heights**2)[:, None]).prod(axis=1)
+        good = _probability(np.log(ratio * (1 / self.bad_looks - 1)))
+        variance += noise * (1 / np.maximum(good, 1e-3) - 1)[:, None]
+        gain = feet_covariance[:, :, :, 0] / variance[:, :, None]
+        new_feet, new_covariance = state.feet.copy(), state.feet_covariance.copy()
+        new_feet[seen] = feet + gain * off[:, :, None]
+        new_covariance[seen] = feet_covariance - gain[:, :, :, None] * feet_covariance[:, :, None, 0]
+        return new_feet, new_covariance
+
+    def _whole(self, state: GroundState, boxes: Numbers) -> NDArray[np.bool_]:
+        """Which boxes the picture's edge does not cut off."""
+        x, y, width, height = boxes.T
+        rows, columns = state.size
+        inside: NDArray[np.bool_] = (
+            (y - height > 1) & (y < rows - 1) & (x - 0.5 * width > 1) & (x + 0.5 * width < columns - 1)
+        )
+        return inside
+
+    def _joined(self, state: GroundState, identities: NDArray[np.int64], boxes: Numbers) -> GroundState:
+        """The state without who was not heard of for long, and with who is new.
+
+        Somebody new starts where the first look puts them with next to no information, so that the look
+        counts once.
+        """
+        stays = (state.unseen <= self.patience) | np.isin(state.identities, identities)
+        new = ~np.isin(identities, state.identities)
+        if stays.all() and not new.any():
+            return state
+        heights, n_new, n_stay = boxes[new, HEIGHT], int(new.sum()), int(stays.sum())
+        heights = np.maximum(heights, 1.0)
+        numbers = np.concatenate([state.identities[stays], identities[new]])
+        order = np.argsort(numbers)
+        feet = np.zeros((n_new, 2, 2))
+        feet[:, :, 0] = boxes[new, :WIDTH]
+        feet_covariance = np.zeros((n_new, 2, 2, 2))
+        feet_covariance[:, :, 0, 0] = (10 * heights[:, None]) ** 2
+        feet_covariance[:, :, 1, 1] = (self.first_speed * heights[:, None]) ** 2
+        among = np.concatenate([[True, True], stays])
+        scene = np.concatenate([state.scene[among], np.zeros(n_new)])
+        covariance = np.zeros((2 + n_stay + n_new, 2 + n_stay + n_new))
+        covariance[: 2 + n_stay, : 2 + n_stay] = state.scene_covariance[np.ix_(among, among)]
+        covariance[range(2 + n_stay, len(scene)), range(2 + n_stay, len(scene))] = self.stature**2
+        kept = np.concatenate([[0, 1], 2 + order])
+
+        def sorted_with(old: Numbers, added: Numbers) -> Numbers:
+            together: Numbers = np.concatenate([old[stays], added])[order]
+            return together
+
+        return replace(
+            state,
+            scene=scene[kept],
+            scene_covariance=covariance[np.ix_(kept, kept)],
+            identities=numbers[order],
+            feet=sorted_with(state.feet, feet),
+            feet_covariance=sorted_with(state.feet_covariance, feet_covariance),
+            heights=sorted_with(state.heights, heights),
+            aspects=sorted_with(state.aspects, boxes[new, WIDTH] / heights),
+            aspect_variances=sorted_with(state.aspect_variances, np.full(n_new, 0.1**2)),
+            trust=sorted_with(state.trust, np.full(n_new, FIRST_TRUST)),
+            unseen=sorted_with(state.unseen, np.full(n_new, self.look_time)),
+        )
+
+
+def _design(below: Numbers, scales: Numbers, seen: NDArray[np.intp] | None = None) -> Numbers:
+    """`(n_seen, 2 + n_objects)`: what every look's height is made of, in the order of `GroundState.scene`."""
+    rows = np.arange(len(below))
+    place = rows if seen is None else seen
+    design = np.zeros((len(below), 2 + len(scales)))
+    design[:, 0] = 1.0
+    design[:, 1] = below
+    design[rows, 2 + place] = scales[place]
+    return design
+
+
+def _best_height(state: GroundState, foot_y: Numbers, height: Numbers, noise: Numbers) -> Numbers:
+    """px: between what was measured and what the plane says, by their precisions.
+
+    It scales an object's own share and all noise, which have to be scaled before anything is known.
+    """
+    expected, deviation = state.expected_height(foot_y)
+    share = 1 / (1 + deviation**2 / (noise + (state.variation * height) ** 2))
+    best: Numbers = np.maximum(height + share * (expected - height), 0.25 * np.abs(height) + 1.0)
+    return best
+
+
+def _good_over_bad(squares: Numbers, variance: Numbers, more: Numbers) -> Numbers:
+    """Likelihood ratio of two Gaussians about the same mean, the second one with `more` variance."""
+    bad = variance + more
+    ratio: Numbers = np.sqrt(bad / variance) * np.exp(-0.5 * squares * (1 / variance - 1 / bad))
+    return np.maximum(ratio, 1e-30)
+
+
+def _probability(log_odds: Numbers) -> Numbers:
+    probability: Numbers = 1 / (1 + np.exp(-log_odds))
+    return probability
