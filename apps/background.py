@@ -31,6 +31,7 @@ from .results import (
     TrackedObject,
     TrackWriter,
     draw_overlay,
+    naming,
     prepare_output,
     read_tracks,
     write_image,
@@ -43,7 +44,7 @@ Engine = Literal["recursive-bp", "feed-forward", "stand-alone"]
 ENGINES: tuple[Engine, ...] = ("recursive-bp", "feed-forward", "stand-alone")
 
 EVIDENCE_EVERY = 10
-"""Frames between two values of log p(I) in the report: it costs a pass over the pixels that nothing else needs."""
+"""Frames between two values of log p(I) in the report: nothing else needs that pass over the pixels."""
 
 
 def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None = None) -> MultiChain:
@@ -184,7 +185,7 @@ def run_background(job: Job) -> Outcome:
         return run.carry_out(interruption)
 
 
-class _EndedEarly(Exception):
+class _EndedEarlyError(Exception):
     """Leaves the writers' blocks in a way that they keep what a resumed run needs."""
 
 
@@ -213,18 +214,19 @@ class _Run:
                 raise ValueError(f"--resume: {source.name} is live and cannot be read again")
             if saved is not None:
                 _refuse_other("source", _identity(saved["source"]), _identity(self._fingerprint))
-            region = read_region(job.roi, source.size) if job.roi else None
-            if job.ground_truth is not None:
-                self._scoring = _scoring(job, job.ground_truth, source, region)
-                if saved is not None:
-                    self._scoring.restore(saved["scores"])
             if saved is not None and saved["finished"]:
                 return Outcome(saved["finished"], None)
+            if self._state.shape is not None:  # perhaps no frame is left to ask
+                source.size = (self._state.shape[1], self._state.shape[0])
+            region = read_region(job.roi, source.size) if job.roi else None
+            self._scoring = read_truth(job, source, region)
+            if self._scoring is not None and saved is not None:
+                self._scoring.restore(saved["scores"])
             prepare_output(job.out, overwrite=job.overwrite, resume=job.resume)
             self._started = time.perf_counter()
             try:
                 self._process(source, region, interruption)
-            except _EndedEarly:
+            except _EndedEarlyError:
                 self._ended_early = True
             summary = self._finish(source)
         if self._error is not None:
@@ -264,7 +266,7 @@ class _Run:
                 progress.update()
             self._checkpoint(tracks, masks, overlay)
             if interruption.signal is not None or self._error is not None:
-                raise _EndedEarly
+                raise _EndedEarlyError
 
     def _frames(self, source: Source, interruption: "Interruption") -> Iterator[Frame]:
         """The source's frames until it ends, breaks, or somebody interrupts."""
@@ -348,7 +350,9 @@ class _Run:
             "seconds": self._seconds(),
             "finished": finished,
         }
-        self._engine.save(self._job.out / "state.npz", self._state, about)
+        path = self._job.out / "state.npz"
+        with naming(path):
+            self._engine.save(path, self._state, about)
 
     def _load(self) -> dict[str, Any] | None:
         """Take over the state of the run to be resumed; return what was saved with it."""
@@ -404,18 +408,21 @@ def _refuse_other(what: str, saved: Mapping[str, Any], now: Mapping[str, Any], a
 
 def _identity(fingerprint: Mapping[str, Any]) -> dict[str, Any]:
     """What tells sources apart; one that was moved or renamed is the same."""
-    return {name: value for name, value in fingerprint.items() if name != "name" or "sha256" not in fingerprint}
+    unneeded = {"name"} if "sha256" in fingerprint else set()
+    return {key: value for key, value in fingerprint.items() if key not in unneeded}
 
 
-def _scoring(job: Job, path: Path, source: Source, region: NDArray[np.uint8] | None) -> Scoring:
-    """Read the truth, and make sure before anything is written that it belongs to this source.
+def read_truth(job: Job, source: Source, region: NDArray[np.uint8] | None) -> Scoring | None:
+    """Read the job's ground truth, if any, and make sure that it belongs to this source.
 
     Raises
     ------
     ValueError
         if it has no frame in common with the source, or masks of another size.
     """
-    truth = read_ground_truth(path)
+    if job.ground_truth is None:
+        return None
+    truth = read_ground_truth(job.ground_truth)
     numbers = list(truth.frames)
     if source.n_frames is not None:
         last = job.start + (source.n_frames - 1) * job.step

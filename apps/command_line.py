@@ -14,10 +14,10 @@ INTERRUPT = 2
 
 app = App(
     name="rsmcm",
-    help="Multi-chain tracking: dynamic models of one scene that share latent features and correct each other.",
+    help="Multi-chain tracking: dynamic models of a scene share latent features and correct each other.",
     version=version("rsmcm"),
 )
-reproduce = App(name="reproduce", help="Reproduce figures of the papers, with measured values beside wanted ones.")
+reproduce = App(name="reproduce", help="Reproduce figures of the papers, wanted values beside measured ones.")
 app.command(reproduce)
 
 Flag = Annotated[bool, Parameter(negative="")]
@@ -97,9 +97,9 @@ def background(
     if compare and outcome.signal is None:
         from .compare import run_compare
 
-        outcome = run_compare(job)
+        outcome, _ = run_compare(job)
         print(f"comparison: {out / 'compare.html'}")
-    return 0 if outcome.signal is None else SIGNALLED + outcome.signal
+    return _ended(outcome.signal)
 
 
 @app.command
@@ -142,7 +142,7 @@ def pets(*, out: Path = Path("results/pets"), long: Flag = False) -> int:
     out
         Folder for the figures.
     long
-        Try all settings of MOG2 and KNN instead of the better half.
+        Try all settings of MOG2 and KNN, and all clean-ups, instead of the middle ones.
     """
     from .reproduce import reproduce_pets
 
@@ -211,3 +211,7 @@ def _one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split()) or type(error).__name__
+
+
+if __name__ == "__main__":
+    main()

@@ -40,9 +40,7 @@ def read_parameters(path: Path) -> Parameters:
             if name not in kinds:
                 raise ValueError(f"{path}, [{section}]: unknown key {name!r}, expected {_listed(kinds)}")
             if not _is(value, kinds[name]):
-                raise ValueError(
-                    f"{path}, [{section}]: {name} = {value!r}, expected {kinds[name].__name__}"
-                )
+                raise ValueError(f"{path}, [{section}]: {name} = {value!r}, expected {kinds[name].__name__}")
         try:
             SECTIONS[section](**values)
         except ValueError as error:

@@ -44,7 +44,9 @@ def read_region(text: str, size: tuple[int, int]) -> Mask:
         except ValueError:
             raise ValueError(f"--roi: got {text!r}, expected x,y,width,height in whole px") from None
         if x < 0 or y < 0 or w < 1 or h < 1 or x + w > width or y + h > height:
-            raise ValueError(f"--roi: got {text!r}, expected a rectangle inside the picture of {width}x{height} px")
+            raise ValueError(
+                f"--roi: got {text!r}, expected a rectangle inside the picture of {width}x{height}"
+            )
         region[y : y + h, x : x + w] = 255
         return region
     path = Path(text)
@@ -56,7 +58,8 @@ def read_region(text: str, size: tuple[int, int]) -> Mask:
         raise ValueError(f"--roi: {text} is not a readable picture")
     if picture.shape != region.shape:
         raise ValueError(
-            f"--roi: {text} has {picture.shape[1]}x{picture.shape[0]} px, expected {width}x{height} like the video"
+            f"--roi: {text} has {picture.shape[1]}x{picture.shape[0]} px, "
+            f"expected {width}x{height} like the video"
         )
     region[picture > 0] = 255
     if not region.any():
@@ -65,7 +68,7 @@ def read_region(text: str, size: tuple[int, int]) -> Mask:
 
 
 def stands_inside(region: Mask, box: tuple[float, float, float, float]) -> bool:
-    """Whether the foot of a box `(x, y, width, height)` px, the middle of its lower edge, is in the region."""
+    """Whether the middle of a box's lower edge is in the region; the box is x, y, width, height px."""
     height, width = region.shape
     x, y, w, h = box
     column = min(max(int(x + w / 2), 0), width - 1)

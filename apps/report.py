@@ -69,7 +69,7 @@ class Snapshot:
 
     @cached_property
     def saved(self) -> list[Any]:
-        """Number, time and the pictures as PNG in base 64, worked out once however often a run is saved."""
+        """Number, time and the pictures in base 64, worked out once however often a run is saved."""
         pictures = (self.picture, self.background, self.foreground, self.overlay)
         return [self.number, self.time, *map(_encoded, pictures)]
 
@@ -173,7 +173,7 @@ class RunRecord:
             self.next_snapshot = count + self.stride
 
     def saved(self) -> dict[str, Any]:
-        """Everything as plain JSON; the snapshots' pictures as PNG in base 64."""
+        """Everything as plain JSON; the snapshots' pictures in base 64."""
         return {
             "series": {name: base64.b64encode(getattr(self, name).tobytes()).decode() for name in SERIES},
             "tracks": [[identity, asdict(history)] for identity, history in self.tracks.items()],
@@ -200,9 +200,11 @@ class RunRecord:
 
 
 def _encoded(image: Image) -> str:
-    done, data = cv2.imencode(".png", image)
+    """A picture in base 64: masks as PNG, photographs as JPEG, as which the page holds them anyway."""
+    kind, options = (".png", []) if image.ndim == 2 else (".jpg", [cv2.IMWRITE_JPEG_QUALITY, 95])
+    done, data = cv2.imencode(kind, image, options)
     if not done:
-        raise ValueError(f"image: got {image.shape} {image.dtype}, which cannot be stored as PNG")
+        raise ValueError(f"image: got {image.shape} {image.dtype}, which cannot be stored as {kind}")
     return base64.b64encode(data.tobytes()).decode("ascii")
 
 
@@ -376,7 +378,9 @@ def _plots(record: RunRecord) -> Html:
         axes = canvas.subplots(len(curves), sharex=True)
         for axis, (name, values) in zip(axes, curves, strict=True):
             known = np.isfinite(values)
-            axis.plot(times[starts][known], values[known], color="#2f7fc1", linewidth=1.2, drawstyle="steps-post")
+            axis.plot(
+                times[starts][known], values[known], color="#2f7fc1", linewidth=1.2, drawstyle="steps-post"
+            )
             axis.set_ylabel(name)
             axis.margins(x=0.01, y=0.12)
             if not name.startswith("log"):

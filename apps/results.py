@@ -36,8 +36,9 @@ RESULT_PATTERNS = (
     "foreground/bin[0-9]*.png",
     "summary.json",
     "report.html",
+    "compare.*",
+    "compare-*.png",
     "state.npz",
-    "state.json",
 )
 UNFINISHED = ".unfinished-"  # how a file is called while it is written
 
@@ -66,7 +67,7 @@ class TrackedObject(Protocol):
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def naming(path: Path) -> Iterator[None]:
     """Give an error of the system the name of the file, which `write` leaves out (a full disk)."""
     try:
         yield
@@ -89,7 +90,7 @@ def write_atomically(path: Path) -> Iterator[Path]:
     """
     unfinished = path.with_name(UNFINISHED + path.name)
     try:
-        with _naming(path):
+        with naming(path):
             yield unfinished
             os.replace(unfinished, path)
     except BaseException:
@@ -150,9 +151,10 @@ def prepare_output(folder: Path, *, overwrite: bool = False, resume: bool = Fals
     present = sorted(path for pattern in RESULT_PATTERNS for path in folder.glob(pattern))
     if present and not overwrite and not resume:
         raise FileExistsError(f"{folder}: already holds results: use --overwrite or --resume")
-    with _naming(folder), tempfile.TemporaryFile(dir=folder):
+    with naming(folder), tempfile.TemporaryFile(dir=folder):
         pass
-    left_over = [*folder.glob(UNFINISHED + "*"), *folder.glob(f"foreground/{UNFINISHED}*")]
+    patterns = (UNFINISHED + "*", f"foreground/{UNFINISHED}*", ".state.npz.*.partial")
+    left_over = [path for pattern in patterns for path in folder.glob(pattern)]
     for path in [*left_over, *(present if overwrite else [])]:
         path.unlink()
 
@@ -268,7 +270,7 @@ class SegmentedVideo:
 
     def write(self, picture: NDArray[np.uint8], number: int, time: float) -> None:
         """Append a picture, BGR or gray as the form demands, of the frame with this number and time."""
-        with _naming(self._path):
+        with naming(self._path):
             if self._segment is None:
                 self._segment = self._open(picture, time)
             segment = self._segment
@@ -286,7 +288,7 @@ class SegmentedVideo:
             return
         segment, self._segment = self._segment, None
         name = f"{self._path.stem}.part{segment.last_number:09d}{self._path.suffix}"
-        with _naming(self._path):
+        with naming(self._path):
             try:
                 segment.container.mux(segment.stream.encode(None))
             finally:
@@ -614,7 +616,7 @@ class TrackWriter:
         self._path = path
         kept = _lines_until(path, resume_after) if resume_after and path.exists() else ""
         write_text(path, kept)
-        with _naming(path):
+        with naming(path):
             self._file = path.open("a", encoding="utf-8", newline="\n")
 
     def __enter__(self) -> Self:
@@ -630,17 +632,17 @@ class TrackWriter:
             x, y, w, h = track.box
             box = f"{x + 1:.2f},{y + 1:.2f},{w:.2f},{h:.2f}"
             lines.append(f"{number},{track.identity},{box},{track.confidence:.4f},-1,-1,-1\n")
-        with _naming(self._path):
+        with naming(self._path):
             self._file.write("".join(lines))
 
     def checkpoint(self) -> None:
         """Hand everything over to the system, where it outlives this process."""
-        with _naming(self._path):
+        with naming(self._path):
             self._file.flush()
 
     def close(self) -> None:
         """Complete the file."""
-        with _naming(self._path):
+        with naming(self._path):
             self._file.close()
 
 

@@ -77,6 +77,9 @@ class Scoring:
             "frames compared": len(self.frames),
             "errors": {**asdict(self.errors), "missed and ghosts": self.errors.errors},
         }
+        told_apart = isinstance(self.truth, BoxTruth)  # pedestrians from vehicles
+        for name in ("missed_objects",) if told_apart else ("missed_pedestrians", "missed_vehicles"):
+            del found["errors"][name]
         if isinstance(self.truth, BoxTruth):
             if tracks is not None:
                 found["tracks"] = asdict(evaluate_tracks(self.truth, tracks, self.frames))

@@ -20,6 +20,9 @@ Numbers = NDArray[np.float64]
 FIRST_TRUST, MOST_TRUST = 1.4, 4.0
 """Log odds that an object stands on the plane: before its first look, and as sure as one can get."""
 
+LEAST_SPREAD = 0.05
+"""Of a width, in heights: what remains uncertain about it, however alike the looks were."""
+
 HALF_HIDDEN = 0.5
 """Heights: standard deviation of what a look is off by that does not show an object from head to foot."""
 
@@ -28,8 +31,8 @@ HALF_HIDDEN = 0.5
 class GroundState:
     """Perspective of the scene and the objects in it.
 
-    The height of object k with its foot in row y is scene[0] + scene[1] (y - middle) + scene[2 + k] heights[k]:
-    what the plane makes of everybody, and how much taller or shorter this one is.
+    With its foot in row y, object k is scene[0] + scene[1] (y - middle) + scene[2 + k] heights[k] high: what
+    the plane makes of everybody, and how much taller or shorter this one is.
 
     Parameters
     ----------
@@ -89,11 +92,14 @@ class GroundState:
         mean, standard deviation
             px, in that shape. As long as nobody was seen the deviation is about the picture's height.
         """
-        below = np.asarray(foot_y, np.float64) - self.middle
-        mean = self.scene[0] + self.scene[1] * below
-        covariance = self.scene_covariance
-        variance = covariance[0, 0] + 2 * below * covariance[0, 1] + below**2 * covariance[1, 1]
+        mean, variance = self.plane(np.asarray(foot_y, np.float64))
         return mean, np.sqrt(variance + (self.variation * mean) ** 2)
+
+    def plane(self, foot_y: Numbers) -> tuple[Numbers, Numbers]:
+        """Mean px and variance px^2 of the height of somebody of average stature, any shape."""
+        below, covariance = foot_y - self.middle, self.scene_covariance
+        mean = self.scene[0] + self.scene[1] * below
+        return mean, covariance[0, 0] + 2 * below * covariance[0, 1] + below**2 * covariance[1, 1]
 
     def horizon(self) -> float | None:
         """Row in which heights shrink to nothing, or `None` as long as it is not clear that they do."""
@@ -108,8 +114,8 @@ class GroundPlane:
     """Scene-level chain over the boxes of objects.
 
     Heights are a linear regression on the foot's row that all objects share, with a share of each object's
-    own (a Kalman filter without dynamics: cameras and people keep their size); feet have first-order dynamics.
-    Both take looks for a mixture of good ones and bad ones: half hidden, cut off, or no person at all.
+    own (a Kalman filter without dynamics: cameras stay, people keep their size); feet have first-order
+    dynamics. Both take looks for a mixture of good ones and bad ones: half hidden, or no person at all.
 
     Parameters
     ----------
@@ -132,9 +138,9 @@ class GroundPlane:
     """
 
     stature: float = 0.1
-    spread: float = 0.06
-    foot_spread: float = 0.04
-    acceleration: float = 0.7
+    spread: float = 0.05
+    foot_spread: float = 0.03
+    acceleration: float = 0.5
     first_speed: float = 1.0
     bad_looks: float = 0.1
     look_time: float = 1.0
@@ -181,7 +187,9 @@ class GroundPlane:
         """Feet walk on, but for a random force; perspective and sizes stay."""
         feet, before = state.feet.copy(), state.feet_covariance
         feet[:, :, 0] += dt * feet[:, :, 1]
-        force = (0.5 * (self.acceleration * state.heights) ** 2)[:, None]  # px^2/s^3: what lasts half a second
+        force = (0.5 * (self.acceleration * state.heights) ** 2)[
+            :, None
+        ]  # px^2/s^3: what lasts half a second
         covariance = np.empty_like(before)
         crossed = before[:, :, 0, 1] + dt * before[:, :, 1, 1]
         covariance[:, :, 0, 0] = before[:, :, 0, 0] + dt * (before[:, :, 0, 1] + crossed) + dt**3 / 3 * force
@@ -207,7 +215,7 @@ class GroundPlane:
         precision = np.empty((len(x), 4))
         precision[:, FOOT_X] = 1 / (state.feet_covariance[:, 0, 0, 0] + sway)
         precision[:, FOOT_Y] = 1 / (state.feet_covariance[:, 1, 0, 0] + sway)
-        precision[:, WIDTH] = 1 / ((state.aspect_variances + 0.1**2) * squares)
+        precision[:, WIDTH] = 1 / ((state.aspect_variances + LEAST_SPREAD**2) * squares)
         precision[:, HEIGHT] = _probability(state.trust) / (uncertain + self.spread**2 * squares)
         of_x, of_y, of_width, of_height = precision.T
         information = np.zeros((len(x), 4, 4))
@@ -239,7 +247,7 @@ class GroundPlane:
         noise = covariances[:, HEIGHT, HEIGHT] + slope * (
             slope * covariances[:, FOOT_Y, FOOT_Y] - 2 * covariances[:, FOOT_Y, HEIGHT]
         )
-        heights = _best_height(state, y, height, noise)
+        heights = _scales(state, y, height)
         noise = noise + (self.spread * heights) ** 2
 
         scales = np.zeros(len(state.identities))
@@ -260,7 +268,7 @@ class GroundPlane:
         scene_covariance = state.scene_covariance - gain.T @ solved
         trust, all_heights, unseen = state.trust.copy(), state.heights.copy(), state.unseen.copy()
         surprise = np.log((1 - self.bad_looks) * ratio + self.bad_looks)
-        trust[seen] = np.clip(trust[seen] + whole * worth * surprise, -MOST_TRUST, MOST_TRUST)
+        trust[seen] += whole * worth * surprise
         all_heights[seen] = heights
         unseen[seen] = 0.0
         aspects, aspect_variances = state.aspects.copy(), state.aspect_variances.copy()
@@ -268,8 +276,8 @@ class GroundPlane:
         change = boxes[:, WIDTH] / np.maximum(height, 1.0) - aspects[seen]
         aspects[seen] += rate * change
         aspect_variances[seen] = (1 - rate) * (aspect_variances[seen] + rate * change**2)
-        reliable = 1 - 0.95 * np.where(whole, on_plane * (1 - good), 1.0)
-        feet, feet_covariance = self._walked(state, seen, boxes, covariances, heights, reliable)
+        reliable = np.where(whole, 1 - on_plane * (1 - good), 0.0)
+        feet, feet_covariance = self._walked(state, seen, boxes, covariances, heights, reliable, worth)
         return replace(
             state,
             scene=scene,
@@ -279,7 +287,7 @@ class GroundPlane:
             heights=all_heights,
             aspects=aspects,
             aspect_variances=aspect_variances,
-            trust=trust,
+            trust=np.minimum(np.maximum(trust, -MOST_TRUST), MOST_TRUST),
             unseen=unseen,
         )
 
@@ -291,12 +299,18 @@ class GroundPlane:
         covariances: Numbers,
         heights: Numbers,
         reliable: Numbers,
+        worth: Numbers,
     ) -> tuple[Numbers, Numbers]:
-        """Feet and their covariances after a look that is to be relied on so much (0 to 1)."""
+        """Feet and their covariances after a look that shows them as likely as `reliable`.
+
+        What hides feet does so for a while: of their row such looks are only `worth` a part of a new one.
+        """
         feet, feet_covariance = state.feet[seen], state.feet_covariance[seen]
         off = boxes[:, :WIDTH] - feet[:, :, 0]
-        noise = covariances.diagonal(axis1=1, axis2=2)[:, :WIDTH] + (self.foot_spread**2 * heights**2)[:, None]
-        noise = noise / reliable[:, None]
+        sway = (self.foot_spread * heights[:, None]) ** 2
+        noise = covariances.diagonal(axis1=1, axis2=2)[:, :WIDTH] + sway
+        noise[:, FOOT_X] += (1 - reliable) * (HALF_HIDDEN * boxes[:, WIDTH]) ** 2
+        noise[:, FOOT_Y] += (1 - reliable) / worth * (HALF_HIDDEN * boxes[:, HEIGHT]) ** 2
         variance = feet_covariance[:, :, 0, 0] + noise
         # People do not jump: a box that does has lost its object, or part of it.
         ratio = _good_over_bad(off**2, variance, (heights**2)[:, None]).prod(axis=1)
@@ -323,10 +337,10 @@ class GroundPlane:
         Somebody new starts where the first look puts them with next to no information, so that the look
         counts once.
         """
+        if np.array_equal(identities, state.identities):
+            return state
         stays = (state.unseen <= self.patience) | np.isin(state.identities, identities)
         new = ~np.isin(identities, state.identities)
-        if stays.all() and not new.any():
-            return state
         heights, n_new, n_stay = boxes[new, HEIGHT], int(new.sum()), int(stays.sum())
         heights = np.maximum(heights, 1.0)
         numbers = np.concatenate([state.identities[stays], identities[new]])
@@ -373,15 +387,16 @@ def _design(below: Numbers, scales: Numbers, seen: NDArray[np.intp] | None = Non
     return design
 
 
-def _best_height(state: GroundState, foot_y: Numbers, height: Numbers, noise: Numbers) -> Numbers:
-    """px: between what was measured and what the plane says, by their precisions.
+def _scales(state: GroundState, foot_y: Numbers, height: Numbers) -> Numbers:
+    """px: what the plane says of the height of anybody there; before it is known, the measured one.
 
-    It scales an object's own share and all noise, which have to be scaled before anything is known.
+    An object's own share and all noise are scaled with it. The measured height comes in as little as can be:
+    shares of hidden people's heights would let the plane sink while the shares grow.
     """
-    expected, deviation = state.expected_height(foot_y)
-    share = 1 / (1 + deviation**2 / (noise + (state.variation * height) ** 2))
-    best: Numbers = np.maximum(height + share * (expected - height), 0.25 * np.abs(height) + 1.0)
-    return best
+    mean, variance = state.plane(foot_y)
+    share = 1 / (1 + variance / (HALF_HIDDEN * height) ** 2)
+    scales: Numbers = np.maximum(height + share * (mean - height), 0.25 * height)
+    return np.maximum(scales, 1.0)
 
 
 def _good_over_bad(squares: Numbers, variance: Numbers, more: Numbers) -> Numbers:

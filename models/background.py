@@ -6,6 +6,7 @@ result (log odds of "background", and the mean and variances that would follow) 
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from . import buffers, colour
 from .background_kernels import (
     ODDS_STEPS,
-    log_evidence_sum,
+    log_evidence,
     pool_log_odds,
     recall,
     subtract_colour,
@@ -41,18 +42,36 @@ class LightField:
 
     def rows(self) -> Planes:
         """`(block_rows + 1, width)` float32: interpolated along x at block centres; the last row is doubled."""
-        columns = self.blocks.shape[1]
-        position = np.clip((np.arange(self.size[1]) + 0.5) * columns / self.size[1] - 0.5, 0, columns - 1)
-        left = np.minimum(position.astype(np.intp), columns - 2)
-        share = (position - left).astype(np.float32)
-        across = self.blocks[:, left] * (1 - share) + self.blocks[:, left + 1] * share
-        return np.ascontiguousarray(np.concatenate([across, across[-1:]]))
+        return self._rows
 
     def row_positions(self) -> Planes:
         """`(height,)` float32: where between the rows of `rows()` each pixel row lies."""
-        count = self.blocks.shape[0]
-        position = np.clip((np.arange(self.size[0]) + 0.5) * count / self.size[0] - 0.5, 0, count - 1)
-        return position.astype(np.float32)
+        return _positions(self.size[0], self.blocks.shape[0])
+
+    @cached_property
+    def _rows(self) -> Planes:
+        left, share = _neighbours(self.size[1], self.blocks.shape[1])
+        rows: Planes = np.empty((self.blocks.shape[0] + 1, self.size[1]), np.float32)
+        step = np.diff(self.blocks, axis=1)
+        np.multiply(step[:, left], share, out=rows[:-1])
+        rows[:-1] += self.blocks[:, left]
+        rows[-1] = rows[-2]
+        return rows
+
+
+@lru_cache(maxsize=16)
+def _positions(n_pixels: int, n_blocks: int) -> Planes:
+    """Where between the centres of blocks the centres of pixels lie, `(n_pixels,)` float32."""
+    position = (np.arange(n_pixels) + 0.5) * n_blocks / n_pixels - 0.5
+    return np.clip(position, 0, n_blocks - 1).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _neighbours(n_pixels: int, n_blocks: int) -> tuple[NDArray[np.intp], Planes]:
+    """The block left of every pixel, and the share of the one right of it."""
+    position = _positions(n_pixels, n_blocks)
+    left = np.minimum(position.astype(np.intp), n_blocks - 2)
+    return left, (position - left).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +120,8 @@ class BackgroundPrediction:
     noise_rate
         share by which `noise` follows what is seen, 0 to keep it fixed.
     pooling
-        weight of the 24 neighbours' log odds in a pixel's own: neighbours mostly share their label, but are
-        not independent looks. 0 makes every pixel decide for itself.
+        weight of what the 5 x 5 pixels around a pixel saw in its own log odds: neighbours mostly share their
+        label, but are not independent looks. 0 makes every pixel decide for itself.
     candidate, seen
         `(n_pixels * channels,)` uint8 second colour of every pixel, and `(n_pixels,)` uint8 in how many looks it
         was seen; from `trusted_looks` on, what is within `tolerance` (squared grey levels) of it is background too.
@@ -156,13 +175,16 @@ class BackgroundPrediction:
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
         """Log probability of the image, summed over its pixels as if they were independent (nats).
 
-        `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0.
+        `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0. This is the integral of
+        the prediction as it stands: second colours and neighbours, which only help to decide labels, are left out.
         """
-        reading = self.against(image)
         shift = np.zeros(1, np.float32) if pixel_shift is None else pixel_shift
+        total = log_evidence(
+            np.ascontiguousarray(image).reshape(-1), self.mean, self.variance, self.noise, self.light.rows(),
+            self.light.row_positions(), np.float32(self.drift), np.float32(self.log_prior_odds), shift,
+        )  # fmt: skip
         uniform = np.log1p(-self.prior) - self.channels * np.log(256.0)
-        total = log_evidence_sum(reading.log_odds, shift, np.float32(1 / ODDS_STEPS))
-        return float(total + uniform * reading.log_odds.size)
+        return float(total + uniform * self.size[0] * self.size[1])
 
     def _subtract(self, image: NDArray[np.uint8]) -> tuple[Subtraction, Update]:
         height, width = self.size
@@ -178,17 +200,21 @@ class BackgroundPrediction:
         drift, log_prior = np.float32(self.drift), np.float32(self.log_prior_odds)
         noise_rate, pooling = np.float32(self.noise_rate), np.float32(self.pooling)
 
+        prior = np.int16(round(ODDS_STEPS * float(np.log(self.prior) - np.log1p(-self.prior))))
+        tolerance = np.float32(self.tolerance)
+
         def subtract(first: int, end: int) -> None:
             kernel(
                 first, end, width, pixels, self.mean, self.variance, self.noise, light_rows, row_positions,
                 drift, log_prior, noise_rate, mean, variance, noise, log_odds,
             )  # fmt: skip
+            recall(
+                first * width, end * width, pixels, self.candidate, self.seen, self.trusted_looks, self.channels,
+                tolerance, log_odds,
+            )  # fmt: skip
 
         over_bands(subtract, height)
-        prior = np.int16(round(ODDS_STEPS * float(np.log(self.prior) - np.log1p(-self.prior))))
-        recall(
-            pixels, self.candidate, self.seen, self.trusted_looks, colour.from_pixels(self.channels),
-            np.float32(self.tolerance), log_odds,
-        )  # fmt: skip
-        over_bands(lambda first, end: pool_log_odds(first, end, height, width, log_odds, prior, pooling, pooled), height)
+        over_bands(
+            lambda first, end: pool_log_odds(first, end, height, width, log_odds, prior, pooling, pooled), height
+        )
         return Subtraction(log_odds, pooled), Update(mean, variance, noise)

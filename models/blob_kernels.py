@@ -5,7 +5,7 @@ A patch is a small array; `(top, left)` places it in the picture, over whose edg
 
 import numpy as np
 
-from .background_kernels import ODDS_STEPS
+from .background_kernels import ODDS_STEPS, foreground_spans
 from .compiled import compiled, exponential, logarithm
 from .layer_kernels import colour_distance
 
@@ -16,44 +16,46 @@ HIGHEST_COVER = 0.97
 
 
 _NOT_YET = _f4(-1e30)
+_VECTOR = 16
 
 
 @compiled
-def gather(image, log_odds, top, left, planes, odds, free):  # type: ignore[no-untyped-def]
+def gather(image, log_odds, top, left, planes, odds, free):
     """Cut planes and log odds (nats) of a box out of the picture; `free` is 1 inside the picture, 0 outside.
 
     `image` is `(height, width, channels)`, `log_odds` `(height, width)` int8.
     """
     height, width, channels = image.shape
     rows, columns = free.shape
-    first, end = max(0, -left), min(columns, width - left)
+    first, end = min(max(0, -left), columns), max(min(columns, width - left), 0)
     for row in range(rows):
         y = top + row
-        if y < 0 or y >= height or end <= first:
+        if y < 0 or y >= height or end - first < columns:
             free[row] = _f4(0)
             odds[row] = _f4(0)
             planes[:, row] = _f4(0)
-            continue
-        for x in range(columns):
-            if x < first or x >= end:
-                free[row, x] = _f4(0)
-                odds[row, x] = _f4(0)
-                planes[:, row, x] = _f4(0)
-        for x in range(first, end):
-            free[row, x] = _f4(1)
-            odds[row, x] = _f4(log_odds[y, left + x]) * _f4(1 / ODDS_STEPS)
-            if channels == 3:
-                b, g, r = _f4(image[y, left + x, 0]), _f4(image[y, left + x, 1]), _f4(image[y, left + x, 2])
+            if y < 0 or y >= height or end <= first:
+                continue
+        free[row, first:end] = _f4(1)
+        told, out = log_odds[y, left + first : left + end], odds[row, first:end]
+        for x in range(told.size):
+            out[x] = _f4(told[x]) * _f4(1 / ODDS_STEPS)
+        seen, luma = image[y, left + first : left + end], planes[0, row, first:end]
+        if channels == 3:
+            red, blue = planes[1, row, first:end], planes[2, row, first:end]
+            for x in range(told.size):
+                b, g, r = _f4(seen[x, 0]), _f4(seen[x, 1]), _f4(seen[x, 2])
                 grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-                planes[0, row, x] = grey
-                planes[1, row, x] = _f4(1.426) * (r - grey)
-                planes[2, row, x] = _f4(1.128) * (b - grey)
-            else:
-                planes[0, row, x] = _f4(image[y, left + x, 0])
+                luma[x] = grey
+                red[x] = _f4(1.426) * (r - grey)
+                blue[x] = _f4(1.128) * (b - grey)
+        else:
+            for x in range(told.size):
+                luma[x] = _f4(seen[x, 0])
 
 
 @compiled
-def cover(free, top, left, mask):  # type: ignore[no-untyped-def]
+def cover(free, top, left, mask):
     """Take away from `free` what a mask placed at `(top, left)` in it covers."""
     rows, columns = free.shape
     first, end = max(0, -left), min(mask.shape[1], columns - left)
@@ -63,34 +65,51 @@ def cover(free, top, left, mask):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def agreement(
-    down, right, step, planes, rivals, free, mask, appearance, half_precision, log_ratio, outliers, distance
-):  # type: ignore[no-untyped-def]
-    """Sum of log{[M f + (1 - M) b] / b} over every `step`-th row, the blob shifted to `(down, right)` in the patch.
+def _agreement(down, right, step, planes, rivals, free, mask, appearance, half_precision, log_ratio, outliers):
+    """Sum of log{[M f + (1 - M) b] / b} over every `step`-th row of a blob shifted to `(down, right)` in the patch.
 
     `rivals` is b, what pixels are without the blob, relative to the uniform density; f its colours' density.
+    Rows are as `_padded` makes them.
     """
     total = _f4(0)
-    columns = mask.shape[1]
+    channels, rows, columns = appearance.shape
     inlying = _f4(1) - outliers
-    for row in range(0, mask.shape[0], step):
-        colour_distance(planes, down, right, appearance, row, 0, columns, distance)
+    for row in range(0, rows, step):
         covers = mask[row]
         other = rivals[down + row, right : right + columns]
         open_ = free[down + row, right : right + columns]
+        luma, own_luma = planes[0, down + row, right : right + columns], appearance[0, row]
         part = _f4(0)
-        for x in range(columns):
-            density = inlying * exponential(log_ratio - half_precision * distance[x]) + outliers
-            part += open_[x] * logarithm(_f4(1) + covers[x] * (density * other[x] - _f4(1)))
+        if channels == 3:
+            red, own_red = planes[1, down + row, right : right + columns], appearance[1, row]
+            blue, own_blue = planes[2, down + row, right : right + columns], appearance[2, row]
+            for x in range(columns):
+                d0, d1, d2 = luma[x] - own_luma[x], red[x] - own_red[x], blue[x] - own_blue[x]
+                distance = d0 * d0 + d1 * d1 + d2 * d2
+                density = inlying * exponential(log_ratio - half_precision * distance) + outliers
+                part += open_[x] * logarithm(_f4(1) + covers[x] * (density * other[x] - _f4(1)))
+        else:
+            for x in range(columns):
+                d0 = luma[x] - own_luma[x]
+                density = inlying * exponential(log_ratio - half_precision * d0 * d0) + outliers
+                part += open_[x] * logarithm(_f4(1) + covers[x] * (density * other[x] - _f4(1)))
         total += part
     return total * _f4(step)
+
+
+@compiled
+def _padded(maps, columns):
+    """Maps with zeros to the right of their rows, `columns` in all: loops over whole vectors only."""
+    out = np.zeros((maps.shape[0], maps.shape[1], columns), np.float32)
+    out[:, :, : maps.shape[2]] = maps
+    return out
 
 
 @compiled
 def search(
     reach, offset_y, offset_x, precision, temper, step, planes, rivals, free, mask, appearance, half_precision,
     log_ratio, outliers,
-):  # fmt: skip  # type: ignore[no-untyped-def]
+):  # fmt: skip
     """Where in the patch the blob is: coarse to fine about `(reach, reach)`, prior and pixels together.
 
     The prior is a Gaussian of `precision` (1 / px^2) about `(reach + offset_y, reach + offset_x)`; the sum over
@@ -103,7 +122,11 @@ def search(
     variance_y, variance_x
         px^2, from the curvature of the pixels' part at the best place.
     """
-    distance = np.zeros(mask.shape[1], np.float32)
+    spare = -mask.shape[1] % _VECTOR
+    width, patch_width = mask.shape[1] + spare, free.shape[1] + spare
+    masks, looks = _padded(mask.reshape(1, *mask.shape), width)[0], _padded(appearance, width)
+    seen = _padded(planes, patch_width)
+    others, opens = _padded(rivals.reshape(1, *free.shape), patch_width)[0], _padded(free.reshape(1, *free.shape), patch_width)[0]
     best = _NOT_YET
     best_y = best_x = 0
     size = 2 * reach + 1
@@ -118,9 +141,9 @@ def search(
                     continue
                 prior = -0.5 * precision * ((y - offset_y) ** 2 + (x - offset_x) ** 2)
                 if scores[reach + y, reach + x] == _NOT_YET:
-                    scores[reach + y, reach + x] = temper * agreement(
-                        reach + y, reach + x, step, planes, rivals, free, mask, appearance, half_precision,
-                        log_ratio, outliers, distance,
+                    scores[reach + y, reach + x] = temper * _agreement(
+                        reach + y, reach + x, step, seen, others, opens, masks, looks, half_precision, log_ratio,
+                        outliers,
                     )  # fmt: skip
                 score = scores[reach + y, reach + x] + prior
                 if score > best:
@@ -137,7 +160,7 @@ def search(
 
 
 @compiled
-def _peak(scores, middle):  # type: ignore[no-untyped-def]
+def _peak(scores, middle):
     """Sub-pixel peak of a parabola through three scores and its variance."""
     if middle == 0 or middle == scores.size - 1:
         return 0.0, 25.0
@@ -154,7 +177,7 @@ def _peak(scores, middle):  # type: ignore[no-untyped-def]
 def learn(
     planes, odds, free, others, mask, appearance, half_precision, log_ratio, outliers, strength, mask_rate,
     colour_rate, new_mask, new_appearance,
-):  # fmt: skip  # type: ignore[no-untyped-def]
+):  # fmt: skip
     """Shape and colours of a blob after a frame, learned from what the background's chain says alone.
 
     `others` is what all layers together explain (see `Region.explained`). A pixel that another blob explains
@@ -165,34 +188,39 @@ def learn(
     total, visible, seen
         mass of the mask, of its part that nothing covers, and of that part that is foreground and its own.
     """
-    channels = appearance.shape[0]
     rows, columns = mask.shape
-    distance = np.zeros(columns, np.float32)
+    distance, rates = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    inlying = _f4(1) - outliers
     total = visible = seen = 0.0
     for row in range(rows):
         colour_distance(planes, 0, 0, appearance, row, 0, columns, distance)
+        covers, open_, told, explained, out = mask[row], free[row], odds[row], others[row], new_mask[row]
+        sum_covers = sum_open = sum_seen = _f4(0)
         for x in range(columns):
-            covers, open_ = mask[row, x], free[row, x]
-            total += covers
-            density = (_f4(1) - outliers) * exponential(log_ratio - half_precision * distance[x]) + outliers
-            own = strength * open_ * covers * density
-            share = min((own + _f4(1)) / others[row, x], _f4(1))
-            target = share / (_f4(1) + exponential(odds[row, x]))
-            visible += open_ * covers
-            seen += open_ * covers * target
-            after = covers + mask_rate * open_ * (target - covers)
-            new_mask[row, x] = min(max(after, _f4(0)), _f4(HIGHEST_COVER))
-            rate = colour_rate if open_ * target > _f4(0.5) else _f4(0)
-            for channel in range(channels):
-                old = appearance[channel, row, x]
-                # a pixel that is new to the blob takes the colour that it shows
-                blend = _f4(1) if covers < _f4(0.2) and rate > _f4(0) else rate
-                new_appearance[channel, row, x] = old + blend * (planes[channel, row, x] - old)
+            density = inlying * exponential(log_ratio - half_precision * distance[x]) + outliers
+            clear = open_[x] * covers[x]
+            share = min((strength * clear * density + _f4(1)) / explained[x], _f4(1))
+            target = share / (_f4(1) + exponential(told[x]))
+            sum_covers += covers[x]
+            sum_open += clear
+            sum_seen += clear * target
+            after = covers[x] + mask_rate * open_[x] * (target - covers[x])
+            out[x] = min(max(after, _f4(0)), _f4(HIGHEST_COVER))
+            # a pixel that is new to the blob takes the colour that it shows
+            rate = _f4(1) if (covers[x] < _f4(0.2)) & (colour_rate > _f4(0)) else colour_rate
+            rates[x] = rate if open_[x] * target > _f4(0.5) else _f4(0)
+        total += sum_covers
+        visible += sum_open
+        seen += sum_seen
+        for channel in range(appearance.shape[0]):
+            old, shown, new = appearance[channel, row], planes[channel, row], new_appearance[channel, row]
+            for x in range(columns):
+                new[x] = old[x] + rates[x] * (shown[x] - old[x])
     return total, visible, seen
 
 
 @compiled
-def outline_contrast(planes, picture, free, mask, reach):  # type: ignore[no-untyped-def]
+def outline_contrast(planes, picture, free, mask, reach):
     """Mean contrast across a mask's outline in the image and in the background picture.
 
     Both are compared `reach` px inside and outside the outline.
@@ -224,15 +252,12 @@ def outline_contrast(planes, picture, free, mask, reach):  # type: ignore[no-unt
 
 
 @compiled
-def count_foreground(log_odds, width, scale, counts):  # type: ignore[no-untyped-def]
+def count_foreground(log_odds, width, scale, counts):
     """Number of foreground pixels (negative log odds) in every block of `scale` x `scale` px."""
     counts[:] = 0
-    whole = log_odds.size // 8 * 8
-    words = log_odds[:whole].view(np.uint64)
-    for start in range(0, log_odds.size, 8):
-        if start < whole and words[start // 8] & np.uint64(0x8080808080808080) == np.uint64(0):
-            continue
-        for i in range(start, min(start + 8, log_odds.size)):
+    spans = np.empty(log_odds.size // 64 + 1, np.int64)
+    for k in range(foreground_spans(log_odds, spans)):
+        for i in range(spans[k], min(spans[k] + 64, log_odds.size)):
             if log_odds[i] < 0:
                 y = i // width
                 counts[y // scale, (i - y * width) // scale] += 1

@@ -21,7 +21,7 @@ VOLUME = {1: 1.0, 3: float(abs(np.linalg.det(FROM_BGR)))}
 
 
 @compiled
-def _patch_of_colour(image, top, left, out):  # type: ignore[no-untyped-def]
+def _patch_of_colour(image, top, left, out):
     for y in range(out.shape[1]):
         row = image[top + y, left : left + out.shape[2]]
         luma, red, blue = out[0, y], out[1, y], out[2, y]
@@ -34,7 +34,7 @@ def _patch_of_colour(image, top, left, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _planes_of_colour(pixels, out):  # type: ignore[no-untyped-def]
+def _planes_of_colour(pixels, out):
     for i in range(out.shape[1]):
         b = _f4(pixels[3 * i])
         g = _f4(pixels[3 * i + 1])
@@ -62,7 +62,7 @@ def to_planes(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 def to_image(planes: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
     """Give the uint8 image of `size = (height, width)`, grey or BGR, whose planes these are."""
     if planes.shape[0] == 1:
-        values = planes.reshape(size)
+        values: NDArray[np.floating] = planes.reshape(size)
     else:
         values = (planes.T.astype(np.float64) @ np.linalg.inv(FROM_BGR).T).reshape(*size, 3)
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)

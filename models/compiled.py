@@ -1,14 +1,14 @@
 """One way to compile a loop: numba, without the interpreter's lock, kept on disk between runs."""
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 import numba
 import numpy as np
 from llvmlite import ir
 from numba.extending import intrinsic
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Function = Callable[..., Any]
 
 
 def compiled(function: Function) -> Function:
@@ -27,7 +27,13 @@ def inlined(function: Function) -> Function:
     return jitted
 
 
-@intrinsic
+def _intrinsic(function: Function) -> Function:
+    """Make LLVM code a function of its arguments without the typing context that writes it."""
+    made: Function = intrinsic(function)
+    return made
+
+
+@_intrinsic
 def _bits_as_float(typing_context: Any, bits: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.FloatType())
@@ -35,7 +41,7 @@ def _bits_as_float(typing_context: Any, bits: Any) -> Any:
     return numba.types.float32(numba.types.int32), generate
 
 
-@intrinsic
+@_intrinsic
 def _float_as_bits(typing_context: Any, number: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.IntType(32))
@@ -48,13 +54,13 @@ _f4 = np.float32
 
 @inlined
 def exponential(x: Any) -> Any:
-    """exp(x) for float32 x <= 80, relative error below 1e-4, flushed to 1e-36 below -83: libm's is no vector code."""
+    """exp(x) for float32 x <= 80, relative error below 1e-4 (libm's is no vector code); about 1e-36 below -83."""
     scaled = max(x * _f4(1.44269504), _f4(-120.0))
     whole = np.int32(scaled + _f4(128.0)) - np.int32(128)
     rest = (scaled - _f4(whole)) * _f4(0.69314718)
-    power = _f4(1.0) + rest * (
-        _f4(1.0) + rest * (_f4(0.5) + rest * (_f4(0.16666667) + rest * (_f4(0.041666667) + rest * _f4(0.0083333333))))
-    )
+    power = _f4(0.041666667) + rest * _f4(0.0083333333)
+    power = _f4(0.5) + rest * (_f4(0.16666667) + rest * power)
+    power = _f4(1.0) + rest * (_f4(1.0) + rest * power)
     return power * _bits_as_float((whole + np.int32(127)) << np.int32(23))
 
 

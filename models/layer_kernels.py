@@ -2,16 +2,19 @@
 
 import numpy as np
 
-from .background_kernels import ODDS_STEPS
+from .background_kernels import HIGHEST_NOISE, HIGHEST_VARIANCE, LOWEST_NOISE, LOWEST_VARIANCE, ODDS_STEPS
 from .compiled import compiled, exponential, logarithm
 
 _f4 = np.float32
 
 LEAST_CLEAR = 1e-3
 
+_HALF_STEP = _f4(0.5 / ODDS_STEPS)
+_LEAST = _f4(1e-30)  # of a product of many layers; the logarithm wants normal numbers
+
 
 @compiled
-def colour_distance(patch, top, left, appearance, row, first, end, out):  # type: ignore[no-untyped-def]
+def colour_distance(patch, top, left, appearance, row, first, end, out):
     """Squared distance of one row of a patch from an appearance placed at `(top, left)` in it."""
     for x in range(first, end):
         out[x] = _f4(0)
@@ -27,7 +30,7 @@ def colour_distance(patch, top, left, appearance, row, first, end, out):  # type
 @compiled
 def compose_layer(
     clear, explained, patch, top, left, mask, appearance, half_precision, log_ratio, outliers, strength, ghost
-):  # type: ignore[no-untyped-def]
+):
     """Put one layer behind those already composed.
 
     `(top, left)` is the place of its mask in the region; parts outside the region are left out. Without
@@ -54,53 +57,73 @@ def compose_layer(
 
 
 @compiled
-def shift_of(clear, explained, shift):  # type: ignore[no-untyped-def]
+def shift_of(clear, explained, shift):
     """Log ratio of what layers say for background and for objects."""
     for row in range(clear.shape[0]):
         free, told, out = clear[row], explained[row], shift[row]
         for x in range(clear.shape[1]):
-            out[x] = logarithm(free[x]) - logarithm(told[x])
+            out[x] = logarithm(max(free[x], _LEAST)) - logarithm(max(told[x], _LEAST))
 
 
 @compiled
 def update_behind(
     top, left, shift, width, patch, pooled, mean, variance, noise, light_rows, row_position, drift,
     settled_variance, rate, new_mean, new_variance, new_noise, covered,
-):  # fmt: skip  # type: ignore[no-untyped-def]
+):  # fmt: skip
     """Background of one region again, now with what layers say of it.
 
     Pixels are weighted by their pooled log odds and `shift`. Where others are sure of background that the
     prediction contradicts, the picture is taken as it is. `covered` is set where an object is predicted.
+    A shift below half a step of the stored log odds says nothing: the pixel stays as it is.
     """
-    channels = mean.shape[0]
+    channels = _f4(mean.shape[0])
+    columns = shift.shape[1]
+    glow, distance = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    steps = np.empty(columns, np.float32)
     for row in range(shift.shape[0]):
-        base = (top + row) * width + left
+        told = shift[row]
         above = int(row_position[top + row])
         below_share = row_position[top + row] - _f4(above)
-        upper, lower = light_rows[above], light_rows[above + 1]
-        for x in range(shift.shape[1]):
-            i = base + x
-            glow = upper[left + x] + below_share * (lower[left + x] - upper[left + x])
-            odds = _f4(pooled[i]) * _f4(1 / ODDS_STEPS) + shift[row, x]
-            weight = _f4(1.0) / (_f4(1.0) + exponential(-min(max(odds, _f4(-30.0)), _f4(30.0))))
-            before = variance[i] + drift
-            total = glow * glow * before + noise[i]
-            distance = _f4(0)
-            for channel in range(channels):
-                difference = patch[channel, row, x] - glow * mean[channel, i]
-                distance += difference * difference
-            revealed = shift[row, x] > _f4(3.0) and distance > _f4(9.0) * total
-            gain = _f4(1.0) / glow if revealed else glow * before / total
-            step = (_f4(1.0) if revealed else weight) * gain
-            for channel in range(channels):
-                new_mean[channel, i] = mean[channel, i] + step * (patch[channel, row, x] - glow * mean[channel, i])
-            per_channel = distance / _f4(channels)
-            if revealed:
-                new_variance[i] = settled_variance
-                new_noise[i] = noise[i]
-            else:
-                after = before - step * glow * before + step * (gain - step) * per_channel
-                new_variance[i] = min(max(after, _f4(0.5)), _f4(60.0))
-                noisier = noise[i] + rate * weight * (per_channel - total)
-                new_noise[i] = min(max(noisier, _f4(20.0)), _f4(400.0))
-            covered[i] = 1 if shift[row, x] < _f4(-0.5) else 0
+        upper = light_rows[above, left : left + columns]
+        lower = light_rows[above + 1, left : left + columns]
+        for x in range(columns):
+            glow[x] = upper[x] + below_share * (lower[x] - upper[x])
+            distance[x] = _f4(0)
+        here = slice((top + row) * width + left, (top + row) * width + left + columns)
+        for channel in range(mean.shape[0]):
+            seen, expected = patch[channel, row], mean[channel, here]
+            for x in range(columns):
+                difference = seen[x] - glow[x] * expected[x]
+                distance[x] += difference * difference
+        odds_here, variance_here, noise_here = pooled[here], variance[here], noise[here]
+        variance_after, noise_after, covered_after = new_variance[here], new_noise[here], covered[here]
+        for x in range(columns):
+            # read before any branch: what is read in one branch only keeps a loop from being vectorised
+            old_variance, old_noise, kept_variance, kept_noise = (
+                variance_here[x], noise_here[x], variance_after[x], noise_after[x],
+            )  # fmt: skip
+            odds = _f4(odds_here[x]) * _f4(1 / ODDS_STEPS) + told[x]
+            weight = _f4(1) / (_f4(1) + exponential(-min(max(odds, _f4(-30)), _f4(30))))
+            before = old_variance + drift
+            total = glow[x] * glow[x] * before + old_noise
+            speaks = abs(told[x]) > _HALF_STEP
+            revealed = (told[x] > _f4(3)) & (distance[x] > _f4(9) * total)
+            gain = glow[x] * before / total
+            step = weight * gain
+            steps[x] = _f4(1) / glow[x] if revealed else (step if speaks else _f4(-1))
+            per_channel = distance[x] / channels
+            after = before - step * glow[x] * before + step * (gain - step) * per_channel
+            after = min(max(after, _f4(LOWEST_VARIANCE)), _f4(HIGHEST_VARIANCE))
+            after = settled_variance if revealed else after
+            variance_after[x] = after if speaks else kept_variance
+            noisier = old_noise + rate * weight * (per_channel - total)
+            noisier = min(max(noisier, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
+            noisier = old_noise if revealed else noisier
+            noise_after[x] = noisier if speaks else kept_noise
+            covered_after[x] = np.uint8(1) if told[x] < _f4(-0.5) else np.uint8(0)
+        for channel in range(mean.shape[0]):
+            seen, expected, after_here = patch[channel, row], mean[channel, here], new_mean[channel, here]
+            for x in range(columns):
+                kept = after_here[x]
+                moved = expected[x] + steps[x] * (seen[x] - glow[x] * expected[x])
+                after_here[x] = moved if steps[x] >= _f4(0) else kept

@@ -8,7 +8,7 @@ nothing to say, its message has no factor, and nothing is computed.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from .frame import Frame
 from .layer_kernels import compose_layer, shift_of
 
 Map = NDArray[np.float32]
+Box = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,7 @@ class Layer:
     ghost: bool = False
 
     @property
-    def box(self) -> tuple[int, int, int, int]:
+    def box(self) -> Box:
         """Top, left, bottom, right (exclusive) px."""
         height, width = self.mask.shape
         return self.top, self.left, self.top + height, self.left + width
@@ -92,7 +93,7 @@ class Region:
     shift: Map
 
     @property
-    def box(self) -> tuple[int, int, int, int]:
+    def box(self) -> Box:
         """Top, left, height, width px."""
         return self.top, self.left, self.clear.shape[0], self.clear.shape[1]
 
@@ -104,42 +105,61 @@ class Region:
 
 
 class LayerStack:
-    """Layers front to back, and what they say together of an image; the same image is read only once."""
+    """Layers of one chain, front to back, and what they say together of an image.
 
-    def __init__(self, layers: Sequence[Layer]) -> None:
-        self.layers = tuple(layers)
-        self._regions: dict[int, tuple[NDArray[np.uint8] | None, tuple[Region, ...]]] = {}
+    A product of stacks holds the layers of several chains: each chain's are composed for themselves, and what
+    they say is multiplied, in whatever order. The same image is read only once.
+
+    Parameters
+    ----------
+    layers
+        of each chain, front to back.
+    """
+
+    def __init__(self, *layers: Sequence[Layer]) -> None:
+        self.factors = tuple(tuple(factor) for factor in layers if factor)
+        self._regions: dict[tuple[int, tuple[int, int]], tuple[Any, tuple[Region, ...]]] = {}
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """All layers, those of each chain front to back."""
+        return tuple(layer for factor in self.factors for layer in factor)
 
     def __len__(self) -> int:
-        return len(self.layers)
+        return sum(map(len, self.factors))
 
-    def __add__(self, behind: "LayerStack") -> "LayerStack":
-        if not self.layers or not behind.layers:
-            return self if self.layers else behind
-        return LayerStack(self.layers + behind.layers)
+    def __mul__(self, other: "LayerStack") -> "LayerStack":
+        if not self.factors or not other.factors:
+            return self if self.factors else other
+        return LayerStack(*self.factors, *other.factors)
 
     def regions(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> tuple[Region, ...]:
-        """The layers, composed, where they speak; `size` is the picture's `(height, width)` px."""
-        known = self._regions.get(id(image))
-        if known is None:
-            known = (image, tuple(self._compose(image, size)))
-            self._regions[id(image)] = known
-        return known[1]
+        """The layers, composed, in boxes apart from each other; `size` is the picture's `(height, width)` px."""
+        key = (id(image), size)
+        if key not in self._regions:
+            self._regions[key] = (image, tuple(self._compose(image, size)))
+        return self._regions[key][1]
 
     def _compose(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> Iterator[Region]:
-        for group in _overlapping([layer for layer in self.layers if _inside(layer, size)]):
-            boxes = np.array([layer.box for layer in group])
-            top, left = np.maximum(boxes[:, :2].min(axis=0), 0)
-            bottom, right = np.minimum(boxes[:, 2:].max(axis=0), size)
-            region = empty_region(int(top), int(left), int(bottom - top), int(right - left))
+        placed = [(layer, k) for k, factor in enumerate(self.factors) for layer in factor if _inside(layer, size)]
+        for box, members in _apart([layer.box for layer, _ in placed]):
+            top, left = max(box[0], 0), max(box[1], 0)
+            region = empty_region(top, left, min(box[2], size[0]) - top, min(box[3], size[1]) - left)
             patch = None if image is None else colour.patch(image, *region.box)
-            for layer in group:
-                add_layer(region, layer, patch)
+            group = [placed[k] for k in members]
+            for factor in dict.fromkeys(factor for _, factor in group):
+                part = region if factor == group[0][1] else empty_region(*region.box)
+                for layer, its_factor in group:
+                    if its_factor == factor:
+                        add_layer(part, layer, patch)
+                if part is not region:
+                    np.multiply(region.clear, part.clear, out=region.clear)
+                    np.multiply(region.explained, part.explained, out=region.explained)
             shift_of(region.clear, region.explained, region.shift)
             yield region
 
 
-NO_LAYERS = LayerStack(())
+NO_LAYERS = LayerStack()
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,16 +167,16 @@ class PixelMessage:
     """A product of factors over all pixels: a background prediction, layers of objects, an image.
 
     For every pixel it is a function of b in {0, 1} and the latent colour L. The background speaks of b = 1
-    (P(B=1) N(L; its mean, its variance)) and leaves b = 0 the rest (P(B=0) U, any colour); layers are composed front
-    to back in their order: w1 = prod(1 - M_j), w0 = 1 + sum_j strength M_j f_j(L) prod_{i<j} (1 - M_i); the
-    image ties L to what was seen.
+    (P(B=1) N(L; its mean, its variance)) and leaves b = 0 the rest (P(B=0) U, any colour); a chain's layers are
+    composed front to back: w1 = prod(1 - M_j), w0 = 1 + sum_j strength M_j f_j(L) prod_{i<j} (1 - M_i), where a
+    ghost adds nothing and takes its share from w0; the image ties L to what was seen.
 
     Parameters
     ----------
     background
         at most one.
     layers
-        front to back.
+        of objects.
     image
         uint8 `(height, width[, 3])`, or `None`.
     """
@@ -173,7 +193,7 @@ class PixelMessage:
         return replace(
             self,
             background=self.background or other.background,
-            layers=self.layers + other.layers,
+            layers=self.layers * other.layers,
             image=self.image if other.image is None else other.image,
         )
 
@@ -208,8 +228,7 @@ class PixelMessage:
         """`(height, width)` uint8: 255 where P(B=0) is over one half, else 0."""
         out = self._log_odds()
         mask: NDArray[np.uint8] = buffers.empty(out.shape, np.uint8)
-        np.less(out, 0, out=mask.view(np.bool_))
-        mask *= 255
+        np.right_shift(out, 7, out=mask.view(np.int8))  # all bits are the sign's
         for region in self.regions:
             window = region.window
             odds = out[window] * np.float32(1 / ODDS_STEPS) + region.shift
@@ -226,20 +245,17 @@ class PixelMessage:
 
     @property
     def log_mass(self) -> float:
-        """Log of the integral over labels and colours, summed over pixels (nats)."""
-        if self.background is None:
+        """Log of the integral over labels and colours, summed over pixels (nats); 0 where it has no scale."""
+        if self.background is None or self.image is None:
             return 0.0
-        if self.image is None:
-            return 0.0
-        shift = None
-        scale = 0.0
-        if self.layers:
-            shift = np.zeros(self.size, np.float32)
-            for region in self.regions:
-                shift[region.window] = region.shift
-                scale += float(np.log(region.explained, dtype=np.float64).sum())
-            shift = shift.reshape(-1)
-        return self.background.log_likelihood(self.image, shift) + scale
+        if not self.layers:
+            return self.background.log_likelihood(self.image)
+        shift = np.zeros(self.size, np.float32)
+        explained = 0.0
+        for region in self.regions:
+            shift[region.window] = region.shift
+            explained += float(np.log(region.explained, dtype=np.float64).sum())
+        return self.background.log_likelihood(self.image, shift.reshape(-1)) + explained
 
     def _log_odds(self) -> NDArray[np.int8]:
         """`(height, width)` int8 log odds of background without the layers."""
@@ -297,17 +313,27 @@ def _inside(layer: Layer, size: tuple[int, int]) -> bool:
     return top < size[0] and left < size[1] and bottom > 0 and right > 0
 
 
-def _overlapping(layers: Sequence[Layer]) -> list[list[Layer]]:
-    """Groups of layers that are connected by overlapping boxes, each in the given order."""
-    group_of = list(range(len(layers)))
-    for i, one in enumerate(layers):
-        for j in range(i):
-            other = layers[j]
-            a, b = one.box, other.box
-            if a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3] and group_of[i] != group_of[j]:
-                old, new = group_of[i], group_of[j]
-                group_of = [new if group == old else group for group in group_of]
-    groups: dict[int, list[Layer]] = {}
-    for layer, group in zip(layers, group_of, strict=True):
-        groups.setdefault(group, []).append(layer)
-    return list(groups.values())
+def _apart(boxes: Sequence[Box]) -> list[tuple[Box, list[int]]]:
+    """Boxes that overlap, or whose common frame overlaps others, in one frame; frames do not overlap.
+
+    Gives every frame (top, left, bottom, right) with the numbers of the boxes in it, in order.
+    """
+    groups: list[tuple[Box, list[int]]] = []
+    for k, frame in enumerate(boxes):
+        members = [k]
+        while True:
+            touched = next((group for group in groups if _overlap(group[0], frame)), None)
+            if touched is None:
+                break
+            groups.remove(touched)
+            other, its_members = touched
+            frame = (
+                min(frame[0], other[0]), min(frame[1], other[1]), max(frame[2], other[2]), max(frame[3], other[3]),
+            )  # fmt: skip
+            members += its_members
+        groups.append((frame, sorted(members)))
+    return groups
+
+
+def _overlap(a: Box, b: Box) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]

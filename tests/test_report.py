@@ -1,5 +1,6 @@
 """Reports: bounded memory whatever the stream's length, self-contained pages, nothing half-written."""
 
+import json
 import os
 import re
 from html.parser import HTMLParser
@@ -28,6 +29,24 @@ def recorded(n_frames: int, missing: frozenset[int] = frozenset()) -> RunRecord:
         tracks = [TruthBox(3, "pedestrian", (number % 7, 1.0, 2.0, 4.0))]
         record.add(frame, tracks, MASK, lambda: PICTURE, lambda: PICTURE, -160.0, 0.01)
     return record
+
+
+def test_a_record_is_saved_as_json_and_goes_on_as_if_it_had_not_been() -> None:
+    whole, record = recorded(40, frozenset({3, 25})), RunRecord()
+    for number in range(1, 41):
+        frame = Frame(None if number in (3, 25) else PICTURE, number / 25, number)
+        tracks = [TruthBox(3, "pedestrian", (number % 7, 1.0, 2.0, 4.0))]
+        record.add(frame, tracks, MASK, lambda: PICTURE, lambda: PICTURE, -160.0, 0.01)
+        if number in (1, 24):
+            record = RunRecord.restored(json.loads(json.dumps(record.saved())))
+    for name in report.SERIES:
+        assert getattr(record, name).tobytes() == getattr(whole, name).tobytes()
+    assert vars(record.tracks[3]) == vars(whole.tracks[3])
+    assert record.missing == whole.missing
+    assert [each.number for each in record.snapshots] == [each.number for each in whole.snapshots]
+    for one, other in zip(record.snapshots, whole.snapshots, strict=True):
+        np.testing.assert_array_equal(one.foreground, other.foreground)
+        assert one.picture.shape == other.picture.shape
 
 
 class Page(HTMLParser):

@@ -1,0 +1,68 @@
+"""The main job on a generated scene: write it to disk, run on it as on any other source, compare."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from .background import Job, run_background
+from .claims import in_columns
+from .compare import run_compare
+from .progress import Progress
+from .results import write_image
+from .scenes import Scene, sleeping_man
+
+N_FRAMES = 400
+
+
+def run_demo(out: Path) -> int | None:
+    """Track the person who stands still, and compare with and without feedback.
+
+    Parameters
+    ----------
+    out
+        folder; holds the scene (in CDnet's layout) and the results afterwards.
+
+    Returns
+    -------
+    int | None
+        number of the signal that ended it early.
+
+    Raises
+    ------
+    OSError
+        if the folder cannot be written to.
+    """
+    scene = out / "scene"
+    write_scene(sleeping_man(N_FRAMES), scene)
+    job = Job(str(scene / "input"), out, overwrite=True, ground_truth=scene)
+    outcome = run_background(job)
+    if outcome.signal is None:
+        outcome, lines = run_compare(job)
+        names = ("method", "F", "precision", "recall", "missed objects", "ghosts", "ms a frame")
+        print(in_columns(names, [[line.get(name, "") for name in names] for line in lines]))
+    print(f"\nreport:     {out / 'report.html'}")
+    print(f"comparison: {out / 'compare.html'}")
+    print(f"video:      {out / 'overlay.mp4'}")
+    return outcome.signal
+
+
+def write_scene(scene: Scene, folder: Path) -> None:
+    """Write a scene in CDnet's layout, `input/` and `groundtruth/`; an earlier one there is replaced.
+
+    Raises
+    ------
+    OSError
+        if the folder cannot be written to.
+    """
+    for name in ("input", "groundtruth"):
+        if (folder / name).exists():
+            shutil.rmtree(folder / name)
+        (folder / name).mkdir(parents=True)
+    with Progress("scene", len(scene)) as progress:
+        for frame, mask in zip(scene, scene.masks, strict=True):
+            assert frame.image is not None
+            write_image(folder / "input" / f"in{frame.number:06d}.png", frame.image)
+            labels = np.where(mask, np.uint8(255), np.uint8(0))
+            write_image(folder / "groundtruth" / f"gt{frame.number:06d}.png", labels)
+            progress.update()
