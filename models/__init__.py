@@ -2,6 +2,7 @@
 
 from .categorical import Categorical
 from .frame import Frame
+from .object_boxes import ObjectBoxes
 from .pixel_labels import PixelLabels
 
-__all__ = ["Categorical", "Frame", "PixelLabels"]
+__all__ = ["Categorical", "Frame", "ObjectBoxes", "PixelLabels"]
