@@ -18,7 +18,7 @@ from ..inference.protocols import Incoming
 from ..models.blob_kernels import count_foreground, cover, gather, learn, outline_contrast, search
 from ..models.frame import Frame
 from ..models.memo import LastCall
-from ..models.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage
+from ..models.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage, log_density_ratio
 
 Map = NDArray[np.float32]
 Pair = NDArray[np.float64]
@@ -71,6 +71,8 @@ class Blob:
         `(height, width)` float32 probability of covering a pixel.
     appearance
         `(channels, height, width)` float32 planes.
+    spread
+        squared grey levels: variance of its colours about `appearance`.
     hits
         frames in which it was seen.
     unseen, still
@@ -89,6 +91,7 @@ class Blob:
     covariance: Pair
     mask: Map
     appearance: Map
+    spread: float
     hits: int
     unseen: float
     still: float
@@ -179,7 +182,7 @@ class BlobTracker:
     mask_time, colour_time
         s in which a mask and its colours follow what is seen.
     spread
-        squared grey levels: variance of a pixel's colour about the remembered one.
+        squared grey levels: variance of a new blob's colours about the remembered ones, and the most it can be.
     outliers
         share of an object's pixels that look otherwise.
     strength
@@ -196,7 +199,7 @@ class BlobTracker:
         frames in which an object must have been seen before it is reported.
     ghost_evidence
         nats: log ratio of the contrast across a blob's outline in the background's picture and in the image,
-        summed over frames where it exceeds 0.4, from which on the blob is taken for a ghost.
+        summed over frames where it exceeds 0.25, from which on the blob is taken for a ghost.
     parting_time
         s for which a blob's mask must have had a waist before it becomes two.
     """
@@ -213,7 +216,7 @@ class BlobTracker:
     patience: float = 0.6
     hidden_patience: float = 3.0
     confirmed_hits: int = 5
-    ghost_evidence: float = 4.0
+    ghost_evidence: float = 2.5
     parting_time: float = 0.4
     name: str = "blobs"
     _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
@@ -282,7 +285,7 @@ class BlobTracker:
         if blob.ghost_evidence >= self.ghost_evidence:
             shape = cv2.dilate((blob.mask > 0.25).astype(np.float32), np.ones((5, 5), np.uint8))
             return Layer(top, left, np.asarray(shape, np.float32), None, ghost=True)
-        return Layer(top, left, blob.mask, blob.appearance, self.spread, self.outliers, self.strength)
+        return Layer(top, left, blob.mask, blob.appearance, blob.spread, self.outliers, self.strength)
 
     def _placed(self, blob: Blob, in_front: Sequence[Blob], told: PixelMessage) -> Blob:
         """Register a blob with the pixels that nothing in front of it covers, and update place and velocity."""
@@ -309,13 +312,8 @@ class BlobTracker:
         )
 
     def _colour_model(self, blob: Blob) -> tuple[np.float32, np.float32, np.float32]:
-        ratio = self._layer_log_ratio(blob.appearance.shape[0])
-        return np.float32(0.5 / self.spread), np.float32(ratio), np.float32(self.outliers)
-
-    def _layer_log_ratio(self, channels: int) -> float:
-        shape = (channels, 1, 1)
-        empty = np.zeros(shape, np.float32)
-        return Layer(0, 0, empty[0], empty, self.spread).log_density_ratio
+        ratio = log_density_ratio(blob.appearance.shape[0], blob.spread)
+        return np.float32(0.5 / blob.spread), np.float32(ratio), np.float32(self.outliers)
 
     def _learned(self, blob: Blob, in_front: Sequence[Blob], scene: "_Scene") -> Blob:
         """Mask and colours after the frame, and how much of the blob was seen."""
@@ -325,7 +323,7 @@ class BlobTracker:
         window = _Window(scene.told, *blob.corner, blob.mask.shape)
         window.hide(in_front)
         mask, appearance = np.empty_like(blob.mask), np.empty_like(blob.appearance)
-        total, visible, seen = learn(
+        total, visible, seen, variance = learn(
             window.planes, window.odds, window.free, scene.explained(*blob.corner, blob.mask.shape), blob.mask,
             blob.appearance, *self._colour_model(blob), np.float32(self.strength),
             np.float32(1 - np.exp(-scene.elapsed / self.mask_time)),
@@ -339,12 +337,17 @@ class BlobTracker:
             blob,
             mask=mask,
             appearance=appearance,
+            spread=self._spread_after(blob, variance, scene) if was_seen else blob.spread,
             hits=blob.hits + was_seen,
             unseen=0.0 if was_seen else blob.unseen + scene.elapsed,
             still=still,
             confidence=float(confidence) if was_seen else 0.0,
         )
         return replace(blob, ghost_evidence=self._ghostly(blob, window, scene) if was_seen else blob.ghost_evidence)
+
+    def _spread_after(self, blob: Blob, variance: float, scene: "_Scene") -> float:
+        follow = 1 - np.exp(-scene.elapsed / self.colour_time)
+        return float(np.clip(blob.spread + follow * (2 * variance - blob.spread), 0.2 * self.spread, self.spread))
 
     def _ghostly(self, blob: Blob, window: "_Window", scene: "_Scene") -> float:
         """Whether the outline is an edge of the remembered background instead of one of the image."""
@@ -353,11 +356,12 @@ class BlobTracker:
         if length < 8:
             return blob.ghost_evidence
         evidence = float(np.log((in_picture + 3) / (in_image + 3)))
-        return max(blob.ghost_evidence + evidence - 0.4, 0.0)
+        return max(blob.ghost_evidence + evidence - 0.25, 0.0)
 
     def _lives(self, blob: Blob, scene: "_Scene") -> bool:
         mass = float(blob.mask.sum())
-        if mass < max(self.smallest * scene.size[0] * scene.size[1], THINNEST * blob.length**2):
+        thin = mass < THINNEST * blob.length**2 * (1.0 if blob.hits < FRESH else 0.5)
+        if thin or mass < self.smallest * scene.size[0] * scene.size[1]:
             return False
         window = scene.inside(blob)
         if float(blob.mask[window].sum()) < 0.1 * mass:
@@ -416,6 +420,7 @@ class BlobTracker:
                 covariance=np.diag([1.0, (self.first_speed * length) ** 2]),
                 mask=mask,
                 appearance=window.planes,
+                spread=self.spread,
                 hits=1,
                 unseen=0.0,
                 still=0.0,

@@ -15,6 +15,9 @@ HIGHEST_COVER = 0.97
 """Masks stay below certainty, so that evidence can always win them back."""
 
 
+CAUTION = 0.2
+"""Share of the usual rate at which a mask gives up pixels that show the blob's colours."""
+
 _NOT_YET = _f4(-1e30)
 
 
@@ -155,20 +158,24 @@ def learn(
     planes, odds, free, others, mask, appearance, half_precision, log_ratio, outliers, strength, mask_rate,
     colour_rate, new_mask, new_appearance,
 ):  # fmt: skip  # type: ignore[no-untyped-def]
-    """Shape and colours of a blob after a frame, learned from what the background's chain says alone.
+    """Shape and colours of a blob after a frame.
 
-    `others` is what all layers together explain (see `Region.explained`). A pixel that another blob explains
-    better is not learned, nor is one that something in front covers.
+    The mask follows what the background's chain says alone (`odds`), slowly where the blob's own colours fit
+    too. `others` is what all layers together explain (see `Region.explained`): a
+    pixel that another blob explains better is not learned, nor is one that something in front covers.
 
     Returns
     -------
     total, visible, seen
         mass of the mask, of its part that nothing covers, and of that part that is foreground and its own.
+    variance
+        mean squared difference of its pixels from the remembered colours, per channel.
     """
     channels = appearance.shape[0]
     rows, columns = mask.shape
     distance = np.zeros(columns, np.float32)
     total = visible = seen = 0.0
+    squares = weights = 1e-6
     for row in range(rows):
         colour_distance(planes, 0, 0, appearance, row, 0, columns, distance)
         for x in range(columns):
@@ -177,18 +184,25 @@ def learn(
             density = (_f4(1) - outliers) * exponential(log_ratio - half_precision * distance[x]) + outliers
             own = strength * open_ * covers * density
             share = min((own + _f4(1)) / others[row, x], _f4(1))
-            target = share / (_f4(1) + exponential(odds[row, x]))
+            against = exponential(odds[row, x])
+            target = share / (_f4(1) + against)
+            # a likely pixel that fits the blob's colours as well as the background's tells little
+            doubt = covers > _f4(0.6) and density > _f4(1) and target < covers
+            pace = mask_rate * (_f4(CAUTION) if doubt else _f4(1))
             visible += open_ * covers
             seen += open_ * covers * target
-            after = covers + mask_rate * open_ * (target - covers)
+            after = covers + pace * open_ * (target - covers)
             new_mask[row, x] = min(max(after, _f4(0)), _f4(HIGHEST_COVER))
             rate = colour_rate if open_ * target > _f4(0.5) else _f4(0)
+            if rate > _f4(0) and covers > _f4(0.5):
+                squares += distance[x]
+                weights += channels
             for channel in range(channels):
                 old = appearance[channel, row, x]
                 # a pixel that is new to the blob takes the colour that it shows
                 blend = _f4(1) if covers < _f4(0.2) and rate > _f4(0) else rate
                 new_appearance[channel, row, x] = old + blend * (planes[channel, row, x] - old)
-    return total, visible, seen
+    return total, visible, seen, squares / weights
 
 
 @compiled
