@@ -18,7 +18,7 @@ from ..inference.protocols import Incoming
 from ..models.blob_kernels import count_foreground, cover, gather, learn, outline_contrast, search
 from ..models.frame import Frame
 from ..models.memo import LastCall
-from ..models.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage
+from ..models.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage, log_density_ratio
 
 Map = NDArray[np.float32]
 Pair = NDArray[np.float64]
@@ -28,6 +28,9 @@ MARGIN = 6
 
 THINNEST = 0.08
 """Area over squared length below which a spot is a line (a rope, a wire, an edge that shakes) and no object."""
+
+FRESH = 10
+"""Frames seen, below which a blob may still be a part of another."""
 
 
 @dataclass(frozen=True)
@@ -68,14 +71,16 @@ class Blob:
         `(height, width)` float32 probability of covering a pixel.
     appearance
         `(channels, height, width)` float32 planes.
+    spread
+        squared grey levels: variance of its colours about `appearance`.
     hits
         frames in which it was seen.
     unseen, still
         s since it was last seen, and for which it has not moved.
     confidence
         share of its visible part that was seen in the last frame.
-    ghost_votes
-        looks in which its outline was found in the background's picture rather than in the image.
+    ghost_evidence
+        nats, how much more of its outline was found in the background's picture than in the image.
     parting
         s for which its mask has had a waist between two upright parts.
     """
@@ -86,11 +91,12 @@ class Blob:
     covariance: Pair
     mask: Map
     appearance: Map
+    spread: float
     hits: int
     unseen: float
     still: float
     confidence: float
-    ghost_votes: int
+    ghost_evidence: float
     parting: float
 
     @property
@@ -176,7 +182,7 @@ class BlobTracker:
     mask_time, colour_time
         s in which a mask and its colours follow what is seen.
     spread
-        squared grey levels: variance of a pixel's colour about the remembered one.
+        squared grey levels: variance of a new blob's colours about the remembered ones, and the most it can be.
     outliers
         share of an object's pixels that look otherwise.
     strength
@@ -191,9 +197,9 @@ class BlobTracker:
         s for which a blob that should be visible, or is hidden by another, may stay unseen.
     confirmed_hits
         frames in which an object must have been seen before it is reported.
-    ghost_votes
-        looks at a still blob's outline that must find it in the background's picture and not in the image
-        before the blob is taken for a ghost.
+    ghost_evidence
+        nats: log ratio of the contrast across a blob's outline in the background's picture and in the image,
+        summed over frames where it exceeds 0.25, from which on the blob is taken for a ghost.
     parting_time
         s for which a blob's mask must have had a waist before it becomes two.
     """
@@ -210,7 +216,7 @@ class BlobTracker:
     patience: float = 0.6
     hidden_patience: float = 3.0
     confirmed_hits: int = 5
-    ghost_votes: int = 10
+    ghost_evidence: float = 2.5
     parting_time: float = 0.4
     name: str = "blobs"
     _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
@@ -219,7 +225,7 @@ class BlobTracker:
 
     def __post_init__(self) -> None:
         for name in ("smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration",
-                     "first_speed", "patience", "hidden_patience", "confirmed_hits", "ghost_votes", "parting_time"):  # fmt: skip
+                     "first_speed", "patience", "hidden_patience", "confirmed_hits", "ghost_evidence", "parting_time"):  # fmt: skip
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
         if not 0 < self.outliers < 1:
@@ -276,10 +282,10 @@ class BlobTracker:
 
     def _layer(self, blob: Blob) -> Layer:
         top, left = blob.corner
-        if blob.ghost_votes >= self.ghost_votes:
+        if blob.ghost_evidence >= self.ghost_evidence:
             shape = cv2.dilate((blob.mask > 0.25).astype(np.float32), np.ones((5, 5), np.uint8))
             return Layer(top, left, np.asarray(shape, np.float32), None, ghost=True)
-        return Layer(top, left, blob.mask, blob.appearance, self.spread, self.outliers, self.strength)
+        return Layer(top, left, blob.mask, blob.appearance, blob.spread, self.outliers, self.strength)
 
     def _placed(self, blob: Blob, in_front: Sequence[Blob], told: PixelMessage) -> Blob:
         """Register a blob with the pixels that nothing in front of it covers, and update place and velocity."""
@@ -306,23 +312,18 @@ class BlobTracker:
         )
 
     def _colour_model(self, blob: Blob) -> tuple[np.float32, np.float32, np.float32]:
-        ratio = self._layer_log_ratio(blob.appearance.shape[0])
-        return np.float32(0.5 / self.spread), np.float32(ratio), np.float32(self.outliers)
-
-    def _layer_log_ratio(self, channels: int) -> float:
-        shape = (channels, 1, 1)
-        empty = np.zeros(shape, np.float32)
-        return Layer(0, 0, empty[0], empty, self.spread).log_density_ratio
+        ratio = log_density_ratio(blob.appearance.shape[0], blob.spread)
+        return np.float32(0.5 / blob.spread), np.float32(ratio), np.float32(self.outliers)
 
     def _learned(self, blob: Blob, in_front: Sequence[Blob], scene: "_Scene") -> Blob:
         """Mask and colours after the frame, and how much of the blob was seen."""
-        if blob.ghost_votes >= self.ghost_votes:
+        if blob.ghost_evidence >= self.ghost_evidence:
             return replace(blob, unseen=np.inf)
         blob = _fitted(blob, scene.size)
         window = _Window(scene.told, *blob.corner, blob.mask.shape)
         window.hide(in_front)
         mask, appearance = np.empty_like(blob.mask), np.empty_like(blob.appearance)
-        total, visible, seen = learn(
+        total, visible, seen, variance = learn(
             window.planes, window.odds, window.free, scene.explained(*blob.corner, blob.mask.shape), blob.mask,
             blob.appearance, *self._colour_model(blob), np.float32(self.strength),
             np.float32(1 - np.exp(-scene.elapsed / self.mask_time)),
@@ -336,26 +337,31 @@ class BlobTracker:
             blob,
             mask=mask,
             appearance=appearance,
+            spread=self._spread_after(blob, variance, scene) if was_seen else blob.spread,
             hits=blob.hits + was_seen,
             unseen=0.0 if was_seen else blob.unseen + scene.elapsed,
             still=still,
             confidence=float(confidence) if was_seen else 0.0,
         )
-        return replace(blob, ghost_votes=self._votes(blob, window, scene) if still > 0.3 else 0)
+        return replace(blob, ghost_evidence=self._ghostly(blob, window, scene) if was_seen else blob.ghost_evidence)
 
-    def _votes(self, blob: Blob, window: "_Window", scene: "_Scene") -> int:
+    def _spread_after(self, blob: Blob, variance: float, scene: "_Scene") -> float:
+        follow = 1 - np.exp(-scene.elapsed / self.colour_time)
+        return float(np.clip(blob.spread + follow * (2 * variance - blob.spread), 0.2 * self.spread, self.spread))
+
+    def _ghostly(self, blob: Blob, window: "_Window", scene: "_Scene") -> float:
         """Whether the outline is an edge of the remembered background instead of one of the image."""
         picture = scene.picture(*blob.corner, blob.mask.shape)
         in_image, in_picture, length = outline_contrast(window.planes, picture, window.free, blob.mask, 2)
         if length < 8:
-            return blob.ghost_votes
-        if in_picture > 1.5 * in_image + 3:
-            return blob.ghost_votes + 1
-        return max(blob.ghost_votes - 2, 0)
+            return blob.ghost_evidence
+        evidence = float(np.log((in_picture + 3) / (in_image + 3)))
+        return max(blob.ghost_evidence + evidence - 0.25, 0.0)
 
     def _lives(self, blob: Blob, scene: "_Scene") -> bool:
         mass = float(blob.mask.sum())
-        if mass < max(self.smallest * scene.size[0] * scene.size[1], THINNEST * blob.length**2):
+        thin = mass < THINNEST * blob.length**2 * (1.0 if blob.hits < FRESH else 0.5)
+        if thin or mass < self.smallest * scene.size[0] * scene.size[1]:
             return False
         window = scene.inside(blob)
         if float(blob.mask[window].sum()) < 0.1 * mass:
@@ -379,8 +385,8 @@ class BlobTracker:
         halves[0, :, :column], halves[1, :, column:] = blob.mask[:, :column], blob.mask[:, column:]
         first, second = halves if left >= right else halves[::-1]
         return [
-            replace(blob, mask=first, parting=0.0, still=0.0, ghost_votes=0),
-            replace(blob, identity=next(numbers), mask=second, parting=0.0, still=0.0, ghost_votes=0),
+            replace(blob, mask=first, parting=0.0, still=0.0, ghost_evidence=0.0),
+            replace(blob, identity=next(numbers), mask=second, parting=0.0, still=0.0, ghost_evidence=0.0),
         ]
 
     def _merged(self, blobs: list[Blob]) -> list[Blob]:
@@ -414,11 +420,12 @@ class BlobTracker:
                 covariance=np.diag([1.0, (self.first_speed * length) ** 2]),
                 mask=mask,
                 appearance=window.planes,
+                spread=self.spread,
                 hits=1,
                 unseen=0.0,
                 still=0.0,
                 confidence=1.0,
-                ghost_votes=0,
+                ghost_evidence=0.0,
                 parting=0.0,
             )
 
@@ -571,15 +578,25 @@ def _fitted(blob: Blob, size: tuple[int, int]) -> Blob:
 
 
 def _pieces(one: Blob, other: Blob) -> bool:
-    """Whether the second, which is new, is a part of the first that came loose: above or below it, moving alike."""
+    """Whether two blobs, the second no older, are parts of one object.
+
+    What touches a blob right after it was born belongs to it if it is above, below or small, and the two
+    together are not much larger than either; so do blobs that have stood on each other for a while.
+    """
     x, y, width, height = one.box
     other_x, other_y, other_width, other_height = other.box
-    gap = max(y, other_y) - min(y + height, other_y + other_height)
-    overlap = min(x + width, other_x + other_width) - max(x, other_x)
-    together = max(y + height, other_y + other_height) - min(y, other_y)
-    alike = np.hypot(*(one.velocity - other.velocity)) < 0.5 * one.length
-    fresh = other.hits < 10 and together < 1.6 * max(height, other_height)
-    return bool(fresh and gap < 0.1 * height and overlap > 0.7 * min(width, other_width) and alike)
+    gap_y = max(y, other_y) - min(y + height, other_y + other_height)
+    gap_x = max(x, other_x) - min(x + width, other_x + other_width)
+    if max(gap_x, gap_y) > 3:
+        return False
+    stacked = -gap_x > 0.7 * min(width, other_width)
+    if other.hits >= FRESH:
+        return stacked and min(one.still, other.still) > 1.5
+    tall = max(y + height, other_y + other_height) - min(y, other_y)
+    wide = max(x + width, other_x + other_width) - min(x, other_x)
+    modest = tall < 1.6 * max(height, other_height) and wide < 1.6 * max(width, other_width)
+    small = min(width * height, other_width * other_height) < 0.35 * max(width * height, other_width * other_height)
+    return (stacked or small) and (one.hits < FRESH or modest)
 
 
 def _joined(one: Blob, other: Blob) -> Blob:

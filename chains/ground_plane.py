@@ -260,7 +260,7 @@ class GroundPlane:
         good = _probability(np.log(ratio * (1 / self.bad_looks - 1)))
         whole = self._whole(state, boxes)
         on_plane = _probability(state.trust[seen])
-        worth = np.minimum(state.unseen[seen] / self.look_time, 1.0)
+        worth = np.minimum(np.maximum(state.unseen[seen], 1e-6) / self.look_time, 1.0)
 
         weight = np.maximum(whole * on_plane * good * worth, 1e-9)
         solved = np.linalg.solve(covariance + np.diag(noise / weight), gain)
@@ -394,9 +394,10 @@ def _scales(state: GroundState, foot_y: Numbers, height: Numbers) -> Numbers:
     shares of hidden people's heights would let the plane sink while the shares grow.
     """
     mean, variance = state.plane(foot_y)
+    height = np.maximum(height, 1.0)
     share = 1 / (1 + variance / (HALF_HIDDEN * height) ** 2)
     scales: Numbers = np.maximum(height + share * (mean - height), 0.25 * height)
-    return np.maximum(scales, 1.0)
+    return scales
 
 
 def _good_over_bad(squares: Numbers, variance: Numbers, more: Numbers) -> Numbers:

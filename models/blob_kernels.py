@@ -15,6 +15,9 @@ HIGHEST_COVER = 0.97
 """Masks stay below certainty, so that evidence can always win them back."""
 
 
+CAUTION = 0.2
+"""Share of the usual rate at which a mask gives up pixels that show the blob's colours."""
+
 _NOT_YET = _f4(-1e30)
 _VECTOR = 16
 
@@ -65,41 +68,41 @@ def cover(free, top, left, mask):
 
 
 @compiled
-def _agreement(down, right, step, planes, rivals, free, mask, appearance, half_precision, log_ratio, outliers):
-    """Sum of log{[M f + (1 - M) b] / b} over every `step`-th row of a blob shifted to `(down, right)` in the patch.
+def _agreement(start, step, planes, rivals, free, mask, appearance, half_precision, log_ratio, outliers):
+    """Sum of log{[M f + (1 - M) b] / b} over every `step`-th row of a blob shifted to `start` in the patch.
 
     `rivals` is b, what pixels are without the blob, relative to the uniform density; f its colours' density.
-    Rows are as `_padded` makes them.
+    Rows are whole vectors (see `_padded`): an inner loop of fixed length leaves no remainder to scalar code,
+    and most blobs are only a few vectors wide.
     """
     total = _f4(0)
     channels, rows, columns = appearance.shape
+    width = rivals.shape[1]
     inlying = _f4(1) - outliers
+    seen, own = planes.reshape(-1), appearance.reshape(-1)
+    covers, other, open_ = mask.reshape(-1), rivals.reshape(-1), free.reshape(-1)
+    red, blue = np.uint64(rivals.size), np.uint64(2 * rivals.size)
+    own_red, own_blue = np.uint64(mask.size), np.uint64(2 * mask.size)
     for row in range(0, rows, step):
-        covers = mask[row]
-        other = rivals[down + row, right : right + columns]
-        open_ = free[down + row, right : right + columns]
-        luma, own_luma = planes[0, down + row, right : right + columns], appearance[0, row]
-        part = _f4(0)
-        if channels == 3:
-            red, own_red = planes[1, down + row, right : right + columns], appearance[1, row]
-            blue, own_blue = planes[2, down + row, right : right + columns], appearance[2, row]
-            for x in range(columns):
-                d0, d1, d2 = luma[x] - own_luma[x], red[x] - own_red[x], blue[x] - own_blue[x]
-                distance = d0 * d0 + d1 * d1 + d2 * d2
+        for first in range(0, columns, _VECTOR):
+            there, here = np.uint64(start + row * width + first), np.uint64(row * columns + first)
+            part = _f4(0)
+            for k in range(np.uint64(_VECTOR)):
+                i, j = there + k, here + k
+                d0 = seen[i] - own[j]
+                distance = d0 * d0
+                if channels == 3:
+                    d1, d2 = seen[i + red] - own[j + own_red], seen[i + blue] - own[j + own_blue]
+                    distance += d1 * d1 + d2 * d2
                 density = inlying * exponential(log_ratio - half_precision * distance) + outliers
-                part += open_[x] * logarithm(_f4(1) + covers[x] * (density * other[x] - _f4(1)))
-        else:
-            for x in range(columns):
-                d0 = luma[x] - own_luma[x]
-                density = inlying * exponential(log_ratio - half_precision * d0 * d0) + outliers
-                part += open_[x] * logarithm(_f4(1) + covers[x] * (density * other[x] - _f4(1)))
-        total += part
+                part += open_[i] * logarithm(_f4(1) + covers[j] * (density * other[i] - _f4(1)))
+            total += part
     return total * _f4(step)
 
 
 @compiled
 def _padded(maps, columns):
-    """Maps with zeros to the right of their rows, `columns` in all: loops over whole vectors only."""
+    """Maps with zeros to the right of their rows, `columns` in all."""
     out = np.zeros((maps.shape[0], maps.shape[1], columns), np.float32)
     out[:, :, : maps.shape[2]] = maps
     return out
@@ -126,7 +129,8 @@ def search(
     width, patch_width = mask.shape[1] + spare, free.shape[1] + spare
     masks, looks = _padded(mask.reshape(1, *mask.shape), width)[0], _padded(appearance, width)
     seen = _padded(planes, patch_width)
-    others, opens = _padded(rivals.reshape(1, *free.shape), patch_width)[0], _padded(free.reshape(1, *free.shape), patch_width)[0]
+    others = _padded(rivals.reshape(1, *free.shape), patch_width)[0]
+    opens = _padded(free.reshape(1, *free.shape), patch_width)[0]
     best = _NOT_YET
     best_y = best_x = 0
     size = 2 * reach + 1
@@ -142,8 +146,8 @@ def search(
                 prior = -0.5 * precision * ((y - offset_y) ** 2 + (x - offset_x) ** 2)
                 if scores[reach + y, reach + x] == _NOT_YET:
                     scores[reach + y, reach + x] = temper * _agreement(
-                        reach + y, reach + x, step, seen, others, opens, masks, looks, half_precision, log_ratio,
-                        outliers,
+                        (reach + y) * patch_width + reach + x, step, seen, others, opens, masks, looks,
+                        half_precision, log_ratio, outliers,
                     )  # fmt: skip
                 score = scores[reach + y, reach + x] + prior
                 if score > best:
@@ -178,24 +182,28 @@ def learn(
     planes, odds, free, others, mask, appearance, half_precision, log_ratio, outliers, strength, mask_rate,
     colour_rate, new_mask, new_appearance,
 ):  # fmt: skip
-    """Shape and colours of a blob after a frame, learned from what the background's chain says alone.
+    """Shape and colours of a blob after a frame.
 
-    `others` is what all layers together explain (see `Region.explained`). A pixel that another blob explains
-    better is not learned, nor is one that something in front covers.
+    The mask follows what the background's chain says alone (`odds`), slowly where the blob's own colours fit
+    too. `others` is what all layers together explain (see `Region.explained`): a pixel that another blob
+    explains better is not learned, nor is one that something in front covers.
 
     Returns
     -------
     total, visible, seen
         mass of the mask, of its part that nothing covers, and of that part that is foreground and its own.
+    variance
+        mean squared difference of its pixels from the remembered colours, per channel.
     """
     rows, columns = mask.shape
     distance, rates = np.empty(columns, np.float32), np.empty(columns, np.float32)
     inlying = _f4(1) - outliers
     total = visible = seen = 0.0
+    squares = inside = 1e-6
     for row in range(rows):
         colour_distance(planes, 0, 0, appearance, row, 0, columns, distance)
         covers, open_, told, explained, out = mask[row], free[row], odds[row], others[row], new_mask[row]
-        sum_covers = sum_open = sum_seen = _f4(0)
+        sum_covers = sum_open = sum_seen = sum_squares = sum_inner = _f4(0)
         for x in range(columns):
             density = inlying * exponential(log_ratio - half_precision * distance[x]) + outliers
             clear = open_[x] * covers[x]
@@ -204,19 +212,28 @@ def learn(
             sum_covers += covers[x]
             sum_open += clear
             sum_seen += clear * target
-            after = covers[x] + mask_rate * open_[x] * (target - covers[x])
+            # a likely pixel that fits the blob's colours as well as the background's tells little
+            doubt = (covers[x] > _f4(0.6)) & (density > _f4(1)) & (target < covers[x])
+            pace = mask_rate * (_f4(CAUTION) if doubt else _f4(1))
+            after = covers[x] + pace * open_[x] * (target - covers[x])
             out[x] = min(max(after, _f4(0)), _f4(HIGHEST_COVER))
             # a pixel that is new to the blob takes the colour that it shows
             rate = _f4(1) if (covers[x] < _f4(0.2)) & (colour_rate > _f4(0)) else colour_rate
-            rates[x] = rate if open_[x] * target > _f4(0.5) else _f4(0)
+            taken = open_[x] * target > _f4(0.5)
+            rates[x] = rate if taken else _f4(0)
+            inner = _f4(1) if taken & (covers[x] > _f4(0.5)) else _f4(0)
+            sum_squares += inner * distance[x]
+            sum_inner += inner
         total += sum_covers
         visible += sum_open
         seen += sum_seen
+        squares += sum_squares
+        inside += sum_inner
         for channel in range(appearance.shape[0]):
             old, shown, new = appearance[channel, row], planes[channel, row], new_appearance[channel, row]
             for x in range(columns):
                 new[x] = old[x] + rates[x] * (shown[x] - old[x])
-    return total, visible, seen
+    return total, visible, seen, squares / (inside * appearance.shape[0])
 
 
 @compiled

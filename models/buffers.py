@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-_IDLE_REFERENCES = 3  # the pool's list, the loop variable and getrefcount's own argument
 _LONGEST_LIST = 12
 
 _pool: dict[tuple[tuple[int, ...], str], list[NDArray[Any]]] = {}
@@ -27,11 +26,19 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     key = (shape, np.dtype(dtype).str)
     with _lock:
         arrays = _pool.setdefault(key, [])
-        for array in arrays:
-            if sys.getrefcount(array) == _IDLE_REFERENCES:
+        for array, references in zip(arrays, _references(arrays), strict=True):
+            if references == _IDLE:
                 return array
         array = np.empty(shape, dtype)
         if len(arrays) == _LONGEST_LIST:
             arrays.pop(0)
         arrays.append(array)
         return array
+
+
+def _references(arrays: list[NDArray[Any]]) -> list[int]:
+    return [sys.getrefcount(array) for array in arrays]
+
+
+# what is counted for an array that only its list refers to: it differs between versions of Python
+_IDLE = _references([np.empty(0)])[0]

@@ -63,11 +63,13 @@ class Layer:
     @property
     def log_density_ratio(self) -> float:
         """Log of N(I; I, spread) over the uniform density of colours."""
-        if self.appearance is None:
-            return 0.0
-        channels = self.appearance.shape[0]
-        density = -0.5 * channels * np.log(2 * np.pi * self.spread) + np.log(colour.VOLUME[channels])
-        return float(density + channels * np.log(256.0))
+        return 0.0 if self.appearance is None else log_density_ratio(self.appearance.shape[0], self.spread)
+
+
+def log_density_ratio(channels: int, spread: float) -> float:
+    """Log of N(I; I, spread) over the uniform density of colours."""
+    density = -0.5 * channels * np.log(2 * np.pi * spread) + np.log(colour.VOLUME[channels])
+    return float(density + channels * np.log(256.0))
 
 
 @dataclass(frozen=True, eq=False)
