@@ -29,6 +29,9 @@ MARGIN = 6
 THINNEST = 0.08
 """Area over squared length below which a spot is a line (a rope, a wire, an edge that shakes) and no object."""
 
+GROWTH = 1.3
+"""How far beyond its usual size a mask may reach."""
+
 FRESH = 10
 """Frames seen, below which a blob may still be a part of another."""
 
@@ -83,6 +86,8 @@ class Blob:
         nats, how much more of its outline was found in the background's picture than in the image.
     parting
         s for which its mask has had a waist between two upright parts.
+    size
+        `(2,)` px, its usual height and width.
     """
 
     identity: int
@@ -98,6 +103,7 @@ class Blob:
     confidence: float
     ghost_evidence: float
     parting: float
+    size: Pair
 
     @property
     def corner(self) -> tuple[int, int]:
@@ -202,6 +208,8 @@ class BlobTracker:
         summed over frames where it exceeds 0.25, from which on the blob is taken for a ghost.
     parting_time
         s for which a blob's mask must have had a waist before it becomes two.
+    size_time
+        s in which a blob's usual size follows its box; its mask does not reach much further.
     """
 
     smallest: float = 0.0003
@@ -218,6 +226,7 @@ class BlobTracker:
     confirmed_hits: int = 5
     ghost_evidence: float = 2.5
     parting_time: float = 0.4
+    size_time: float = 2.0
     name: str = "blobs"
     _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
 
@@ -225,7 +234,7 @@ class BlobTracker:
 
     def __post_init__(self) -> None:
         for name in ("smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration",
-                     "first_speed", "patience", "hidden_patience", "confirmed_hits", "ghost_evidence", "parting_time"):  # fmt: skip
+                     "first_speed", "patience", "hidden_patience", "confirmed_hits", "ghost_evidence", "parting_time", "size_time"):  # fmt: skip
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
         if not 0 < self.outliers < 1:
@@ -333,9 +342,12 @@ class BlobTracker:
         was_seen = visible > 0.3 * total and confidence > 0.35
         speed = float(np.hypot(*blob.velocity))
         still = blob.still + scene.elapsed if was_seen and speed * 0.5 < max(1.0, 0.03 * blob.length) else 0.0
+        if blob.hits >= FRESH:
+            _keep_size(mask, GROWTH * blob.size)
         blob = replace(
             blob,
             mask=mask,
+            size=self._size_after(blob, scene) if was_seen else blob.size,
             appearance=appearance,
             spread=self._spread_after(blob, variance, scene) if was_seen else blob.spread,
             hits=blob.hits + was_seen,
@@ -344,6 +356,11 @@ class BlobTracker:
             confidence=float(confidence) if was_seen else 0.0,
         )
         return replace(blob, ghost_evidence=self._ghostly(blob, window, scene) if was_seen else blob.ghost_evidence)
+
+    def _size_after(self, blob: Blob, scene: "_Scene") -> Pair:
+        follow = 1 - np.exp(-scene.elapsed / (self.mask_time if blob.hits < FRESH else self.size_time))
+        size: Pair = blob.size + follow * (np.array(blob.box[:1:-1]) - blob.size)
+        return size
 
     def _spread_after(self, blob: Blob, variance: float, scene: "_Scene") -> float:
         follow = 1 - np.exp(-scene.elapsed / self.colour_time)
@@ -385,8 +402,8 @@ class BlobTracker:
         halves[0, :, :column], halves[1, :, column:] = blob.mask[:, :column], blob.mask[:, column:]
         first, second = halves if left >= right else halves[::-1]
         return [
-            replace(blob, mask=first, parting=0.0, still=0.0, ghost_evidence=0.0),
-            replace(blob, identity=next(numbers), mask=second, parting=0.0, still=0.0, ghost_evidence=0.0),
+            replace(blob, mask=first, size=_likely_size(first), parting=0.0, still=0.0, ghost_evidence=0.0),
+            replace(blob, identity=next(numbers), mask=second, size=_likely_size(second), parting=0.0, still=0.0, ghost_evidence=0.0),
         ]
 
     def _merged(self, blobs: list[Blob]) -> list[Blob]:
@@ -427,6 +444,7 @@ class BlobTracker:
                 confidence=1.0,
                 ghost_evidence=0.0,
                 parting=0.0,
+                size=np.array([bottom - top - 2.0 * MARGIN, right - left - 2.0 * MARGIN]),
             )
 
 
@@ -524,6 +542,20 @@ def _waist(mask: Map) -> tuple[int, float]:
     return column, float(depth[column])
 
 
+def _likely_size(mask: Map) -> Pair:
+    rows, columns = np.flatnonzero((mask > 0.45).any(axis=1)), np.flatnonzero((mask > 0.45).any(axis=0))
+    return np.array([float(np.ptp(rows)) + 1 if len(rows) else 1.0, float(np.ptp(columns)) + 1 if len(columns) else 1.0])
+
+
+def _keep_size(mask: Map, size: Pair) -> None:
+    """Fade a mask where it reaches further than half of `size` px from its middle."""
+    for axis in (0, 1):
+        mass = np.cumsum(mask.sum(axis=1 - axis))
+        middle = float(np.searchsorted(mass, 0.5 * mass[-1]))
+        far = np.abs(np.arange(mask.shape[axis]) - middle) > 0.5 * size[axis] + 2
+        mask[far if axis == 0 else (slice(None), far)] *= 0.5
+
+
 def _without_crumbs(mask: Map) -> Map:
     """The mask without spots that are apart from its main part and small."""
     found, labels, boxes, _ = cv2.connectedComponentsWithStats((mask > 0.3).astype(np.uint8), connectivity=8)
@@ -614,4 +646,4 @@ def _joined(one: Blob, other: Blob) -> Blob:
         for new, old in zip(appearance, blob.appearance, strict=True):
             new[window][better] = old[better]
     position = one.position + (first - corners[0])
-    return replace(one, position=position, mask=mask, appearance=appearance, hits=max(one.hits, other.hits))
+    return replace(one, position=position, mask=mask, appearance=appearance, size=_likely_size(mask), hits=max(one.hits, other.hits))
