@@ -6,7 +6,7 @@ block rows, already interpolated along x: `(block_rows, width)`. Log odds are in
 
 import numpy as np
 
-from .compiled import compiled, exponential, inlined, logarithm
+from .compiled import compiled, exponential, inlined, logarithm, sigmoid
 
 _f4 = np.float32
 _ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
@@ -33,7 +33,7 @@ def posterior(distance, light, variance, noise, drift, log_prior, channels, rate
     precision = _f4(1.0) / total
     odds = log_prior - _f4(0.5) * (channels * logarithm(total) + distance * precision)
     odds = min(max(odds, _f4(-6.0)), _f4(6.0))
-    weight = _f4(1.0) / (_f4(1.0) + exponential(-odds))
+    weight = sigmoid(odds)
     gain = light * before * precision
     step = weight * gain
     per_channel = distance * (_f4(1.0) / channels)

@@ -299,13 +299,13 @@ def add_layer(region: Region, layer: Layer, patch: Map | None) -> None:
 
     `patch` `(channels, height, width)` are the image's planes in the region, `None` if there is no image.
     """
-    appearance = layer.appearance
-    if patch is None or appearance is None:
-        appearance = np.zeros((0, *layer.mask.shape), np.float32)
+    appearance, log_ratio = layer.appearance, layer.log_density_ratio
+    if patch is None or appearance is None:  # any colour: densities integrate to 1
+        appearance, log_ratio = np.zeros((0, *layer.mask.shape), np.float32), 0.0
         patch = np.zeros((0, *region.clear.shape), np.float32)
     compose_layer(
         region.clear, region.explained, patch, layer.top - region.top, layer.left - region.left, layer.mask,
-        appearance, np.float32(0.5 / layer.spread), np.float32(layer.log_density_ratio),
+        appearance, np.float32(0.5 / layer.spread), np.float32(log_ratio),
         np.float32(layer.outliers), np.float32(layer.strength), layer.ghost,
     )  # fmt: skip
 

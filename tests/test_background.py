@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
-from scipy.stats import norm
-
 from rsmcm.models import background_kernels as kernels
 from rsmcm.models import colour
 from rsmcm.models.background import BackgroundPrediction, LightField
 from rsmcm.models.threads import set_threads, thread_count
+from scipy.integrate import quad
+from scipy.stats import norm
 
 STEP = 1 / kernels.ODDS_STEPS
 QUANTISATION = STEP + 2e-3  # a stored step, and float32 with approximate exp and log
@@ -28,21 +27,21 @@ def scene(channels, seed=0, size=(23, 37), prior=0.9, **changes):
     n_pixels = height * width
     shape = size if channels == 1 else (*size, 3)
     remembered = rng.integers(30, 220, shape).astype(np.uint8)
-    values = dict(
-        size=size,
-        mean=colour.to_planes(remembered) + rng.normal(0, 2, (channels, n_pixels)).astype(np.float32),
-        variance=rng.uniform(0.5, 60, n_pixels).astype(np.float32),
-        noise=rng.uniform(20, 400, n_pixels).astype(np.float32),
-        light=LightField(rng.uniform(0.8, 1.2, (3, 4)).astype(np.float32), size),
-        prior=prior,
-        drift=1.5,
-        noise_rate=0.03,
-        pooling=0.3,
-        candidate=np.zeros(n_pixels * channels, np.uint8),
-        seen=np.zeros(n_pixels, np.uint8),
-        trusted_looks=10,
-        tolerance=100.0,
-    )
+    values = {
+        "size": size,
+        "mean": colour.to_planes(remembered) + rng.normal(0, 2, (channels, n_pixels)).astype(np.float32),
+        "variance": rng.uniform(0.5, 60, n_pixels).astype(np.float32),
+        "noise": rng.uniform(20, 400, n_pixels).astype(np.float32),
+        "light": LightField(rng.uniform(0.8, 1.2, (3, 4)).astype(np.float32), size),
+        "prior": prior,
+        "drift": 1.5,
+        "noise_rate": 0.03,
+        "pooling": 0.3,
+        "candidate": np.zeros(n_pixels * channels, np.uint8),
+        "seen": np.zeros(n_pixels, np.uint8),
+        "trusted_looks": 10,
+        "tolerance": 100.0,
+    }
     image = np.clip(remembered + rng.normal(0, 6, shape), 0, 255)
     strange = image[5:15, 10:20]
     strange[:] = rng.integers(0, 256, strange.shape)

@@ -2,7 +2,6 @@ import sys
 from threading import Thread
 
 import numpy as np
-
 from rsmcm.models import buffers
 
 
