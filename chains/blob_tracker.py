@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.protocols import Incoming
-from ..models.blob_kernels import count_foreground, cover, gather, learn, outline_contrast, search
+from ..models.blob_kernels import UNKNOWN_COLOUR, count_foreground, cover, gather, learn, outline_contrast, search
 from ..models.frame import Frame
 from ..models.memo import LastCall
 from ..models.object_boxes import HEIGHT, WIDTH, BoxMessage, ObjectBoxes
@@ -32,6 +32,9 @@ THINNEST = 0.08
 
 GROWTH = 1.3
 """How far beyond its usual size a mask may reach."""
+
+BENEFIT_OF_DOUBT = 0.6
+"""What the mask of a still blob keeps of pixels that show its colours, although the background has them too."""
 
 FRESH = 10
 """Frames seen, below which a blob may still be a part of another."""
@@ -360,7 +363,8 @@ class BlobTracker:
             window.planes, window.odds, window.free, scene.explained(*blob.corner, blob.mask.shape), blob.mask,
             blob.appearance, *self._colour_model(blob), np.float32(self.strength),
             np.float32(1 - np.exp(-scene.elapsed / self.mask_time)),
-            np.float32(1 - np.exp(-scene.elapsed / self.colour_time)), mask, appearance,
+            np.float32(1 - np.exp(-scene.elapsed / self.colour_time)),
+            np.float32(BENEFIT_OF_DOUBT if blob.still > 0.5 else 0.0), mask, appearance,
         )  # fmt: skip
         confidence = seen / max(visible, 1e-6)
         was_seen = visible > 0.3 * total and confidence > 0.35
@@ -460,7 +464,7 @@ class BlobTracker:
                 velocity=np.zeros(2),
                 covariance=np.diag([1.0, (self.first_speed * length) ** 2]),
                 mask=mask,
-                appearance=window.planes,
+                appearance=np.where(mask > 0.2, window.planes, np.float32(UNKNOWN_COLOUR)),
                 spread=self.spread,
                 hits=1,
                 unseen=0.0,
@@ -642,7 +646,7 @@ def _fitted(blob: Blob, size: tuple[int, int]) -> Blob:
     first = np.array(before) - MARGIN
     shape = (rows[-1] - rows[0] + 1 + 2 * MARGIN, columns[-1] - columns[0] + 1 + 2 * MARGIN)
     mask = np.zeros(shape, np.float32)
-    appearance = np.zeros((len(blob.appearance), *shape), np.float32)
+    appearance = np.full((len(blob.appearance), *shape), UNKNOWN_COLOUR, np.float32)
     _paste(mask, int(first[0]), int(first[1]), blob.mask, 0, 0)
     for new, old in zip(appearance, blob.appearance, strict=True):
         _paste(new, int(first[0]), int(first[1]), old, 0, 0)
@@ -677,7 +681,7 @@ def _joined(one: Blob, other: Blob) -> Blob:
     ends = corners + np.array([one.mask.shape, other.mask.shape])
     first, shape = corners.min(axis=0), tuple(ends.max(axis=0) - corners.min(axis=0))
     mask = np.zeros(shape, np.float32)
-    appearance = np.zeros((len(one.appearance), *shape), np.float32)
+    appearance = np.full((len(one.appearance), *shape), UNKNOWN_COLOUR, np.float32)
     for blob in (other, one):
         top, left = np.array(blob.corner) - first
         window = (slice(top, top + blob.mask.shape[0]), slice(left, left + blob.mask.shape[1]))
