@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..inference import Belief, MultiChain, RecursiveBP
 from ..inference.recursive_bp import BEGINNING
-from ..models import Frame, PixelLabels
+from ..models import Frame, ObjectBoxes, PixelLabels
 from ..models.threads import set_threads, thread_count
 from .ground_truth import MaskTruth, common_frames, read_ground_truth
 from .parameters import SECTIONS, Parameters, read_parameters, with_defaults
@@ -66,11 +66,15 @@ def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None =
     if engine not in ENGINES:
         raise ValueError(f"engine: got {engine!r}, expected one of {', '.join(ENGINES)}")
     chains = {name: chain(**(parameters or {}).get(name, {})) for name, chain in SECTIONS.items()}
-    pixels = PixelLabels()
+    pixels, objects = PixelLabels(), ObjectBoxes()
     model = MultiChain().connect(chains["background"], pixels)
     if engine == "stand-alone":
         return model
-    return model.connect(chains["blobs"], pixels, feedback=engine == "recursive-bp")
+    return (
+        model.connect(chains["blobs"], pixels, feedback=engine == "recursive-bp")
+        .connect(chains["blobs"], objects)
+        .connect(chains["ground"], objects)
+    )
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from ..chains import AdaptiveBackground, BlobTracker
+from ..chains import AdaptiveBackground, BlobTracker, GroundPlane
 
 Parameters = Mapping[str, Mapping[str, Any]]
 """Values by section ("background", "blobs", "ground") and name."""
@@ -14,6 +14,7 @@ Parameters = Mapping[str, Mapping[str, Any]]
 SECTIONS: dict[str, type[Any]] = {
     "background": AdaptiveBackground,
     "blobs": BlobTracker,
+    "ground": GroundPlane,
 }
 
 

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.protocols import Incoming
-from ..models.blob_kernels import count_foreground, cover, gather, learn, outline_contrast, search
+from ..models.blob_kernels import UNKNOWN_COLOUR, count_foreground, cover, gather, learn, outline_contrast, search
 from ..models.frame import Frame
 from ..models.memo import LastCall
+from ..models.object_boxes import HEIGHT, WIDTH, BoxMessage, ObjectBoxes
 from ..models.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage, log_density_ratio
 
 Map = NDArray[np.float32]
@@ -31,6 +32,9 @@ THINNEST = 0.08
 
 GROWTH = 1.3
 """How far beyond its usual size a mask may reach."""
+
+BENEFIT_OF_DOUBT = 0.6
+"""What the mask of a still blob keeps of pixels that show its colours, although the background has them too."""
 
 FRESH = 10
 """Frames seen, below which a blob may still be a part of another."""
@@ -210,6 +214,8 @@ class BlobTracker:
         s for which a blob's mask must have had a waist before it becomes two.
     size_time
         s in which a blob's usual size follows its box; its mask does not reach much further.
+    pixels
+        name of the pixels' feature node; another node that it is connected to is one of boxes.
     """
 
     smallest: float = 0.0003
@@ -228,6 +234,7 @@ class BlobTracker:
     parting_time: float = 0.4
     size_time: float = 2.0
     name: str = "blobs"
+    pixels: str = "pixels"
     _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
 
     uses_cavity = True
@@ -252,17 +259,37 @@ class BlobTracker:
         blobs = tuple(self._moved(blob, dt) for blob in state.blobs)
         return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
 
-    def message(self, state: BlobState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
-        """Where objects cover pixels and with which colours (mu_{S -> F}), front to back."""
-        return PixelMessage(layers=self._last(self._registered, state, incoming[feature])[1])
+    def message(
+        self, state: BlobState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
+    ) -> PixelMessage | BoxMessage:
+        """What objects say to a feature (mu_{S -> F}).
+
+        To pixels: where they cover them and with which colours, front to back. To boxes: where they stand and
+        how large they look, as far as this frame's pixels show it.
+        """
+        told: PixelMessage = incoming[self.pixels]
+        blobs, layers = self._last(self._registered, state, told)
+        if isinstance(feature, PixelLabels):
+            return PixelMessage(layers=layers)
+        shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.hits >= FRESH]
+        if told.image is None or not shown:
+            return feature.uniform()
+        x, y, width, height = np.array([blob.box for blob in shown]).T
+        deviations = np.stack([0.05 * width + 1, 0.03 * height + 1, 0.15 * width + 1, 0.08 * height + 1], axis=1)
+        return BoxMessage.from_moments(
+            [blob.identity for blob in shown],
+            np.stack([x + 0.5 * width, y + height, width, height], axis=1),
+            deviations[:, :, None] ** 2 * np.eye(4),
+        )
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Objects after the frame: registered, learned from, born and ended."""
-        told: PixelMessage = incoming["pixels"]
+        told: PixelMessage = incoming[self.pixels]
         if told.image is None or told.reading is None:
             return state
         blobs, layers = self._last(self._registered, state, told)
-        scene = _Scene(told, layers, state.elapsed)
+        boxes = next((incoming[name] for name in incoming if name != self.pixels), None)
+        scene = _Scene(told, layers, boxes, state.elapsed)
         kept = [self._learned(blob, blobs[:rank], scene) for rank, blob in enumerate(blobs)]
         kept = [blob for blob in kept if self._lives(blob, scene)]
         numbers = count(state.born + 1)
@@ -336,14 +363,15 @@ class BlobTracker:
             window.planes, window.odds, window.free, scene.explained(*blob.corner, blob.mask.shape), blob.mask,
             blob.appearance, *self._colour_model(blob), np.float32(self.strength),
             np.float32(1 - np.exp(-scene.elapsed / self.mask_time)),
-            np.float32(1 - np.exp(-scene.elapsed / self.colour_time)), mask, appearance,
+            np.float32(1 - np.exp(-scene.elapsed / self.colour_time)),
+            np.float32(BENEFIT_OF_DOUBT if blob.still > 0.5 else 0.0), mask, appearance,
         )  # fmt: skip
         confidence = seen / max(visible, 1e-6)
         was_seen = visible > 0.3 * total and confidence > 0.35
         speed = float(np.hypot(*blob.velocity))
         still = blob.still + scene.elapsed if was_seen and speed * 0.5 < max(1.0, 0.03 * blob.length) else 0.0
         if blob.hits >= FRESH:
-            _keep_size(mask, GROWTH * blob.size)
+            _keep_size(mask, GROWTH * scene.expected_size(blob))
         blob = replace(
             blob,
             mask=mask,
@@ -436,7 +464,7 @@ class BlobTracker:
                 velocity=np.zeros(2),
                 covariance=np.diag([1.0, (self.first_speed * length) ** 2]),
                 mask=mask,
-                appearance=window.planes,
+                appearance=np.where(mask > 0.2, window.planes, np.float32(UNKNOWN_COLOUR)),
                 spread=self.spread,
                 hits=1,
                 unseen=0.0,
@@ -475,12 +503,28 @@ class _Window:
 class _Scene:
     """A frame as blobs need it when they are updated."""
 
-    def __init__(self, told: PixelMessage, layers: LayerStack, elapsed: float) -> None:
+    def __init__(
+        self, told: PixelMessage, layers: LayerStack, boxes: BoxMessage | None, elapsed: float
+    ) -> None:
         self.told = told
+        self._boxes = boxes
         self.size = told.size
         self.elapsed = elapsed
         self._regions = layers.regions(told.image, told.size)
         self._layers = layers.layers
+
+    def expected_size(self, blob: Blob) -> Pair:
+        """Usual height and width px of a blob, and what other chains expect of it, by their precisions."""
+        if self._boxes is None or blob.identity not in self._boxes.identities:
+            return blob.size
+        try:
+            mean, covariance = self._boxes.marginal(blob.identity)
+        except KeyError:  # nothing is known of its size
+            return blob.size
+        own = 1 / (0.15 * blob.size) ** 2
+        theirs = 1 / np.maximum(np.diag(covariance)[[HEIGHT, WIDTH]], 1.0)
+        size: Pair = (own * blob.size + theirs * mean[[HEIGHT, WIDTH]]) / (own + theirs)
+        return np.maximum(size, 0.5 * blob.size)
 
     def explained(self, top: int, left: int, shape: tuple[int, int]) -> Map:
         """What all layers together explain of the pixels in a box, 1 where there is none."""
@@ -602,7 +646,7 @@ def _fitted(blob: Blob, size: tuple[int, int]) -> Blob:
     first = np.array(before) - MARGIN
     shape = (rows[-1] - rows[0] + 1 + 2 * MARGIN, columns[-1] - columns[0] + 1 + 2 * MARGIN)
     mask = np.zeros(shape, np.float32)
-    appearance = np.zeros((len(blob.appearance), *shape), np.float32)
+    appearance = np.full((len(blob.appearance), *shape), UNKNOWN_COLOUR, np.float32)
     _paste(mask, int(first[0]), int(first[1]), blob.mask, 0, 0)
     for new, old in zip(appearance, blob.appearance, strict=True):
         _paste(new, int(first[0]), int(first[1]), old, 0, 0)
@@ -637,7 +681,7 @@ def _joined(one: Blob, other: Blob) -> Blob:
     ends = corners + np.array([one.mask.shape, other.mask.shape])
     first, shape = corners.min(axis=0), tuple(ends.max(axis=0) - corners.min(axis=0))
     mask = np.zeros(shape, np.float32)
-    appearance = np.zeros((len(one.appearance), *shape), np.float32)
+    appearance = np.full((len(one.appearance), *shape), UNKNOWN_COLOUR, np.float32)
     for blob in (other, one):
         top, left = np.array(blob.corner) - first
         window = (slice(top, top + blob.mask.shape[0]), slice(left, left + blob.mask.shape[1]))

@@ -15,8 +15,8 @@ HIGHEST_COVER = 0.97
 """Masks stay below certainty, so that evidence can always win them back."""
 
 
-CAUTION = 0.2
-"""Share of the usual rate at which a mask gives up pixels that show the blob's colours."""
+UNKNOWN_COLOUR = -1e4
+"""In an appearance: no colour is known of this pixel."""
 
 _NOT_YET = _f4(-1e30)
 _VECTOR = 16
@@ -180,12 +180,12 @@ def _peak(scores, middle):
 @compiled
 def learn(
     planes, odds, free, others, mask, appearance, half_precision, log_ratio, outliers, strength, mask_rate,
-    colour_rate, new_mask, new_appearance,
+    colour_rate, least_kept, new_mask, new_appearance,
 ):  # fmt: skip
     """Shape and colours of a blob after a frame.
 
-    The mask follows what the background's chain says alone (`odds`), slowly where the blob's own colours fit
-    too. `others` is what all layers together explain (see `Region.explained`): a pixel that another blob
+    The mask follows what the background's chain says alone (`odds`), but keeps `least_kept` of likely
+    pixels that fit the blob's own colours as well; of pixels that it loses, the colours are forgotten. `others` is what all layers together explain (see `Region.explained`): a pixel that another blob
     explains better is not learned, nor is one that something in front covers.
 
     Returns
@@ -212,10 +212,10 @@ def learn(
             sum_covers += covers[x]
             sum_open += clear
             sum_seen += clear * target
-            # a likely pixel that fits the blob's colours as well as the background's tells little
-            doubt = (covers[x] > _f4(0.6)) & (density > _f4(1)) & (target < covers[x])
-            pace = mask_rate * (_f4(CAUTION) if doubt else _f4(1))
-            after = covers[x] + pace * open_[x] * (target - covers[x])
+            # a likely pixel that fits the blob's colours as well as the background's tells nothing
+            doubt = (covers[x] > _f4(0.5)) & (density > _f4(1))
+            least = least_kept if doubt else _f4(0)
+            after = covers[x] + mask_rate * open_[x] * (max(target, least) - covers[x])
             out[x] = min(max(after, _f4(0)), _f4(HIGHEST_COVER))
             # a pixel that is new to the blob takes the colour that it shows
             rate = _f4(1) if (covers[x] < _f4(0.2)) & (colour_rate > _f4(0)) else colour_rate
@@ -229,10 +229,12 @@ def learn(
         seen += sum_seen
         squares += sum_squares
         inside += sum_inner
+        out = new_mask[row]
         for channel in range(appearance.shape[0]):
             old, shown, new = appearance[channel, row], planes[channel, row], new_appearance[channel, row]
             for x in range(columns):
-                new[x] = old[x] + rates[x] * (shown[x] - old[x])
+                colour = old[x] + rates[x] * (shown[x] - old[x])
+                new[x] = _f4(UNKNOWN_COLOUR) if out[x] < _f4(0.1) else colour
     return total, visible, seen, squares / (inside * appearance.shape[0])
 
 
