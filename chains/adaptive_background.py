@@ -172,7 +172,7 @@ class AdaptiveBackground:
             channels = len(state.mean)
             second_look(
                 np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, state.size[1], light_rows,
-                row_positions, colour.from_pixels(channels), np.linalg.inv(colour.from_pixels(channels)),
+                row_positions, colour.from_pixels(channels), colour.to_pixels(channels),
                 np.float32(prediction.tolerance), 2 * prediction.trusted_looks, np.float32(self.first_variance),
                 after.mean, after.variance, candidate, seen,
             )  # fmt: skip

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from . import buffers, colour
 from .background_kernels import (
     ODDS_STEPS,
+    interpolate,
     log_evidence,
     pool_log_odds,
     recall,
@@ -41,7 +42,7 @@ class LightField:
     size: tuple[int, int]
 
     def rows(self) -> Planes:
-        """`(block_rows + 1, width)` float32: interpolated along x at block centres; the last row is doubled."""
+        """`(block_rows + 1, width)` float32: interpolated along x at block centres; the last one twice."""
         return self._rows
 
     def row_positions(self) -> Planes:
@@ -52,10 +53,7 @@ class LightField:
     def _rows(self) -> Planes:
         left, share = _neighbours(self.size[1], self.blocks.shape[1])
         rows: Planes = np.empty((self.blocks.shape[0] + 1, self.size[1]), np.float32)
-        step = np.diff(self.blocks, axis=1)
-        np.multiply(step[:, left], share, out=rows[:-1])
-        rows[:-1] += self.blocks[:, left]
-        rows[-1] = rows[-2]
+        interpolate(self.blocks, left, share, rows)
         return rows
 
 
@@ -123,8 +121,9 @@ class BackgroundPrediction:
         weight of what the 5 x 5 pixels around a pixel saw in its own log odds: neighbours mostly share their
         label, but are not independent looks. 0 makes every pixel decide for itself.
     candidate, seen
-        `(n_pixels * channels,)` uint8 second colour of every pixel, and `(n_pixels,)` uint8 in how many looks it
-        was seen; from `trusted_looks` on, what is within `tolerance` (squared grey levels) of it is background too.
+        `(n_pixels * channels,)` uint8 second colour of every pixel, and `(n_pixels,)` uint8 in how many looks
+        it was seen; from `trusted_looks` on, what is within `tolerance` (squared grey levels) of it is
+        background too.
     """
 
     size: tuple[int, int]
@@ -175,8 +174,9 @@ class BackgroundPrediction:
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
         """Log probability of the image, summed over its pixels as if they were independent (nats).
 
-        `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0. This is the integral of
-        the prediction as it stands: second colours and neighbours, which only help to decide labels, are left out.
+        `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0. This is the integral
+        of the prediction as it stands: second colours and neighbours, which only help to decide labels, are
+        left out.
         """
         shift = np.zeros(1, np.float32) if pixel_shift is None else pixel_shift
         total = log_evidence(
@@ -209,12 +209,13 @@ class BackgroundPrediction:
                 drift, log_prior, noise_rate, mean, variance, noise, log_odds,
             )  # fmt: skip
             recall(
-                first * width, end * width, pixels, self.candidate, self.seen, self.trusted_looks, self.channels,
-                tolerance, log_odds,
+                first * width, end * width, pixels, self.candidate, self.seen, self.trusted_looks,
+                self.channels, tolerance, log_odds,
             )  # fmt: skip
 
+        def pool(first: int, end: int) -> None:
+            pool_log_odds(first, end, height, width, log_odds, prior, pooling, pooled)
+
         over_bands(subtract, height)
-        over_bands(
-            lambda first, end: pool_log_odds(first, end, height, width, log_odds, prior, pooling, pooled), height
-        )
+        over_bands(pool, height)
         return Subtraction(log_odds, pooled), Update(mean, variance, noise)

@@ -1,7 +1,8 @@
 """Loops over all pixels of the background: flat, planar, float32 within, uint8 in (one pass over the bytes).
 
-`mean` is `(channels, n_pixels)`, everything else per pixel is `(n_pixels,)`; `light_rows` is the light field at
-block rows, already interpolated along x: `(block_rows, width)`. Log odds are int8 in steps of `1 / ODDS_STEPS`.
+`mean` is `(channels, n_pixels)`, everything else per pixel is `(n_pixels,)`; `light_rows` is the light field
+at block rows, already interpolated along x: `(block_rows, width)`. Log odds are int8 in steps of
+`1 / ODDS_STEPS`.
 """
 
 import numpy as np
@@ -171,10 +172,21 @@ def log_evidence(pixels, mean, variance, noise, light_rows, row_position, drift,
         in_row = _f4(0)
         for x in range(width):
             spread = light[x] * light[x] * (before[x] + drift) + looks[x]
-            odds = log_prior - _f4(0.5) * (_f4(channels) * logarithm(spread) + distance[x] / spread) + added[x]
+            odds = log_prior - _f4(0.5) * (_f4(channels) * logarithm(spread) + distance[x] / spread)
+            odds += added[x]
             in_row += max(odds, _f4(0.0)) + logarithm(_f4(1.0) + exponential(-abs(odds)))
         total += in_row
     return total
+
+
+@compiled
+def interpolate(blocks, left, share, rows):
+    """Rows of blocks along x: between the block `left` of every pixel and the next; the last row twice."""
+    last = blocks.shape[0] - 1
+    for row in range(last + 2):
+        values, out = blocks[min(row, last)], rows[row]
+        for x in range(out.size):
+            out[x] = values[left[x]] + share[x] * (values[left[x] + 1] - values[left[x]])
 
 
 @compiled
@@ -220,10 +232,10 @@ def light_ratios(pixels, mean, light_rows, row_position, height, width, ratios, 
 
 @compiled
 def _agreed(values, below):
-    """Median of the usable ones of 36 values (of 48, the last are not), and the share of them within 5 % of it; 1 and 0 if under 12.
+    """Median of the usable ones of 36 values, and the share of them within 5 % of it; 1 and 0 if under 12.
 
-    The median is the largest value that has no more than half of the others below it: counting them all is
-    vector code, which sorting is not; 48 is a whole number of vectors.
+    `values` has 48, the last of them unusable: a whole number of vectors. The median is the largest value
+    that has no more than half of the others below it: counting them is vector code, which sorting is not.
     """
     count = _f4(0)
     for k in range(48):
@@ -286,7 +298,7 @@ def foreground_spans(log_odds, spans):
 
 @compiled
 def recall(first, end, pixels, candidate, seen, trusted_looks, channels, tolerance, log_odds):
-    """Foreground that shows the second colour of a pixel which is known to have two is background after all.
+    """Foreground that shows the second colour of a pixel known to have two is background after all.
 
     `first` and `end` are pixels.
     """
@@ -301,8 +313,8 @@ def recall(first, end, pixels, candidate, seen, trusted_looks, channels, toleran
 
 @compiled
 def second_look(
-    pixels, log_odds, covered, width, light_rows, row_position, to_planes, from_planes, tolerance, settle_looks,
-    settled_variance, mean, variance, candidate, seen,
+    pixels, log_odds, covered, width, light_rows, row_position, to_planes, from_planes, tolerance,
+    settle_looks, settled_variance, mean, variance, candidate, seen,
 ):  # fmt: skip
     """A second hypothesis for pixels that show neither the background nor a predicted object.
 

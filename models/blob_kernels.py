@@ -69,7 +69,7 @@ def cover(free, top, left, mask):
 
 @compiled
 def _agreement(start, step, planes, rivals, free, mask, appearance, half_precision, log_ratio, outliers):
-    """Sum of log{[M f + (1 - M) b] / b} over every `step`-th row of a blob shifted to `start` in the patch.
+    """Sum of log{[M f + (1 - M) b] / b} over every `step`-th row of a blob at `start` in the patch.
 
     `rivals` is b, what pixels are without the blob, relative to the uniform density; f its colours' density.
     Rows are whole vectors (see `_padded`): an inner loop of fixed length leaves no remainder to scalar code,
@@ -110,13 +110,13 @@ def _padded(maps, columns):
 
 @compiled
 def search(
-    reach, offset_y, offset_x, precision, temper, step, planes, rivals, free, mask, appearance, half_precision,
-    log_ratio, outliers,
+    reach, offset_y, offset_x, precision, temper, step, planes, rivals, free, mask, appearance,
+    half_precision, log_ratio, outliers,
 ):  # fmt: skip
     """Where in the patch the blob is: coarse to fine about `(reach, reach)`, prior and pixels together.
 
-    The prior is a Gaussian of `precision` (1 / px^2) about `(reach + offset_y, reach + offset_x)`; the sum over
-    pixels is tempered, for neighbouring pixels are not independent.
+    The prior is a Gaussian of `precision` (1 / px^2) about `(reach + offset_y, reach + offset_x)`; the sum
+    over pixels is tempered, for neighbouring pixels are not independent.
 
     Returns
     -------
@@ -184,9 +184,10 @@ def learn(
 ):  # fmt: skip
     """Shape and colours of a blob after a frame.
 
-    The mask follows what the background's chain says alone (`odds`), but keeps `least_kept` of likely
-    pixels that fit the blob's own colours as well; of pixels that it loses, the colours are forgotten. `others` is what all layers together explain (see `Region.explained`): a pixel that another blob
-    explains better is not learned, nor is one that something in front covers.
+    The mask follows what the background's chain says alone (`odds`), but keeps `least_kept` of likely pixels
+    that fit the blob's own colours as well; of pixels that it loses, the colours are forgotten. `others` is
+    what all layers together explain (see `Region.explained`): a pixel that another blob explains better is
+    not learned, nor is one that something in front covers.
 
     Returns
     -------
@@ -236,6 +237,35 @@ def learn(
                 colour = old[x] + rates[x] * (shown[x] - old[x])
                 new[x] = _f4(UNKNOWN_COLOUR) if out[x] < _f4(0.1) else colour
     return total, visible, seen, squares / (inside * appearance.shape[0])
+
+
+@compiled
+def likely_extent(mask, threshold, least):
+    """Top, left, bottom, right (exclusive) of rows and columns where `least` px or more exceed `threshold`.
+
+    All are 0 where there are none.
+    """
+    rows, columns = mask.shape
+    in_columns = np.zeros(columns, np.int32)
+    top = bottom = 0
+    for y in range(rows):
+        values = mask[y]
+        in_row = 0
+        for x in range(columns):
+            likely = np.int32(1) if values[x] > threshold else np.int32(0)
+            in_columns[x] += likely
+            in_row += likely
+        if in_row >= least:
+            top = y if bottom == 0 else top
+            bottom = y + 1
+    left = right = 0
+    for x in range(columns):
+        if in_columns[x] >= least:
+            left = x if right == 0 else left
+            right = x + 1
+    if bottom == 0 or right == 0:
+        return 0, 0, 0, 0
+    return top, left, bottom, right
 
 
 @compiled

@@ -4,6 +4,8 @@ Shadows and light move luma; clothes differ in chroma. Camera noise is about as 
 planes as in luma, so one variance serves all three.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,9 +47,16 @@ def _planes_of_colour(pixels, out):
         out[2, i] = _f4(1.128) * (b - y)
 
 
+@lru_cache
 def from_pixels(channels: int) -> NDArray[np.float32]:
     """Give the matrix `(channels, channels)` float32 that takes a pixel's channels to its planes."""
     return FROM_BGR.astype(np.float32) if channels == 3 else np.ones((1, 1), np.float32)
+
+
+@lru_cache
+def to_pixels(channels: int) -> NDArray[np.float32]:
+    """Give the inverse of `from_pixels`."""
+    return np.linalg.inv(from_pixels(channels))
 
 
 def to_planes(image: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -65,7 +74,8 @@ def to_image(planes: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.u
         values: NDArray[np.floating] = planes.reshape(size)
     else:
         values = (planes.T.astype(np.float64) @ np.linalg.inv(FROM_BGR).T).reshape(*size, 3)
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+    image: NDArray[np.uint8] = np.clip(np.rint(values), 0, 255).astype(np.uint8)
+    return image
 
 
 def patch(image: NDArray[np.uint8], top: int, left: int, height: int, width: int) -> NDArray[np.float32]:

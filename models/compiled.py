@@ -54,7 +54,7 @@ _f4 = np.float32
 
 @inlined
 def exponential(x: Any) -> Any:
-    """exp(x) for float32 x <= 80, relative error below 2e-5; about 1e-36 below -83. (libm's is no vector code.)"""
+    """exp(x) for float32 x <= 80, relative error below 2e-5 (libm's is no vector code); 1e-36 below -83."""
     scaled = max(x * _f4(1.44269504), _f4(-120.0))
     whole = np.int32(scaled + _f4(128.5)) - np.int32(128)
     rest = scaled - _f4(whole)

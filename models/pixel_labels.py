@@ -136,14 +136,15 @@ class LayerStack:
         return LayerStack(*self.factors, *other.factors)
 
     def regions(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> tuple[Region, ...]:
-        """The layers, composed, in boxes apart from each other; `size` is the picture's `(height, width)` px."""
+        """The layers, composed, in boxes that are apart; `size` of the picture is `(height, width)`."""
         key = (id(image), size)
         if key not in self._regions:
             self._regions[key] = (image, tuple(self._compose(image, size)))
         return self._regions[key][1]
 
     def _compose(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> Iterator[Region]:
-        placed = [(layer, k) for k, factor in enumerate(self.factors) for layer in factor if _inside(layer, size)]
+        numbered = [(layer, k) for k, factor in enumerate(self.factors) for layer in factor]
+        placed = [(layer, k) for layer, k in numbered if _inside(layer, size)]
         for box, members in _apart([layer.box for layer, _ in placed]):
             top, left = max(box[0], 0), max(box[1], 0)
             region = empty_region(top, left, min(box[2], size[0]) - top, min(box[3], size[1]) - left)
@@ -169,9 +170,9 @@ class PixelMessage:
     """A product of factors over all pixels: a background prediction, layers of objects, an image.
 
     For every pixel it is a function of b in {0, 1} and the latent colour L. The background speaks of b = 1
-    (P(B=1) N(L; its mean, its variance)) and leaves b = 0 the rest (P(B=0) U, any colour); a chain's layers are
-    composed front to back: w1 = prod(1 - M_j), w0 = 1 + sum_j strength M_j f_j(L) prod_{i<j} (1 - M_i), where a
-    ghost adds nothing and takes its share from w0; the image ties L to what was seen.
+    (P(B=1) N(L; its mean, its variance)) and leaves b = 0 the rest (P(B=0) U, any colour); a chain's layers
+    are composed front to back: w1 = prod(1 - M_j), w0 = 1 + sum_j strength M_j f_j(L) prod_{i<j} (1 - M_i);
+    a ghost adds nothing and takes its share from w0; the image ties L to what was seen.
 
     Parameters
     ----------
@@ -189,9 +190,9 @@ class PixelMessage:
 
     def __mul__(self, other: Self) -> Self:
         if self.background is not None and other.background is not None:
-            raise ValueError("pixel message: got two background predictions, expected at most one in a product")
+            raise ValueError("pixel message: got two background predictions, expected at most one")
         if self.image is not None and other.image is not None:
-            raise ValueError("pixel message: got two images, expected at most one in a product")
+            raise ValueError("pixel message: got two images, expected at most one")
         return replace(
             self,
             background=self.background or other.background,
@@ -212,7 +213,7 @@ class PixelMessage:
             return self.image.shape[0], self.image.shape[1]
         if self.background is not None:
             return self.background.size
-        raise ValueError("pixel message: got neither image nor background, so the picture's size is not known")
+        raise ValueError("pixel message: got neither image nor background, so its size is not known")
 
     @cached_property
     def reading(self) -> Subtraction | None:
@@ -329,9 +330,8 @@ def _apart(boxes: Sequence[Box]) -> list[tuple[Box, list[int]]]:
                 break
             groups.remove(touched)
             other, its_members = touched
-            frame = (
-                min(frame[0], other[0]), min(frame[1], other[1]), max(frame[2], other[2]), max(frame[3], other[3]),
-            )  # fmt: skip
+            first, last = np.minimum(frame[:2], other[:2]).tolist(), np.maximum(frame[2:], other[2:]).tolist()
+            frame = (*first, *last)
             members += its_members
         groups.append((frame, sorted(members)))
     return groups

@@ -139,7 +139,7 @@ def test_learn(channels, columns):
     new_mask, new_appearance = np.empty_like(mask), np.empty_like(appearance)
     total, visible, seen, variance = kernels.learn(
         planes, odds, free, others, mask, appearance, HALF_PRECISION, LOG_RATIO, OUTLIERS, F4(10), F4(0.2),
-        F4(0.3), new_mask, new_appearance,
+        F4(0.3), F4(0.45), new_mask, new_appearance,
     )  # fmt: skip
     share = np.minimum((10 * free * mask * density_of(planes, appearance) + 1) / others, 1)
     target = share / (1 + np.exp(odds))
@@ -149,12 +149,13 @@ def test_learn(channels, columns):
     learned = free * target > 0.5
     squares = np.square(planes.astype(float) - appearance).mean(axis=0)
     assert variance == pytest.approx(squares[learned & (mask > 0.5)].mean(), rel=1e-3)
-    doubt = (mask > 0.6) & (density_of(planes, appearance) > 1) & (target < mask)
-    pace = np.where(doubt, 0.2 * kernels.CAUTION, 0.2)
-    np.testing.assert_allclose(new_mask, np.clip(mask + pace * free * (target - mask), 0, 0.97), atol=1e-3)
+    doubt = (mask > 0.5) & (density_of(planes, appearance) > 1)
+    wanted = np.where(doubt, np.maximum(target, 0.45), target)
+    after = np.clip(mask + 0.2 * free * (wanted - mask), 0, 0.97)
+    np.testing.assert_allclose(new_mask, after, atol=1e-3)
     rate = np.where(learned, np.where(mask < 0.2, 1.0, 0.3), 0.0)
-    sure = np.abs(free * target - 0.5) > 1e-3
-    expected = appearance + rate * (planes - appearance)
+    sure = (np.abs(free * target - 0.5) > 1e-3) & (np.abs(after - 0.1) > 1e-3)
+    expected = np.where(after < 0.1, kernels.UNKNOWN_COLOUR, appearance + rate * (planes - appearance))
     np.testing.assert_allclose(new_appearance[:, sure], expected[:, sure], atol=1e-2)
     assert 0 < learned.mean() < 1
 
@@ -180,3 +181,16 @@ def test_count_foreground(size, scale):
     wide[: size[0], : size[1]] = log_odds < 0
     expected = wide.reshape(counts.shape[0], scale, counts.shape[1], scale).sum(axis=(1, 3))
     np.testing.assert_array_equal(counts, expected)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 12), st.integers(1, 12), st.sampled_from([1, 2]))
+def test_likely_extent(seed, rows, columns, least):
+    mask = (np.random.default_rng(seed).random((rows, columns)) ** 4).astype(F4)
+    likely = mask > 0.45
+    row, column = likely.sum(axis=1) >= least, likely.sum(axis=0) >= least
+    expected = (0, 0, 0, 0)
+    if row.any() and column.any():
+        (ys,), (xs,) = np.nonzero(row), np.nonzero(column)
+        expected = (ys[0], xs[0], ys[-1] + 1, xs[-1] + 1)
+    assert kernels.likely_extent(mask, F4(0.45), least) == expected
