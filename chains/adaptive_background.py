@@ -6,6 +6,7 @@ chains predict, the background stays as it is behind an object that they track.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,6 +22,9 @@ from ..models.memo import LastCall
 from ..models.pixel_labels import PixelLabels, PixelMessage
 
 Planes = NDArray[np.float32]
+
+FASTEST_LIGHT = 0.08
+"""Log of the most that light changes from frame to frame; a lamp that is switched takes a few."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +43,8 @@ class BackgroundState:
         `(n_pixels,)` float32, squared grey levels: of a single look at the pixel.
     light
         `(block_rows, block_columns)` float32: today's light relative to that of `mean`.
+    covered
+        `(block_rows, block_columns)` float32: share of the block behind known objects.
     candidate, seen
         second hypothesis: `(n_pixels * channels,)` uint8 colour that is neither background nor an object,
         and `(n_pixels,)` uint8 how many looks it has lasted.
@@ -51,6 +57,7 @@ class BackgroundState:
     variance: Planes
     noise: Planes
     light: Planes
+    covered: Planes
     candidate: NDArray[np.uint8]
     seen: NDArray[np.uint8]
     elapsed: float
@@ -129,6 +136,7 @@ class AdaptiveBackground:
             variance=np.full(n_pixels, self.first_variance, np.float32),
             noise=np.full(n_pixels, self.noise, np.float32),
             light=np.ones(_light_grid(height, width), np.float32),
+            covered=np.zeros(_light_grid(height, width), np.float32),
             candidate=np.zeros(image.size, np.uint8),
             seen=np.zeros(n_pixels, np.uint8),
             elapsed=0.0,
@@ -182,6 +190,7 @@ class AdaptiveBackground:
             variance=after.variance,
             noise=after.noise,
             light=prediction.light.blocks,
+            covered=_share_of_blocks(covered.reshape(state.size), state.light.shape),
             candidate=candidate,
             seen=seen,
             elapsed=0.0,
@@ -208,8 +217,8 @@ class AdaptiveBackground:
     def _light_now(self, state: BackgroundState, image: NDArray[np.uint8]) -> Planes:
         """Light of this frame: smooth, and moved only by what most of a neighbourhood agrees on.
 
-        Objects change the ratio of seen to predicted brightness too, but not by the same factor all over a
-        neighbourhood of five by five blocks (a fifth of the picture's width).
+        Objects change the ratio of seen to predicted brightness too: blocks behind known ones count little, and
+        a new one would have to fill most of three by three blocks with one and the same factor.
         """
         before = LightField(state.light, state.size)
         ratios, agreement = np.empty_like(state.light), np.empty_like(state.light)
@@ -218,12 +227,23 @@ class AdaptiveBackground:
             np.ascontiguousarray(image).reshape(-1), state.mean, before.rows(), before.row_positions(),
             height, width, ratios, agreement,
         )  # fmt: skip
-        change = np.where(agreement > 0.3, np.log(ratios), 0.0).astype(np.float32)
-        smooth = cv2.medianBlur(cv2.copyMakeBorder(change, 2, 2, 2, 2, cv2.BORDER_REFLECT_101), 5)[2:-2, 2:-2]
-        smooth = cv2.blur(smooth, (3, 3))
-        follow = np.where(np.abs(smooth) > 0.02, 1.0, 0.2).astype(np.float32)
-        light: Planes = np.clip(state.light * np.exp(follow * smooth), 0.1, 10.0)
+        weight = np.where(agreement > 0.3, agreement, 0.0) * (1 - state.covered) ** 4 + 1e-3
+        change = np.log(ratios) * (agreement > 0.3)
+        around = _blurred(change * weight) / _blurred(weight)
+        change = np.where(weight > 0.1, change, around).astype(np.float32)
+        smooth = _blurred(cv2.medianBlur(cv2.copyMakeBorder(change, 1, 1, 1, 1, cv2.BORDER_REFLECT_101), 3)[1:-1, 1:-1])
+        smooth = np.clip(smooth, -FASTEST_LIGHT, FASTEST_LIGHT)
+        follow = np.where(np.abs(smooth) > 0.02, 1.0, 0.2)
+        light: Planes = np.clip(state.light * np.exp(follow * smooth), 0.1, 10.0).astype(np.float32)
         return light
+
+
+def _share_of_blocks(covered: NDArray[np.uint8], grid: tuple[int, ...]) -> Planes:
+    return cv2.resize(covered, grid[::-1], interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+
+
+def _blurred(blocks: NDArray[Any]) -> Planes:
+    return np.asarray(cv2.blur(blocks.astype(np.float32), (3, 3), borderType=cv2.BORDER_REFLECT_101), np.float32)
 
 
 def _light_grid(height: int, width: int) -> tuple[int, int]:

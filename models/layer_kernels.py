@@ -120,7 +120,7 @@ def update_behind(
             noisier = min(max(noisier, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
             noisier = old_noise if revealed else noisier
             noise_after[x] = noisier if speaks else kept_noise
-            covered_after[x] = np.uint8(1) if told[x] < _f4(-0.5) else np.uint8(0)
+            covered_after[x] = np.uint8(255) if told[x] < _f4(-0.5) else np.uint8(0)
         for channel in range(mean.shape[0]):
             seen, expected, after_here = patch[channel, row], mean[channel, here], new_mean[channel, here]
             for x in range(columns):
