@@ -168,7 +168,7 @@ class AdaptiveBackground:
         np.copyto(candidate, state.candidate)
         np.copyto(seen, state.seen)
         elapsed = state.elapsed
-        if elapsed > 0:
+        if elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
             second_look(
                 np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, state.size[1], light_rows,
@@ -201,7 +201,7 @@ class AdaptiveBackground:
             pooling=self.pooling,
             candidate=state.candidate,
             seen=state.seen,
-            trusted_looks=min(max(round(0.5 * self.settle_time / max(state.elapsed, 1e-3)), 2), 125),
+            trusted_looks=round(min(max(0.5 * self.settle_time / max(state.elapsed, 1e-3), 2), 125)),
             tolerance=8.0 * len(state.mean) * self.noise,
         )
 
