@@ -20,7 +20,7 @@ from ..inference.recursive_bp import BEGINNING
 from ..models import Frame, ObjectBoxes, PixelLabels
 from ..models.threads import set_threads, thread_count
 from .ground_truth import MaskTruth, common_frames, read_ground_truth
-from .parameters import SECTIONS, Parameters, read_parameters, with_defaults
+from .parameters import SECTIONS, Parameters, build_chain, read_parameters, with_defaults
 from .progress import Progress
 from .region import inside, read_region
 from .report import RunRecord, write_report
@@ -56,7 +56,8 @@ def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None =
         `"recursive-bp"`: background, blobs and ground plane correct each other. `"feed-forward"`: the same
         chains, but the background hears nothing of the blobs. `"stand-alone"`: the background by itself.
     parameters
-        those of the chains that differ from their defaults, by section and name.
+        those of the chains that differ from their defaults, by section and name; a section's `model` says
+        which chain it is.
 
     Raises
     ------
@@ -65,7 +66,7 @@ def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None =
     """
     if engine not in ENGINES:
         raise ValueError(f"engine: got {engine!r}, expected one of {', '.join(ENGINES)}")
-    chains = {name: chain(**(parameters or {}).get(name, {})) for name, chain in SECTIONS.items()}
+    chains = {section: build_chain(section, parameters or {}) for section in SECTIONS}
     pixels, objects = PixelLabels(), ObjectBoxes()
     model = MultiChain().connect(chains["background"], pixels)
     if engine == "stand-alone":

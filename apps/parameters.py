@@ -6,16 +6,17 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from ..chains import AdaptiveBackground, BlobTracker, GroundPlane
+from ..chains import AdaptiveBackground, BlobTracker, GroundPlane, MixtureBackground
 
 Parameters = Mapping[str, Mapping[str, Any]]
 """Values by section ("background", "blobs", "ground") and name."""
 
-SECTIONS: dict[str, type[Any]] = {
-    "background": AdaptiveBackground,
-    "blobs": BlobTracker,
-    "ground": GroundPlane,
+SECTIONS: dict[str, dict[str, type[Any]]] = {
+    "background": {"gaussian": AdaptiveBackground, "mixture": MixtureBackground},
+    "blobs": {"layers": BlobTracker},
+    "ground": {"plane": GroundPlane},
 }
+"""Kinds of chain by section and by the value of its key `model`, the default first."""
 
 
 def read_parameters(path: Path) -> Parameters:
@@ -36,26 +37,44 @@ def read_parameters(path: Path) -> Parameters:
     for section, values in content.items():
         if section not in SECTIONS or not isinstance(values, dict):
             raise ValueError(f"{path}: unknown key {section!r}, expected sections {_listed(SECTIONS)}")
-        kinds = _kinds(SECTIONS[section])
+        model = _model(section, values)
+        if model not in list(SECTIONS[section]):  # a list, since TOML's own lists cannot be keys
+            expected = _listed(SECTIONS[section])
+            raise ValueError(f"{path}, [{section}]: model = {model!r}, expected one of {expected}")
+        kinds = {"model": str, **_kinds(SECTIONS[section][model])}
         for name, value in values.items():
             if name not in kinds:
                 raise ValueError(f"{path}, [{section}]: unknown key {name!r}, expected {_listed(kinds)}")
             if not _is(value, kinds[name]):
                 raise ValueError(f"{path}, [{section}]: {name} = {value!r}, expected {kinds[name].__name__}")
         try:
-            SECTIONS[section](**values)
+            build_chain(section, content)
         except ValueError as error:
             raise ValueError(f"{path}, [{section}]: {error}") from None
     return content
 
 
+def build_chain(section: str, parameters: Parameters) -> Any:
+    """Make a section's chain: given parameters as they are, the others at their defaults."""
+    values = dict(parameters.get(section, {}))
+    kind = SECTIONS[section][_model(section, values)]
+    values.pop("model", None)
+    return kind(**values)
+
+
 def with_defaults(parameters: Parameters) -> dict[str, dict[str, Any]]:
     """Every parameter of every chain: given ones as they are, the others at their defaults."""
     complete = {}
-    for section, chain in SECTIONS.items():
-        made = chain(**parameters.get(section, {}))
-        complete[section] = {name: getattr(made, name) for name in _kinds(chain)}
+    for section in SECTIONS:
+        made = build_chain(section, parameters)
+        values = {name: getattr(made, name) for name in _kinds(type(made))}
+        complete[section] = {"model": _model(section, parameters.get(section, {})), **values}
     return complete
+
+
+def _model(section: str, values: Mapping[str, Any]) -> Any:
+    """The value of a section's key `model`."""
+    return values.get("model", next(iter(SECTIONS[section])))
 
 
 def _kinds(chain: type[Any]) -> dict[str, Any]:

@@ -172,11 +172,14 @@ class AdaptiveBackground:
                 np.float32(prediction.drift), np.float32(self.first_variance), np.float32(self.noise_rate),
                 after.mean, after.variance, after.noise, covered,
             )  # fmt: skip
-        candidate, seen = buffers.empty(state.candidate.shape, np.uint8), buffers.empty(state.seen.shape, np.uint8)
+        candidate, seen = (
+            buffers.empty(state.candidate.shape, np.uint8),
+            buffers.empty(state.seen.shape, np.uint8),
+        )
         np.copyto(candidate, state.candidate)
         np.copyto(seen, state.seen)
         elapsed = state.elapsed
-        if elapsed > 0:
+        if elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
             second_look(
                 np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, state.size[1], light_rows,
@@ -210,7 +213,7 @@ class AdaptiveBackground:
             pooling=self.pooling,
             candidate=state.candidate,
             seen=state.seen,
-            trusted_looks=min(max(round(0.5 * self.settle_time / max(state.elapsed, 1e-3)), 2), 125),
+            trusted_looks=round(min(max(0.5 * self.settle_time / max(state.elapsed, 1e-3), 2), 125)),
             tolerance=8.0 * len(state.mean) * self.noise,
         )
 
@@ -231,7 +234,9 @@ class AdaptiveBackground:
         change = np.log(ratios) * (agreement > 0.3)
         around = _blurred(change * weight) / _blurred(weight)
         change = np.where(weight > 0.1, change, around).astype(np.float32)
-        smooth = _blurred(cv2.medianBlur(cv2.copyMakeBorder(change, 1, 1, 1, 1, cv2.BORDER_REFLECT_101), 3)[1:-1, 1:-1])
+        smooth = _blurred(
+            cv2.medianBlur(cv2.copyMakeBorder(change, 1, 1, 1, 1, cv2.BORDER_REFLECT_101), 3)[1:-1, 1:-1]
+        )
         smooth = np.clip(smooth, -FASTEST_LIGHT, FASTEST_LIGHT)
         follow = np.where(np.abs(smooth) > 0.02, 1.0, 0.2)
         light: Planes = np.clip(state.light * np.exp(follow * smooth), 0.1, 10.0).astype(np.float32)
@@ -243,7 +248,9 @@ def _share_of_blocks(covered: NDArray[np.uint8], grid: tuple[int, ...]) -> Plane
 
 
 def _blurred(blocks: NDArray[Any]) -> Planes:
-    return np.asarray(cv2.blur(blocks.astype(np.float32), (3, 3), borderType=cv2.BORDER_REFLECT_101), np.float32)
+    return np.asarray(
+        cv2.blur(blocks.astype(np.float32), (3, 3), borderType=cv2.BORDER_REFLECT_101), np.float32
+    )
 
 
 def _light_grid(height: int, width: int) -> tuple[int, int]:

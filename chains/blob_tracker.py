@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.protocols import Incoming
-from ..models.blob_kernels import UNKNOWN_COLOUR, count_foreground, cover, gather, learn, outline_contrast, search
+from ..models.blob_kernels import (
+    UNKNOWN_COLOUR,
+    count_foreground,
+    cover,
+    gather,
+    learn,
+    outline_contrast,
+    search,
+)
 from ..models.frame import Frame
 from ..models.memo import LastCall
 from ..models.object_boxes import HEIGHT, WIDTH, BoxMessage, ObjectBoxes
@@ -174,7 +182,9 @@ class BlobState:
         """Objects that are sure enough to be reported, by identity."""
         found = [blob for blob in self.blobs if blob.hits >= self.confirmed_hits]
         return [
-            Track(blob.identity, blob.box, blob.confidence, (float(blob.velocity[1]), float(blob.velocity[0])))
+            Track(
+                blob.identity, blob.box, blob.confidence, (float(blob.velocity[1]), float(blob.velocity[0]))
+            )
             for blob in sorted(found, key=lambda blob: blob.identity)
         ]
 
@@ -275,7 +285,9 @@ class BlobTracker:
         if told.image is None or not shown:
             return feature.uniform()
         x, y, width, height = np.array([blob.box for blob in shown]).T
-        deviations = np.stack([0.05 * width + 1, 0.03 * height + 1, 0.15 * width + 1, 0.08 * height + 1], axis=1)
+        deviations = np.stack(
+            [0.05 * width + 1, 0.03 * height + 1, 0.15 * width + 1, 0.08 * height + 1], axis=1
+        )
         return BoxMessage.from_moments(
             [blob.identity for blob in shown],
             np.stack([x + 0.5 * width, y + height, width, height], axis=1),
@@ -303,7 +315,9 @@ class BlobTracker:
         return replace(
             blob,
             position=blob.position + dt * blob.velocity,
-            covariance=transition @ blob.covariance @ transition.T + np.outer(push, push) + np.diag([0.05, 0.0]),
+            covariance=transition @ blob.covariance @ transition.T
+            + np.outer(push, push)
+            + np.diag([0.05, 0.0]),
         )
 
     def _registered(self, state: BlobState, told: PixelMessage) -> tuple[list[Blob], LayerStack]:
@@ -383,7 +397,9 @@ class BlobTracker:
             still=still,
             confidence=float(confidence) if was_seen else 0.0,
         )
-        return replace(blob, ghost_evidence=self._ghostly(blob, window, scene) if was_seen else blob.ghost_evidence)
+        return replace(
+            blob, ghost_evidence=self._ghostly(blob, window, scene) if was_seen else blob.ghost_evidence
+        )
 
     def _size_after(self, blob: Blob, scene: "_Scene") -> Pair:
         follow = 1 - np.exp(-scene.elapsed / (self.mask_time if blob.hits < FRESH else self.size_time))
@@ -392,7 +408,9 @@ class BlobTracker:
 
     def _spread_after(self, blob: Blob, variance: float, scene: "_Scene") -> float:
         follow = 1 - np.exp(-scene.elapsed / self.colour_time)
-        return float(np.clip(blob.spread + follow * (2 * variance - blob.spread), 0.2 * self.spread, self.spread))
+        return float(
+            np.clip(blob.spread + follow * (2 * variance - blob.spread), 0.2 * self.spread, self.spread)
+        )
 
     def _ghostly(self, blob: Blob, window: "_Window", scene: "_Scene") -> float:
         """Whether the outline is an edge of the remembered background instead of one of the image."""
@@ -431,7 +449,15 @@ class BlobTracker:
         first, second = halves if left >= right else halves[::-1]
         return [
             replace(blob, mask=first, size=_likely_size(first), parting=0.0, still=0.0, ghost_evidence=0.0),
-            replace(blob, identity=next(numbers), mask=second, size=_likely_size(second), parting=0.0, still=0.0, ghost_evidence=0.0),
+            replace(
+                blob,
+                identity=next(numbers),
+                mask=second,
+                size=_likely_size(second),
+                parting=0.0,
+                still=0.0,
+                ghost_evidence=0.0,
+            ),
         ]
 
     def _merged(self, blobs: list[Blob]) -> list[Blob]:
@@ -479,7 +505,9 @@ class BlobTracker:
 class _Window:
     """What is known of the pixels in a box: planes, log odds of background, and what nothing else covers."""
 
-    def __init__(self, told: PixelMessage, top: int, left: int, shape: tuple[int, int], border: int = 0) -> None:
+    def __init__(
+        self, told: PixelMessage, top: int, left: int, shape: tuple[int, int], border: int = 0
+    ) -> None:
         assert told.image is not None
         assert told.reading is not None
         image = told.image if told.image.ndim == 3 else told.image[:, :, None]
@@ -496,7 +524,10 @@ class _Window:
         rows, columns = self.free.shape
         for blob in blobs:
             top, left = blob.corner
-            if -blob.mask.shape[0] < top - self.top < rows and -blob.mask.shape[1] < left - self.left < columns:
+            if (
+                -blob.mask.shape[0] < top - self.top < rows
+                and -blob.mask.shape[1] < left - self.left < columns
+            ):
                 cover(self.free, top - self.top, left - self.left, blob.mask)
 
 
@@ -588,7 +619,9 @@ def _waist(mask: Map) -> tuple[int, float]:
 
 def _likely_size(mask: Map) -> Pair:
     rows, columns = np.flatnonzero((mask > 0.45).any(axis=1)), np.flatnonzero((mask > 0.45).any(axis=0))
-    return np.array([float(np.ptp(rows)) + 1 if len(rows) else 1.0, float(np.ptp(columns)) + 1 if len(columns) else 1.0])
+    return np.array(
+        [float(np.ptp(rows)) + 1 if len(rows) else 1.0, float(np.ptp(columns)) + 1 if len(columns) else 1.0]
+    )
 
 
 def _keep_size(mask: Map, size: Pair) -> None:
@@ -629,7 +662,8 @@ def _paste(out: Map, top: int, left: int, source: Map, source_top: int, source_l
     end_column = min(left + out.shape[1], source_left + source.shape[1])
     if first_row < end_row and first_column < end_column:
         out[first_row - top : end_row - top, first_column - left : end_column - left] = source[
-            first_row - source_top : end_row - source_top, first_column - source_left : end_column - source_left
+            first_row - source_top : end_row - source_top,
+            first_column - source_left : end_column - source_left,
         ]
 
 
@@ -671,7 +705,9 @@ def _pieces(one: Blob, other: Blob) -> bool:
     tall = max(y + height, other_y + other_height) - min(y, other_y)
     wide = max(x + width, other_x + other_width) - min(x, other_x)
     modest = tall < 1.6 * max(height, other_height) and wide < 1.6 * max(width, other_width)
-    small = min(width * height, other_width * other_height) < 0.35 * max(width * height, other_width * other_height)
+    small = min(width * height, other_width * other_height) < 0.35 * max(
+        width * height, other_width * other_height
+    )
     return (stacked or small) and (one.hits < FRESH or modest)
 
 
@@ -690,4 +726,11 @@ def _joined(one: Blob, other: Blob) -> Blob:
         for new, old in zip(appearance, blob.appearance, strict=True):
             new[window][better] = old[better]
     position = one.position + (first - corners[0])
-    return replace(one, position=position, mask=mask, appearance=appearance, size=_likely_size(mask), hits=max(one.hits, other.hits))
+    return replace(
+        one,
+        position=position,
+        mask=mask,
+        appearance=appearance,
+        size=_likely_size(mask),
+        hits=max(one.hits, other.hits),
+    )

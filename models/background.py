@@ -7,6 +7,7 @@ result (log odds of "background", and the mean and variances that would follow) 
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +89,36 @@ class Subtraction:
     pooled: NDArray[np.int8]
 
 
+class BackgroundFactor(Protocol):
+    """What a message says of pixels that show background, whatever model it comes from."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """`(height, width)` px."""
+        ...
+
+    @property
+    def mean(self) -> Planes:
+        """`(channels, n_pixels)` float32 in the planes of `models.colour`: the scene's usual look."""
+        ...
+
+    @property
+    def prior(self) -> float:
+        """P(B=1), that a pixel shows background."""
+        ...
+
+    def against(self, image: NDArray[np.uint8], /) -> Subtraction:
+        """Read an image against the prediction; the same image is read only once."""
+        ...
+
+    def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None, /) -> float:
+        """Log probability of the image (nats).
+
+        `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0.
+        """
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Update:
     """The background after an image, if no other chain has anything to say (see `BackgroundPrediction`)."""
@@ -150,12 +181,7 @@ class BackgroundPrediction:
     @property
     def log_prior_odds(self) -> float:
         """Log of P(B=1) over P(B=0) times the uniform density, in the units of the planes."""
-        odds = np.log(self.prior) - np.log1p(-self.prior)
-        return float(
-            odds
-            + self.channels * (np.log(256.0) - 0.5 * np.log(2 * np.pi))
-            + np.log(colour.VOLUME[self.channels])
-        )
+        return log_prior_odds(self.prior, self.channels)
 
     def against(self, image: NDArray[np.uint8]) -> Subtraction:
         """Read an image against the prediction; the same image is read only once."""
@@ -193,15 +219,11 @@ class BackgroundPrediction:
         variance = buffers.empty((n_pixels,), np.float32)
         noise = buffers.empty((n_pixels,), np.float32)
         log_odds = buffers.empty((n_pixels,), np.int8)
-        pooled = buffers.empty((n_pixels,), np.int8)
         pixels = np.ascontiguousarray(image).reshape(-1)
         light_rows, row_positions = self.light.rows(), self.light.row_positions()
         kernel = subtract_colour if self.channels == 3 else subtract_grey
         drift, log_prior = np.float32(self.drift), np.float32(self.log_prior_odds)
-        noise_rate, pooling = np.float32(self.noise_rate), np.float32(self.pooling)
-
-        prior = np.int16(round(ODDS_STEPS * float(np.log(self.prior) - np.log1p(-self.prior))))
-        tolerance = np.float32(self.tolerance)
+        noise_rate, tolerance = np.float32(self.noise_rate), np.float32(self.tolerance)
 
         def subtract(first: int, end: int) -> None:
             kernel(
@@ -213,9 +235,31 @@ class BackgroundPrediction:
                 self.channels, tolerance, log_odds,
             )  # fmt: skip
 
-        def pool(first: int, end: int) -> None:
-            pool_log_odds(first, end, height, width, log_odds, prior, pooling, pooled)
-
         over_bands(subtract, height)
-        over_bands(pool, height)
+        pooled = pool(log_odds, self.size, self.prior, self.pooling)
         return Subtraction(log_odds, pooled), Update(mean, variance, noise)
+
+
+def log_prior_odds(prior: float, channels: int) -> float:
+    """Log of P(B=1) over P(B=0) times the uniform density, in the units of the planes.
+
+    The factor of 2 pi in the density of a Gaussian is part of it.
+    """
+    odds = np.log(prior) - np.log1p(-prior)
+    return float(
+        odds + channels * (np.log(256.0) - 0.5 * np.log(2 * np.pi)) + np.log(colour.VOLUME[channels])
+    )
+
+
+def pool(log_odds: NDArray[np.int8], size: tuple[int, int], prior: float, share: float) -> NDArray[np.int8]:
+    """Give log odds with `share` of what the 5 x 5 pixels around saw, both `(n_pixels,)` int8."""
+    height, width = size
+    pooled: NDArray[np.int8] = buffers.empty(log_odds.shape, np.int8)
+    prior_steps = np.int16(round(ODDS_STEPS * float(np.log(prior) - np.log1p(-prior))))
+    over_bands(
+        lambda first, end: pool_log_odds(
+            first, end, height, width, log_odds, prior_steps, np.float32(share), pooled
+        ),
+        height,
+    )
+    return pooled

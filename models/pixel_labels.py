@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import buffers, colour
-from .background import BackgroundPrediction, Subtraction
+from .background import BackgroundFactor, Subtraction
 from .background_kernels import ODDS_STEPS
 from .frame import Frame
 from .layer_kernels import compose_layer, shift_of
@@ -184,7 +184,7 @@ class PixelMessage:
         uint8 `(height, width[, 3])`, or `None`.
     """
 
-    background: BackgroundPrediction | None = None
+    background: BackgroundFactor | None = None
     layers: LayerStack = NO_LAYERS
     image: NDArray[np.uint8] | None = None
 

@@ -23,6 +23,7 @@ from rsmcm.apps.results import read_tracks
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.apps.scoring import Scoring, track_rows
 from rsmcm.apps.sources import open_source
+from rsmcm.chains import MixtureBackground
 from rsmcm.models.frame import Frame
 
 SIZE = (128, 96)
@@ -248,6 +249,28 @@ def test_parameters_from_a_file(tmp_path: Path) -> None:
     background: Any = build_model("stand-alone", parameters).chains["background"]
     assert (background.prior, background.noise, background.follow_light) == (0.6, 40, False)
     assert set(complete) == set(SECTIONS)
+
+
+def test_the_background_can_be_a_mixture(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text('[background]\nmodel = "mixture"\ncomponents = 4\n')
+    parameters = read_parameters(path)
+    background = build_model("recursive-bp", parameters).chains["background"]
+    assert isinstance(background, MixtureBackground)
+    assert background.components == 4
+    complete = with_defaults(parameters)["background"]
+    assert (complete["model"], complete["components"], complete["rate"]) == ("mixture", 4, background.rate)
+    assert with_defaults({})["background"]["model"] == "gaussian"
+
+
+@pytest.mark.parametrize(
+    "line", ['model = "median"', "model = [1]", 'model = "mixture"\nfollow_light = true']
+)
+def test_a_background_that_does_not_exist(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text(f"[background]\n{line}\n")
+    with pytest.raises(ValueError, match=r"\[background\].*(gaussian, mixture|follow_light)"):
+        read_parameters(path)
 
 
 def test_engines_differ_in_feedback_only() -> None:

@@ -1,0 +1,139 @@
+"""Background with several looks as a chain: leaves, water, a door that is open or shut.
+
+Stauffer and Grimson's mixture of Gaussians per pixel (CVPR 1999), with one difference: what other chains say
+of a pixel slows its learning, so that objects that they track do not become background.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..inference.protocols import Incoming
+from ..models import buffers, colour
+from ..models.frame import Frame
+from ..models.memo import LastCall
+from ..models.mixture import Mixture, MixturePrediction
+from ..models.pixel_labels import PixelLabels, PixelMessage
+
+REVEALED = 3.0
+"""Nats from which on others are so sure of background that foreground is taken for it as it is seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class MixtureState:
+    """What was seen at every pixel.
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px.
+    mixture
+        of colours.
+    elapsed
+        s since the last look.
+    """
+
+    size: tuple[int, int]
+    mixture: Mixture
+    elapsed: float
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The empty scene in its usual look: grey `(height, width)` or BGR `(height, width, 3)`."""
+        return colour.to_image(self.mixture.means[0], self.size)
+
+
+@dataclass(frozen=True)
+class MixtureBackground:
+    """Per-pixel mixture of Gaussians, for scenes in which pixels have several looks.
+
+    It takes the place of `AdaptiveBackground`, but does not follow the light: use it where that is steady.
+
+    Parameters
+    ----------
+    prior
+        P(B=1) of a pixel of which nobody else knows anything.
+    components
+        of a pixel, at most.
+    rate
+        share per second by which weights follow what is seen. A new look that stays becomes background after
+        `-log(background_share) / rate` s, here 4.5.
+    background_share
+        the most probable components that together weigh more than this are background.
+    first_variance
+        squared grey levels, of a component seen once.
+    pooling
+        weight of the 24 neighbours' log odds in a pixel's own.
+    """
+
+    prior: float = 0.95
+    components: int = 3
+    rate: float = 0.05
+    background_share: float = 0.8
+    first_variance: float = 30.0
+    pooling: float = 0.3
+    name: str = "background"
+    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for name in ("prior", "background_share"):
+            if not 0 < getattr(self, name) < 1:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0 and less than 1")
+        for name in ("rate", "first_variance"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+        if not self.components >= 1:
+            raise ValueError(f"components: got {self.components}, expected 1 or more")
+        if not self.pooling >= 0:
+            raise ValueError(f"pooling: got {self.pooling}, expected 0 or more")
+
+    def initial(self, frame: Frame) -> MixtureState:
+        """One component for every pixel, the first image."""
+        image = frame.image
+        if image is None:
+            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
+        planes = colour.to_planes(image)
+        channels, n_pixels = planes.shape
+        mixture = Mixture(
+            weights=np.zeros((self.components, n_pixels), np.float32),
+            means=np.zeros((self.components, channels, n_pixels), np.float32),
+            variances=np.full((self.components, n_pixels), self.first_variance, np.float32),
+        )
+        mixture.weights[0] = 1
+        mixture.means[0] = planes
+        return MixtureState((image.shape[0], image.shape[1]), mixture, 0.0)
+
+    def predict(self, state: MixtureState, dt: float) -> MixtureState:
+        """The mixture stays; more is learned from the next look."""
+        return replace(state, elapsed=state.elapsed + dt)
+
+    def message(self, state: MixtureState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
+        """P(B) and the predicted values of every pixel (mu_{R -> F})."""
+        return PixelMessage(background=self._last(self._prediction, state))
+
+    def update(self, state: MixtureState, incoming: Incoming) -> MixtureState:
+        """The mixture after the frame, learned at each pixel's own rate.
+
+        It is `rate` times r / P(B=1), where r = P(B=1 | everything else). That factor is one where no other
+        chain speaks. Where others are sure of background that shows itself as something else (an object of
+        the first image that has left), that look is taken for it at once.
+        """
+        (told,) = incoming.values()
+        image = told.image
+        if image is None:
+            return state
+        prediction = self._last(self._prediction, state)
+        height, width = state.size
+        rate = float(-np.expm1(-self.rate * state.elapsed))
+        rates = buffers.empty((height, width), np.float32)
+        rates[:] = rate
+        pooled = prediction.against(image).pooled.reshape(height, width)
+        for region in told.regions:
+            relative = 1 / (self.prior + (1 - self.prior) * np.exp(-region.shift))
+            revealed = (region.shift > REVEALED) & (pooled[region.window] < 0)
+            rates[region.window] = np.where(revealed, 1, rate * np.minimum(relative, 1))
+        mixture = prediction.update(image, rates.reshape(-1), 0.5 * rate, self.first_variance)
+        return replace(state, mixture=mixture, elapsed=0.0)
+
+    def _prediction(self, state: MixtureState) -> MixturePrediction:
+        return MixturePrediction(state.size, state.mixture, self.prior, self.background_share, self.pooling)

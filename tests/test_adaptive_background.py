@@ -1,0 +1,16 @@
+"""The Gaussian background as a chain of its own."""
+
+import numpy as np
+import pytest
+from rsmcm.chains import AdaptiveBackground
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.models import PixelLabels
+
+
+@pytest.mark.parametrize(("settle_time", "settled"), [(3.0, True), (np.inf, False)])
+def test_a_lasting_colour_settles_unless_told_not_to(settle_time: float, settled: bool) -> None:
+    images = [np.full((8, 9), 60 if number < 5 else 160, np.uint8) for number in range(300)]
+    pixels = PixelLabels()
+    chain = AdaptiveBackground(settle_time=settle_time, follow_light=False)
+    *_, last = RecursiveBP(MultiChain().connect(chain, pixels)).run(images)
+    assert (last[pixels].foreground() == (0 if settled else 255)).all()
