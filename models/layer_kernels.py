@@ -9,7 +9,6 @@ _f4 = np.float32
 
 LEAST_CLEAR = 1e-3
 
-_HALF_STEP = _f4(0.5 / ODDS_STEPS)
 _LEAST = _f4(1e-30)  # of a product of many layers; the logarithm wants normal numbers
 
 
@@ -73,8 +72,7 @@ def update_behind(
     """Background of one region again, now with what layers say of it.
 
     Pixels are weighted by their pooled log odds and `shift`. Where others are sure of background that the
-    prediction contradicts, the picture is taken as it is. `covered` is set where an object is predicted.
-    A shift below half a step of the stored log odds says nothing: the pixel stays as it is.
+    prediction contradicts, the picture is taken as it is. `covered` is 255 where an object is predicted.
     """
     channels = _f4(mean.shape[0])
     columns = shift.shape[1]
@@ -98,32 +96,25 @@ def update_behind(
         odds_here, variance_here, noise_here = pooled[here], variance[here], noise[here]
         variance_after, noise_after, covered_after = new_variance[here], new_noise[here], covered[here]
         for x in range(columns):
-            # read before any branch: what is read in one branch only keeps a loop from being vectorised
-            old_variance, old_noise, kept_variance, kept_noise = (
-                variance_here[x], noise_here[x], variance_after[x], noise_after[x],
-            )  # fmt: skip
+            # read before any branch: what only one branch reads keeps a loop from being vectorised
+            old_variance, old_noise = variance_here[x], noise_here[x]
             odds = _f4(odds_here[x]) * _f4(1 / ODDS_STEPS) + told[x]
             weight = _f4(1) / (_f4(1) + exponential(-min(max(odds, _f4(-30)), _f4(30))))
             before = old_variance + drift
             total = glow[x] * glow[x] * before + old_noise
-            speaks = abs(told[x]) > _HALF_STEP
             revealed = (told[x] > _f4(3)) & (distance[x] > _f4(9) * total)
             gain = glow[x] * before / total
             step = weight * gain
-            steps[x] = _f4(1) / glow[x] if revealed else (step if speaks else _f4(-1))
+            steps[x] = _f4(1) / glow[x] if revealed else step
             per_channel = distance[x] / channels
             after = before - step * glow[x] * before + step * (gain - step) * per_channel
             after = min(max(after, _f4(LOWEST_VARIANCE)), _f4(HIGHEST_VARIANCE))
-            after = settled_variance if revealed else after
-            variance_after[x] = after if speaks else kept_variance
+            variance_after[x] = settled_variance if revealed else after
             noisier = old_noise + rate * weight * (per_channel - total)
             noisier = min(max(noisier, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
-            noisier = old_noise if revealed else noisier
-            noise_after[x] = noisier if speaks else kept_noise
+            noise_after[x] = old_noise if revealed else noisier
             covered_after[x] = np.uint8(255) if told[x] < _f4(-0.5) else np.uint8(0)
         for channel in range(mean.shape[0]):
             seen, expected, after_here = patch[channel, row], mean[channel, here], new_mean[channel, here]
             for x in range(columns):
-                kept = after_here[x]
-                moved = expected[x] + steps[x] * (seen[x] - glow[x] * expected[x])
-                after_here[x] = moved if steps[x] >= _f4(0) else kept
+                after_here[x] = expected[x] + steps[x] * (seen[x] - glow[x] * expected[x])
