@@ -37,18 +37,8 @@ def read_parameters(path: Path) -> Parameters:
     for section, values in content.items():
         if section not in SECTIONS or not isinstance(values, dict):
             raise ValueError(f"{path}: unknown key {section!r}, expected sections {_listed(SECTIONS)}")
-        model = _model(section, values)
-        if model not in list(SECTIONS[section]):  # a list, since TOML's own lists cannot be keys
-            expected = _listed(SECTIONS[section])
-            raise ValueError(f"{path}, [{section}]: model = {model!r}, expected one of {expected}")
-        kinds = {"model": str, **_kinds(SECTIONS[section][model])}
-        for name, value in values.items():
-            if name not in kinds:
-                raise ValueError(f"{path}, [{section}]: unknown key {name!r}, expected {_listed(kinds)}")
-            if not _is(value, kinds[name]):
-                raise ValueError(f"{path}, [{section}]: {name} = {value!r}, expected {kinds[name].__name__}")
         try:
-            build_chain(section, content)
+            _check(section, values)
         except ValueError as error:
             raise ValueError(f"{path}, [{section}]: {error}") from None
     return content
@@ -72,9 +62,23 @@ def with_defaults(parameters: Parameters) -> dict[str, dict[str, Any]]:
     return complete
 
 
-def _model(section: str, values: Mapping[str, Any]) -> Any:
+def _check(section: str, values: Mapping[str, Any]) -> None:
+    kinds = {"model": str, **_kinds(SECTIONS[section][_model(section, values)])}
+    for name, value in values.items():
+        if name not in kinds:
+            raise ValueError(f"unknown key {name!r}, expected {_listed(kinds)}")
+        if not _is(value, kinds[name]):
+            raise ValueError(f"{name} = {value!r}, expected {kinds[name].__name__}")
+    build_chain(section, {section: values})
+
+
+def _model(section: str, values: Mapping[str, Any]) -> str:
     """The value of a section's key `model`."""
-    return values.get("model", next(iter(SECTIONS[section])))
+    known = list(SECTIONS[section])
+    model = values.get("model", known[0])
+    if model not in known:
+        raise ValueError(f"model = {model!r}, expected {', '.join(known)}")
+    return str(model)
 
 
 def _kinds(chain: type[Any]) -> dict[str, Any]:

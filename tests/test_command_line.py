@@ -144,7 +144,7 @@ def test_a_truncated_video(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
     [
         ("prior = 0.5", "unknown key 'prior', expected sections background, blobs"),
         ("[sky]\ncolour = 1", "unknown key 'sky', expected sections background, blobs"),
-        ("[background]\nprioor = 0.5", "[background]: unknown key 'prioor', expected prior, noise"),
+        ("[background]\nprioor = 0.5", "[background]: unknown key 'prioor', expected model, prior, noise"),
         ("[background]\nprior = 'much'", "[background]: prior = 'much', expected float"),
         ("[background]\nprior = true", "[background]: prior = True, expected float"),
         ("[background]\nprior = 1.5", "[background]: prior: got 1.5, expected a probability"),
