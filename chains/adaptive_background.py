@@ -244,7 +244,7 @@ class AdaptiveBackground:
 
 
 def _share_of_blocks(covered: NDArray[np.uint8], grid: tuple[int, ...]) -> Planes:
-    return cv2.resize(covered, grid[::-1], interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+    return cv2.resize(covered[::4, ::4], grid[::-1], interpolation=cv2.INTER_AREA).astype(np.float32) / 255
 
 
 def _blurred(blocks: NDArray[Any]) -> Planes:

@@ -5,10 +5,12 @@ object into the pixels. It is registered with what the background's chain and th
 then speaks to them at its registered place: a place shared by all its pixels is what one pixel cannot know.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,18 +21,26 @@ from ..models.blob_kernels import (
     UNKNOWN_COLOUR,
     count_foreground,
     cover,
+    density_without,
     gather,
     learn,
     outline_contrast,
     search,
 )
 from ..models.frame import Frame
+from ..models.mask_kernels import MaskShape, clear_blocks, fade_beyond, shape_of
 from ..models.memo import LastCall
 from ..models.object_boxes import HEIGHT, WIDTH, BoxMessage, ObjectBoxes
 from ..models.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage, log_density_ratio
 
 Map = NDArray[np.float32]
 Pair = NDArray[np.float64]
+
+POSITIVE = (
+    "smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration", "first_speed",
+    "patience", "hidden_patience", "confirmed_hits", "ghost_evidence", "parting_time", "size_time",
+)  # fmt: skip
+"""Parameters of `BlobTracker` that must be more than 0."""
 
 MARGIN = 6
 """px of empty border in a blob's patch, into which its mask can grow."""
@@ -43,6 +53,12 @@ GROWTH = 1.3
 
 BENEFIT_OF_DOUBT = 0.6
 """What the mask of a still blob keeps of pixels that show its colours, although the background has them too."""
+
+RENDERING_NOISE = 0.05
+"""px^2 per frame, of rendering a blob at whole pixels."""
+
+SWEEP = 4
+"""Every how many looks a mask is freed of crumbs."""
 
 FRESH = 10
 """Frames seen, below which a blob may still be a part of another."""
@@ -117,41 +133,43 @@ class Blob:
     parting: float
     size: Pair
 
-    @property
+    @cached_property
     def corner(self) -> tuple[int, int]:
         """Top and left px of the patch, as it is rendered."""
-        return int(np.floor(self.position[0] + 0.5)), int(np.floor(self.position[1] + 0.5))
+        return math.floor(self.position[0] + 0.5), math.floor(self.position[1] + 0.5)
 
     @cached_property
-    def extent(self) -> tuple[int, int, int, int]:
-        """Top, left, bottom, right (exclusive) px within the patch of what the mask likely covers."""
-        likely = self.mask > 0.45
-        rows, columns = likely.sum(axis=1) > 1, likely.sum(axis=0) > 1
-        if not rows.any() or not columns.any():
-            return 0, 0, self.mask.shape[0], self.mask.shape[1]
-        return (
-            int(rows.argmax()),
-            int(columns.argmax()),
-            len(rows) - int(rows[::-1].argmax()),
-            len(columns) - int(columns[::-1].argmax()),
-        )
+    def shape(self) -> MaskShape:
+        """Measures of the mask."""
+        return shape_of(self.mask)
 
-    @property
+    @cached_property
     def box(self) -> tuple[float, float, float, float]:
-        """x, y, width, height px of what the mask likely covers."""
-        top, left, bottom, right = self.extent
-        return self.position[1] + left, self.position[0] + top, float(right - left), float(bottom - top)
+        """x, y, width, height px of what the mask likely covers, or else of its patch."""
+        top, left, bottom, right = self.shape[1:5]
+        if bottom == 0 or right == 0:
+            (top, left), (bottom, right) = (0, 0), self.mask.shape
+        y, x = self.position.tolist()
+        return x + left, y + top, float(right - left), float(bottom - top)
 
     @property
     def foot(self) -> float:
         """px, the lowest row: what stands lower in the picture is nearer."""
-        return float(self.position[0] + self.extent[2])
+        return self.box[1] + self.box[3]
 
     @property
     def length(self) -> float:
         """px, the longer side of the box."""
-        top, left, bottom, right = self.extent
-        return float(max(bottom - top, right - left))
+        return max(self.box[2:])
+
+    def changed(self, **values: Any) -> "Blob":
+        """Like `dataclasses.replace`, but what was measured of a mask that stays is kept."""
+        kept = {name: value for name, value in self.__dict__.items() if name not in ("corner", "shape", "box")}
+        blob: Blob = object.__new__(Blob)
+        blob.__dict__.update(kept | values)
+        if "mask" not in values and "shape" in self.__dict__:
+            blob.__dict__["shape"] = self.shape
+        return blob
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,8 +268,7 @@ class BlobTracker:
     uses_cavity = True
 
     def __post_init__(self) -> None:
-        for name in ("smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration",
-                     "first_speed", "patience", "hidden_patience", "confirmed_hits", "ghost_evidence", "parting_time", "size_time"):  # fmt: skip
+        for name in POSITIVE:
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
         if not 0 < self.outliers < 1:
@@ -310,14 +327,13 @@ class BlobTracker:
         return replace(state, blobs=tuple(kept), born=next(numbers) - 1, elapsed=0.0)
 
     def _moved(self, blob: Blob, dt: float) -> Blob:
-        transition = np.array([[1.0, dt], [0.0, 1.0]])
-        push = np.array([0.5 * dt * dt, dt]) * self.acceleration * blob.length
-        return replace(
-            blob,
+        (place, both), (_, speed) = blob.covariance.tolist()
+        push = self.acceleration * blob.length * dt
+        place += 2 * dt * both + dt * dt * speed + 0.25 * (push * dt) ** 2 + RENDERING_NOISE
+        both += dt * speed + 0.5 * push * push * dt
+        return blob.changed(
             position=blob.position + dt * blob.velocity,
-            covariance=transition @ blob.covariance @ transition.T
-            + np.outer(push, push)
-            + np.diag([0.05, 0.0]),
+            covariance=np.array([[place, both], [both, speed + push * push]]),
         )
 
     def _registered(self, state: BlobState, told: PixelMessage) -> tuple[list[Blob], LayerStack]:
@@ -340,25 +356,25 @@ class BlobTracker:
     def _placed(self, blob: Blob, in_front: Sequence[Blob], told: PixelMessage) -> Blob:
         """Register a blob with the pixels that nothing in front of it covers, and update place and velocity."""
         top, left = blob.corner
-        reach = int(np.clip(2.5 * np.sqrt(blob.covariance[0, 0]) + 1, 2, max(6, min(0.35 * blob.length, 24))))
+        (place, both), (_, speed) = blob.covariance.tolist()
+        reach = int(min(max(2.5 * math.sqrt(place) + 1, 2), max(6, min(0.35 * blob.length, 24))))
         window = _Window(told, top - reach, left - reach, blob.mask.shape, reach)
         window.hide(in_front)
         assert told.background is not None
-        rivals = 1 / ((1 - told.background.prior) * (1 + np.exp(window.odds)))
         down, right, variance_y, variance_x = search(
-            reach, blob.position[0] - top, blob.position[1] - left, 1 / max(blob.covariance[0, 0], 0.25),
-            np.float32(self.temper), max(1, blob.mask.size // 1500), window.planes, rivals, window.free,
-            blob.mask, blob.appearance, *self._colour_model(blob),
+            reach, blob.position[0] - top, blob.position[1] - left, 1 / max(place, 0.25),
+            np.float32(self.temper), max(1, blob.mask.size // 1500), window.planes,
+            density_without(window.odds, np.float32(told.background.prior)), window.free, blob.mask,
+            blob.appearance, *self._colour_model(blob),
         )  # fmt: skip
-        found = np.array([top + down, left + right])
-        variance = float(np.clip(max(variance_y, variance_x), 0.25, 100.0))
-        gain = blob.covariance[:, 0] / (blob.covariance[0, 0] + variance)
-        innovation = found - blob.position
-        return replace(
-            blob,
-            position=blob.position + gain[0] * innovation,
-            velocity=blob.velocity + gain[1] * innovation,
-            covariance=blob.covariance - np.outer(gain, blob.covariance[0]),
+        variance = min(max(variance_y, variance_x, 0.25), 100.0)
+        gain, speed_gain = place / (place + variance), both / (place + variance)
+        innovation = np.array([top + down, left + right]) - blob.position
+        after = [[(1 - gain) * place, (1 - gain) * both], [(1 - gain) * both, speed - speed_gain * both]]
+        return blob.changed(
+            position=blob.position + gain * innovation,
+            velocity=blob.velocity + speed_gain * innovation,
+            covariance=np.array(after),
         )
 
     def _colour_model(self, blob: Blob) -> tuple[np.float32, np.float32, np.float32]:
@@ -368,8 +384,8 @@ class BlobTracker:
     def _learned(self, blob: Blob, in_front: Sequence[Blob], scene: "_Scene") -> Blob:
         """Mask and colours after the frame, and how much of the blob was seen."""
         if blob.ghost_evidence >= self.ghost_evidence:
-            return replace(blob, unseen=np.inf)
-        blob = _fitted(blob, scene.size)
+            return blob.changed(unseen=math.inf)
+        blob = _fitted(blob)
         window = _Window(scene.told, *blob.corner, blob.mask.shape)
         window.hide(in_front)
         mask, appearance = np.empty_like(blob.mask), np.empty_like(blob.appearance)
@@ -380,49 +396,39 @@ class BlobTracker:
             np.float32(1 - np.exp(-scene.elapsed / self.colour_time)),
             np.float32(BENEFIT_OF_DOUBT if blob.still > 0.5 else 0.0), mask, appearance,
         )  # fmt: skip
-        confidence = seen / max(visible, 1e-6)
-        was_seen = visible > 0.3 * total and confidence > 0.35
-        speed = float(np.hypot(*blob.velocity))
-        still = blob.still + scene.elapsed if was_seen and speed * 0.5 < max(1.0, 0.03 * blob.length) else 0.0
         if blob.hits >= FRESH:
-            _keep_size(mask, GROWTH * scene.expected_size(blob))
-        blob = replace(
-            blob,
+            fade_beyond(mask, *(GROWTH * scene.expected_size(blob)))
+        confidence = seen / max(visible, 1e-6)
+        if visible <= 0.3 * total or confidence <= 0.35:
+            return blob.changed(
+                mask=mask, appearance=appearance, unseen=blob.unseen + scene.elapsed, still=0.0, confidence=0.0
+            )
+        speed = math.hypot(*blob.velocity)
+        follow = 1 - math.exp(-scene.elapsed / self.colour_time)
+        spread = blob.spread + follow * (2 * variance - blob.spread)
+        grown = 1 - math.exp(-scene.elapsed / (self.mask_time if blob.hits < FRESH else self.size_time))
+        return blob.changed(
             mask=mask,
-            size=self._size_after(blob, scene) if was_seen else blob.size,
             appearance=appearance,
-            spread=self._spread_after(blob, variance, scene) if was_seen else blob.spread,
-            hits=blob.hits + was_seen,
-            unseen=0.0 if was_seen else blob.unseen + scene.elapsed,
-            still=still,
-            confidence=float(confidence) if was_seen else 0.0,
-        )
-        return replace(
-            blob, ghost_evidence=self._ghostly(blob, window, scene) if was_seen else blob.ghost_evidence
-        )
-
-    def _size_after(self, blob: Blob, scene: "_Scene") -> Pair:
-        follow = 1 - np.exp(-scene.elapsed / (self.mask_time if blob.hits < FRESH else self.size_time))
-        size: Pair = blob.size + follow * (np.array(blob.box[:1:-1]) - blob.size)
-        return size
-
-    def _spread_after(self, blob: Blob, variance: float, scene: "_Scene") -> float:
-        follow = 1 - np.exp(-scene.elapsed / self.colour_time)
-        return float(
-            np.clip(blob.spread + follow * (2 * variance - blob.spread), 0.2 * self.spread, self.spread)
+            size=blob.size + grown * (np.array(blob.box[:1:-1]) - blob.size),
+            spread=min(max(spread, 0.2 * self.spread), self.spread),
+            hits=blob.hits + 1,
+            unseen=0.0,
+            still=blob.still + scene.elapsed if speed < max(2.0, 0.06 * blob.length) else 0.0,
+            confidence=confidence,
+            ghost_evidence=self._ghostly(blob, mask, window, scene) if speed < blob.length else 0.0,
         )
 
-    def _ghostly(self, blob: Blob, window: "_Window", scene: "_Scene") -> float:
-        """Whether the outline is an edge of the remembered background instead of one of the image."""
-        picture = scene.picture(*blob.corner, blob.mask.shape)
-        in_image, in_picture, length = outline_contrast(window.planes, picture, window.free, blob.mask, 2)
+    def _ghostly(self, blob: Blob, mask: Map, window: "_Window", scene: "_Scene") -> float:
+        """Evidence that the outline is an edge of the remembered background instead of one of the image."""
+        picture = scene.picture(*blob.corner, mask.shape)
+        in_image, in_picture, length = outline_contrast(window.planes, picture, window.free, mask, 2)
         if length < 8:
             return blob.ghost_evidence
-        evidence = float(np.log((in_picture + 3) / (in_image + 3)))
-        return max(blob.ghost_evidence + evidence - 0.25, 0.0)
+        return max(blob.ghost_evidence + math.log((in_picture + 3) / (in_image + 3)) - 0.25, 0.0)
 
     def _lives(self, blob: Blob, scene: "_Scene") -> bool:
-        mass = float(blob.mask.sum())
+        mass = blob.shape.mass
         thin = mass < THINNEST * blob.length**2 * (1.0 if blob.hits < FRESH else 0.5)
         if thin or mass < self.smallest * scene.size[0] * scene.size[1]:
             return False
@@ -438,26 +444,21 @@ class BlobTracker:
         """A blob that has had a waist between two heads for a while is two; crumbs are swept away."""
         if blob.unseen > 0:
             return [blob]
-        column, depth = _waist(blob.mask)
-        parting = blob.parting + scene.elapsed if depth < 0.5 else 0.0
-        left, right = blob.mask[:, :column].sum(), blob.mask[:, column:].sum()
+        shape = blob.shape
+        parting = blob.parting + scene.elapsed if shape.waist_depth < 0.5 else 0.0
+        left, right = shape.mass_left, shape.mass - shape.mass_left
         smallest = self.smallest * scene.size[0] * scene.size[1]
+        blob = blob.changed(parting=parting)
         if parting < self.parting_time or min(left, right) < max(smallest, 0.25 * max(left, right)):
-            return [replace(blob, parting=parting, mask=_without_crumbs(blob.mask))]
+            return [blob if blob.hits % SWEEP else blob.changed(mask=_without_crumbs(blob.mask))]
         halves = np.zeros((2, *blob.mask.shape), np.float32)
-        halves[0, :, :column], halves[1, :, column:] = blob.mask[:, :column], blob.mask[:, column:]
-        first, second = halves if left >= right else halves[::-1]
+        halves[0, :, : shape.waist] = blob.mask[:, : shape.waist]
+        halves[1, :, shape.waist :] = blob.mask[:, shape.waist :]
+        larger, smaller = halves if left >= right else halves[::-1]
+        blob = blob.changed(parting=0.0, still=0.0, ghost_evidence=0.0)
         return [
-            replace(blob, mask=first, size=_likely_size(first), parting=0.0, still=0.0, ghost_evidence=0.0),
-            replace(
-                blob,
-                identity=next(numbers),
-                mask=second,
-                size=_likely_size(second),
-                parting=0.0,
-                still=0.0,
-                ghost_evidence=0.0,
-            ),
+            blob.changed(mask=larger, size=_likely_size(larger)),
+            blob.changed(mask=smaller, size=_likely_size(smaller), identity=next(numbers)),
         ]
 
     def _merged(self, blobs: list[Blob]) -> list[Blob]:
@@ -599,7 +600,7 @@ class _Scene:
         counts = np.empty((-(-height // scale), -(-width // scale)), np.int32)
         count_foreground(self.told.reading.pooled, width, scale, counts)
         for blob in blobs:
-            _clear_near(counts, blob, scale)
+            clear_blocks(counts, *blob.corner, blob.mask, scale)
         spots = (counts * 4 >= scale * scale).astype(np.uint8)
         found, labels, boxes, _ = cv2.connectedComponentsWithStats(spots, connectivity=8)
         for label in range(1, found):
@@ -608,29 +609,9 @@ class _Scene:
             yield scale * y, scale * x, scale * (y + rows_), scale * (x + columns_), area
 
 
-def _waist(mask: Map) -> tuple[int, float]:
-    """Where a mask is narrowest between two of its upright parts, and how its height there compares to theirs."""
-    profile = np.convolve(mask.sum(axis=0), np.full(3, 1 / 3), "same")
-    beside = np.minimum(np.maximum.accumulate(profile), np.maximum.accumulate(profile[::-1])[::-1])
-    depth = np.where(beside > 0.25 * mask.shape[0], profile / np.maximum(beside, 1e-6), 1.0)
-    column = int(depth.argmin())
-    return column, float(depth[column])
-
-
 def _likely_size(mask: Map) -> Pair:
-    rows, columns = np.flatnonzero((mask > 0.45).any(axis=1)), np.flatnonzero((mask > 0.45).any(axis=0))
-    return np.array(
-        [float(np.ptp(rows)) + 1 if len(rows) else 1.0, float(np.ptp(columns)) + 1 if len(columns) else 1.0]
-    )
-
-
-def _keep_size(mask: Map, size: Pair) -> None:
-    """Fade a mask where it reaches further than half of `size` px from its middle."""
-    for axis in (0, 1):
-        mass = np.cumsum(mask.sum(axis=1 - axis))
-        middle = float(np.searchsorted(mass, 0.5 * mass[-1]))
-        far = np.abs(np.arange(mask.shape[axis]) - middle) > 0.5 * size[axis] + 2
-        mask[far if axis == 0 else (slice(None), far)] *= 0.5
+    shape = shape_of(mask)
+    return np.array([max(shape.bottom - shape.top, 1.0), max(shape.right - shape.left, 1.0)])
 
 
 def _without_crumbs(mask: Map) -> Map:
@@ -642,17 +623,6 @@ def _without_crumbs(mask: Map) -> Map:
     crumb = areas < 0.1 * areas[1:].max()
     crumb[0] = False
     return np.where(crumb[labels], np.float32(0), mask)
-
-
-def _clear_near(counts: NDArray[np.int32], blob: Blob, scale: int) -> None:
-    """Take blocks of `scale` px away that a blob covers or touches."""
-    rows, columns = np.nonzero(blob.mask > 0.2)
-    top, left = blob.corner
-    zone = np.zeros(counts.shape, np.uint8)
-    rows, columns = (rows + top) // scale, (columns + left) // scale
-    inside = (rows >= 0) & (rows < zone.shape[0]) & (columns >= 0) & (columns < zone.shape[1])
-    zone[rows[inside], columns[inside]] = 1
-    counts[cv2.dilate(zone, np.ones((3, 3), np.uint8)) > 0] = 0
 
 
 def _paste(out: Map, top: int, left: int, source: Map, source_top: int, source_left: int) -> None:
@@ -667,24 +637,21 @@ def _paste(out: Map, top: int, left: int, source: Map, source_top: int, source_l
         ]
 
 
-def _fitted(blob: Blob, size: tuple[int, int]) -> Blob:
+def _fitted(blob: Blob) -> Blob:
     """The blob with a patch that leaves its mask room to grow, and not much more."""
-    likely = blob.mask > 0.25
-    rows, columns = np.flatnonzero(likely.any(axis=1)), np.flatnonzero(likely.any(axis=0))
-    if not len(rows) or not len(columns):
+    measured = blob.shape
+    begin = np.array([measured.faint_top, measured.faint_left])
+    end = np.array([measured.faint_bottom, measured.faint_right])
+    room = [*begin, *(np.array(blob.mask.shape) - end)]
+    if not end.all() or (min(room) >= MARGIN // 2 and max(room) <= 3 * MARGIN):
         return blob
-    before = (rows[0], columns[0])
-    after = (blob.mask.shape[0] - 1 - rows[-1], blob.mask.shape[1] - 1 - columns[-1])
-    if min(*before, *after) >= MARGIN // 2 and max(*before, *after) <= 3 * MARGIN:
-        return blob
-    first = np.array(before) - MARGIN
-    shape = (rows[-1] - rows[0] + 1 + 2 * MARGIN, columns[-1] - columns[0] + 1 + 2 * MARGIN)
+    first, shape = begin - MARGIN, tuple(end - begin + 2 * MARGIN)
     mask = np.zeros(shape, np.float32)
     appearance = np.full((len(blob.appearance), *shape), UNKNOWN_COLOUR, np.float32)
     _paste(mask, int(first[0]), int(first[1]), blob.mask, 0, 0)
     for new, old in zip(appearance, blob.appearance, strict=True):
         _paste(new, int(first[0]), int(first[1]), old, 0, 0)
-    return replace(blob, position=blob.position + first, mask=mask, appearance=appearance)
+    return blob.changed(position=blob.position + first, mask=mask, appearance=appearance)
 
 
 def _pieces(one: Blob, other: Blob) -> bool:
@@ -725,10 +692,8 @@ def _joined(one: Blob, other: Blob) -> Blob:
         mask[window][better] = blob.mask[better]
         for new, old in zip(appearance, blob.appearance, strict=True):
             new[window][better] = old[better]
-    position = one.position + (first - corners[0])
-    return replace(
-        one,
-        position=position,
+    return one.changed(
+        position=one.position + (first - corners[0]),
         mask=mask,
         appearance=appearance,
         size=_likely_size(mask),

@@ -58,6 +58,16 @@ def gather(image, log_odds, top, left, planes, odds, free):
 
 
 @compiled
+def density_without(odds, prior):
+    """1 / b, b = (1 - P(B)) (1 + odds): density of every pixel without the blob, relative to the uniform one."""
+    out = np.empty(odds.shape, np.float32)
+    flat, result = odds.reshape(-1), out.reshape(-1)
+    for i in range(flat.size):
+        result[i] = _f4(1) / ((_f4(1) - prior) * (_f4(1) + exponential(flat[i])))
+    return out
+
+
+@compiled
 def cover(free, top, left, mask):
     """Take away from `free` what a mask placed at `(top, left)` in it covers."""
     rows, columns = free.shape
