@@ -63,7 +63,7 @@ class BackgroundState:
     elapsed: float
 
     def picture(self) -> NDArray[np.uint8]:
-        """The empty scene as it looks under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
+        """The empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
         height, width = self.size
         field = LightField(self.light, self.size)
         rows, position = field.rows(), field.row_positions()
@@ -184,8 +184,8 @@ class AdaptiveBackground:
             second_look(
                 np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, state.size[1], light_rows,
                 row_positions, colour.from_pixels(channels), colour.to_pixels(channels),
-                np.float32(prediction.tolerance), 2 * prediction.trusted_looks, np.float32(self.first_variance),
-                after.mean, after.variance, candidate, seen,
+                np.float32(prediction.tolerance), 2 * prediction.trusted_looks,
+                np.float32(self.first_variance), after.mean, after.variance, candidate, seen,
             )  # fmt: skip
         return replace(
             state,
@@ -220,8 +220,8 @@ class AdaptiveBackground:
     def _light_now(self, state: BackgroundState, image: NDArray[np.uint8]) -> Planes:
         """Light of this frame: smooth, and moved only by what most of a neighbourhood agrees on.
 
-        Objects change the ratio of seen to predicted brightness too: blocks behind known ones count little, and
-        a new one would have to fill most of three by three blocks with one and the same factor.
+        Objects change the ratio of seen to predicted brightness too: blocks behind known ones count little,
+        and a new one would have to fill most of three by three blocks with one and the same factor.
         """
         before = LightField(state.light, state.size)
         ratios, agreement = np.empty_like(state.light), np.empty_like(state.light)
