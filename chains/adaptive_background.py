@@ -23,8 +23,11 @@ from ..models.pixel_labels import PixelLabels, PixelMessage
 
 Planes = NDArray[np.float32]
 
-FASTEST_LIGHT = 0.08
-"""Log of the most that light changes from frame to frame; a lamp that is switched takes a few."""
+LIGHT_INTERVAL = 2
+"""Looks from one estimate of the light to the next."""
+
+FASTEST_LIGHT = 0.1
+"""Log of the most that light changes between estimates; a lamp that is switched takes a few."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +53,8 @@ class BackgroundState:
         and `(n_pixels,)` uint8 how many looks it has lasted.
     elapsed
         s since the last look.
+    looks
+        how many there have been.
     """
 
     size: tuple[int, int]
@@ -61,6 +66,7 @@ class BackgroundState:
     candidate: NDArray[np.uint8]
     seen: NDArray[np.uint8]
     elapsed: float
+    looks: int
 
     def picture(self) -> NDArray[np.uint8]:
         """The empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
@@ -140,6 +146,7 @@ class AdaptiveBackground:
             candidate=np.zeros(image.size, np.uint8),
             seen=np.zeros(n_pixels, np.uint8),
             elapsed=0.0,
+            looks=0,
         )
 
     def predict(self, state: BackgroundState, dt: float) -> BackgroundState:
@@ -197,10 +204,12 @@ class AdaptiveBackground:
             candidate=candidate,
             seen=seen,
             elapsed=0.0,
+            looks=state.looks + 1,
         )
 
     def _prediction(self, state: BackgroundState, image: NDArray[np.uint8] | None) -> BackgroundPrediction:
-        light = state.light if image is None or not self.follow_light else self._light_now(state, image)
+        look = self.follow_light and image is not None and state.looks % LIGHT_INTERVAL == 0
+        light = self._light_now(state, image) if look else state.light
         return BackgroundPrediction(
             size=state.size,
             mean=state.mean,

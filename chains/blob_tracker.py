@@ -57,7 +57,7 @@ BENEFIT_OF_DOUBT = 0.6
 RENDERING_NOISE = 0.05
 """px^2 per frame, of rendering a blob at whole pixels."""
 
-SWEEP = 4
+SWEEP = 8
 """Every how many looks a mask is freed of crumbs."""
 
 FRESH = 10
@@ -539,7 +539,11 @@ class _Scene:
         self, told: PixelMessage, layers: LayerStack, boxes: BoxMessage | None, elapsed: float
     ) -> None:
         self.told = told
-        self._boxes = boxes
+        self._expected: dict[int, tuple[Pair, Pair]] = {}
+        if boxes is not None:
+            sides = [HEIGHT, WIDTH]
+            for identity, mean, covariance in zip(*boxes.moments, strict=True):
+                self._expected[int(identity)] = (mean[sides], covariance.diagonal()[sides])
         self.size = told.size
         self.elapsed = elapsed
         self._regions = layers.regions(told.image, told.size)
@@ -547,15 +551,11 @@ class _Scene:
 
     def expected_size(self, blob: Blob) -> Pair:
         """Usual height and width px of a blob, and what other chains expect of it, by their precisions."""
-        if self._boxes is None or blob.identity not in self._boxes.identities:
+        if blob.identity not in self._expected:
             return blob.size
-        try:
-            mean, covariance = self._boxes.marginal(blob.identity)
-        except KeyError:  # nothing is known of its size
-            return blob.size
-        own = 1 / (0.15 * blob.size) ** 2
-        theirs = 1 / np.maximum(np.diag(covariance)[[HEIGHT, WIDTH]], 1.0)
-        size: Pair = (own * blob.size + theirs * mean[[HEIGHT, WIDTH]]) / (own + theirs)
+        expected, variance = self._expected[blob.identity]
+        own, theirs = 1 / (0.15 * blob.size) ** 2, 1 / np.maximum(variance, 1.0)
+        size: Pair = (own * blob.size + theirs * expected) / (own + theirs)
         return np.maximum(size, 0.5 * blob.size)
 
     def explained(self, top: int, left: int, shape: tuple[int, int]) -> Map:
