@@ -394,7 +394,7 @@ class BlobTracker:
             blob.appearance, *self._colour_model(blob), np.float32(self.strength),
             np.float32(1 - np.exp(-scene.elapsed / self.mask_time)),
             np.float32(1 - np.exp(-scene.elapsed / self.colour_time)),
-            np.float32(BENEFIT_OF_DOUBT if blob.still > 0.5 else 0.0), mask, appearance,
+            np.float32(BENEFIT_OF_DOUBT if blob.still > 0.2 else 0.0), mask, appearance,
         )  # fmt: skip
         if blob.hits >= FRESH:
             fade_beyond(mask, *(GROWTH * scene.expected_size(blob)))

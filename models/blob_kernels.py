@@ -224,7 +224,7 @@ def learn(
             sum_open += clear
             sum_seen += clear * target
             # a likely pixel that fits the blob's colours as well as the background's tells nothing
-            doubt = (covers[x] > _f4(0.5)) & (density > _f4(1))
+            doubt = (covers[x] > _f4(0.35)) & (density > _f4(1))
             least = least_kept if doubt else _f4(0)
             after = covers[x] + mask_rate * open_[x] * (max(target, least) - covers[x])
             out[x] = min(max(after, _f4(0)), _f4(HIGHEST_COVER))
