@@ -208,8 +208,9 @@ class AdaptiveBackground:
         )
 
     def _prediction(self, state: BackgroundState, image: NDArray[np.uint8] | None) -> BackgroundPrediction:
-        look = self.follow_light and image is not None and state.looks % LIGHT_INTERVAL == 0
-        light = self._light_now(state, image) if look else state.light
+        light = state.light
+        if image is not None and self.follow_light and state.looks % LIGHT_INTERVAL == 0:
+            light = self._light_now(state, image)
         return BackgroundPrediction(
             size=state.size,
             mean=state.mean,
@@ -253,7 +254,8 @@ class AdaptiveBackground:
 
 
 def _share_of_blocks(covered: NDArray[np.uint8], grid: tuple[int, ...]) -> Planes:
-    return cv2.resize(covered[::4, ::4], grid[::-1], interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+    share = cv2.resize(covered[::4, ::4], grid[::-1], interpolation=cv2.INTER_AREA)
+    return share.astype(np.float32) / np.float32(255)
 
 
 def _blurred(blocks: NDArray[Any]) -> Planes:
