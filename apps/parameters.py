@@ -18,6 +18,9 @@ SECTIONS: dict[str, dict[str, type[Any]]] = {
 }
 """Kinds of chain by section and by the value of its key `model`, the default first."""
 
+NODES = ("name", "pixels")
+"""Fields of chains that name nodes of the graph, which is the application's own."""
+
 
 def read_parameters(path: Path) -> Parameters:
     """Read parameters from a TOML file with the sections of `SECTIONS`; what it leaves out keeps its default.
@@ -82,9 +85,9 @@ def _model(section: str, values: Mapping[str, Any]) -> str:
 
 
 def _kinds(chain: type[Any]) -> dict[str, Any]:
-    """Types of a chain's parameters; the name of the node in the graph is none of them."""
+    """Types of a chain's parameters; names of nodes in the graph are none of them."""
     hints = get_type_hints(chain)
-    return {each.name: hints[each.name] for each in fields(chain) if each.init and each.name != "name"}
+    return {each.name: hints[each.name] for each in fields(chain) if each.init and each.name not in NODES}
 
 
 def _is(value: object, kind: type[Any]) -> bool:

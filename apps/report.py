@@ -305,7 +305,7 @@ def _summary(record: RunRecord, background: Image) -> Html:
         "first and last": f"{record.numbers[0]} – {record.numbers[-1]}",
         "duration": f"{record.times[-1] - record.times[0]:.1f} s",
         "picture": f"{background.shape[1]} × {background.shape[0]} px",
-        "frames a second": f"{len(record.numbers) / spent:.1f}" if spent > 0 else "–",
+        "frames a second, model": f"{len(record.numbers) / spent:.1f}" if spent > 0 else "–",
         "tracks": f"{len(record.tracks)}",
     }
     cards = (
@@ -371,7 +371,7 @@ def _plots(record: RunRecord) -> Html:
         ("tracks", mean(record.n_tracks)),
         ("foreground, %", 100 * mean(record.foreground_share)),
         ("log evidence\na pixel, nats", mean(record.log_evidence)),
-        ("frames a second", np.where(spent > 0, widths / np.maximum(spent, 1e-9), np.nan)),
+        ("frames a second, model", np.where(spent > 0, widths / np.maximum(spent, 1e-9), np.nan)),
     ]
 
     def draw(canvas: Figure) -> None:

@@ -152,6 +152,7 @@ def test_a_truncated_video(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
         ("[background]\nmodel = ['mixture']", "model = ['mixture'], expected gaussian, mixture"),
         ("[background]\nmodel = 'mixture'\nsettle_time = 1.0", "unknown key 'settle_time', expected model, "),
         ("[blobs]\nname = 'x'", "[blobs]: unknown key 'name'"),
+        ("[blobs]\npixels = 'x'", "[blobs]: unknown key 'pixels'"),
         ("[background", "not a TOML file"),
         (b"\xff\xfe", "not a TOML file"),
     ],
