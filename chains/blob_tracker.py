@@ -46,13 +46,13 @@ MARGIN = 6
 """px of empty border in a blob's patch, into which its mask can grow."""
 
 THINNEST = 0.08
-"""Area over squared length below which a spot is a line (a rope, a wire, an edge that shakes) and no object."""
+"""Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
 
 GROWTH = 1.3
 """How far beyond its usual size a mask may reach."""
 
 BENEFIT_OF_DOUBT = 0.6
-"""What the mask of a still blob keeps of pixels that show its colours, although the background has them too."""
+"""What the mask of a still blob keeps of pixels that fit its colours as well as the background's."""
 
 RENDERING_NOISE = 0.05
 """px^2 per frame, of rendering a blob at whole pixels."""
@@ -164,7 +164,9 @@ class Blob:
 
     def changed(self, **values: Any) -> "Blob":
         """Like `dataclasses.replace`, but what was measured of a mask that stays is kept."""
-        kept = {name: value for name, value in self.__dict__.items() if name not in ("corner", "shape", "box")}
+        kept = {
+            name: value for name, value in self.__dict__.items() if name not in ("corner", "shape", "box")
+        }
         blob: Blob = object.__new__(Blob)
         blob.__dict__.update(kept | values)
         if "mask" not in values and "shape" in self.__dict__:
@@ -220,7 +222,7 @@ class BlobTracker:
     mask_time, colour_time
         s in which a mask and its colours follow what is seen.
     spread
-        squared grey levels: variance of a new blob's colours about the remembered ones, and the most it can be.
+        squared grey levels: variance of a new blob's colours about the remembered ones, at most.
     outliers
         share of an object's pixels that look otherwise.
     strength
@@ -354,7 +356,7 @@ class BlobTracker:
         return Layer(top, left, blob.mask, blob.appearance, blob.spread, self.outliers, self.strength)
 
     def _placed(self, blob: Blob, in_front: Sequence[Blob], told: PixelMessage) -> Blob:
-        """Register a blob with the pixels that nothing in front of it covers, and update place and velocity."""
+        """Register a blob with the pixels that nothing in front covers; update place and velocity."""
         top, left = blob.corner
         (place, both), (_, speed) = blob.covariance.tolist()
         reach = int(min(max(2.5 * math.sqrt(place) + 1, 2), max(6, min(0.35 * blob.length, 24))))
@@ -390,8 +392,8 @@ class BlobTracker:
         window.hide(in_front)
         mask, appearance = np.empty_like(blob.mask), np.empty_like(blob.appearance)
         total, visible, seen, variance = learn(
-            window.planes, window.odds, window.free, scene.explained(*blob.corner, blob.mask.shape), blob.mask,
-            blob.appearance, *self._colour_model(blob), np.float32(self.strength),
+            window.planes, window.odds, window.free, scene.explained(*blob.corner, blob.mask.shape),
+            blob.mask, blob.appearance, *self._colour_model(blob), np.float32(self.strength),
             np.float32(1 - np.exp(-scene.elapsed / self.mask_time)),
             np.float32(1 - np.exp(-scene.elapsed / self.colour_time)),
             np.float32(BENEFIT_OF_DOUBT if blob.still > 0.2 else 0.0), mask, appearance,
@@ -401,7 +403,11 @@ class BlobTracker:
         confidence = seen / max(visible, 1e-6)
         if visible <= 0.3 * total or confidence <= 0.35:
             return blob.changed(
-                mask=mask, appearance=appearance, unseen=blob.unseen + scene.elapsed, still=0.0, confidence=0.0
+                mask=mask,
+                appearance=appearance,
+                unseen=blob.unseen + scene.elapsed,
+                still=0.0,
+                confidence=0.0,
             )
         speed = math.hypot(*blob.velocity)
         follow = 1 - math.exp(-scene.elapsed / self.colour_time)

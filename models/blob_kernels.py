@@ -59,7 +59,7 @@ def gather(image, log_odds, top, left, planes, odds, free):
 
 @compiled
 def density_without(odds, prior):
-    """1 / b, b = (1 - P(B)) (1 + odds): density of every pixel without the blob, relative to the uniform one."""
+    """1 / b, b = (1 - P(B)) (1 + odds): the pixels' density without the blob, relative to the uniform one."""
     out = np.empty(odds.shape, np.float32)
     flat, result = odds.reshape(-1), out.reshape(-1)
     for i in range(flat.size):
@@ -247,35 +247,6 @@ def learn(
                 colour = old[x] + rates[x] * (shown[x] - old[x])
                 new[x] = _f4(UNKNOWN_COLOUR) if out[x] < _f4(0.1) else colour
     return total, visible, seen, squares / (inside * appearance.shape[0])
-
-
-@compiled
-def likely_extent(mask, threshold, least):
-    """Top, left, bottom, right (exclusive) of rows and columns where `least` px or more exceed `threshold`.
-
-    All are 0 where there are none.
-    """
-    rows, columns = mask.shape
-    in_columns = np.zeros(columns, np.int32)
-    top = bottom = 0
-    for y in range(rows):
-        values = mask[y]
-        in_row = 0
-        for x in range(columns):
-            likely = np.int32(1) if values[x] > threshold else np.int32(0)
-            in_columns[x] += likely
-            in_row += likely
-        if in_row >= least:
-            top = y if bottom == 0 else top
-            bottom = y + 1
-    left = right = 0
-    for x in range(columns):
-        if in_columns[x] >= least:
-            left = x if right == 0 else left
-            right = x + 1
-    if bottom == 0 or right == 0:
-        return 0, 0, 0, 0
-    return top, left, bottom, right
 
 
 @compiled

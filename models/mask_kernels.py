@@ -85,7 +85,20 @@ def _shape(mask):
         mass += per_column[x]
         if x < waist:
             mass_left += per_column[x]
-    return mass, top, left, bottom, right, faint_top, faint_left, faint_bottom, faint_right, waist, depth, mass_left
+    return (
+        mass,
+        top,
+        left,
+        bottom,
+        right,
+        faint_top,
+        faint_left,
+        faint_bottom,
+        faint_right,
+        waist,
+        depth,
+        mass_left,
+    )
 
 
 def shape_of(mask: np.ndarray[tuple[int, int], np.dtype[np.float32]]) -> MaskShape:

@@ -181,16 +181,3 @@ def test_count_foreground(size, scale):
     wide[: size[0], : size[1]] = log_odds < 0
     expected = wide.reshape(counts.shape[0], scale, counts.shape[1], scale).sum(axis=(1, 3))
     np.testing.assert_array_equal(counts, expected)
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 10_000), st.integers(1, 12), st.integers(1, 12), st.sampled_from([1, 2]))
-def test_likely_extent(seed, rows, columns, least):
-    mask = (np.random.default_rng(seed).random((rows, columns)) ** 4).astype(F4)
-    likely = mask > 0.45
-    row, column = likely.sum(axis=1) >= least, likely.sum(axis=0) >= least
-    expected = (0, 0, 0, 0)
-    if row.any() and column.any():
-        (ys,), (xs,) = np.nonzero(row), np.nonzero(column)
-        expected = (ys[0], xs[0], ys[-1] + 1, xs[-1] + 1)
-    assert kernels.likely_extent(mask, F4(0.45), least) == expected
