@@ -149,7 +149,7 @@ def test_learn(channels, columns):
     learned = free * target > 0.5
     squares = np.square(planes.astype(float) - appearance).mean(axis=0)
     assert variance == pytest.approx(squares[learned & (mask > 0.5)].mean(), rel=1e-3)
-    doubt = (mask > 0.5) & (density_of(planes, appearance) > 1)
+    doubt = (mask > 0.35) & (density_of(planes, appearance) > 1)
     wanted = np.where(doubt, np.maximum(target, 0.45), target)
     after = np.clip(mask + 0.2 * free * (wanted - mask), 0, 0.97)
     np.testing.assert_allclose(new_mask, after, atol=1e-3)
