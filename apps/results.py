@@ -288,12 +288,16 @@ class SegmentedVideo:
             return
         segment, self._segment = self._segment, None
         name = f"{self._path.stem}.part{segment.last_number:09d}{self._path.suffix}"
-        with naming(self._path):
-            try:
-                segment.container.mux(segment.stream.encode(None))
-            finally:
-                segment.container.close()
-            os.replace(self._unfinished, self._path.with_name(name))
+        try:
+            with naming(self._path):
+                try:
+                    segment.container.mux(segment.stream.encode(None))
+                finally:
+                    segment.container.close()
+                os.replace(self._unfinished, self._path.with_name(name))
+        except BaseException:
+            self._unfinished.unlink(missing_ok=True)
+            raise
 
     def close(self, *, finished: bool) -> None:
         """Write the whole video; when the run is finished, remove the segments."""
@@ -641,9 +645,13 @@ class TrackWriter:
             self._file.flush()
 
     def close(self) -> None:
-        """Complete the file."""
-        with naming(self._path):
-            self._file.close()
+        """Complete the file; when the disk is full, up to the last whole line."""
+        try:
+            with naming(self._path):
+                self._file.close()
+        except OSError:
+            os.truncate(self._path, self._path.read_bytes().rfind(b"\n") + 1)
+            raise
 
 
 def _lines_until(path: Path, number: int) -> str:

@@ -4,6 +4,7 @@ import errno
 import io
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -210,6 +211,21 @@ def test_interrupted_run_leaves_a_readable_video_and_resumes(tmp_path: Path) -> 
     assert names(tmp_path) == {"overlay.mp4"}
 
 
+def test_video_that_cannot_be_completed_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    video = SegmentedVideo(tmp_path / "overlay.mp4", 25.0, results.PLAYABLE)
+    video.write(np.zeros((HEIGHT, WIDTH, 3), np.uint8), 1, 0.0)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(results.os, "replace", full)
+    with pytest.raises(OSError, match=r"overlay\.mp4"):
+        video.close(finished=False)
+    assert not list(tmp_path.iterdir())
+
+
 def test_resuming_a_finished_run_leaves_it_alone(tmp_path: Path) -> None:
     path = tmp_path / "overlay.mp4"
     write_overlay(path, 1, 10, 5)
@@ -350,6 +366,25 @@ def test_tracks_come_back(tmp_path_factory: pytest.TempPathFactory, rows: list[t
     assert read["id"].tolist() == [row[1] for row in rows]
     np.testing.assert_allclose(read["box"], np.array([row[2:] for row in rows]).reshape(-1, 4), atol=0.0051)
     assert (read["confidence"] == 0.5).all()
+
+
+def test_tracks_of_a_full_disk_are_whole_lines(tmp_path: Path) -> None:
+    """A limit of the size of files stands for the full disk."""
+    path = tmp_path / "tracks.txt"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        tracks = TrackWriter(path)
+        for number in range(1, 100):
+            tracks.write(number, [Box(1, (number, 5.0, 10.0, 20.0), 1.0)])
+        with pytest.raises(OSError, match=r"tracks\.txt"):
+            tracks.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert 900 < path.stat().st_size <= 1000
+    text = path.read_text()
+    assert text.endswith("\n")
+    assert results.read_tracks(path)["frame"].tolist() == list(range(1, text.count("\n") + 1))
 
 
 def test_resumed_tracks_end_at_the_state(tmp_path: Path) -> None:
