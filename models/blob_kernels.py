@@ -147,11 +147,12 @@ def search(
     scores = np.full((size, size), _NOT_YET, np.float32)
     stride = max(reach // 2, 1)
     centre_y = centre_x = 0
+    spread = 2
     while True:
-        for i in range(-2, 3):
-            for j in range(-2, 3):
+        for i in range(-spread, spread + 1):
+            for j in range(-spread, spread + 1):
                 y, x = centre_y + i * stride, centre_x + j * stride
-                if abs(y) > reach or abs(x) > reach or (stride == 1 and (abs(i) > 1 or abs(j) > 1)):
+                if abs(y) > reach or abs(x) > reach:
                     continue
                 prior = -0.5 * precision * ((y - offset_y) ** 2 + (x - offset_x) ** 2)
                 if scores[reach + y, reach + x] == _NOT_YET:
@@ -164,6 +165,7 @@ def search(
                     best, best_y, best_x = score, y, x
         moved = best_y != centre_y or best_x != centre_x
         centre_y, centre_x = best_y, best_x
+        spread = 1
         if stride > 1:
             stride = max(stride // 2, 1)
         elif not moved:
