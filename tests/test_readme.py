@@ -1,0 +1,83 @@
+"""What README tells people to type works."""
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rsmcm.apps.command_line import app, main
+from rsmcm.apps.demo import write_scene
+from rsmcm.apps.scenes import sleeping_man
+
+ROOT = Path(__file__).parents[1]
+LONG = ("rsmcm demo", "rsmcm reproduce")  # only read, not run; tests of their own run them
+
+
+def blocks(language: str) -> list[str]:
+    text = (ROOT / "README.md").read_text()
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def commands(program: str) -> list[str]:
+    lines = [line for block in blocks("sh") for line in block.splitlines()]
+    return [line for line in lines if line.split()[0] == program]
+
+
+def test_every_command_is_of_a_known_program() -> None:
+    lines = [line for block in blocks("sh") for line in block.splitlines()]
+    assert sorted(lines) == sorted([*commands("rsmcm"), *commands("make"), "pip install ."])
+
+
+def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    """In order, in a folder of their own, with a short scene in place of the demo's."""
+    monkeypatch.chdir(tmp_path)
+    write_scene(sleeping_man(12, enter=0), Path("results/demo/scene"))
+    (settings,) = blocks("toml")
+    Path("settings.toml").write_text(settings)
+    assert len(commands("rsmcm")) > 8
+    for line in commands("rsmcm"):
+        arguments = shlex.split(line)[1:]
+        if line.startswith(LONG):
+            app.parse_args(arguments, exit_on_error=False, print_error=False)
+            continue
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        assert ended.value.code == 0, capfd.readouterr().err
+    for name in re.findall(r"^\| `([^`]+)`", (ROOT / "README.md").read_text(), re.MULTILINE):
+        if not name.endswith("/"):
+            assert (Path("results/street") / name).stat().st_size > 0
+    assert len(list(Path("results/part/foreground").iterdir())) == 4
+
+
+def test_make_targets() -> None:
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    for line in commands("make"):
+        assert line.split()[1] in targets
+
+
+def test_files_that_are_named_are_there() -> None:
+    text = (ROOT / "README.md").read_text()
+    named = re.findall(r"\]\(([^)#:]+)\)", text)
+    assert named
+    for name in named:
+        assert (ROOT / name).exists()
+
+
+def test_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All blocks in order, in one namespace, as somebody would paste them."""
+    monkeypatch.chdir(tmp_path)
+    printed: list[str] = []
+    names: dict[str, Any] = {"__name__": "readme", "print": printed.append}
+    for block in blocks("python"):
+        exec(compile(block, "README.md", "exec"), names)
+    assert (names["together"][names["person"]] > 0).mean() > (
+        names["apart"][names["person"]] > 0
+    ).mean() + 0.2
+    assert printed[0].endswith("with feedback,")
+    assert names["evidence"] < 0
+    assert names["about"] == {"camera": "street"}
+    assert names["state"].number == 15
+    assert 0 < names["height"][0] < names["height"][1] < 240
+    assert names["belief"].frame.number == 30
+    assert "<svg" in Path("model.svg").read_text()
