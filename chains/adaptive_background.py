@@ -23,6 +23,9 @@ from ..models.pixel_labels import PixelLabels, PixelMessage
 
 Planes = NDArray[np.float32]
 
+UNSURE_VARIANCE = 4.0
+"""Variance of a value that was seen in a few looks only; in the first `settle_time` it gives way easily."""
+
 LIGHT_INTERVAL = 2
 """Looks from one estimate of the light to the next."""
 
@@ -188,11 +191,13 @@ class AdaptiveBackground:
         elapsed = state.elapsed
         if elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
+            beginning = state.looks < 2 * prediction.trusted_looks
             second_look(
                 np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, state.size[1], light_rows,
                 row_positions, colour.from_pixels(channels), colour.to_pixels(channels),
                 np.float32(prediction.tolerance), 2 * prediction.trusted_looks,
-                np.float32(self.first_variance), after.mean, after.variance, candidate, seen,
+                np.float32(self.first_variance), np.float32(UNSURE_VARIANCE if beginning else np.inf),
+                after.noise, after.mean, after.variance, candidate, seen,
             )  # fmt: skip
         return replace(
             state,

@@ -314,18 +314,21 @@ def recall(first, end, pixels, candidate, seen, trusted_looks, channels, toleran
 @compiled
 def second_look(
     pixels, log_odds, covered, width, light_rows, row_position, to_planes, from_planes, tolerance,
-    settle_looks, settled_variance, mean, variance, candidate, seen,
+    settle_looks, settled_variance, unsure_variance, noise, mean, variance, candidate, seen,
 ):  # fmt: skip
     """A second hypothesis for pixels that show neither the background nor a predicted object.
 
-    A colour that stays for `settle_looks` changes places with the mean.
+    A colour that stays for `settle_looks` changes places with the mean. A mean that was hardly seen itself
+    (its variance is over `unsure_variance`) gives way to one that was seen about twice as often, also behind
+    an object: it may only seem to be one because the scene was never seen without what stood there at first.
     """
     channels = mean.shape[0]
     old = np.empty(channels, np.float32)
     spans = np.empty(log_odds.size // 64 + 1, np.int64)
     for span in range(foreground_spans(log_odds, spans)):
         for i in range(spans[span], min(spans[span] + 64, log_odds.size)):
-            if log_odds[i] >= 0 or covered[i] != 0:
+            unsure = variance[i] > unsure_variance
+            if log_odds[i] >= 0 or (covered[i] != 0 and not unsure):
                 continue
             if seen[i] == 0 or colour_gap(pixels, candidate, i, channels) >= tolerance:
                 if seen[i] > 2:
@@ -336,7 +339,8 @@ def second_look(
                         candidate[channels * i + k] = pixels[channels * i + k]
                 continue
             seen[i] += 1
-            if seen[i] < settle_looks:
+            enough = min(settle_looks, int(5 + 2 * noise[i] / variance[i])) if unsure else settle_looks
+            if seen[i] < enough:
                 continue
             y = i // width
             x = i - y * width
@@ -355,4 +359,4 @@ def second_look(
                     value += from_planes[channel, k] * old[k]
                 candidate[channels * i + channel] = np.uint8(min(max(value + _f4(0.5), _f4(0)), _f4(255)))
             variance[i] = settled_variance
-            seen[i] = settle_looks // 2
+            seen[i] = 0 if unsure else settle_looks // 2

@@ -193,17 +193,17 @@ def test_a_second_colour_that_was_seen_often_is_background(channels):
     np.testing.assert_array_equal(recalled.against(image).log_odds, np.where(known, 20, own))
 
 
-def second_look(channels, candidate, seen, looks, covered=None, odds=-40, tolerance=100.0):
+def second_look(channels, candidate, seen, looks, covered=None, odds=-40, tolerance=100.0, known=1.0):
     """One look at a picture of nine pixels of one colour, all foreground."""
     image = np.full(9 * channels, 90, np.uint8)
     mean = colour.to_planes(np.full((3, 3) if channels == 1 else (3, 3, 3), 200, np.uint8))
-    variance = np.full(9, 1, np.float32)
+    variance, noise = np.full(9, known, np.float32), np.full(9, 30, np.float32)
     covered = np.zeros(9, np.uint8) if covered is None else covered
     to_planes = colour.from_pixels(channels)
     kernels.second_look(
         image, np.full(9, odds, np.int8), covered, 3, np.full((3, 3), 2, np.float32), np.zeros(3, np.float32),
-        to_planes, np.linalg.inv(to_planes), np.float32(tolerance), looks, np.float32(20), mean, variance,
-        candidate, seen,
+        to_planes, np.linalg.inv(to_planes), np.float32(tolerance), looks, np.float32(20), np.float32(4),
+        noise, mean, variance, candidate, seen,
     )  # fmt: skip
     return mean, variance
 
@@ -315,3 +315,14 @@ def test_a_view_of_a_picture():
     prediction, image = scene(3)
     wide = np.repeat(image, 2, axis=1)[:, ::2]
     np.testing.assert_array_equal(scene(3)[0].against(wide).pooled, prediction.against(image).pooled)
+
+
+def test_a_mean_that_was_hardly_seen_gives_way_soon_and_behind_objects_too():
+    candidate, seen = np.full(9, 90, np.uint8), np.full(9, 9, np.uint8)
+    mean, variance = second_look(1, candidate, seen, 50, covered=np.ones(9, np.uint8), known=15.0)
+    assert (mean == 45).all()
+    assert (variance == 20).all()
+    assert (candidate == 255).all()
+    seen[:] = 7
+    mean, _ = second_look(1, np.full(9, 90, np.uint8), seen, 50, known=15.0)
+    assert (mean == 200).all()
