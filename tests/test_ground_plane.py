@@ -466,7 +466,7 @@ def test_three_chains_compose() -> None:
         frames.append(Frame(picture.clip(0, 255).astype(np.uint8), number * DT, number))
     pixels, spots = PixelLabels(), ForegroundBoxes()
     # two white shapes that fill whole neighbourhoods would pass for a change of light
-    background = AdaptiveBackground(settle_time=1000.0, follow_light=False)
+    background = AdaptiveBackground(settle_time=np.inf, follow_light=False)
     model = MultiChain().connect(background, pixels).connect(spots, pixels)
     model.connect(spots, OBJECTS).connect(GroundPlane(), OBJECTS)
     *_, last = RecursiveBP(model).run(frames)
