@@ -75,7 +75,8 @@ class Track:
     box
         x, y, width, height px; x, y is the top left corner, 0 at the picture's.
     confidence
-        share of the object's visible part that was seen, 0 to 1; 0 while it is hidden.
+        share of the object's visible part that was seen, 0 to 1; 0 while it is hidden or not found. A missing
+        frame leaves it as it was.
     velocity
         px/s to the right and down.
     """
@@ -238,8 +239,8 @@ class BlobTracker:
     confirmed_hits
         frames in which an object must have been seen before it is reported.
     ghost_evidence
-        nats: log ratio of the contrast across a blob's outline in the background's picture and in the image,
-        summed over frames where it exceeds 0.25, from which on the blob is taken for a ghost.
+        nats from which on a blob is taken for a ghost: log ratio of the contrast across its outline in the
+        background's picture and in the image, less 0.25 a frame, summed over frames and never below 0.
     parting_time
         s for which a blob's mask must have had a waist before it becomes two.
     size_time
@@ -294,7 +295,7 @@ class BlobTracker:
         """What objects say to a feature (mu_{S -> F}).
 
         To pixels: where they cover them and with which colours, front to back. To boxes: where they stand and
-        how large they look, as far as this frame's pixels show it.
+        how large they look, of those that were well seen in the last frame.
         """
         told: PixelMessage = incoming[self.pixels]
         blobs, layers = self._last(self._registered, state, told)
@@ -321,8 +322,8 @@ class BlobTracker:
         blobs, layers = self._last(self._registered, state, told)
         boxes = next((incoming[name] for name in incoming if name != self.pixels), None)
         scene = _Scene(told, layers, boxes, state.elapsed)
-        kept = [self._learned(blob, blobs[:rank], scene) for rank, blob in enumerate(blobs)]
-        kept = [blob for blob in kept if self._lives(blob, scene)]
+        learned = [self._learned(blob, blobs[:rank], scene) for rank, blob in enumerate(blobs)]
+        kept = [blob for rank, blob in enumerate(learned) if self._lives(blob, blobs[:rank], scene)]
         numbers = count(state.born + 1)
         kept = self._merged([part for blob in kept for part in self._parted(blob, numbers, scene)])
         kept += self._newborn(kept, numbers, scene)
@@ -391,14 +392,22 @@ class BlobTracker:
         window = _Window(scene.told, *blob.corner, blob.mask.shape)
         window.hide(in_front)
         mask, appearance = np.empty_like(blob.mask), np.empty_like(blob.appearance)
+        explained = scene.explained(*blob.corner, blob.mask.shape)
         total, visible, seen, variance = learn(
-            window.planes, window.odds, window.free, scene.explained(*blob.corner, blob.mask.shape),
-            blob.mask, blob.appearance, *self._colour_model(blob), np.float32(self.strength),
+            window.planes, window.odds, window.free, explained, blob.mask, blob.appearance,
+            *self._colour_model(blob), np.float32(self.strength),
             np.float32(1 - np.exp(-scene.elapsed / self.mask_time)),
             np.float32(1 - np.exp(-scene.elapsed / self.colour_time)),
             np.float32(BENEFIT_OF_DOUBT if blob.still > 0.2 else 0.0), mask, appearance,
         )  # fmt: skip
-        if blob.hits >= FRESH:
+        entered = scene.entered(blob)
+        if entered is not None:
+            # it has never been looked at before: learned at once, as of a newborn
+            new = np.minimum(0.9, entered * window.free / (explained * (1 + np.exp(window.odds))))
+            taken = (new > 0.2) & (new > mask)
+            mask[taken] = new[taken]
+            appearance[:, taken] = window.planes[:, taken]
+        elif blob.hits >= FRESH:
             fade_beyond(mask, *(GROWTH * scene.expected_size(blob)))
         confidence = seen / max(visible, 1e-6)
         if visible <= 0.3 * total or confidence <= 0.35:
@@ -413,10 +422,11 @@ class BlobTracker:
         follow = 1 - math.exp(-scene.elapsed / self.colour_time)
         spread = blob.spread + follow * (2 * variance - blob.spread)
         grown = 1 - math.exp(-scene.elapsed / (self.mask_time if blob.hits < FRESH else self.size_time))
+        size = blob.size + grown * (np.array(blob.box[:1:-1]) - blob.size)
         return blob.changed(
             mask=mask,
             appearance=appearance,
-            size=blob.size + grown * (np.array(blob.box[:1:-1]) - blob.size),
+            size=size if entered is None else np.maximum(size, _likely_size(mask)),
             spread=min(max(spread, 0.2 * self.spread), self.spread),
             hits=blob.hits + 1,
             unseen=0.0,
@@ -433,7 +443,7 @@ class BlobTracker:
             return blob.ghost_evidence
         return max(blob.ghost_evidence + math.log((in_picture + 3) / (in_image + 3)) - 0.25, 0.0)
 
-    def _lives(self, blob: Blob, scene: "_Scene") -> bool:
+    def _lives(self, blob: Blob, in_front: Sequence[Blob], scene: "_Scene") -> bool:
         mass = blob.shape.mass
         thin = mass < THINNEST * blob.length**2 * (1.0 if blob.hits < FRESH else 0.5)
         if thin or mass < self.smallest * scene.size[0] * scene.size[1]:
@@ -443,8 +453,7 @@ class BlobTracker:
             return False
         if blob.hits < self.confirmed_hits:
             return blob.unseen == 0.0
-        hidden = blob.confidence == 0.0 and scene.hidden(blob)
-        return blob.unseen < (self.hidden_patience if hidden else self.patience)
+        return blob.unseen < (self.hidden_patience if _hidden(blob, in_front) else self.patience)
 
     def _parted(self, blob: Blob, numbers: Iterator[int], scene: "_Scene") -> list[Blob]:
         """A blob that has had a waist between two heads for a while is two; crumbs are swept away."""
@@ -468,7 +477,7 @@ class BlobTracker:
         ]
 
     def _merged(self, blobs: list[Blob]) -> list[Blob]:
-        """Pieces of one object: above each other, touching, and moving alike."""
+        """Pieces of one object become one blob again (see `_pieces`), under the identity seen most."""
         result: list[Blob] = []
         for blob in sorted(blobs, key=lambda blob: (-blob.hits, blob.identity)):
             other = next((k for k, kept in enumerate(result) if _pieces(kept, blob)), None)
@@ -553,7 +562,6 @@ class _Scene:
         self.size = told.size
         self.elapsed = elapsed
         self._regions = layers.regions(told.image, told.size)
-        self._layers = layers.layers
 
     def expected_size(self, blob: Blob) -> Pair:
         """Usual height and width px of a blob, and what other chains expect of it, by their precisions."""
@@ -581,6 +589,16 @@ class _Scene:
             _paste(channel, top, left, plane, 0, 0)
         return out
 
+    def entered(self, blob: Blob) -> Map | None:
+        """1 where a blob's patch has come into the picture since the last look; `None` if nowhere."""
+        before = blob.changed(position=blob.position - self.elapsed * blob.velocity)
+        if self.inside(before) == self.inside(blob):
+            return None
+        out = np.zeros(blob.mask.shape, np.float32)
+        out[self.inside(blob)] = 1
+        out[self.inside(before)] = 0
+        return out
+
     def inside(self, blob: Blob) -> tuple[slice, slice]:
         """The part of a blob's patch that lies in the picture."""
         (top, left), (rows, columns) = blob.corner, blob.mask.shape
@@ -588,15 +606,6 @@ class _Scene:
             slice(min(max(0, -top), rows), max(0, min(rows, self.size[0] - top))),
             slice(min(max(0, -left), columns), max(0, min(columns, self.size[1] - left))),
         )
-
-    def hidden(self, blob: Blob) -> bool:
-        """Whether another blob's layer covers most of this one."""
-        free = np.ones(blob.mask.shape, np.float32)
-        top, left = blob.corner
-        for layer in self._layers:
-            if layer.mask is not blob.mask:
-                cover(free, layer.top - top, layer.left - left, layer.mask)
-        return float((free * blob.mask).sum()) < 0.5 * float(blob.mask.sum())
 
     def unexplained(self, blobs: Sequence[Blob]) -> Iterator[tuple[int, int, int, int, int]]:
         """Top, left, bottom, right and area px of foreground spots that do not touch a blob."""
@@ -610,9 +619,18 @@ class _Scene:
         spots = (counts * 4 >= scale * scale).astype(np.uint8)
         found, labels, boxes, _ = cv2.connectedComponentsWithStats(spots, connectivity=8)
         for label in range(1, found):
-            x, y, columns_, rows_, _ = (int(value) for value in boxes[label])
+            x, y, columns, rows, _ = (int(value) for value in boxes[label])
             area = int(counts[labels == label].sum())
-            yield scale * y, scale * x, scale * (y + rows_), scale * (x + columns_), area
+            yield scale * y, scale * x, scale * (y + rows), scale * (x + columns), area
+
+
+def _hidden(blob: Blob, in_front: Sequence[Blob]) -> bool:
+    """Whether others cover most of a blob."""
+    free = np.ones(blob.mask.shape, np.float32)
+    top, left = blob.corner
+    for other in in_front:
+        cover(free, other.corner[0] - top, other.corner[1] - left, other.mask)
+    return float((free * blob.mask).sum()) < 0.5 * float(blob.mask.sum())
 
 
 def _likely_size(mask: Map) -> Pair:
@@ -661,10 +679,11 @@ def _fitted(blob: Blob) -> Blob:
 
 
 def _pieces(one: Blob, other: Blob) -> bool:
-    """Whether two blobs, the second no older, are parts of one object.
+    """Whether two blobs, the second seen in no more frames, are parts of one object.
 
     What touches a blob right after it was born belongs to it if it is above, below or small, and the two
-    together are not much larger than either; so do blobs that have stood on each other for a while.
+    together are not much larger than the larger (or the first is as new); so do blobs that have stood still
+    above each other for a while.
     """
     x, y, width, height = one.box
     other_x, other_y, other_width, other_height = other.box

@@ -108,7 +108,7 @@ def shape_of(mask: np.ndarray[tuple[int, int], np.dtype[np.float32]]) -> MaskSha
 
 @compiled
 def fade_beyond(mask, height, width):
-    """Halve a mask, in place, where it is further than half of `height` and `width` px from its median."""
+    """Halve a mask, in place, over 2 px further from its median than half of `height` or `width` px."""
     rows, columns = mask.shape
     per_row, per_column = np.zeros(rows, np.float32), np.zeros(columns, np.float32)
     for y in range(rows):
