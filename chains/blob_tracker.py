@@ -453,7 +453,8 @@ class BlobTracker:
             return False
         if blob.hits < self.confirmed_hits:
             return blob.unseen == 0.0
-        return blob.unseen < (self.hidden_patience if _hidden(blob, in_front) else self.patience)
+        hidden = blob.unseen > 0 and _hidden(blob, in_front)
+        return blob.unseen < (self.hidden_patience if hidden else self.patience)
 
     def _parted(self, blob: Blob, numbers: Iterator[int], scene: "_Scene") -> list[Blob]:
         """A blob that has had a waist between two heads for a while is two; crumbs are swept away."""
