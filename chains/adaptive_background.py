@@ -24,7 +24,10 @@ from ..models.pixel_labels import PixelLabels, PixelMessage
 Planes = NDArray[np.float32]
 
 UNSURE_VARIANCE = 4.0
-"""Variance of a value that was seen in a few looks only; in the first `settle_time` it gives way easily."""
+"""Variance of a value that was seen in a few looks only, and gives way easily in the beginning."""
+
+BEGINNING = 60
+"""Looks after which nothing that was there from the first is taken for the scene by mistake any more."""
 
 LIGHT_INTERVAL = 2
 """Looks from one estimate of the light to the next."""
@@ -191,7 +194,7 @@ class AdaptiveBackground:
         elapsed = state.elapsed
         if elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
-            beginning = state.looks < 2 * prediction.trusted_looks
+            beginning = state.looks < BEGINNING
             second_look(
                 np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, state.size[1], light_rows,
                 row_positions, colour.from_pixels(channels), colour.to_pixels(channels),

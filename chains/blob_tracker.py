@@ -684,7 +684,7 @@ def _pieces(one: Blob, other: Blob) -> bool:
 
     What touches a blob right after it was born belongs to it if it is above, below or small, and the two
     together are not much larger than the larger (or the first is as new); so do blobs that have stood still
-    above each other for a while.
+    above each other for a while, or that move alike above each other and make one upright body together.
     """
     x, y, width, height = one.box
     other_x, other_y, other_width, other_height = other.box
@@ -693,10 +693,12 @@ def _pieces(one: Blob, other: Blob) -> bool:
     if max(gap_x, gap_y) > 3:
         return False
     stacked = -gap_x > 0.7 * min(width, other_width)
-    if other.hits >= FRESH:
-        return stacked and min(one.still, other.still) > 1.5
     tall = max(y + height, other_y + other_height) - min(y, other_y)
     wide = max(x + width, other_x + other_width) - min(x, other_x)
+    if other.hits >= FRESH:
+        alike = math.hypot(*(one.velocity - other.velocity)) < 0.2 * tall
+        one_body = -gap_y < 0.2 * min(height, other_height) and tall < 3.2 * wide and alike
+        return stacked and (one_body or min(one.still, other.still) > 1.5)
     modest = tall < 1.6 * max(height, other_height) and wide < 1.6 * max(width, other_width)
     small = min(width * height, other_width * other_height) < 0.35 * max(
         width * height, other_width * other_height

@@ -454,11 +454,11 @@ def test_three_chains_compose() -> None:
     random = np.random.default_rng(0)
     empty = random.integers(90, 110, (120, 160))
     frames: list[Frame] = []
-    for number in range(1, 98):  # the scene is seen alone for a while
+    for number in range(1, 138):  # the scene is seen alone for a while
         picture = empty + random.normal(0, 2, empty.shape)
-        if number > 20:
+        if number > 60:
             for column, start in ((40, 50.0), (110, 70.0)):
-                foot = start + 0.5 * (number - 21)
+                foot = start + 0.5 * (number - 61)
                 height = 0.4 * (foot - 10)
                 rows = slice(round(foot - height), round(foot))
                 columns = slice(round(column - 0.2 * height), round(column + 0.2 * height))
