@@ -182,8 +182,12 @@ def sweep_subtractors(
 
 def component_boxes(mask: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Return the bounding boxes `(n, 4)`, x, y, width, height (px), of the mask's 8-connected components."""
-    statistics = cv2.connectedComponentsWithStats(mask, connectivity=8)[2]
-    return statistics[1:, : cv2.CC_STAT_HEIGHT + 1].astype(np.float64)
+    return components(mask)[:, :4]
+
+
+def components(mask: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Return box and area `(n, 5)`, x, y, width, height (px), px, of the mask's 8-connected components."""
+    return _labelled(mask)[1][1:].astype(np.float64)
 
 
 class KalmanHungarian:
@@ -288,8 +292,16 @@ def _clean(
             if size:
                 element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
                 smooth = cv2.morphologyEx(smooth, operation, element)
-        _, labels, statistics, _ = cv2.connectedComponentsWithStats(smooth, connectivity=8)
+        if group == [shared]:
+            yield shared, smooth.astype(np.uint8, copy=False)
+            continue
+        labels, statistics = _labelled(smooth)
         for clean_up in group:
             value = np.where(statistics[:, cv2.CC_STAT_AREA] >= clean_up.min_area, np.uint8(255), np.uint8(0))
             value[0] = 0
             yield clean_up, value[labels]
+
+
+def _labelled(mask: cv2.typing.MatLike) -> tuple[cv2.typing.MatLike, cv2.typing.MatLike]:
+    """Return labels and statistics of 8-connected components; the default way takes three times as long."""
+    return cv2.connectedComponentsWithStatsWithAlgorithm(mask, 8, cv2.CV_32S, cv2.CCL_BBDT)[1:3]
