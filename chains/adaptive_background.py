@@ -29,11 +29,8 @@ UNSURE_VARIANCE = 4.0
 BEGINNING = 60
 """Looks after which nothing that was there from the first is taken for the scene by mistake any more."""
 
-LIGHT_INTERVAL = 2
-"""Looks from one estimate of the light to the next."""
-
-FASTEST_LIGHT = 0.1
-"""Log of the most that light changes between estimates; a lamp that is switched takes a few."""
+FASTEST_LIGHT = 0.05
+"""Log of the most that light changes from look to look; a lamp that is switched takes a few."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,6 +137,8 @@ class LayerStack:
 
     def regions(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> tuple[Region, ...]:
         """The layers, composed, in boxes that are apart; `size` of the picture is `(height, width)`."""
+        if not len(self):
+            return ()  # and nothing is remembered: the stack without layers lives as long as the program
         key = (id(image), size)
         if key not in self._regions:
             self._regions[key] = (image, tuple(self._compose(image, size)))

@@ -1,5 +1,7 @@
 """Messages about pixels: their algebra, and the two chains that meet on them."""
 
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -387,3 +389,12 @@ def test_evidence_is_the_image():
     frame = Frame(image_of(), 0.0, 1)
     labels = PixelLabels()
     assert labels.evidence(frame, labels.uniform()).image is frame.image
+
+
+def test_a_message_without_layers_remembers_no_image():
+    image = np.zeros((4, 5), np.uint8)
+    before = sys.getrefcount(image)
+    message = PixelMessage(image=image)
+    message.foreground()
+    del message
+    assert sys.getrefcount(image) == before
