@@ -214,7 +214,7 @@ class AdaptiveBackground:
 
     def _prediction(self, state: BackgroundState, image: NDArray[np.uint8] | None) -> BackgroundPrediction:
         light = state.light
-        if image is not None and self.follow_light and state.looks % LIGHT_INTERVAL == 0:
+        if image is not None and self.follow_light:
             light = self._light_now(state, image)
         return BackgroundPrediction(
             size=state.size,
