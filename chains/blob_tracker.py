@@ -299,7 +299,7 @@ class BlobTracker:
         """
         told: PixelMessage = incoming[self.pixels]
         blobs, layers = self._last(self._registered, state, told)
-        if isinstance(feature, PixelLabels):
+        if feature.name == self.pixels:
             return PixelMessage(layers=layers)
         shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.hits >= FRESH]
         if told.image is None or not shown:
