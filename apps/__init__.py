@@ -1,1 +1,1 @@
-"""TBD."""
+"""Command line, video, scenes, reports and experiments."""
