@@ -443,10 +443,14 @@ class BlobTracker:
             return blob.ghost_evidence
         return max(blob.ghost_evidence + math.log((in_picture + 3) / (in_image + 3)) - 0.25, 0.0)
 
+    def _least_area(self, scene: "_Scene") -> float:
+        """px of the smallest object."""
+        return self.smallest * scene.size[0] * scene.size[1]
+
     def _lives(self, blob: Blob, in_front: Sequence[Blob], scene: "_Scene") -> bool:
         mass = blob.shape.mass
         thin = mass < THINNEST * blob.length**2 * (1.0 if blob.hits < FRESH else 0.5)
-        if thin or mass < self.smallest * scene.size[0] * scene.size[1]:
+        if thin or mass < self._least_area(scene):
             return False
         window = scene.inside(blob)
         if float(blob.mask[window].sum()) < 0.1 * mass:
@@ -463,7 +467,7 @@ class BlobTracker:
         shape = blob.shape
         parting = blob.parting + scene.elapsed if shape.waist_depth < 0.5 else 0.0
         left, right = shape.mass_left, shape.mass - shape.mass_left
-        smallest = self.smallest * scene.size[0] * scene.size[1]
+        smallest = self._least_area(scene)
         blob = blob.changed(parting=parting)
         if parting < self.parting_time or min(left, right) < max(smallest, 0.25 * max(left, right)):
             return [blob if blob.hits % SWEEP else blob.changed(mask=_without_crumbs(blob.mask))]
@@ -490,7 +494,7 @@ class BlobTracker:
 
     def _newborn(self, blobs: Sequence[Blob], numbers: Iterator[int], scene: "_Scene") -> Iterator[Blob]:
         """Foreground that no blob explains."""
-        smallest = self.smallest * scene.size[0] * scene.size[1]
+        smallest = self._least_area(scene)
         for top, left, bottom, right, area in scene.unexplained(blobs):
             if area < max(smallest, THINNEST * max(bottom - top, right - left) ** 2):
                 continue
@@ -538,14 +542,7 @@ class _Window:
 
     def hide(self, blobs: Sequence[Blob]) -> None:
         """Take away what blobs cover."""
-        rows, columns = self.free.shape
-        for blob in blobs:
-            top, left = blob.corner
-            if (
-                -blob.mask.shape[0] < top - self.top < rows
-                and -blob.mask.shape[1] < left - self.left < columns
-            ):
-                cover(self.free, top - self.top, left - self.left, blob.mask)
+        _cover(self.free, self.top, self.left, blobs)
 
 
 class _Scene:
@@ -625,12 +622,19 @@ class _Scene:
             yield scale * y, scale * x, scale * (y + rows), scale * (x + columns), area
 
 
+def _cover(free: Map, top: int, left: int, blobs: Sequence[Blob]) -> None:
+    """Take away from `free`, placed at `(top, left)`, what blobs cover."""
+    rows, columns = free.shape
+    for blob in blobs:
+        down, right = blob.corner[0] - top, blob.corner[1] - left
+        if -blob.mask.shape[0] < down < rows and -blob.mask.shape[1] < right < columns:
+            cover(free, down, right, blob.mask)
+
+
 def _hidden(blob: Blob, in_front: Sequence[Blob]) -> bool:
     """Whether others cover most of a blob."""
     free = np.ones(blob.mask.shape, np.float32)
-    top, left = blob.corner
-    for other in in_front:
-        cover(free, other.corner[0] - top, other.corner[1] - left, other.mask)
+    _cover(free, *blob.corner, in_front)
     return float((free * blob.mask).sum()) < 0.5 * float(blob.mask.sum())
 
 
