@@ -28,9 +28,10 @@ from ..models.blob_kernels import (
     search,
 )
 from ..models.frame import Frame
+from ..models.gaussian_message import GaussianMessage
 from ..models.mask_kernels import MaskShape, clear_blocks, fade_beyond, shape_of
 from ..models.memo import LastCall
-from ..models.object_boxes import HEIGHT, WIDTH, BoxMessage, ObjectBoxes
+from ..models.object_boxes import HEIGHT, WIDTH, ObjectBoxes
 from ..models.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage, log_density_ratio
 
 Map = NDArray[np.float32]
@@ -291,7 +292,7 @@ class BlobTracker:
 
     def message(
         self, state: BlobState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
-    ) -> PixelMessage | BoxMessage:
+    ) -> PixelMessage | GaussianMessage:
         """What objects say to a feature (mu_{S -> F}).
 
         To pixels: where they cover them and with which colours, front to back. To boxes: where they stand and
@@ -308,7 +309,7 @@ class BlobTracker:
         deviations = np.stack(
             [0.05 * width + 1, 0.03 * height + 1, 0.15 * width + 1, 0.08 * height + 1], axis=1
         )
-        return BoxMessage.from_moments(
+        return GaussianMessage.from_moments(
             [blob.identity for blob in shown],
             np.stack([x + 0.5 * width, y + height, width, height], axis=1),
             deviations[:, :, None] ** 2 * np.eye(4),
@@ -549,7 +550,7 @@ class _Scene:
     """A frame as blobs need it when they are updated."""
 
     def __init__(
-        self, told: PixelMessage, layers: LayerStack, boxes: BoxMessage | None, elapsed: float
+        self, told: PixelMessage, layers: LayerStack, boxes: GaussianMessage | None, elapsed: float
     ) -> None:
         self.told = told
         self._expected: dict[int, tuple[Pair, Pair]] = {}

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..inference.protocols import Incoming
 from ..models.frame import Frame
-from ..models.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH, BoxMessage, ObjectBoxes
+from ..models.gaussian_message import GaussianMessage
+from ..models.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH, ObjectBoxes
 
 Numbers = NDArray[np.float64]
 
@@ -197,7 +198,7 @@ class GroundPlane:
         covariance[:, :, 1, 1] = before[:, :, 1, 1] + dt * force
         return replace(state, feet=feet, feet_covariance=covariance, unseen=state.unseen + dt)
 
-    def message(self, state: GroundState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage:
+    def message(self, state: GroundState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage:
         """Every known object's box (mu_{ground -> objects}), uniform when nobody is known.
 
         The density is N(x) N(y) N(height; plane's at y) N(width; aspect * height). Of the perspective, which
@@ -231,7 +232,7 @@ class GroundPlane:
         vector[:, HEIGHT] = of_height * upright
         quadratic = of_x * x**2 + of_y * y**2 + of_height * upright**2
         log_scale = 0.5 * (np.log(precision / (2 * np.pi)).sum(axis=1) - quadratic)
-        return BoxMessage(state.identities, information, vector, log_scale)
+        return GaussianMessage(state.identities, information, vector, log_scale)
 
     def update(self, state: GroundState, incoming: Incoming) -> GroundState:
         """Perspective and objects after a look at what others say of the boxes."""

@@ -1,7 +1,20 @@
 """How beliefs move: what chains and features promise, the graph of them, and the engines."""
 
+from .coordinate_ascent import CoordinateAscent, Solution
 from .graph import MultiChain
-from .protocols import Chain, FeatureNode, Incoming, Message
+from .protocols import BatchChain, Chain, FeatureNode, Incoming, Message
 from .recursive_bp import Belief, RecursiveBP, RunState
 
-__all__ = ["Belief", "Chain", "FeatureNode", "Incoming", "Message", "MultiChain", "RecursiveBP", "RunState"]
+__all__ = [
+    "BatchChain",
+    "Belief",
+    "Chain",
+    "CoordinateAscent",
+    "FeatureNode",
+    "Incoming",
+    "Message",
+    "MultiChain",
+    "RecursiveBP",
+    "RunState",
+    "Solution",
+]

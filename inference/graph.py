@@ -7,10 +7,13 @@ from typing import Any, Self
 
 import networkx as nx
 
-from .protocols import Chain, FeatureNode, uses_cavity
+from .protocols import BatchChain, Chain, FeatureNode, uses_cavity
 
 IMAGE = "image"
 """Name of the observation in the graph."""
+
+AnyChain = Chain[Any] | BatchChain[Any]
+"""A chain for filtering, for batch estimation, or for both; engines ask for what they need."""
 
 Step = tuple[str, str]
 """One message of a time slice: its sender (a chain, or `IMAGE`) and the feature node that it goes to."""
@@ -32,7 +35,7 @@ class MultiChain:
         self.graph: nx.Graph[str] = nx.Graph()
         self.graph.add_node(IMAGE, kind="observation", node=None)
 
-    def connect(self, chain: Chain[Any], feature: FeatureNode[Any], feedback: bool = True) -> Self:
+    def connect(self, chain: AnyChain, feature: FeatureNode[Any], feedback: bool = True) -> Self:
         """Let the chain speak to the feature node and hear from it.
 
         Parameters
@@ -55,8 +58,11 @@ class MultiChain:
         ValueError
             if the two are connected already or a name is taken by another object.
         """
-        if not isinstance(chain, Chain):
-            raise TypeError(f"chain: got {chain!r}, expected a name, initial, predict, message and update")
+        if not isinstance(chain, Chain | BatchChain):
+            raise TypeError(
+                f"chain: got {chain!r}, expected a name with initial, predict, message and update, "
+                "or with smooth and messages"
+            )
         if not isinstance(feature, FeatureNode):
             raise TypeError(f"feature: got {feature!r}, expected a name, uniform and evidence")
         for node in (chain, feature):
@@ -74,7 +80,7 @@ class MultiChain:
         return self
 
     @property
-    def chains(self) -> dict[str, Chain[Any]]:
+    def chains(self) -> dict[str, Any]:
         """Chains by name, in order of connection."""
         return self._nodes("chain")
 

@@ -1,11 +1,12 @@
 """What chains, feature nodes and messages promise each other: all that an engine knows of them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Protocol, Self, TypeVar, overload, runtime_checkable
 
 from ..models.frame import Frame
 
 State = TypeVar("State")
+TrajectoryType = TypeVar("TrajectoryType", bound="Trajectory")
 MessageType = TypeVar("MessageType")
 
 
@@ -38,9 +39,9 @@ class FeatureNode(Protocol[MessageType]):
         ...
 
     def evidence(self, frame: Frame, prior: MessageType, /) -> MessageType:
-        """phi(I, F), the likelihood of the frame's image (which is there), worked out where `prior` has mass.
+        """phi(I, F), the likelihood of the frame, which is not missing, worked out where `prior` has mass.
 
-        It is asked once a frame. `prior` only says where to look and is not part of the answer.
+        `prior` only says where to look and is not part of the answer.
         """
         ...
 
@@ -105,6 +106,59 @@ class Chain(Protocol[State]):
 
     def update(self, state: State, incoming: Incoming, /) -> State:
         """p(X | I), in proportion to the prediction times all of `incoming`."""
+        ...
+
+
+class Trajectory(Protocol):
+    """What a batch chain believes of its state at all times."""
+
+    @property
+    def log_prior(self) -> float:
+        """Log density of the trajectory under the chain's own dynamics, up to a constant."""
+        ...
+
+
+class BatchIncoming(Incoming):
+    """What reaches a batch chain at one time, while all other chains are held where they are.
+
+    `incoming[f]` is the product of the evidence and of all other chains' messages at f, as in filtering.
+    """
+
+    frame: Frame
+
+    def told(self, feature: FeatureNode[MessageType] | str, /) -> Any:
+        """Product of the other chains' messages at the feature, without the image."""
+        raise NotImplementedError
+
+    def look(self, feature: FeatureNode[MessageType] | str, prior: Any, /) -> Any:
+        """Evidence at the feature, worked out anew where `prior` has mass.
+
+        A chain that knows better than the others where to look (a tracker knows it from the frame before)
+        looks by itself. What it saw stays the evidence for everybody until it looks again.
+        """
+        raise NotImplementedError
+
+
+@runtime_checkable
+class BatchChain(Protocol[TrajectoryType]):
+    """A hidden state that is estimated at all times at once."""
+
+    @property
+    def name(self) -> str:
+        """Unique name among the chains and features of a model."""
+        ...
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: TrajectoryType | None = None, /
+    ) -> TrajectoryType:
+        """Best trajectory given `incoming_over_time`, one entry for each frame in order of time.
+
+        `current` is the chain's trajectory of the round before, to start from.
+        """
+        ...
+
+    def messages(self, trajectory: TrajectoryType, feature: Any, /) -> Sequence[Message]:
+        """mu_{X -> F} for each frame: what the trajectory says of the feature."""
         ...
 
 

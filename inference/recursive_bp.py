@@ -25,7 +25,7 @@ class RunState:
     Parameters
     ----------
     states
-        state of every chain by its name; empty as long as no frame had an image.
+        state of every chain by its name; empty as long as there was nothing to see.
     number, time
         of the last frame (1-based, seconds).
     shape
@@ -59,7 +59,7 @@ class TimeSlice:
         """Work out one message, unless it would be the one sent before."""
         node = self.model.features[feature]
         if sender == IMAGE:
-            if self.frame.image is not None and (IMAGE, feature) not in self._sent:
+            if not self.frame.missing and (IMAGE, feature) not in self._sent:
                 self._sent[IMAGE, feature] = node.evidence(self.frame, self.product(feature))
             return
         chain = self.model.chains[sender]
@@ -123,8 +123,8 @@ class Belief:
     """What is known after a frame.
 
     `belief[chain]` or `belief["name"]` is the posterior state of a chain, `belief[feature]` or
-    `belief["name"]` the belief over a feature node: the product of all messages that reach it. Until a frame
-    had an image there is no belief, and asking for one is a `KeyError`.
+    `belief["name"]` the belief over a feature node: the product of all messages that reach it. As long as all
+    frames were missing there is no belief, and asking for one is a `KeyError`.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ class Belief:
     def __getitem__(self, key: Any, /) -> Any:
         name = name_of(key)
         if self._slice is None:
-            raise KeyError(f"{name}: nothing is believed before the first frame with an image")
+            raise KeyError(f"{name}: nothing is believed before the first frame that is not missing")
         if name in self.state.states:
             return self.state.states[name]
         if name in self._slice.model.features:
@@ -190,11 +190,18 @@ class RecursiveBP:
     ------
     ValueError
         if the model has no chain or has a loop, or `sweeps` is below 1.
+    TypeError
+        if one of the chains cannot filter.
     """
 
     def __init__(self, model: MultiChain, sweeps: int = 1) -> None:
         if not model.chains:
             raise ValueError("model: got no chain, expected at least one")
+        for name, chain in model.chains.items():
+            if not isinstance(chain, Chain):
+                raise TypeError(
+                    f"chain {name!r}: cannot filter, expected initial, predict, message and update"
+                )
         if sweeps < 1:
             raise ValueError(f"sweeps: got {sweeps}, expected 1 or more")
         self.model = model.copy()
@@ -204,8 +211,8 @@ class RecursiveBP:
     def step(self, state: RunState | None, frame: Frame) -> Belief:
         """Take in one frame.
 
-        The first frame with an image is met with the chains' initial states, later ones with predictions.
-        A frame without image brings no evidence: chains predict, hear each other, and go on.
+        The first frame in which there is something to see is met with the chains' initial states, later ones
+        with predictions. A missing frame brings no evidence: chains predict, hear each other, and go on.
 
         Parameters
         ----------
@@ -231,11 +238,11 @@ class RecursiveBP:
             raise ValueError(
                 f"frames: got {shape} uint8 at frame {frame.number}, expected {before.shape} uint8"
             )
-        if shape is None:
+        if frame.missing and not before.states:
             return Belief(frame, RunState({}, frame.number, frame.time, None), None)
 
         chains = self.model.chains
-        if before.shape is None:
+        if not before.states:
             predictions = {name: chain.initial(frame) for name, chain in chains.items()}
         elif before.states.keys() == chains.keys():
             dt = frame.time - before.time

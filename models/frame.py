@@ -1,9 +1,41 @@
-"""A frame: an image with its time and its number."""
+"""A frame: an image, or the points that somebody has found in it, with its time and its number."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPoints:
+    """Points that another detector or tracker has found in a frame.
+
+    Parameters
+    ----------
+    positions
+        `(n, 2)` float64 px, columns and rows.
+    identities
+        `(n,)` int64, increasing: points of two frames with the same number belong to one track.
+
+    Raises
+    ------
+    ValueError
+        if the shapes do not fit, a position is not finite or the identities do not increase.
+    """
+
+    positions: NDArray[np.float64]
+    identities: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        if self.positions.shape != (len(self.identities), 2):
+            raise ValueError(
+                f"points: got positions {self.positions.shape} for {len(self.identities)} identities, "
+                f"expected ({len(self.identities)}, 2)"
+            )
+        if not np.isfinite(self.positions).all():
+            raise ValueError("points: got a position that is not finite, expected finite ones")
+        if (np.diff(self.identities) <= 0).any():
+            raise ValueError("points: got identities that do not increase, expected each once, in order")
 
 
 @dataclass(frozen=True, eq=False)
@@ -14,11 +46,13 @@ class Frame:
     ----------
     image
         `(height, width)` or `(height, width, 3)` uint8, BGR as OpenCV gives it; `None` for a frame that is
-        missing or could not be read.
+        missing or could not be read, or of which only points are known.
     time
         seconds since the start of the sequence.
     number
         1-based number of the frame in its source.
+    points
+        what somebody else has found in it.
 
     Raises
     ------
@@ -29,6 +63,7 @@ class Frame:
     image: NDArray[np.uint8] | None
     time: float
     number: int
+    points: GivenPoints | None = None
 
     def __post_init__(self) -> None:
         image = self.image
@@ -41,3 +76,8 @@ class Frame:
             )
         if self.number < 1:
             raise ValueError(f"number: got {self.number}, expected 1 or more (frames count from 1)")
+
+    @property
+    def missing(self) -> bool:
+        """Whether there is nothing to see in it."""
+        return self.image is None and self.points is None

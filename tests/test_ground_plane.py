@@ -15,7 +15,7 @@ from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.inference.recursive_bp import Belief
 from rsmcm.models import ObjectBoxes, PixelLabels
 from rsmcm.models.frame import Frame
-from rsmcm.models.object_boxes import BoxMessage
+from rsmcm.models.gaussian_message import GaussianMessage
 from rsmcm.models.pixel_labels import PixelMessage
 from scipy.ndimage import find_objects, label
 from scipy.stats import chi2
@@ -83,14 +83,14 @@ class Detections(ObjectBoxes):
         super().__init__("detections")
         object.__setattr__(self, "measured", measured)
 
-    def evidence(self, frame: Frame, prior: BoxMessage) -> BoxMessage:
+    def evidence(self, frame: Frame, prior: GaussianMessage) -> GaussianMessage:
         boxes = self.measured[frame.number - 1]  # type: ignore[attr-defined]
         boxes = boxes[~np.isnan(boxes[:, 0])]
         return boxes_of(np.arange(1, len(boxes) + 1), boxes)
 
 
-def boxes_of(identities: NDArray[np.integer[Any]], boxes: Table, noise: Table = NOISE) -> BoxMessage:
-    return BoxMessage.from_moments(identities, boxes, np.broadcast_to(noise, (len(boxes), 4, 4)))
+def boxes_of(identities: NDArray[np.integer[Any]], boxes: Table, noise: Table = NOISE) -> GaussianMessage:
+    return GaussianMessage.from_moments(identities, boxes, np.broadcast_to(noise, (len(boxes), 4, 4)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,10 +114,10 @@ class WanderingBoxes:
     def predict(self, state: WanderingState, dt: float) -> WanderingState:
         return replace(state, covariances=state.covariances + dt * self.wander)
 
-    def predicted(self, state: WanderingState) -> BoxMessage:
-        return BoxMessage.from_moments(state.identities, state.means, state.covariances)
+    def predicted(self, state: WanderingState) -> GaussianMessage:
+        return GaussianMessage.from_moments(state.identities, state.means, state.covariances)
 
-    def message(self, state: WanderingState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage:
+    def message(self, state: WanderingState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage:
         other = "objects" if feature.name == "detections" else "detections"
         return self.predicted(state) * incoming.get(other, UNIFORM)
 
@@ -162,7 +162,7 @@ def walk(request: pytest.FixtureRequest) -> tuple[World, list[Belief], list[Beli
     return world, run(world, None), run(world, GroundPlane())
 
 
-def predicted(belief: Belief) -> BoxMessage:
+def predicted(belief: Belief) -> GaussianMessage:
     """What the chain sends in the next frame."""
     ground = GroundPlane()
     return ground.message(ground.predict(belief["ground"], DT), OBJECTS, Incoming({}))
@@ -426,7 +426,7 @@ class ForegroundBoxes:
 
     def message(
         self, state: int, feature: PixelLabels | ObjectBoxes, incoming: Incoming
-    ) -> BoxMessage | PixelMessage:
+    ) -> GaussianMessage | PixelMessage:
         if isinstance(feature, PixelLabels):
             return feature.uniform()
         told = incoming["pixels"]

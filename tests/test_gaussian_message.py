@@ -1,4 +1,4 @@
-"""Products of boxes against dense Gaussians over all numbers of all objects together."""
+"""Products of Gaussians by identity against dense Gaussians over all numbers of all things together."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models import ObjectBoxes
 from rsmcm.models.frame import Frame
-from rsmcm.models.object_boxes import BoxMessage
+from rsmcm.models.gaussian_message import GaussianMessage
 from scipy.stats import multivariate_normal
 
 UNIFORM = ObjectBoxes().uniform()
@@ -23,13 +23,13 @@ def random_moments(
 
 
 @st.composite
-def densities(draw: st.DrawFn) -> BoxMessage:
+def densities(draw: st.DrawFn) -> GaussianMessage:
     identities = draw(st.lists(st.integers(1, 6), unique=True, max_size=4))
     random = np.random.default_rng(draw(st.integers(0, 2**32)))
-    return BoxMessage.from_moments(identities, *random_moments(random, len(identities)))
+    return GaussianMessage.from_moments(identities, *random_moments(random, len(identities)))
 
 
-def close(one: BoxMessage, other: BoxMessage) -> None:
+def close(one: GaussianMessage, other: GaussianMessage) -> None:
     """Equal but for the order of additions."""
     np.testing.assert_array_equal(one.identities, other.identities)
     np.testing.assert_allclose(one.information, other.information, rtol=1e-12, atol=1e-12)
@@ -37,7 +37,7 @@ def close(one: BoxMessage, other: BoxMessage) -> None:
     np.testing.assert_allclose(one.log_scale, other.log_scale, rtol=1e-12, atol=1e-9)
 
 
-def log_overlap(identity: int, messages: list[BoxMessage]) -> float:
+def log_overlap(identity: int, messages: list[GaussianMessage]) -> float:
     """Integral of a product of densities: that of all means, seen as draws around one unknown box.
 
     Subtracting the first box leaves a joint Gaussian of the differences, whose covariance has the first
@@ -55,7 +55,7 @@ def log_overlap(identity: int, messages: list[BoxMessage]) -> float:
 
 
 @given(st.lists(densities(), min_size=1, max_size=3))
-def test_mass_and_marginals_equal_dense_gaussians(messages: list[BoxMessage]) -> None:
+def test_mass_and_marginals_equal_dense_gaussians(messages: list[GaussianMessage]) -> None:
     product = UNIFORM
     for message in messages:
         product = product * message
@@ -72,7 +72,7 @@ def test_mass_and_marginals_equal_dense_gaussians(messages: list[BoxMessage]) ->
 
 @given(densities(), densities(), densities())
 def test_product_is_commutative_and_associative_and_uniform_is_neutral(
-    one: BoxMessage, two: BoxMessage, three: BoxMessage
+    one: GaussianMessage, two: GaussianMessage, three: GaussianMessage
 ) -> None:
     close(one * two, two * one)
     close((one * two) * three, one * (two * three))
@@ -81,11 +81,11 @@ def test_product_is_commutative_and_associative_and_uniform_is_neutral(
 
 
 @given(densities())
-def test_densities_integrate_to_one_in_any_order_of_objects(message: BoxMessage) -> None:
+def test_densities_integrate_to_one_in_any_order_of_objects(message: GaussianMessage) -> None:
     assert message.log_mass == pytest.approx(0, abs=1e-6)
     identities, means, covariances = message.moments
     close(message, message * UNIFORM)
-    again = BoxMessage.from_moments(identities[::-1], means[::-1], covariances[::-1])
+    again = GaussianMessage.from_moments(identities[::-1], means[::-1], covariances[::-1])
     np.testing.assert_array_equal(again.identities, identities)
     np.testing.assert_allclose(again.moments[1], means, rtol=1e-7, atol=1e-6)
     np.testing.assert_allclose(again.moments[2], covariances, rtol=1e-6, atol=1e-8)
@@ -94,7 +94,7 @@ def test_densities_integrate_to_one_in_any_order_of_objects(message: BoxMessage)
 def test_value_at_a_box_is_the_density() -> None:
     random = np.random.default_rng(3)
     means, covariances = random_moments(random, 1)
-    message = BoxMessage.from_moments([7], means, covariances)
+    message = GaussianMessage.from_moments([7], means, covariances)
     for box in random.multivariate_normal(means[0], covariances[0], 5):
         value = message.log_scale[0] + message.vector[0] @ box - 0.5 * box @ message.information[0] @ box
         expected = multivariate_normal(means[0], covariances[0]).logpdf(box)
@@ -103,13 +103,13 @@ def test_value_at_a_box_is_the_density() -> None:
 
 def test_objects_without_enough_information() -> None:
     direction = np.array([0.0, -0.3, 0.0, 1.0])
-    height_only = BoxMessage(
+    height_only = GaussianMessage(
         np.array([2]), np.outer(direction, direction)[None], np.zeros((1, 4)), np.zeros(1)
     )
-    nothing = BoxMessage(np.array([3]), np.zeros((1, 4, 4)), np.zeros((1, 4)), np.array([0.5]))
-    known = BoxMessage.from_moments([1, 2], *random_moments(np.random.default_rng(0), 2))
+    nothing = GaussianMessage(np.array([3]), np.zeros((1, 4, 4)), np.zeros((1, 4)), np.array([0.5]))
+    known = GaussianMessage.from_moments([1, 2], *random_moments(np.random.default_rng(0), 2))
     for message, identity in ((height_only, 2), (nothing, 3), (known, 3), (UNIFORM, 1)):
-        with pytest.raises(KeyError, match=f"object {identity}"):
+        with pytest.raises(KeyError, match=f"{identity}: nothing"):
             message.marginal(identity)
     assert height_only.log_mass == np.inf
     assert nothing.log_mass == 0.5
@@ -128,7 +128,7 @@ def test_images_say_nothing_by_themselves() -> None:
 @pytest.mark.parametrize(
     ("identities", "means", "covariances", "says"),
     [
-        ([1], np.zeros((1, 3)), np.eye(4)[None], r"means: got \(1, 3\)"),
+        ([1], np.zeros((2, 4)), np.eye(4)[None], r"means: got \(2, 4\)"),
         ([1, 2], np.zeros((2, 4)), np.eye(4), r"covariances: got \(4, 4\)"),
         ([1, 1], np.zeros((2, 4)), np.stack([np.eye(4)] * 2), "got 1 twice"),
         ([1], np.zeros((1, 4)), -np.eye(4)[None], "positive definite"),
@@ -138,4 +138,4 @@ def test_bad_moments(
     identities: list[int], means: NDArray[np.float64], covariances: NDArray[np.float64], says: str
 ) -> None:
     with pytest.raises(ValueError, match=says):
-        BoxMessage.from_moments(identities, means, covariances)
+        GaussianMessage.from_moments(identities, means, covariances)

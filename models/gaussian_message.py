@@ -1,0 +1,189 @@
+"""Independent Gaussians by identity: what is known of many things of one kind, each on its own."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Numbers = NDArray[np.float64]
+
+LEAST_INFORMATION = 1e-12
+"""Smallest eigenvalue of an information matrix, scaled to a unit diagonal, that is told from rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianMessage:
+    """A product over things k of exp(scale_k + vector_k . F_k - F_k . information_k F_k / 2).
+
+    In information form products add, and a thing that a message does not mention has no information there.
+    Things are kept apart: what a chain knows of several together (one plane below all boxes, one camera that
+    sees all points) is sent as each one's own marginal.
+
+    Parameters
+    ----------
+    identities
+        `(n,)` int64, increasing.
+    information
+        `(n, d, d)` 1/px^2, symmetric, positive definite or semi-definite.
+    vector
+        `(n, d)` 1/px, information times mean.
+    log_scale
+        `(n,)`; see `from_moments` for that of a density.
+    """
+
+    identities: NDArray[np.int64]
+    information: Numbers
+    vector: Numbers
+    log_scale: Numbers
+
+    @classmethod
+    def uniform(cls, dimension: int) -> Self:
+        """The constant 1, which mentions nothing."""
+        return cls(
+            np.zeros(0, np.int64),
+            np.zeros((0, dimension, dimension)),
+            np.zeros((0, dimension)),
+            np.zeros(0, np.float64),
+        )
+
+    @classmethod
+    def from_moments(cls, identities: ArrayLike, means: ArrayLike, covariances: ArrayLike) -> Self:
+        """Densities that integrate to 1.
+
+        Parameters
+        ----------
+        identities
+            `(n,)` integers in any order, each once.
+        means
+            `(n, d)` px.
+        covariances
+            `(n, d, d)` px^2.
+
+        Raises
+        ------
+        ValueError
+            if an identity comes twice, the shapes do not fit, or a covariance is not positive definite.
+        """
+        numbers = np.asarray(identities, np.int64).reshape(-1)
+        mean, covariance = np.asarray(means, np.float64), np.asarray(covariances, np.float64)
+        count, dimension = len(numbers), mean.shape[-1]
+        for name, array, shape in (
+            ("means", mean, (count, dimension)),
+            ("covariances", covariance, (count, dimension, dimension)),
+        ):
+            if array.shape != shape:
+                raise ValueError(f"{name}: got {array.shape} for {count} identities, expected {shape}")
+        order = np.argsort(numbers, kind="stable")
+        numbers, mean, covariance = numbers[order], mean[order], covariance[order]
+        if count > 1 and not (np.diff(numbers) > 0).all():
+            twice = numbers[1:][np.diff(numbers) == 0][0]
+            raise ValueError(f"identities: got {twice} twice, expected each once")
+        try:
+            root = np.linalg.cholesky(covariance)
+        except np.linalg.LinAlgError:
+            raise ValueError(
+                "covariances: got one that is not positive definite, expected all to be"
+            ) from None
+        information = _inverse(covariance)
+        vector = (information @ mean[:, :, None])[:, :, 0]
+        determinants = 2 * np.log(root.diagonal(axis1=1, axis2=2)).sum(axis=1)
+        log_peak = -0.5 * (dimension * np.log(2 * np.pi) + determinants)
+        return cls(numbers, information, vector, log_peak - 0.5 * (vector * mean).sum(axis=1))
+
+    def __len__(self) -> int:
+        return len(self.identities)
+
+    def __mul__(self, other: Self) -> Self:
+        if not len(other):
+            return self
+        if not len(self):
+            return other
+        one, two = self, other
+        if not np.array_equal(self.identities, other.identities):
+            union = np.union1d(self.identities, other.identities)
+            one, two = self.among(union), other.among(union)
+        return type(self)(
+            one.identities,
+            one.information + two.information,
+            one.vector + two.vector,
+            one.log_scale + two.log_scale,
+        )
+
+    @property
+    def dimension(self) -> int:
+        """Numbers of each thing."""
+        return self.vector.shape[1]
+
+    @cached_property
+    def proper(self) -> NDArray[np.bool_]:
+        """`(n,)`: whether there is information about all numbers of the thing."""
+        sizes = np.sqrt(self.information.diagonal(axis1=1, axis2=2))
+        some = np.all(sizes > 0, axis=1)
+        sizes = np.where(some[:, None], sizes, 1.0)
+        scaled = self.information / (sizes[:, :, None] * sizes[:, None, :])
+        return np.logical_and(some, np.linalg.eigvalsh(scaled)[:, 0] > LEAST_INFORMATION)
+
+    @cached_property
+    def moments(self) -> tuple[NDArray[np.int64], Numbers, Numbers]:
+        """Identities `(m,)`, means `(m, d)` px and covariances `(m, d, d)` px^2 of the proper ones."""
+        fixed = np.flatnonzero(self.proper)
+        covariances = _inverse(self.information[fixed])
+        means = (covariances @ self.vector[fixed][:, :, None])[:, :, 0]
+        return self.identities[fixed], means, covariances
+
+    @property
+    def log_mass(self) -> float:
+        """Log of the integral over all things that the message knows something of.
+
+        A thing without any information counts with its scale alone, as if it were not mentioned; one with
+        information about some of its numbers has no finite integral.
+        """
+        known = self.information.any(axis=(1, 2))
+        if not self.proper[known].all():
+            return float("inf")
+        _, means, covariances = self.moments
+        _, log_determinants = np.linalg.slogdet(covariances)
+        quadratic = (self.vector[self.proper] * means).sum(axis=1)
+        gaussian = 0.5 * (self.dimension * np.log(2 * np.pi) + log_determinants + quadratic)
+        return float(self.log_scale.sum() + gaussian.sum())
+
+    def marginal(self, identity: int) -> tuple[Numbers, Numbers]:
+        """Mean `(d,)` px and covariance `(d, d)` px^2 of one thing.
+
+        Raises
+        ------
+        KeyError
+            if there is none of that number, or not enough is known to say where it is.
+        """
+        identities, means, covariances = self.moments
+        place = int(np.searchsorted(identities, identity))
+        if place == len(identities) or identities[place] != identity:
+            raise KeyError(f"{identity}: nothing that fixes it is known")
+        return means[place], covariances[place]
+
+    def among(self, identities: NDArray[np.int64]) -> Self:
+        """The same function, which also mentions things of which it says nothing.
+
+        Parameters
+        ----------
+        identities
+            `(m,)` int64, increasing; all of this message's are there.
+        """
+        place = np.searchsorted(identities, self.identities)
+        count, dimension = len(identities), self.dimension
+        information, vector = np.zeros((count, dimension, dimension)), np.zeros((count, dimension))
+        log_scale = np.zeros(count)
+        information[place], vector[place], log_scale[place] = self.information, self.vector, self.log_scale
+        return type(self)(identities, information, vector, log_scale)
+
+    def only(self, kept: NDArray[np.bool_]) -> Self:
+        """The factors of those of whom `kept`, `(n,)`, is true."""
+        return type(self)(
+            self.identities[kept], self.information[kept], self.vector[kept], self.log_scale[kept]
+        )
+
+
+def _inverse(matrices: Numbers) -> Numbers:
+    return np.linalg.inv(matrices).astype(np.float64, copy=False)
