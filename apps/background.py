@@ -1,15 +1,10 @@
 """The background application: from a source of frames to masks, tracks, pictures and a report."""
 
-import importlib.metadata
-import platform
-import signal
-import threading
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -20,6 +15,7 @@ from ..inference.recursive_bp import BEGINNING
 from ..models import Frame, ObjectBoxes, PixelLabels
 from ..models.threads import set_threads, thread_count
 from .ground_truth import MaskTruth, common_frames, read_ground_truth
+from .interruption import Interruption, Outcome
 from .parameters import SECTIONS, Parameters, build_chain, read_parameters, with_defaults
 from .progress import Progress
 from .region import inside, read_region
@@ -39,6 +35,7 @@ from .results import (
 )
 from .scoring import Scoring, track_rows
 from .sources import Source, open_source
+from .versions import versions
 
 Engine = Literal["recursive-bp", "feed-forward", "stand-alone"]
 ENGINES: tuple[Engine, ...] = ("recursive-bp", "feed-forward", "stand-alone")
@@ -150,22 +147,6 @@ class Job:
         }
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended.
-
-    Parameters
-    ----------
-    summary
-        the content of `summary.json`.
-    signal
-        number of the signal that ended it early; `None` if it came to the end.
-    """
-
-    summary: dict[str, Any]
-    signal: int | None
-
-
 def run_background(job: Job) -> Outcome:
     """Run the background application; all results are in `job.out` afterwards.
 
@@ -210,7 +191,7 @@ class _Run:
         self._ended_early = False
         self._error: Exception | None = None  # of the source, in the middle
 
-    def carry_out(self, interruption: "Interruption") -> Outcome:
+    def carry_out(self, interruption: Interruption) -> Outcome:
         job = self._job
         saved = self._load() if job.resume else None
         with open_source(job.source, job.start, job.stop, job.step, after=self._state.number) as source:
@@ -238,9 +219,7 @@ class _Run:
             raise self._error
         return Outcome(summary, interruption.signal)
 
-    def _process(
-        self, source: Source, region: NDArray[np.uint8] | None, interruption: "Interruption"
-    ) -> None:
+    def _process(self, source: Source, region: NDArray[np.uint8] | None, interruption: Interruption) -> None:
         """Take in all frames, and complete the files that grow with them."""
         job, number = self._job, self._state.number
         rate = source.rate / job.step
@@ -273,10 +252,10 @@ class _Run:
             if interruption.signal is not None or self._error is not None:
                 raise _EndedEarlyError
 
-    def _frames(self, source: Source, interruption: "Interruption") -> Iterator[Frame]:
+    def _frames(self, source: Source, interruption: Interruption) -> Iterator[Frame]:
         """The source's frames until it ends, breaks, or somebody interrupts."""
         try:
-            yield from interruption.frames(source)
+            yield from interruption.items(source)
         except (ValueError, OSError) as error:
             self._error = error  # told at the end, when the results until here are complete
 
@@ -337,7 +316,7 @@ class _Run:
             "threads": thread_count(),
             "seed": self._job.seed,
             "parameters": self._settings,
-            "versions": _versions(),
+            "versions": versions(),
             "metrics": metrics,
         }
 
@@ -440,63 +419,3 @@ def read_truth(job: Job, source: Source, region: NDArray[np.uint8] | None) -> Sc
                 f"expected {source.size[0]}x{source.size[1]} like {source.name}"
             )
     return Scoring(truth, region)
-
-
-def _versions() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
-    for name in ("rsmcm", "numpy", "scipy", "numba", "av"):
-        versions[name] = importlib.metadata.version(name)
-    versions["opencv"] = cv2.__version__
-    return versions
-
-
-class Interruption:
-    """Ctrl-C (SIGINT) and SIGTERM as a question that is asked between frames.
-
-    Inside its block, the first signal only ends `frames`; while that waits for a source, at once. A second
-    signal is a `KeyboardInterrupt` wherever it arrives. Outside the main thread, signals are left alone.
-
-    Attributes
-    ----------
-    signal
-        number of the signal that arrived; `None` as long as none did.
-    """
-
-    def __init__(self) -> None:
-        self.signal: int | None = None
-        self._waiting = False
-        self._before: dict[signal.Signals, Any] = {}
-
-    def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._arrive)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def frames(self, source: Iterator[Frame]) -> Iterator[Frame]:
-        """The source's frames until it ends or a signal arrives."""
-        while self.signal is None:
-            try:
-                self._waiting = True
-                frame = next(source)
-                self._waiting = False
-            except StopIteration:
-                return
-            except KeyboardInterrupt:
-                if self.signal is None:
-                    raise
-                return
-            finally:
-                self._waiting = False
-            yield frame
-
-    def _arrive(self, number: int, _: FrameType | None) -> None:
-        again = self.signal is not None
-        self.signal = number
-        if again or self._waiting:
-            self._waiting = False
-            raise KeyboardInterrupt

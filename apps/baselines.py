@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from .metrics import box_overlap
+from .progress import Progress
+from .sources import open_source
 
 T = TypeVar("T")
 
@@ -178,6 +180,15 @@ def sweep_subtractors(
                 for clean_up, cleaned in _clean(mask, clean_ups):
                     rows[clean_up].values.append(evaluate(number, cleaned))
         yield from rows.values()
+
+
+def readable_images(video: str, progress: Progress) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """Yield number and picture of every frame that can be read, and count all of them as done."""
+    with open_source(video) as source:
+        for frame in source:
+            if frame.image is not None:
+                yield frame.number, frame.image
+            progress.update()
 
 
 def component_boxes(mask: NDArray[np.uint8]) -> NDArray[np.float64]:

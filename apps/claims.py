@@ -59,6 +59,13 @@ def in_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join([line(header), line(["-" * width for width in widths]), *map(line, cells)])
 
 
+def print_tables(header: Sequence[str], lines: Sequence[Sequence[object]], claims: Sequence[Claim]) -> None:
+    """Print what was measured, and below it what is wanted of it."""
+    print(in_columns(header, lines))
+    print()
+    print(in_columns(HEADER, [claim.cells for claim in claims]))
+
+
 def _rounded(value: float) -> str:
     if not math.isfinite(value):
         return "–"

@@ -103,6 +103,60 @@ def background(
 
 
 @app.command
+def structure(
+    source: str,
+    *,
+    out: Path,
+    coherence: Literal["second-order", "none"] = "second-order",
+    association: Literal["dual-chain", "none"] = "dual-chain",
+    start: int = 1,
+    stop: int | None = None,
+    step: int = 1,
+    overwrite: Flag = False,
+) -> int:
+    """Track points, and find their shape and the motion of the camera.
+
+    Writes structure.ply, cameras.json, tracks.npz, predictions.npz, summary.json and report.html, and
+    overlay.mp4 where there are images. All frames are held in memory. Where the motion does not show depth (a
+    static camera), that is said, and there is no structure.ply. Ctrl-C ends the run with the results of the
+    last whole round.
+
+    Parameters
+    ----------
+    source
+        A video file, a folder or glob of images, or a track file: an .npz with tracks (n_frames, n_points, 2)
+        in px, NaN where a point is missing. At least 3 frames and 4 points.
+    out
+        Folder for the results.
+    coherence
+        second-order: the camera moves smoothly. none: every frame's camera is on its own.
+    association
+        dual-chain: shape and tracker correct each other, and tracks that show one point become one. none: the
+        tracker hears nothing of the shape, every track is a point of its own.
+    start
+        First frame, counted from 1.
+    stop
+        Last frame, included; the end of the source if not given.
+    step
+        Take every n-th frame.
+    overwrite
+        Replace the results that are in the folder.
+    """
+    from .structure import StructureJob, run_structure
+
+    outcome = run_structure(StructureJob(source, out, coherence, association, start, stop, step, overwrite))
+    summary = outcome.summary
+    print(
+        f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks, "
+        f"reprojection error {summary['reprojection_rmse_px']:.3g} px, shape: {summary['shape']}"
+    )
+    for note in summary["notes"]:
+        print(note)
+    print(f"results: {out / 'report.html'}")
+    return _ended(outcome.signal)
+
+
+@app.command
 def demo(*, out: Path = Path("results/demo")) -> int:
     """Track a person who stands still in a generated street, with feedback and without.
 
@@ -116,6 +170,21 @@ def demo(*, out: Path = Path("results/demo")) -> int:
     return _ended(run_demo(out))
 
 
+@app.command
+def validity(run: Path) -> int:
+    """Say which chains of a finished run help each other, and why.
+
+    Parameters
+    ----------
+    run
+        Folder of the run, with the predictions that it recorded.
+    """
+    from .validity import report_validity
+
+    print(report_validity(run))
+    return 0
+
+
 @reproduce.command
 def sleeping_man(*, out: Path = Path("results/sleeping-man"), long: Flag = False) -> int:
     """Figures 1 and 7 of the RSMCM paper: a person stands still and stays foreground.
@@ -127,7 +196,7 @@ def sleeping_man(*, out: Path = Path("results/sleeping-man"), long: Flag = False
     long
         Also a person who stands for 1300 frames, and shadows of clouds.
     """
-    from .reproduce import reproduce_sleeping_man
+    from .reproduce.sleeping_man import reproduce_sleeping_man
 
     reproduce_sleeping_man(out, long)
     return 0
@@ -144,7 +213,7 @@ def pets(*, out: Path = Path("results/pets"), long: Flag = False) -> int:
     long
         Try all settings of MOG2 and KNN, and all clean-ups, instead of the middle ones.
     """
-    from .reproduce import reproduce_pets
+    from .reproduce.pets import reproduce_pets
 
     reproduce_pets(out, long)
     return 0
@@ -159,9 +228,39 @@ def highway(*, out: Path = Path("results/highway")) -> int:
     out
         Folder for the results.
     """
-    from .reproduce import reproduce_highway
+    from .reproduce.highway import reproduce_highway
 
     reproduce_highway(out)
+    return 0
+
+
+@reproduce.command
+def cylinder(*, out: Path = Path("results/cylinder")) -> int:
+    """Figures 9 and 10 of the RSMCM paper: a cylinder whose points are lost, found again and drift.
+
+    Parameters
+    ----------
+    out
+        Folder for the figures.
+    """
+    from .reproduce.cylinder import reproduce_cylinder
+
+    reproduce_cylinder(out)
+    return 0
+
+
+@reproduce.command
+def box(*, out: Path = Path("results/box")) -> int:
+    """Figure 12 of the RSMCM paper, on CMU's hotel and a table top.
+
+    Parameters
+    ----------
+    out
+        Folder for the figures.
+    """
+    from .reproduce.box import reproduce_box
+
+    reproduce_box(out)
     return 0
 
 

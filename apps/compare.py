@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from ..models.frame import Frame
 from . import report
-from .background import Found, Interruption, Job, Outcome, read_truth
+from .background import Found, Job, read_truth
 from .baselines import CleanUp, OpenCVSubtractor
+from .interruption import Interruption, Outcome
 from .methods import Method, Model, Usual
 from .mosaic import mosaic
 from .parameters import Parameters, read_parameters
@@ -185,7 +186,7 @@ def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
         assert isinstance(dual, Model)
         gallery, n_frames = Gallery(), 0
         with Progress("comparison", source.n_frames) as progress:
-            for frame in interruption.frames(source):
+            for frame in interruption.items(source):
                 found = {name: tally.add(frame, region) for name, tally in tallies.items()}
                 n_frames += 1
                 if frame.image is not None:

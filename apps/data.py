@@ -43,6 +43,13 @@ SEQUENCES = {
         ("input", "groundtruth", "temporalROI.txt"), "http://changedetection.net (dataset 2014, baseline)"
     ),
     "aboda": Sequence(("video4.avi",), "https://github.com/kevinlin311tw/ABODA"),
+    "cmu-hotel": Sequence(
+        ("hotel.seq0.png", "hotel.seq100.png"), "http://vasc.ri.cmu.edu/idb/html/motion/hotel"
+    ),
+    "bobot": Sequence(
+        ("frame_000100.jpg", "frame_000250.jpg"),
+        "https://github.com/davisking/dlib/tree/master/examples/video_frames",
+    ),
 }
 
 

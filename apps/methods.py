@@ -15,6 +15,9 @@ from .parameters import Parameters
 
 Image = NDArray[np.uint8]
 
+CHAINS: tuple[tuple[str, Engine], ...] = (("feed-forward", "feed-forward"), ("RSMCM", "recursive-bp"))
+"""What is compared through the feedback of one connection and nothing else."""
+
 
 class Method(Protocol):
     """Something that finds foreground, and perhaps tracks, frame by frame."""
@@ -61,6 +64,22 @@ class Model:
             return np.zeros((self._size[1], self._size[0]), np.uint8)
         picture: Image = self._state.states["background"].picture()
         return picture
+
+
+class ModelSubtractor:
+    """A model as something that turns picture after picture into masks."""
+
+    def __init__(
+        self, engine: Engine, size: tuple[int, int], rate: float, parameters: Parameters | None = None
+    ) -> None:
+        self._model = Model("", engine, size, parameters)
+        self._rate = rate
+        self._count = 0
+
+    def apply(self, image: Image, /) -> Image:
+        """Take the next picture; return 0 background, 255 foreground."""
+        self._count += 1
+        return self._model.step(Frame(image, self._count / self._rate, self._count)).foreground
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """How good a result is: masks against labels, components against objects, tracks against tracks."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 
 import cv2
@@ -108,6 +108,20 @@ class PixelScore:
             (self.numbers[start], _sum_counts(self.counts[start : start + length]))
             for start in range(0, len(self.counts), length)
         ]
+
+
+def joined(scores: Iterable[PixelScore]) -> PixelScore:
+    """The frames of all scores in one."""
+    whole = PixelScore()
+    for score in scores:
+        whole.numbers += score.numbers
+        whole.counts += score.counts
+    return whole
+
+
+def total(scores: Iterable[PixelScore]) -> PixelScores:
+    """Return the measures over all frames of all scores."""
+    return joined(scores).total()
 
 
 @dataclass(frozen=True)

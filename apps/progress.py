@@ -18,20 +18,23 @@ class Progress:
     label
         what is being done.
     total
-        number of frames expected; `None` for an unknown length.
+        how many are expected; `None` for an unknown length.
     done
         frames that an earlier run has done; they do not count for the rate.
+    unit
+        what is counted, in the plural.
     """
 
-    def __init__(self, label: str, total: int | None, done: int = 0) -> None:
+    def __init__(self, label: str, total: int | None, done: int = 0, unit: str = "frames") -> None:
         self._label = label
+        self._unit = unit
         self._total = total
         self._first = self._done = done
         self._started = self._printed = time.monotonic()
         self._bar: tqdm[Never] | None = None
         if sys.stderr.isatty():
             self._bar = tqdm(
-                total=total, initial=done, desc=label, unit=" frames", dynamic_ncols=True, file=sys.stderr
+                total=total, initial=done, desc=label, unit=f" {unit}", dynamic_ncols=True, file=sys.stderr
             )
 
     def __enter__(self) -> Self:
@@ -63,7 +66,8 @@ class Progress:
         line = f"{self._label}: {self._done}"
         if self._total is not None:
             line += f" of {self._total}"
-        line += f" frames, {rate:.1f} frames/s"
+        speed = f"{rate:.1f} {self._unit}/s" if rate >= 1 or rate == 0 else f"{1 / rate:.1f} s each"
+        line += f" {self._unit}, {speed}"
         if self._total is not None and rate > 0:
             left = max(0.0, (self._total - self._done) / rate)
             line += f", {tqdm.format_interval(left)} left"

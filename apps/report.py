@@ -10,6 +10,7 @@ import io
 import re
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +23,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ..models.frame import Frame
-from .results import identity_colour
+from .results import identity_colour, write_atomically
 
 Image = NDArray[np.uint8]
 
@@ -166,7 +167,7 @@ class RunRecord:
             self.missing.append(frame.number)
         elif count >= self.next_snapshot:
             pictures = (frame.image, background(), foreground, overlay())
-            self.snapshots.append(Snapshot(frame.number, frame.time, *map(_small, pictures)))
+            self.snapshots.append(Snapshot(frame.number, frame.time, *map(small, pictures)))
             if len(self.snapshots) > MOST_SNAPSHOTS:
                 del self.snapshots[1::2]
                 self.stride *= 2
@@ -213,7 +214,7 @@ def _decoded(text: str) -> Image:
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8)
 
 
-def _small(image: Image) -> Image:
+def small(image: Image) -> Image:
     """A copy, no wider than a snapshot."""
     height, width = image.shape[:2]
     if width <= SNAPSHOT_WIDTH:
@@ -261,12 +262,12 @@ def write_report(
         raise ValueError("record: got no frame, expected one at least")
     sections = [("", [_summary(record, background)])]
     if metrics:
-        sections.append(("Against the ground truth", [table(("measure", "value"), _flat(metrics))]))
+        sections.append(("Against the ground truth", [table(("measure", "value"), flat(metrics))]))
     sections.append(("Pictures over time", [_strip(record.snapshots)]))
     text = "Where the feet went, on the background at the end: from the ring to the dot with the number."
     sections.append(("Tracks", [picture(draw_tracks(background, record.tracks), text), _track_table(record)]))
     sections.append(("Over time", [_plots(record)]))
-    sections.append(("Parameters", [table(("parameter", "value"), _flat(parameters))]))
+    sections.append(("Parameters", [table(("parameter", "value"), flat(parameters))]))
     write_page(path, title, sections)
 
 
@@ -308,14 +309,11 @@ def _summary(record: RunRecord, background: Image) -> Html:
         "frames a second, model": f"{len(record.numbers) / spent:.1f}" if spent > 0 else "–",
         "tracks": f"{len(record.tracks)}",
     }
-    cards = (
-        f"<div><b>{_escaped(value)}</b><span>{_escaped(name)}</span></div>" for name, value in figures.items()
-    )
-    note = ""
+    note = Html("")
     if record.missing:
         listed = ", ".join(map(str, record.missing[:20])) + (", …" if len(record.missing) > 20 else "")
         note = paragraph(f"Missing or unreadable frames, over which the chains only predicted: {listed}.")
-    return Html(f'<div class="cards">{"".join(cards)}</div>{note}')
+    return Html(cards(figures) + note)
 
 
 def _strip(snapshots: Sequence[Snapshot]) -> Html:
@@ -393,18 +391,26 @@ def _plots(record: RunRecord) -> Html:
     return figure(draw, (11, 7.5), note)
 
 
-def _flat(settings: Mapping[str, object], above: str = "") -> list[tuple[object, ...]]:
+# Parts of a page
+
+
+def cards(figures: Mapping[str, str]) -> Html:
+    """Values in large letters above their names."""
+    each = (
+        f"<div><b>{_escaped(value)}</b><span>{_escaped(name)}</span></div>" for name, value in figures.items()
+    )
+    return Html(f'<div class="cards">{"".join(each)}</div>')
+
+
+def flat(settings: Mapping[str, object], above: str = "") -> list[tuple[object, ...]]:
     """Name and value of every setting, mappings inside with dotted names."""
     rows: list[tuple[object, ...]] = []
     for name, value in settings.items():
         if isinstance(value, Mapping):
-            rows += _flat(value, f"{above}{name}.")
+            rows += flat(value, f"{above}{name}.")
         else:
             rows.append((f"{above}{name}", value))
     return rows
-
-
-# Parts of a page
 
 
 def paragraph(text: str) -> Html:
@@ -481,20 +487,7 @@ def figure(draw: Callable[[Figure], None], size: tuple[float, float], caption: s
     size
         `(width, height)` inches.
     """
-    style: dict[Any, object] = {
-        "svg.fonttype": "none",
-        "svg.hashsalt": caption or "plot",  # the same page on every run
-        "font.family": "sans-serif",
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.grid": True,
-        "axes.axisbelow": True,
-        "grid.alpha": 0.18,
-        "legend.frameon": False,
-    }
-    inked = ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color", "grid.color")
-    style |= dict.fromkeys(inked, INK)
-    with matplotlib.rc_context(style):
+    with _plot_style(caption):
         canvas = Figure(figsize=size, layout="constrained")
         draw(canvas)
         written = io.StringIO()
@@ -507,6 +500,38 @@ def figure(draw: Callable[[Figure], None], size: tuple[float, float], caption: s
     svg = svg.replace("<svg ", f'<svg role="img" aria-label="{_escaped(caption or "plot")}" ', 1)
     below = f"<figcaption>{_escaped(caption)}</figcaption>" if caption else ""
     return Html(f"<figure>{svg}{below}</figure>")
+
+
+def write_figure(path: Path, draw: Callable[[Figure], None], size: tuple[float, float]) -> None:
+    """Write a plot as PNG, whole or not at all; parameters as of `figure`.
+
+    Raises
+    ------
+    OSError
+        if the file cannot be written.
+    """
+    with _plot_style(path.name):
+        canvas = Figure(figsize=size, layout="constrained")
+        draw(canvas)
+        with write_atomically(path) as unfinished:
+            canvas.savefig(unfinished, format="png", dpi=110)
+
+
+def _plot_style(salt: str) -> AbstractContextManager[None]:
+    """Settings of matplotlib; the salt makes the same page on every run."""
+    style: dict[Any, object] = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": salt or "plot",
+        "font.family": "sans-serif",
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "grid.alpha": 0.18,
+        "legend.frameon": False,
+    }
+    inked = ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color", "grid.color")
+    return matplotlib.rc_context(style | dict.fromkeys(inked, INK))
 
 
 def write_page(path: Path, title: str, sections: Iterable[tuple[str, Sequence[Html]]]) -> None:

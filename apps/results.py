@@ -9,6 +9,7 @@ import json
 import math
 import os
 import queue
+import shutil
 import tempfile
 import threading
 from collections import deque
@@ -39,6 +40,10 @@ RESULT_PATTERNS = (
     "compare.*",
     "compare-*.png",
     "state.npz",
+    "structure.ply",
+    "cameras.json",
+    "tracks.npz",
+    "predictions.npz",
 )
 UNFINISHED = ".unfinished-"  # how a file is called while it is written
 
@@ -132,31 +137,84 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
         unfinished.write_bytes(data.tobytes())
 
 
-def prepare_output(folder: Path, *, overwrite: bool = False, resume: bool = False) -> None:
-    """Make sure that results can be written to `folder`.
+def check_output(folder: Path, *, overwrite: bool = False, resume: bool | None = None) -> list[Path]:
+    """Refuse a folder that holds results, and change nothing; return those that are to be replaced.
 
-    With `overwrite`, results of an earlier run are removed, and only those (`RESULT_PATTERNS`).
+    Parameters
+    ----------
+    folder
+        need not exist.
+    overwrite
+        results there may be replaced.
+    resume
+        results there are gone on with; `None` where an application cannot do that.
 
     Raises
     ------
     FileExistsError
         if the folder holds results, and neither `overwrite` nor `resume` is given.
+    NotADirectoryError
+        if it is no folder.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "expected a folder", str(folder))
+    present = sorted(path for pattern in RESULT_PATTERNS for path in folder.glob(pattern))
+    if present and not overwrite and not resume:
+        ways = "--overwrite" if resume is None else "--overwrite or --resume"
+        raise FileExistsError(f"{folder}: already holds results: use {ways}")
+    return present if overwrite else []
+
+
+def prepare_output(folder: Path, *, overwrite: bool = False, resume: bool | None = False) -> None:
+    """Make sure that results can be written to `folder`; parameters and errors as of `check_output`.
+
+    With `overwrite`, results of an earlier run are removed, and only those (`RESULT_PATTERNS`).
+
+    Raises
+    ------
     OSError
         if the folder cannot be made or written to.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise NotADirectoryError(errno.ENOTDIR, "expected a folder", str(folder)) from None
-    present = sorted(path for pattern in RESULT_PATTERNS for path in folder.glob(pattern))
-    if present and not overwrite and not resume:
-        raise FileExistsError(f"{folder}: already holds results: use --overwrite or --resume")
+    replaced = check_output(folder, overwrite=overwrite, resume=resume)
+    folder.mkdir(parents=True, exist_ok=True)
     with naming(folder), tempfile.TemporaryFile(dir=folder):
         pass
     patterns = (UNFINISHED + "*", f"foreground/{UNFINISHED}*", ".state.npz.*.partial")
-    left_over = [path for pattern in patterns for path in folder.glob(pattern)]
-    for path in [*left_over, *(present if overwrite else [])]:
-        path.unlink()
+    for path in [*(path for pattern in patterns for path in folder.glob(pattern)), *replaced]:
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+
+
+@contextmanager
+def write_together(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Yield a folder to write results to, which all appear in `folder` when all went well.
+
+    With `overwrite`, they replace those of an earlier run (`RESULT_PATTERNS`). After an error, `folder` is as
+    it was before.
+
+    Raises
+    ------
+    FileExistsError
+        if the folder holds results, and `overwrite` is not given.
+    OSError
+        if something cannot be written; it names `folder`.
+    """
+    replaced = check_output(folder, overwrite=overwrite)
+    created = not folder.exists()
+    prepare_output(folder, resume=True)  # what a kill left over goes, results stay for now
+    try:
+        with naming(folder), tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=folder) as unfinished:
+            yield Path(unfinished)
+            for path in replaced:
+                path.unlink()
+            for path in Path(unfinished).iterdir():
+                os.replace(path, folder / path.name)
+    except BaseException:
+        if created:
+            folder.rmdir()
+        raise
 
 
 class _Worker:

@@ -42,13 +42,13 @@ cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 
 @dataclass(frozen=True)
-class _Selection:
+class Selection:
     """Which frames of the source are wanted (1-based, both ends included)."""
 
-    start: int
-    stop: int | None
-    step: int
-    after: int
+    start: int = 1
+    stop: int | None = None
+    step: int = 1
+    after: int = 0
 
     def __post_init__(self) -> None:
         if self.start < 1:
@@ -67,6 +67,7 @@ class _Selection:
         )
 
     def ended(self, number: int) -> bool:
+        """Whether neither this frame nor any after it is wanted."""
         return self.stop is not None and number > self.stop
 
     def numbers(self, total: int) -> range:
@@ -86,7 +87,7 @@ class _Reader(Protocol):
     truncated: bool
     last_number: int  # of the last frame seen, also of those not selected
 
-    def frames(self, selection: _Selection) -> Iterator[Frame]: ...
+    def frames(self, selection: Selection) -> Iterator[Frame]: ...
     def fingerprint(self) -> dict[str, Any]: ...
     def close(self) -> None: ...
 
@@ -119,7 +120,7 @@ class Source:
         whether the source ended before the end that it announces (known once it has ended).
     """
 
-    def __init__(self, reader: _Reader, selection: _Selection) -> None:
+    def __init__(self, reader: _Reader, selection: Selection) -> None:
         self._reader = reader
         self.name = reader.name
         self.kind = reader.kind
@@ -279,7 +280,7 @@ def open_source(
     OSError
         if a camera or address cannot be opened (after 10 s at most).
     """
-    selection = _Selection(start, stop, step, after)
+    selection = Selection(start, stop, step, after)
     reader = _open_reader(source, image_rate)
     try:
         return Source(reader, selection)
@@ -350,7 +351,7 @@ class _ImageReader:
         self.last_number = len(files)
         self._files = files
 
-    def frames(self, selection: _Selection) -> Iterator[Frame]:
+    def frames(self, selection: Selection) -> Iterator[Frame]:
         for number in selection.numbers(len(self._files)):
             if number in selection:
                 image = _read_image(self._files[number - 1], number)
@@ -500,7 +501,7 @@ class _VideoReader:
             return self._container.duration / 1e6
         return None
 
-    def frames(self, selection: _Selection) -> Iterator[Frame]:
+    def frames(self, selection: Selection) -> Iterator[Frame]:
         opened: float | None = None
         for number, (seconds, picture) in enumerate(self._pictures(), start=1):
             if selection.ended(number):
@@ -671,7 +672,7 @@ class _CameraReader:
             int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
         )
 
-    def frames(self, selection: _Selection) -> Iterator[Frame]:
+    def frames(self, selection: Selection) -> Iterator[Frame]:
         opened: float | None = None
         for number in itertools.count(1):
             if selection.ended(number):

@@ -2,7 +2,16 @@
 
 from .adaptive_background import AdaptiveBackground
 from .blob_tracker import BlobTracker
+from .factor_structure import FactorStructure
 from .ground_plane import GroundPlane
 from .mixture_background import MixtureBackground
+from .point_tracker import PointTracker
 
-__all__ = ["AdaptiveBackground", "BlobTracker", "GroundPlane", "MixtureBackground"]
+__all__ = [
+    "AdaptiveBackground",
+    "BlobTracker",
+    "FactorStructure",
+    "GroundPlane",
+    "MixtureBackground",
+    "PointTracker",
+]

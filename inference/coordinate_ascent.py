@@ -161,50 +161,61 @@ class CoordinateAscent:
 
 
 class _Slices:
-    """Trajectories, messages and evidence at all times."""
+    """Trajectories, messages and evidence at all times. Lists are replaced, never changed once complete."""
 
     def __init__(self, model: MultiChain, frames: Sequence[Frame]) -> None:
         self.model = model
         self.frames = frames
         self.trajectories: dict[str, Any] = {}
         self.spoken: dict[tuple[str, str], Sequence[Message]] = {}
-        self._heard: dict[str, tuple[Sequence[Message] | None, ...]] = {}
         self._evidence: dict[str, list[Message | None]] = {}
-        self._looks_for: dict[str, str] = {}
-        """Feature: the chain that has looked there, and looks again when its turn comes."""
+        self._looking: dict[str, str] = {}
+        """Feature: the chain that looks there by itself."""
+        self._looked: set[str] = set()
+        """Features at which the chain whose turn it is has begun to look."""
+        self._heard: dict[str, tuple[Any, ...]] = {}
 
     def copy(self) -> "_Slices":
         other = _Slices(self.model, self.frames)
         other.trajectories, other.spoken = dict(self.trajectories), dict(self.spoken)
-        other._heard, other._looks_for = dict(self._heard), dict(self._looks_for)
-        other._evidence = {name: list(messages) for name, messages in self._evidence.items()}
+        other._evidence, other._looking = dict(self._evidence), dict(self._looking)
+        other._heard = dict(self._heard)
         return other
 
     def ascend(self) -> tuple[str, ...]:
-        """One round: every chain whose neighbours have changed gets its best trajectory."""
+        """One round: every chain to which something new is said or shown gets its best trajectory."""
         smoothed = []
         for name, chain in self.model.chains.items():
             features = self.model.features_of(name)
-            hears = tuple(
-                self.spoken.get((other, feature))
-                for feature in features
-                for other in self.model.speakers(feature)
-                if other != name
-            )
-            known = self._heard.get(name)
-            if known is not None and all(old is new for old, new in zip(known, hears, strict=True)):
+            known, news = self._heard.get(name), self._news(name)
+            if known is not None and all(old is new for old, new in zip(known, news, strict=True)):
                 continue
-            for feature in features:
-                if self._looks_for.get(feature) == name:
-                    del self._evidence[feature]
+            self._looked.clear()
             incoming = [_BatchIncoming(self, name, time) for time in range(len(self.frames))]
             self.trajectories[name] = chain.smooth(incoming, self.trajectories.get(name))
+            self._heard[name] = self._news(name)
             for feature in features:
                 node = self.model.features[feature]
                 self.spoken[name, feature] = chain.messages(self.trajectories[name], node)
-            self._heard[name] = hears
+                if feature not in self._looking and name in self.model.speakers(feature):
+                    self._evidence.pop(feature, None)  # there are other places to look at
             smoothed.append(name)
         return tuple(smoothed)
+
+    def _news(self, chain: str) -> tuple[Any, ...]:
+        """All that the chain's trajectory depends on: messages, and evidence that others found, as lists."""
+        features = self.model.features_of(chain)
+        said = [
+            self.spoken.get((other, feature))
+            for feature in features
+            for other in self.model.speakers(feature)
+            if other != chain
+        ]
+        shown = [
+            self._evidence.get(feature) if self._looking.get(feature) not in (None, chain) else None
+            for feature in features
+        ]
+        return (*said, *shown)
 
     def objective(self) -> float:
         total = sum(trajectory.log_prior for trajectory in self.trajectories.values())
@@ -224,18 +235,25 @@ class _Slices:
         ]
         return reduce(mul, factors) if factors else self.model.features[feature].uniform()
 
-    def evidence(self, feature: str, time: int, asked_by: str | None = None, prior: Any = None) -> Any:
+    def evidence(self, feature: str, time: int) -> Any:
         """What was seen last, or what is seen where all messages so far have mass."""
         seen = self._evidence.setdefault(feature, [None] * len(self.frames))
-        message = seen[time]
-        if message is None or prior is not None:
-            frame, node = self.frames[time], self.model.features[feature]
-            if asked_by is not None:
-                self._looks_for.setdefault(feature, asked_by)
-            where = self.told(feature, time) if prior is None else prior
-            message = node.uniform() if frame.missing else node.evidence(frame, where)
-            seen[time] = message
+        if seen[time] is None:
+            seen[time] = self._see(feature, time, self.told(feature, time))
+        return seen[time]
+
+    def look(self, chain: str, feature: str, time: int, prior: Any) -> Any:
+        """What is seen where `prior` has mass; what was seen in earlier rounds is forgotten."""
+        if feature not in self._looked:
+            self._looked.add(feature)
+            self._looking[feature] = chain
+            self._evidence[feature] = [None] * len(self.frames)
+        message = self._evidence[feature][time] = self._see(feature, time, prior)
         return message
+
+    def _see(self, feature: str, time: int, prior: Any) -> Any:
+        frame, node = self.frames[time], self.model.features[feature]
+        return node.uniform() if frame.missing else node.evidence(frame, prior)
 
 
 class _BatchIncoming(BatchIncoming):
@@ -245,7 +263,7 @@ class _BatchIncoming(BatchIncoming):
 
     def __getitem__(self, key: Any, /) -> Any:
         feature = name_of(key)
-        return self.told(feature) * self._slices.evidence(feature, self._time, self._chain)
+        return self.told(feature) * self._slices.evidence(feature, self._time)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._slices.model.features_of(self._chain))
@@ -257,7 +275,7 @@ class _BatchIncoming(BatchIncoming):
         return self._slices.told(name_of(feature), self._time, without=self._chain)
 
     def look(self, feature: Any, prior: Any, /) -> Any:
-        return self._slices.evidence(name_of(feature), self._time, self._chain, prior)
+        return self._slices.look(self._chain, name_of(feature), self._time, prior)
 
 
 def _as_frames(items: Iterable[Frame | NDArray[np.uint8] | None], dt: float) -> list[Frame]:

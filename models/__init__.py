@@ -4,5 +4,6 @@ from .categorical import Categorical
 from .frame import Frame
 from .object_boxes import ObjectBoxes
 from .pixel_labels import PixelLabels
+from .point_tracks import PointTracks
 
-__all__ = ["Categorical", "Frame", "ObjectBoxes", "PixelLabels"]
+__all__ = ["Categorical", "Frame", "ObjectBoxes", "PixelLabels", "PointTracks"]

@@ -14,9 +14,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.background import ENGINES, Interruption, Job, build_model, run_background
+from rsmcm.apps.background import ENGINES, Job, build_model, run_background
 from rsmcm.apps.demo import write_scene
 from rsmcm.apps.ground_truth import MaskTruth, read_ground_truth
+from rsmcm.apps.interruption import Interruption
 from rsmcm.apps.parameters import SECTIONS, read_parameters, with_defaults
 from rsmcm.apps.region import read_region, stands_inside
 from rsmcm.apps.results import read_tracks
@@ -102,16 +103,16 @@ def test_interrupted_and_resumed_is_as_if_never_interrupted(
     stop_after: int, scene: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = Job(str(scene / "input"), tmp_path, ground_truth=scene, every=10)
-    frames = Interruption.frames
+    items = Interruption.items
 
     def interrupted(self: Interruption, source: Iterator[Frame]) -> Iterator[Frame]:
-        for count, frame in enumerate(frames(self, source), 1):
+        for count, frame in enumerate(items(self, source), 1):
             yield frame
             if count == stop_after:
                 signal.raise_signal(signal.SIGINT)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Interruption, "frames", interrupted)
+        patch.setattr(Interruption, "items", interrupted)
         outcome = run_background(job)
     assert outcome.signal == signal.SIGINT
     assert summary_of(tmp_path)["frames"] == stop_after

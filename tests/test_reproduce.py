@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps import reproduce
 from rsmcm.apps.baselines import SETTINGS, CleanUp, OpenCVSubtractor
 from rsmcm.apps.bench import enumeration_error, in_turns, stages
 from rsmcm.apps.claims import Claim, in_columns
 from rsmcm.apps.compare import COLUMNS, Gallery
-from rsmcm.apps.methods import Model, Usual
-from rsmcm.apps.metrics import PixelScore
+from rsmcm.apps.methods import Model, ModelSubtractor, Usual
+from rsmcm.apps.metrics import PixelScore, joined
 from rsmcm.apps.mosaic import mosaic
+from rsmcm.apps.reproduce import sleeping_man as experiment
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.frame import Frame
 
@@ -80,7 +80,7 @@ def test_mosaic_shows_every_picture() -> None:
 def test_a_model_as_subtractor_gives_the_same_masks() -> None:
     scene = sleeping_man(20, size=SIZE, enter=0)
     model = Model("RSMCM", "recursive-bp", SIZE)
-    subtractor = reproduce.ModelSubtractor("recursive-bp", SIZE, 25.0)
+    subtractor = ModelSubtractor("recursive-bp", SIZE, 25.0)
     for frame in scene:
         assert frame.image is not None
         np.testing.assert_array_equal(model.step(frame).foreground, subtractor.apply(frame.image))
@@ -99,18 +99,18 @@ def test_the_usual_pipeline_survives_missing_frames() -> None:
 
 
 def test_scores_of_a_scene_name_all_methods() -> None:
-    frames, truth = reproduce._rendered(sleeping_man(8, size=SIZE, enter=0), "scene")
-    scored = list(reproduce._scores_of_scene(frames, truth, SETTINGS[:1]))
+    frames, truth = experiment._rendered(sleeping_man(8, size=SIZE, enter=0), "scene")
+    scored = list(experiment._scores_of_scene(frames, truth, SETTINGS[:1]))
     assert [name for name, _, _ in scored] == ["feed-forward", "RSMCM", "MOG2", "MOG2"]
     assert all(len(score.numbers) == 8 for _, _, score in scored)
-    first, second = (reproduce._joined([score]) for _, _, score in scored[:2])
-    both = reproduce._joined([first, second])
+    first, second = (joined([score]) for _, _, score in scored[:2])
+    both = joined([first, second])
     assert len(both.counts) == 16
-    assert reproduce._joined([]).total() == PixelScore().total()
+    assert joined([]).total() == PixelScore().total()
 
 
 def test_sleeping_man_figures() -> None:
-    figures = reproduce._sleeping_figures(sleeping_man(61, size=SIZE))
+    figures = experiment._sleeping_figures(sleeping_man(61, size=SIZE))
     assert set(figures) == {"Fig. 1", "Fig. 7"}
     assert figures["Fig. 1"].shape == figures["Fig. 7"].shape
     assert figures["Fig. 1"].shape[1] > 2 * 160
@@ -126,7 +126,7 @@ def test_nothing_is_found_before_the_first_image() -> None:
 
 @pytest.mark.slow
 def test_sleeping_man_orders_the_methods(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    reproduce.reproduce_sleeping_man(tmp_path, long=False)
+    experiment.reproduce_sleeping_man(tmp_path, long=False)
     printed = capsys.readouterr().out
     assert "short" not in printed, printed
     assert (tmp_path / "fig-1.png").exists()

@@ -130,6 +130,52 @@ def test_prepare_output(tmp_path: Path) -> None:
         results.prepare_output(folder / "mine.txt")
 
 
+def test_results_are_written_together(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "out"
+    with results.write_together(folder) as unfinished:
+        (unfinished / "structure.ply").write_text("ours")
+        assert not (folder / "structure.ply").exists()
+    assert names(folder) == {"structure.ply"}
+    (folder / "mine.txt").write_text("foreign")
+    with (
+        pytest.raises(FileExistsError, match=r"already holds results: use --overwrite$"),
+        results.write_together(folder),
+    ):
+        raise AssertionError("it does not get here")
+    with results.write_together(folder, overwrite=True) as unfinished:
+        (unfinished / "summary.json").write_text("new")
+        assert (folder / "structure.ply").exists(), "the old ones stay until the new ones are complete"
+    assert names(folder) == {"summary.json", "mine.txt"}
+
+
+@pytest.mark.parametrize("existed", [True, False])
+def test_after_an_error_the_folder_is_as_before(existed: bool, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    if existed:
+        folder.mkdir()
+        (folder / "structure.ply").write_text("old")
+
+    def fail_in_the_middle() -> None:
+        with results.write_together(folder, overwrite=True) as unfinished:
+            (unfinished / "summary.json").write_text("new")
+            raise ValueError("in the middle")
+
+    with pytest.raises(ValueError, match="in the middle"):
+        fail_in_the_middle()
+    assert folder.exists() == existed
+    if existed:
+        assert names(folder) == {"structure.ply"}
+
+
+def test_folders_left_by_a_kill_are_removed(tmp_path: Path) -> None:
+    left = tmp_path / ".unfinished-abc"
+    left.mkdir()
+    (left / "summary.json").write_text("half")
+    with results.write_together(tmp_path) as unfinished:
+        (unfinished / "summary.json").write_text("whole")
+    assert names(tmp_path) == {"summary.json"}
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")
 def test_folder_that_is_not_writable(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
@@ -440,6 +486,10 @@ def test_progress_without_a_terminal_is_sparse(
         now += 11
         bar.update(11)
     assert capsys.readouterr().err == "background: 11 frames, 1.0 frames/s\n"
+    with progress.Progress("structure", 20, unit="rounds") as bar:
+        now += 12.5
+        bar.update()
+    assert capsys.readouterr().err == "structure: 1 of 20 rounds, 12.5 s each, 03:57 left\n"
 
 
 @pytest.mark.parametrize("total", [None, 3])

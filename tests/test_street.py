@@ -1,9 +1,10 @@
-"""The generated scene: exact truth, the same bytes for the same seed, and events when they are due."""
+"""The generated street: exact truth, the same bytes for the same seed, and events when they are due."""
 
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.scenes import LIGHT_AFTER_JUMP, Scene, sleeping_man
+from rsmcm.apps.scenes import Scene, sleeping_man
+from rsmcm.apps.scenes.street import LIGHT_AFTER_JUMP
 
 SMALL = (160, 120)
 

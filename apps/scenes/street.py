@@ -1,4 +1,4 @@
-"""Generated scenes with exact ground truth: the man who stands still, and the car that leaves.
+"""The street: a man who stands still, and a car that leaves; every frame with its exact foreground.
 
 A scene renders any of its frames on its own, from the seed and the frame's index only: 10,000 frames take no
 more memory than one, and two runs over the same scene see the same bytes.
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models.frame import Frame
+from ...models.frame import Frame
 
 Pixels = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -1,0 +1,78 @@
+"""Ctrl-C ends a run with complete results of what was done."""
+
+import signal
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any, Self, TypeVar
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Parameters
+    ----------
+    summary
+        the content of `summary.json`.
+    signal
+        number of the signal that ended it early; `None` if it came to the end.
+    """
+
+    summary: dict[str, Any]
+    signal: int | None
+
+
+class Interruption:
+    """Ctrl-C (SIGINT) and SIGTERM as a question that is asked between frames or rounds.
+
+    Inside its block, the first signal only ends `items`; while that waits for the next one, at once. A second
+    signal is a `KeyboardInterrupt` wherever it arrives. Outside the main thread, signals are left alone.
+
+    Attributes
+    ----------
+    signal
+        number of the signal that arrived; `None` as long as none did.
+    """
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        self._waiting = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._arrive)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def items(self, source: Iterator[T]) -> Iterator[T]:
+        """What the source yields until it ends or a signal arrives."""
+        while self.signal is None:
+            try:
+                self._waiting = True
+                item = next(source)
+                self._waiting = False
+            except StopIteration:
+                return
+            except KeyboardInterrupt:
+                if self.signal is None:
+                    raise
+                return
+            finally:
+                self._waiting = False
+            yield item
+
+    def _arrive(self, number: int, _: FrameType | None) -> None:
+        again = self.signal is not None
+        self.signal = number
+        if again or self._waiting:
+            self._waiting = False
+            raise KeyboardInterrupt

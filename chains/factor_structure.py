@@ -1,0 +1,113 @@
+"""Shape from motion as a chain: rigid points seen by an affine camera (factor analysis, RSMCM §4.3)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..inference.factorisation import Factorisation, factorise, predicted
+from ..inference.protocols import BatchIncoming
+from ..inference.track_linking import link_tracks
+from ..models.gaussian_message import GaussianMessage
+from ..models.point_tracks import PointMessage, PointTracks
+
+Numbers = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class StructureTrajectory:
+    """Shape, cameras, and which of the feature's points show which point of the shape.
+
+    Parameters
+    ----------
+    identities
+        `(n_tracks,)` int64, increasing: points of the feature node, which may be partial tracks.
+    point_of_track
+        `(n_tracks,)` int64: column of `factorisation.shape`; -1 where it is not sure enough.
+    factorisation
+        cameras and points; see there.
+    noise
+        px^2, variance of an observation about what shape and cameras predict.
+    """
+
+    identities: NDArray[np.int64]
+    point_of_track: NDArray[np.int64]
+    factorisation: Factorisation
+    noise: float
+
+    @property
+    def log_prior(self) -> float:
+        """Points are draws of N(0, I); eq. (19) for cameras is part of the fit and is left out here."""
+        return -0.5 * float((self.factorisation.shape**2).sum())
+
+
+@dataclass(frozen=True)
+class FactorStructure:
+    """Batch chain of shape and motion over `PointTracks`.
+
+    Observations are explained by F = M_t (S_i, 1) + noise, eq. (18), with per-observation variances in
+    proportion to those of what comes in, and a factor common to all of them that is learned. Its messages
+    carry the uncertainty of shape and cameras, and say by `same_as` which tracks it takes for one point.
+
+    Parameters
+    ----------
+    coherence
+        whether cameras move smoothly, eq. (19), or each frame is on its own.
+    associate
+        whether partial tracks may show the same point; see `link_tracks`. If not, every track is a point of
+        its own.
+    """
+
+    coherence: bool = True
+    associate: bool = True
+    name: str = "structure"
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: StructureTrajectory | None = None
+    ) -> StructureTrajectory:
+        """Shape and cameras that explain what comes in; always found anew, so that no early error stays.
+
+        Raises
+        ------
+        ValueError
+            if there are fewer than 3 frames or 4 tracks, or frames share too few of them.
+        """
+        identities, positions, weights = _observations(incoming_over_time)
+        if self.associate:
+            linked = link_tracks(positions, weights, coherence=self.coherence)
+            fit, point = linked.factorisation, linked.point_of_track
+        else:
+            fit = factorise(positions, weights, coherence=self.coherence)
+            point = np.arange(len(identities))
+        noise = fit.noise_variance / float(np.median(weights[weights > 0]))
+        return StructureTrajectory(identities, point, fit, noise)
+
+    def messages(self, trajectory: StructureTrajectory, feature: PointTracks) -> list[PointMessage]:
+        """Where the points of all tracks are in each frame, seen or not; nothing of tracks without one."""
+        positions, covariances = predicted(trajectory.factorisation)
+        # eq. (20): features scatter about what the shape predicts
+        covariances[..., [0, 1], [0, 1]] += trajectory.noise
+        known = trajectory.point_of_track >= 0
+        tracks, points = trajectory.identities[known], trajectory.point_of_track[known]
+        first = np.full(len(trajectory.factorisation.shape), np.iinfo(np.int64).max)
+        np.minimum.at(first, points, tracks)
+        return [
+            PointMessage(GaussianMessage.from_moments(tracks, mean, covariance), same_as=first[points])
+            for mean, covariance in zip(positions[:, points], covariances[:, points], strict=True)
+        ]
+
+
+def _observations(
+    incoming_over_time: Sequence[BatchIncoming],
+) -> tuple[NDArray[np.int64], Numbers, Numbers]:
+    """Identities `(n,)`, positions `(n_frames, n, 2)` and 1 / variances `(n_frames, n)` of what comes in."""
+    moments = [message.positions.moments for incoming in incoming_over_time for message in incoming.values()]
+    identities = np.unique(np.concatenate([each for each, _, _ in moments]))
+    positions = np.zeros((len(moments), len(identities), 2))
+    weights = np.zeros((len(moments), len(identities)))
+    for time, (known, means, covariances) in enumerate(moments):
+        place = np.searchsorted(identities, known)
+        positions[time, place] = means
+        weights[time, place] = 2 / np.trace(covariances, axis1=1, axis2=2)
+    return identities, positions, weights

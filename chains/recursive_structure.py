@@ -1,0 +1,141 @@
+"""Structure from motion as a filtering chain: points of a rigid shape before a moving affine camera (§4.3).
+
+The conclusion of the RSMCM paper claims this filter without giving it; what is here is ours, in constant time
+per frame. `inference.rigid_structure` has its mathematics.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..inference import camera_motion
+from ..inference.camera_motion import CameraMotion
+from ..inference.protocols import Incoming
+from ..inference.rigid_structure import Registration, Seen, Structure, join, register, take_in
+from ..inference.structure_window import LEAST_SEEN, Window, first_structure
+from ..models.frame import Frame
+from ..models.gaussian_message import GaussianMessage
+from ..models.memo import LastCall
+from ..models.point_tracks import PointMessage, PointTracks
+
+LOST = 0.5
+"""Standard deviation of the camera, in extents of the shape's picture, from which on it is lost."""
+
+
+@dataclass(frozen=True, eq=False)
+class StructureState:
+    """A shape and its camera, or what was seen until there is one.
+
+    Parameters
+    ----------
+    time, elapsed
+        s since the first frame and since the last one.
+    window
+        frames that do not determine a shape yet.
+    structure
+        what is known; `None` as long as nothing is.
+    """
+
+    time: float
+    elapsed: float
+    window: Window
+    structure: Structure | None
+
+
+@dataclass(frozen=True)
+class RecursiveStructure:
+    """Rigid shape and camera motion, from the points that others track.
+
+    Until the points' motion determines a shape the chain says nothing, so before a static camera, a flat
+    scene, or fewer than six points it never does. Then it predicts every point that it knows, seen or not:
+    from the camera that the other points of the frame show (its cavity), and where none is seen from the
+    camera's motion. A camera that gets lost (other scene, nothing known in sight) is the end of the shape,
+    and a new one begins.
+
+    Parameters
+    ----------
+    patience
+        s after which a point that is not seen is forgotten.
+    most_points
+        that are kept; those that were seen longest ago are forgotten first.
+    """
+
+    patience: float = 20.0
+    most_points: int = 2000
+    name: str = "structure"
+    uses_cavity: bool = field(default=True, init=False, repr=False)
+    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not self.patience > 0:
+            raise ValueError(f"patience: got {self.patience}, expected more than 0")
+        if not self.most_points >= LEAST_SEEN:
+            raise ValueError(f"most_points: got {self.most_points}, expected {LEAST_SEEN} or more")
+
+    def initial(self, frame: Frame) -> StructureState:
+        """Nothing known."""
+        return StructureState(0.0, 0.0, Window.empty(), None)
+
+    def predict(self, state: StructureState, dt: float) -> StructureState:
+        """The camera moves on, the shape stays."""
+        structure = state.structure
+        if structure is not None:
+            motion = camera_motion.predict(structure.motion, dt)
+            structure = replace(structure, motion=motion, unseen=structure.unseen + dt)
+        return replace(state, time=state.time + dt, elapsed=dt, structure=structure)
+
+    def message(self, state: StructureState, feature: PointTracks, incoming: Incoming) -> PointMessage:
+        """Where every known point should be (mu_{S -> F}); uniform as long as there is no shape.
+
+        All points depend on one camera, which a message of independent points cannot hold: each gets its own
+        marginal, given what its cavity says of the other points. What it says of the point itself is left
+        out.
+        """
+        structure = state.structure
+        if structure is None or not len(structure):
+            return feature.uniform()
+        found = self._last(_registered, structure, incoming[feature])
+        return PointMessage(
+            GaussianMessage.from_moments(structure.identities, found.means, found.covariances)
+        )
+
+    def update(self, state: StructureState, incoming: Incoming) -> StructureState:
+        """Camera and points after a look."""
+        (told,) = incoming.values()
+        seen, structure = _seen(told), state.structure
+        if structure is not None:
+            found = self._last(_registered, structure, told)
+            if len(seen) < LEAST_SEEN or not _lost(found.motion, structure.extent):
+                structure = take_in(structure, found, state.elapsed, state.time)
+                structure = self._remembered(join(structure, seen))
+                return replace(state, structure=structure)
+        window = state.window.lengthened(seen, state.time, self.most_points)
+        structure = first_structure(window) if window is not state.window and window.due else None
+        return replace(state, window=window if structure is None else Window.empty(), structure=structure)
+
+    def _remembered(self, structure: Structure) -> Structure:
+        """Without the points that were not seen for too long."""
+        latest = np.argsort(structure.unseen, kind="stable")[: self.most_points]
+        latest = latest[structure.unseen[latest] <= self.patience]
+        return structure if len(latest) == len(structure) else structure.only(np.sort(latest))
+
+
+def _seen(told: PointMessage) -> Seen:
+    """The points that the frame shows.
+
+    What a tracker says of points that it did not find is what it was told of them before, also by this chain.
+    """
+    identities, positions, covariances = told.positions.moments
+    variances = 0.5 * np.trace(covariances, axis1=1, axis2=2)
+    if told.view is None:
+        return Seen(identities, positions, variances)
+    found = np.isin(identities, told.view.found.identities)
+    return Seen(identities[found], positions[found], variances[found])
+
+
+def _registered(structure: Structure, told: PointMessage) -> Registration:
+    return register(structure, _seen(told))
+
+
+def _lost(motion: CameraMotion, extent: float) -> bool:
+    return bool(motion.camera_covariance.diagonal()[:3].mean() > (LOST * extent) ** 2)

@@ -1,0 +1,308 @@
+"""Affine cameras: what makes them cameras of a rigid world, and shapes that are alike up to a transformation.
+
+A factorisation knows shape and cameras up to an affine change of space. Under scaled orthography the rows of a
+camera are of equal length and orthogonal, which fixes that change up to a similarity and a reflection (seen from
+far, a shape and its mirror image that turns the other way look the same) - if the motion is rich enough.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Numbers = NDArray[np.float64]
+
+LEAST_VIEWS = 3
+"""Two views of a rigid shape leave its depth open (bas-relief)."""
+
+DETERMINED = 0.1
+"""A metric is one if stretches of space are known to about a tenth (one standard deviation of their log)."""
+
+CLEAR = 4.0
+"""By what factor a direction must stand out of what noise alone would make of one (in squares)."""
+
+FLAT = 1e-10
+"""Share of the cameras' squares that is rounding."""
+
+MOST_STEPS = 100
+
+FLATTISH = "no depth shows: the camera does not turn out of the picture plane, or the scene is flat"
+HARDLY = "the camera hardly turns out of the picture plane"
+
+_BASIS = np.array(
+    [
+        np.diag([1, -1, 0]) / np.sqrt(2),
+        np.diag([1, 1, -2]) / np.sqrt(6),
+        np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]]) / np.sqrt(2),
+        np.array([[0, 0, 1], [0, 0, 0], [1, 0, 0]]) / np.sqrt(2),
+        np.array([[0, 0, 0], [0, 0, 1], [0, 1, 0]]) / np.sqrt(2),
+    ]
+)
+"""Of symmetric matrices without trace: stretches of space that are no mere scaling."""
+
+
+@dataclass(frozen=True, eq=False)
+class Euclidean:
+    """Shape and cameras in a space with right angles, or why they are not known in one.
+
+    Parameters
+    ----------
+    determined
+        whether the motion determines it. If not, `shape` and `cameras` are those given, `transform` is the
+        identity, and there are no scales and rotations (NaN).
+    reason
+        one line that says why not; empty where it does.
+    transform
+        `(3, 3)`: shape = given shape @ transform.T.
+    shape
+        `(n_points, 3)`, axes as in the first view (x right, y down), in px as they are seen on average. Only
+        up to reflection: z may as well be -z.
+    cameras
+        `(n_frames, 2, 4)`; together with `shape` they predict what the given ones did.
+    scales, rotations
+        `(n_frames,)` and `(n_frames, 3, 3)`: scale * the first two rows of the rotation come nearest to a
+        camera's first three columns.
+    uncertainty
+        standard deviation of the log stretch that is known least; infinite if none are.
+    """
+
+    determined: bool
+    reason: str
+    transform: Numbers
+    shape: Numbers
+    cameras: Numbers
+    scales: Numbers
+    rotations: Numbers
+    uncertainty: float
+
+
+def euclidean(cameras: ArrayLike, shape: ArrayLike, camera_covariance: ArrayLike | None = None) -> Euclidean:
+    """Upgrade affine cameras and shape: the metric in which rows of cameras are orthogonal and of equal length.
+
+    Scaled orthography: each camera may have its own scale (zoom, distance), and no perspective. The symmetric
+    matrix Q = G G^T with u Q v = 0 and u Q u = v Q v for the rows u, v of all frames is first found by linear
+    least squares, made positive definite, then refined so that relative errors are weighted as the cameras'
+    uncertainty says.
+
+    Parameters
+    ----------
+    cameras
+        `(n_frames, 2, 4)`.
+    shape
+        `(n_points, 3)`.
+    camera_covariance
+        `(n_frames, 4, 4)` of the rows of u and of v. Where left out, errors are taken to be as large as the
+        rows' deviations, and in all frames alike. Frames of which it is very large hardly count.
+
+    Raises
+    ------
+    ValueError
+        if shapes do not fit, or cameras are not finite.
+    """
+    matrices, points = np.asarray(cameras, np.float64), np.asarray(shape, np.float64)
+    if matrices.ndim != 3 or matrices.shape[1:] != (2, 4) or not np.isfinite(matrices).all():
+        raise ValueError(f"cameras: got {matrices.shape}, expected finite (n_frames, 2, 4)")
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"shape: got {points.shape}, expected (n_points, 3)")
+    spread = None
+    if camera_covariance is not None:
+        spread = np.asarray(camera_covariance, np.float64)
+        if spread.shape != (len(matrices), 4, 4):
+            raise ValueError(f"camera_covariance: got {spread.shape}, expected {(len(matrices), 4, 4)}")
+        spread = spread[:, :3, :3]
+    if len(matrices) < LEAST_VIEWS:
+        return _undetermined(matrices, points, f"{len(matrices)} views do not fix depth, {LEAST_VIEWS} may")
+    rows = matrices[..., :3]
+    values, axes = np.linalg.eigh(np.einsum("tcj,tck->jk", rows, rows))
+    if values[0] <= FLAT * values[-1]:
+        return _undetermined(matrices, points, FLATTISH)
+    if spread is not None and not _stands_out(rows, spread, len(points)):
+        return _undetermined(matrices, points, FLATTISH)
+    white = axes / np.sqrt(values / len(rows))
+    try:
+        upgrade, uncertainty = _refined(rows, spread, white @ _linear_metric(rows @ white))
+    except np.linalg.LinAlgError:
+        return _undetermined(matrices, points, HARDLY)
+    if not uncertainty < DETERMINED:
+        return _undetermined(
+            matrices,
+            points,
+            f"{HARDLY}: depth is known to a factor of {np.exp(min(uncertainty, 99.0)):.2g} only",
+            uncertainty,
+        )
+    scales, rotations = scaled_rotations(rows @ upgrade)
+    size = float(np.exp(np.mean(np.log(scales))))
+    first = rotations[0]
+    transform = size * first @ np.linalg.inv(upgrade)
+    back = np.linalg.inv(transform)
+    return Euclidean(
+        determined=True,
+        reason="",
+        transform=transform,
+        shape=points @ transform.T,
+        cameras=np.concatenate([rows @ back, matrices[..., 3:]], axis=2),
+        scales=scales / size,
+        rotations=rotations @ first.T,
+        uncertainty=uncertainty,
+    )
+
+
+def _undetermined(cameras: Numbers, shape: Numbers, reason: str, uncertainty: float = np.inf) -> Euclidean:
+    nothing = np.full((len(cameras), 3, 3), np.nan)
+    return Euclidean(False, reason, np.eye(3), shape, cameras, nothing[:, 0, 0], nothing, uncertainty)
+
+
+def _stands_out(rows: Numbers, spread: Numbers, n_points: int) -> bool:
+    """Whether all three directions are more than the best fit to noise.
+
+    Of a random matrix of 2 n_frames x n_points the largest singular value, squared, is
+    (sqrt(2 n_frames) + sqrt(n_points))^2 times its variance.
+    """
+    noise = 2 * spread.sum(axis=0)
+    values, axes = np.linalg.eigh(noise)
+    if values[0] <= 0:
+        return True
+    white = axes / np.sqrt(values)
+    ratio = np.linalg.eigvalsh(white.T @ np.einsum("tcj,tck->jk", rows, rows) @ white)[0]
+    by_chance = (1 + np.sqrt(n_points / (2 * len(rows)))) ** 2
+    return bool(ratio > CLEAR * by_chance)
+
+
+def _linear_metric(rows: Numbers) -> Numbers:
+    """Square root `(3, 3)` of the positive definite matrix nearest to the linear solution."""
+    first, second = np.triu_indices(3)
+    double = np.where(first == second, 1.0, 2.0)
+
+    def product(one: Numbers, other: Numbers) -> Numbers:
+        """Coefficients of one . Q other."""
+        both: Numbers = 0.5 * (one[:, first] * other[:, second] + one[:, second] * other[:, first]) * double
+        return both
+
+    u, v = rows[:, 0], rows[:, 1]
+    size = np.sum(rows**2, axis=(1, 2))[:, None]
+    system = np.concatenate([(product(u, u) - product(v, v)) / size, 2 * product(u, v) / size])
+    metric = np.zeros((3, 3))
+    metric[first, second] = np.linalg.svd(system)[2][-1] / np.sqrt(double)  # norm of Q, not of its upper half
+    metric = metric + np.triu(metric, 1).T
+    metric *= np.sign(np.trace(metric)) or 1.0
+    values, axes = np.linalg.eigh(metric)
+    root: Numbers = axes * np.sqrt(np.maximum(values, 1e-2 * values[-1]))
+    return root
+
+
+def _refined(rows: Numbers, spread: Numbers | None, upgrade: Numbers) -> tuple[Numbers, float]:
+    """Improve G by Gauss-Newton steps G <- G exp(E); and the largest standard deviation of what E is known to.
+
+    Errors are (|u|^2 - |v|^2) / (|u|^2 + |v|^2) and 2 u . v / (|u|^2 + |v|^2), in which the scale is no matter.
+    """
+    damping, best = 1e-3, _errors(rows, spread, upgrade)
+    for _ in range(MOST_STEPS):
+        errors, jacobian, weight = best
+        normal, pull = jacobian.T @ (weight[:, None] * jacobian), jacobian.T @ (weight * errors)
+        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
+        values, axes = np.linalg.eigh(np.tensordot(step, _BASIS, 1))
+        moved = upgrade @ (axes * np.exp(np.clip(values, -1, 1))) @ axes.T
+        reached = _errors(rows, spread, moved)
+        # weights depend on G: compare under the same
+        if np.sum(weight * reached[0] ** 2) <= np.sum(weight * errors**2):
+            upgrade, best, damping = moved, reached, damping / 10
+            if np.abs(step).max() < 1e-12:
+                break
+        else:
+            damping *= 10
+            if damping > 1e12:
+                break
+    errors, jacobian, weight = best
+    deviation = float(np.sum(weight * errors**2)) / max(len(errors) - len(_BASIS), 1)
+    covariance = np.linalg.inv(jacobian.T @ (weight[:, None] * jacobian))
+    inflation = deviation if spread is None else max(deviation, 1.0)
+    return upgrade, float(np.sqrt(inflation * np.linalg.eigvalsh(covariance)[-1]))
+
+
+def _errors(
+    rows: Numbers, spread: Numbers | None, upgrade: Numbers
+) -> tuple[Numbers, Numbers, Numbers]:
+    """Errors `(2 n_frames,)`, their derivatives by E `(2 n_frames, 5)` and their weights."""
+    moved = rows @ upgrade
+    u, v = moved[:, 0], moved[:, 1]
+    size = np.sum(moved**2, axis=(1, 2))
+    uu, vv, uv = (np.einsum("tj,njk,tk->tn", a, _BASIS, b) for a, b in ((u, u), (v, v), (u, v)))
+    difference = (np.sum(u**2, axis=1) - np.sum(v**2, axis=1)) / size
+    product = 2 * np.sum(u * v, axis=1) / size
+    grown = 2 * (uu + vv) / size[:, None]
+    jacobian = np.concatenate(
+        [
+            2 * (uu - vv) / size[:, None] - difference[:, None] * grown,
+            4 * uv / size[:, None] - product[:, None] * grown,
+        ]
+    )
+    if spread is None:
+        weight = np.ones(len(rows))
+    else:
+        # first order: both errors have 4 (u C u + v C v) / size^2, uncorrelated
+        inside = upgrade.T @ spread @ upgrade
+        weight = size**2 / (4 * np.einsum("tcj,tjk,tck->t", moved, inside, moved) + 1e-300)
+    return np.concatenate([difference, product]), jacobian, np.concatenate([weight, weight])
+
+
+def scaled_rotations(matrices: ArrayLike) -> tuple[Numbers, Numbers]:
+    """Scales `(n,)` and rotations `(n, 3, 3)` whose product's first two rows are nearest to matrices `(n, 2, 3)`."""
+    left, values, right = np.linalg.svd(np.asarray(matrices, np.float64), full_matrices=False)
+    rows = left @ right
+    third = np.cross(rows[:, 0], rows[:, 1])
+    return values.mean(axis=1), np.concatenate([rows, third[:, None]], axis=1)
+
+
+# --- shapes that are alike ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """How a shape is brought onto another.
+
+    Parameters
+    ----------
+    matrix, translation
+        `(3, 3)` and `(3,)`: aligned = shape @ matrix.T + translation.
+    aligned
+        `(n_points, 3)`.
+    error
+        root mean square distance that is left, in the target's unit.
+    """
+
+    matrix: Numbers
+    translation: Numbers
+    aligned: Numbers
+    error: float
+
+
+def affine_alignment(shape: ArrayLike, target: ArrayLike) -> Alignment:
+    """Affine map of a shape `(n_points, 3)` onto another, by least squares."""
+    points, goal, middle, goal_middle = _centred(shape, target)
+    solution, *_ = np.linalg.lstsq(points, goal)
+    return _alignment(solution.T, points, goal, middle, goal_middle)
+
+
+def similarity_alignment(shape: ArrayLike, target: ArrayLike) -> Alignment:
+    """Scaling, rotation or reflection, and translation of a shape onto another, by least squares (Procrustes)."""
+    points, goal, middle, goal_middle = _centred(shape, target)
+    left, values, right = np.linalg.svd(goal.T @ points)
+    total = float(np.sum(points**2))
+    matrix = left @ right * (float(values.sum()) / total if total else 1.0)
+    return _alignment(matrix, points, goal, middle, goal_middle)
+
+
+def _centred(shape: ArrayLike, target: ArrayLike) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+    points, goal = np.asarray(shape, np.float64), np.asarray(target, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or points.shape != goal.shape or not len(points):
+        raise ValueError(f"shape, target: got {points.shape} and {goal.shape}, expected the same (n_points, 3)")
+    middle, goal_middle = points.mean(axis=0), goal.mean(axis=0)
+    return points - middle, goal - goal_middle, middle, goal_middle
+
+
+def _alignment(
+    matrix: Numbers, points: Numbers, goal: Numbers, middle: Numbers, goal_middle: Numbers
+) -> Alignment:
+    aligned = points @ matrix.T
+    error = float(np.sqrt(np.mean(np.sum((aligned - goal) ** 2, axis=1))))
+    return Alignment(matrix, goal_middle - matrix @ middle, aligned + goal_middle, error)

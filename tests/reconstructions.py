@@ -1,0 +1,60 @@
+"""Reconstructions made from the truth of generated scenes, with known errors."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rsmcm.apps.reconstruction import Reconstruction
+from rsmcm.apps.scenes import Cylinder, cylinder
+from rsmcm.models.frame import Frame
+
+SIZE = (96, 80)
+SCALE = 25.0  # px per radius of the cylinder
+CENTRE = np.array([48.0, 40.0])
+
+
+def small_cylinder(n_frames: int = 12) -> Cylinder:
+    return cylinder(n_points=15, n_frames=n_frames, p_loose=0.1, p_drift=0.0, seed=2)
+
+
+def in_px(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The cylinder's coordinates in a picture of `SIZE`."""
+    return SCALE * positions + CENTRE
+
+
+def reconstruction(truth: Cylinder) -> Reconstruction:
+    """The truth itself; residuals are what was drawn."""
+    cameras = SCALE * truth.cameras
+    cameras[:, :, 3] += CENTRE
+    n_frames, n_points = truth.visible.shape
+    return Reconstruction(
+        positions=in_px(truth.positions),
+        covariances=np.tile(0.04 * np.eye(2), (n_frames, n_points, 1, 1)),
+        observed=truth.visible,
+        residuals=in_px(truth.observed) - in_px(truth.positions),
+        point_of_track=truth.point_of_track,
+        cameras=cameras,
+        shape=truth.shape,
+        shape_covariances=np.tile(1e-4 * np.eye(3), (n_points, 1, 1)),
+        noise_variance=(0.01 * SCALE) ** 2,
+        objective=(-300.0, -120.0, -119.5),
+        converged=True,
+        geometry="euclidean",
+    )
+
+
+def pictures(truth: Cylinder, colours: NDArray[np.uint8]) -> list[Frame]:
+    """Frames on which every visible point is a dot in its colour, where it was observed."""
+    frames = []
+    for index, places in enumerate(in_px(truth.observed)):
+        image = np.full((SIZE[1], SIZE[0], 3), 30, np.uint8)
+        for point in np.flatnonzero(truth.visible[index]):
+            x, y = np.rint(places[point]).astype(int)
+            cv2.circle(image, (int(x), int(y)), 1, [int(value) for value in colours[point]], cv2.FILLED)
+        frames.append(Frame(image, index / 25, index + 1))
+    return frames
+
+
+def without_images(frames: Sequence[Frame]) -> list[Frame]:
+    return [Frame(None, frame.time, frame.number) for frame in frames]
