@@ -1,4 +1,7 @@
-"""The main job on a generated scene: write it to disk, run on it as on any other source, compare."""
+"""The main job on a generated scene: write it to disk, run on it as on any other source, compare.
+
+Tracks of a turning cylinder are written beside it, for the structure application.
+"""
 
 import shutil
 from pathlib import Path
@@ -9,10 +12,14 @@ from .background import Job, run_background
 from .claims import in_columns
 from .compare import run_compare
 from .progress import Progress
-from .results import write_image
-from .scenes import Scene, sleeping_man
+from .results import write_atomically, write_image
+from .scenes import Scene, cylinder, sleeping_man
 
 N_FRAMES = 400
+
+P_LOOSE = 0.1
+PX, MIDDLE = 100.0, (320.0, 240.0)
+"""px per radius of the cylinder, and where its middle is."""
 
 
 def run_demo(out: Path) -> int | None:
@@ -21,7 +28,7 @@ def run_demo(out: Path) -> int | None:
     Parameters
     ----------
     out
-        folder; holds the scene (in CDnet's layout) and the results afterwards.
+        folder; holds the scene (in CDnet's layout), `cylinder.npz` and the results afterwards.
 
     Returns
     -------
@@ -35,6 +42,7 @@ def run_demo(out: Path) -> int | None:
     """
     scene = out / "scene"
     write_scene(sleeping_man(N_FRAMES), scene)
+    write_cylinder(out / "cylinder.npz")
     job = Job(str(scene / "input"), out, overwrite=True, ground_truth=scene)
     outcome = run_background(job)
     if outcome.signal is None:
@@ -66,3 +74,15 @@ def write_scene(scene: Scene, folder: Path) -> None:
             labels = np.where(mask, np.uint8(255), np.uint8(0))
             write_image(folder / "groundtruth" / f"gt{frame.number:06d}.png", labels)
             progress.update()
+
+
+def write_cylinder(path: Path) -> None:
+    """Write partial tracks of points on a turning cylinder, without a word of which show the same point.
+
+    Raises
+    ------
+    OSError
+        if the file cannot be written.
+    """
+    with write_atomically(path) as unfinished:
+        np.savez(unfinished, tracks=PX * cylinder(p_loose=P_LOOSE, p_drift=0.1, seed=0).tracks() + MIDDLE)

@@ -6,6 +6,7 @@ from .factor_structure import FactorStructure
 from .ground_plane import GroundPlane
 from .mixture_background import MixtureBackground
 from .point_tracker import PointTracker
+from .recursive_structure import RecursiveStructure
 
 __all__ = [
     "AdaptiveBackground",
@@ -14,4 +15,5 @@ __all__ = [
     "GroundPlane",
     "MixtureBackground",
     "PointTracker",
+    "RecursiveStructure",
 ]

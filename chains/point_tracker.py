@@ -47,6 +47,9 @@ FIRST_ACCELERATION = 300.0
 REFILL = 0.05
 """Share of the points that are missing before new ones are looked for."""
 
+REST = 0.1
+"""s between two looks for corners, where there may be no others."""
+
 MEMORY = 4
 """Lost points whose looks are remembered in filtering, in units of the points that are followed."""
 
@@ -95,7 +98,7 @@ class PointTracker:
     def initial(self, frame: Frame) -> TrackerState:
         """No points yet: they are found in the first frame."""
         density = LASTS * (self.acceleration or FIRST_ACCELERATION) ** 2
-        return TrackerState(KnownPoints.none(), 0, density, self.limit, None)
+        return TrackerState(KnownPoints.none(), 0, density, self.limit, np.inf, None)
 
     def predict(self, state: TrackerState, dt: float) -> TrackerState:
         """Points move on at their velocities."""
@@ -116,7 +119,8 @@ class PointTracker:
 
     def _with_new(self, state: TrackerState) -> TrackerState:
         missing = self.n_points - int(state.known.alive.sum())
-        return refilled(state, missing, self.spacing) if missing >= REFILL * self.n_points else state
+        looks = missing >= REFILL * self.n_points and state.rested >= REST
+        return refilled(state, missing, self.spacing) if looks else state
 
     # --- batch ---
 

@@ -16,7 +16,7 @@ from ..inference.structure_window import LEAST_SEEN, Window, first_structure
 from ..models.frame import Frame
 from ..models.gaussian_message import GaussianMessage
 from ..models.memo import LastCall
-from ..models.point_tracks import PointMessage, PointTracks
+from ..models.point_tracks import NOWHERE, PointMessage, PointTracks
 
 LOST = 0.5
 """Standard deviation of the camera, in extents of the shape's picture, from which on it is lost."""
@@ -29,7 +29,7 @@ class StructureState:
     Parameters
     ----------
     time, elapsed
-        s since the first frame and since the last one.
+        s, of the last frame, and from the one before to it.
     window
         frames that do not determine a shape yet.
     structure
@@ -74,7 +74,7 @@ class RecursiveStructure:
 
     def initial(self, frame: Frame) -> StructureState:
         """Nothing known."""
-        return StructureState(0.0, 0.0, Window.empty(), None)
+        return StructureState(frame.time, 0.0, Window.empty(), None)
 
     def predict(self, state: StructureState, dt: float) -> StructureState:
         """The camera moves on, the shape stays."""
@@ -94,7 +94,7 @@ class RecursiveStructure:
         structure = state.structure
         if structure is None or not len(structure):
             return feature.uniform()
-        found = self._last(_registered, structure, incoming[feature])
+        found = self._last(_registered, structure, state, incoming[feature])
         return PointMessage(
             GaussianMessage.from_moments(structure.identities, found.means, found.covariances)
         )
@@ -102,9 +102,9 @@ class RecursiveStructure:
     def update(self, state: StructureState, incoming: Incoming) -> StructureState:
         """Camera and points after a look."""
         (told,) = incoming.values()
-        seen, structure = _seen(told), state.structure
+        seen, structure = _seen(state, told), state.structure
         if structure is not None:
-            found = self._last(_registered, structure, told)
+            found = self._last(_registered, structure, state, told)
             if len(seen) < LEAST_SEEN or not _lost(found.motion, structure.extent):
                 structure = take_in(structure, found, state.elapsed, state.time)
                 structure = self._remembered(join(structure, seen))
@@ -120,21 +120,28 @@ class RecursiveStructure:
         return structure if len(latest) == len(structure) else structure.only(np.sort(latest))
 
 
-def _seen(told: PointMessage) -> Seen:
-    """The points that the frame shows.
+def _seen(state: StructureState, told: PointMessage) -> Seen:
+    """The points that the frame shows: where they were found, as sure as the message is of them.
 
-    What a tracker says of points that it did not find is what it was told of them before, also by this chain.
+    What the tracker expects of a point comes from frames that the shape has been fitted to as well, and from
+    what this chain told it of them. Counted as one more look it would be such errors' own confirmation, so
+    where the frame has a view, positions are those found in it.
     """
     identities, positions, covariances = told.positions.moments
     variances = 0.5 * np.trace(covariances, axis1=1, axis2=2)
     if told.view is None:
         return Seen(identities, positions, variances)
-    found = np.isin(identities, told.view.found.identities)
-    return Seen(identities[found], positions[found], variances[found])
+    found = told.view.found
+    if state.time - told.view.time > 0.5 * state.elapsed:  # a tracker's view of an earlier frame
+        found = NOWHERE
+    common, here, there = np.intersect1d(
+        identities, found.identities, assume_unique=True, return_indices=True
+    )
+    return Seen(common, found.positions[there], variances[here])
 
 
-def _registered(structure: Structure, told: PointMessage) -> Registration:
-    return register(structure, _seen(told))
+def _registered(structure: Structure, state: StructureState, told: PointMessage) -> Registration:
+    return register(structure, _seen(state, told))
 
 
 def _lost(motion: CameraMotion, extent: float) -> bool:

@@ -67,6 +67,8 @@ class TrackerState:
         px^2/s^3, spectral density of the white acceleration along each coordinate.
     limit
         px, standard deviation of a position from which a point is lost.
+    rested
+        s since corners were looked for.
     view
         the last picture, or points given for it, and what was found there; `None` before the first.
     """
@@ -75,6 +77,7 @@ class TrackerState:
     next_identity: int
     acceleration: float
     limit: float
+    rested: float
     view: View | None
 
 
@@ -92,7 +95,8 @@ def predicted(state: TrackerState, dt: float) -> TrackerState:
     """Points move on at their velocities for `dt` s."""
     known = state.known
     states = kalman.predict(known.states, dt, state.acceleration)
-    return replace(state, known=replace(known, states=states, unseen=known.unseen + dt))
+    known = replace(known, states=states, unseen=known.unseen + dt)
+    return replace(state, known=known, rested=state.rested + dt)
 
 
 def followed(state: TrackerState, told: PointMessage, *, learns: bool) -> TrackerState:
@@ -138,6 +142,7 @@ def refilled(state: TrackerState, most: int, spacing: float) -> TrackerState:
         state,
         known=known.joined(KnownPoints.new(identities, states, view.patches_at(corners))),
         next_identity=state.next_identity + len(corners),
+        rested=0.0,
         view=view.with_found(identities, corners),
     )
 
@@ -240,6 +245,8 @@ def _recognised(state: TrackerState, view: View) -> TrackerState:
     """
     known = state.known
     seen = np.flatnonzero(known.alive & (known.unseen == 0))
+    if not len(seen):
+        return state
     place = np.searchsorted(view.found.identities, known.identities[seen])
     now = view.patches_at(view.found.positions[place])
     expected = lit_as(known.patches[seen], now)

@@ -39,10 +39,14 @@ DETERMINED = 0.15
 MOST_TOGETHER = 800
 """Tracks with most observations whose joint posterior is looked at; others are only assigned at the end."""
 
-AT_ONCE = 15
-"""Unions between two looks at all pairs."""
+AT_ONCE = 0.05
+"""Unions between two looks at all pairs, as a share of the points."""
 
 LEAST_CORRELATION = 1e-8
+
+RIDGE = 1e-7
+"""Added to the cameras' information, of unit diagonal, for what rounding takes away."""
+
 """Of the noise of two frames, that counts."""
 
 
@@ -194,7 +198,7 @@ class _Linking:
         # all cameras can move together with all points, which only the points' prior limits
         unit = 1 / np.sqrt(np.diag(marginal))
         marginal *= unit[:, None] * unit
-        marginal[np.diag_indices(2 * size)] += 1e-10
+        marginal[np.diag_indices(2 * size)] += RIDGE
         root = np.linalg.cholesky(marginal)
         part = solve_triangular(root, unit[:, None] * through[:, chosen].reshape(2 * size, -1), lower=True)
         covariance = (part.T @ part).reshape(len(chosen), 3, len(chosen), 3)
@@ -421,7 +425,7 @@ def _unambiguous(
             continue
         touched[i] = touched[j] = True
         pairs.append((i, j))
-        if len(pairs) == AT_ONCE:
+        if len(pairs) >= AT_ONCE * n:
             break
     return pairs
 

@@ -1,20 +1,23 @@
 """Points in the picture as a feature node: where each one is and what it looks like, by identity.
 
-F = {(u_i, v_i, a_i)} of RSMCM §4.3. A tracker that follows single points meets here what knows how all of them
-move together.
+F = {(u_i, v_i, a_i)} of RSMCM §4.3. A tracker that follows single points meets here what knows how all of
+them move together.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from .corners import find_corners
 from .frame import Frame, GivenPoints
 from .gaussian_message import GaussianMessage
+from .patch_alignment import sample_patches
 from .patches import Patches
+from .point_search import find_points, leads_back
 
 Numbers = NDArray[np.float64]
 
@@ -45,6 +48,24 @@ class View:
     grey: NDArray[np.uint8] | None
     noise: float
     patch: int
+
+    def with_found(self, identities: NDArray[np.int64], positions: Numbers) -> "View":
+        """As it is, but with more points found in it, of larger identities."""
+        found = GivenPoints(
+            np.concatenate([self.found.positions, positions]),
+            np.concatenate([self.found.identities, identities]),
+        )
+        return replace(self, found=found)
+
+    def patches_at(self, positions: Numbers) -> NDArray[np.float32]:
+        """Grey values `(n, patch, patch)` about `positions`, `(n, 2)` px; there has to be a picture."""
+        assert self.grey is not None
+        return sample_patches(self.grey, positions, self.patch)
+
+    def corners(self, most: int, away_from: Numbers, spacing: float) -> Numbers:
+        """Corners of the picture; see `find_corners`."""
+        assert self.grey is not None
+        return find_corners(self.grey, most, away_from, spacing, self.patch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,17 +145,27 @@ class PointTracks:
         px, odd: side of the patches that say what a point looks like.
     noise
         px, standard deviation of each coordinate of points that are given; see `noise_of_tracks`.
+    false_alarms
+        share of the windows without the point in which something is as like it as is asked for; what has a
+        rival, or leads back to another place in the picture before, is refused as well.
+    farthest
+        px from the middle of a prior beyond which nothing is looked for.
     """
 
     patch: int = 5
     noise: float = 1.0
+    false_alarms: float = 0.05
+    farthest: float = 24.0
     name: str = "points"
 
     def __post_init__(self) -> None:
         if self.patch < 3 or self.patch % 2 == 0:
             raise ValueError(f"patch: got {self.patch} px, expected an odd number from 3")
-        if not self.noise > 0:
-            raise ValueError(f"noise: got {self.noise} px, expected more than 0")
+        if not 0 < self.false_alarms < 1:
+            raise ValueError(f"false_alarms: got {self.false_alarms}, expected a share between 0 and 1")
+        for name in ("farthest", "noise"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)} px, expected more than 0")
 
     def uniform(self) -> PointMessage:
         """The message that mentions no point."""
@@ -143,11 +174,50 @@ class PointTracks:
     def evidence(self, frame: Frame, prior: PointMessage) -> PointMessage:
         """Where the frame shows points of `prior`; or all points that are given with the frame.
 
-        A given point is N(z; F, noise^2 I), whatever the prior.
+        A given point is N(z; F, noise^2 I), whatever the prior. Otherwise every point of whom `prior` knows
+        what it looks like, and where to within a standard deviation of `farthest`, is looked for by normalised
+        correlation. One that is found is area * N(z; F, R), as against being anywhere in the picture; one that
+        is not found is no information.
         """
         if frame.points is not None:
             return self._given(frame.points, frame.time)
-        raise NotImplementedError
+        if frame.image is None:
+            return self.uniform()
+        image = frame.image
+        grey = np.ascontiguousarray(
+            image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8
+        )
+        positions, found = self._looked_for(grey, prior)
+        return PointMessage(positions, view=View(frame.time, found, grey, self.noise, self.patch))
+
+    def _looked_for(
+        self, grey: NDArray[np.uint8], prior: PointMessage
+    ) -> tuple[GaussianMessage, GivenPoints]:
+        """Points of `prior` that are found in the picture."""
+        identities, mean, covariance = prior.positions.moments
+        if prior.patches is None:
+            return GaussianMessage.uniform(PLANE), NOWHERE
+        known = np.isin(identities, prior.patches.identities)
+        known &= 0.5 * np.trace(covariance, axis1=1, axis2=2) <= self.farthest**2
+        if not known.any():
+            return GaussianMessage.uniform(PLANE), NOWHERE
+        identities, mean, covariance = identities[known], mean[known], covariance[known]
+        patches = prior.patches.pixels[np.searchsorted(prior.patches.identities, identities)]
+        found = find_points(grey, patches, mean, covariance, self.false_alarms, self.farthest)
+        seen, position, spread = identities[found.seen], found.position, found.covariance
+        before = prior.view
+        if before is not None and before.grey is not None:
+            again = np.isin(seen, before.found.identities)
+            origin = before.found.positions[np.searchsorted(before.found.identities, seen[again])]
+            kept = np.ones(len(seen), bool)
+            kept[again] = leads_back(
+                grey, position[again], before.grey, origin, covariance[found.seen][again], self.patch,
+                self.farthest,
+            )  # fmt: skip
+            seen, position, spread = seen[kept], position[kept], spread[kept]
+        positions = GaussianMessage.from_moments(seen, position, spread)
+        positions = replace(positions, log_scale=positions.log_scale + np.log(grey.size))
+        return positions, GivenPoints(position, seen)
 
     def _given(self, points: GivenPoints, time: float) -> PointMessage:
         covariance = np.broadcast_to(self.noise**2 * np.eye(PLANE), (len(points.identities), PLANE, PLANE))

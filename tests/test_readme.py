@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from rsmcm.apps.command_line import app, main
-from rsmcm.apps.demo import write_scene
+from rsmcm.apps.demo import write_cylinder, write_scene
 from rsmcm.apps.scenes import sleeping_man
 
 ROOT = Path(__file__).parents[1]
@@ -33,6 +33,7 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest
     """In order, in a folder of their own, with a short scene in place of the demo's."""
     monkeypatch.chdir(tmp_path)
     write_scene(sleeping_man(12, enter=0), Path("results/demo/scene"))
+    write_cylinder(Path("results/demo/cylinder.npz"))
     (settings,) = blocks("toml")
     Path("settings.toml").write_text(settings)
     assert len(commands("rsmcm")) > 8
@@ -44,9 +45,11 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest
         with pytest.raises(SystemExit) as ended:
             main(arguments)
         assert ended.value.code == 0, capfd.readouterr().err
-    for name in re.findall(r"^\| `([^`]+)`", (ROOT / "README.md").read_text(), re.MULTILINE):
-        if not name.endswith("/"):
-            assert (Path("results/street") / name).stat().st_size > 0
+    first, second = (ROOT / "README.md").read_text().split("## Structure from motion")
+    for folder, text in (("street", first), ("shape", second)):
+        for name in re.findall(r"^\| `([^`]+)`", text, re.MULTILINE):
+            if not name.endswith("/"):
+                assert (Path("results") / folder / name).stat().st_size > 0
     assert len(list(Path("results/part/foreground").iterdir())) == 4
 
 
