@@ -1,9 +1,9 @@
 """Smoother of camera rows under second-order motion, RSMCM eq. (19), where a frame's points are information.
 
-A state is `(m, m', m'')`, four numbers each; u and v have the same covariances, so they are the two columns of
-every mean. Observations come in information form and need not determine a frame; nothing is ever inverted but
-4x4 matrices of the form I + (positive), so that neither a frame without points nor motion almost without noise
-does harm (disturbance smoother; a textbook RTS smoother inverts every prediction).
+A state is `(m, m', m'')`, four numbers each; u and v have the same covariances, so they are the two columns
+of every mean. Observations come in information form and need not determine a frame; nothing is ever
+inverted but 4x4 matrices of the form I + (positive), so that neither a frame without points nor motion
+almost without noise does harm (disturbance smoother; a textbook RTS smoother inverts every prediction).
 """
 
 import numpy as np
@@ -27,8 +27,8 @@ def smooth_cameras(information, vector, precision, noise, start_mean, start_vari
     noise
         `(12,)` variances of eps_1, eps_2, eps_3.
     start_mean, start_variance
-        `(12, 2)` and `(12,)` of the state in the first frame with information. Frames before that are foreseen
-        backwards from there, as if nothing were known of the very first one.
+        `(12, 2)` and `(12,)` of the state in the first frame with information. Frames before that are
+        foreseen backwards from there, as if nothing were known of the very first one.
 
     Returns
     -------
@@ -169,9 +169,10 @@ def _retreat(rows):
 
 @inlined
 def _look_back(rows, ahead, gain, shrink):
-    """(I - H^T G H P) times a matrix of 12 rows, in place; `ahead` is P H^T, `shrink` (I + information H P H^T)^-1.
+    """(I - H^T G H P) times a matrix of 12 rows, in place; `ahead` is P H^T.
 
-    Of the first four columns the difference is `shrink` itself, which would drown in rounding.
+    Of the first four columns the difference is `shrink` = (I + information H P H^T)^-1, which would drown in
+    rounding.
     """
     for c in range(rows.shape[1]):
         v0 = v1 = v2 = v3 = 0.0
@@ -213,9 +214,7 @@ def _innovate(scaled, vector, precision, mean, spread, shrink, innovation):
             told[j] -= explained
         d0, d1, d2, d3 = told[0], told[1], told[2], told[3]
         for j in range(ROW):
-            innovation[j, c] = (
-                shrink[j, 0] * d0 + shrink[j, 1] * d1 + shrink[j, 2] * d2 + shrink[j, 3] * d3
-            )
+            innovation[j, c] = shrink[j, 0] * d0 + shrink[j, 1] * d1 + shrink[j, 2] * d2 + shrink[j, 3] * d3
         for j in range(ROW):
             for k in range(ROW):
                 exponent += 0.5 * told[j] * spread[j, k] * innovation[k, c]
@@ -224,7 +223,7 @@ def _innovate(scaled, vector, precision, mean, spread, shrink, innovation):
 
 @inlined
 def _shrinkage(scaled, spread, shrink):
-    """Write (I + information P)^-1 (4, 4) by elimination with pivots; return the log determinant of I + ..."""
+    """Write W = (I + information P)^-1 (4, 4), by elimination with pivots; return log |W^-1|."""
     table = np.zeros((ROW, 2 * ROW))
     for j in range(ROW):
         for k in range(ROW):

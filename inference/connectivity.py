@@ -46,8 +46,8 @@ def determined(observations: Observations, *, apart: bool = False) -> tuple[Mask
     lost = frames & ~_joined(part)
     if lost.any() and not apart:
         raise ValueError(
-            f"positions: got frames {ranges(np.flatnonzero(lost))} that share fewer than {LEAST_POINTS} points "
-            "with the other frames, expected frames that hang together (take the sets one by one)"
+            f"positions: got frames {ranges(np.flatnonzero(lost))} that share fewer than {LEAST_POINTS} "
+            "points with the other frames, expected frames that hang together (take the sets one by one)"
         )
     return frames, points
 

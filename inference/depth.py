@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from .connectivity import determined
 from .factor_data import Observations
 from .factor_em import LEAST_NOISE
-from .factor_polish import least_squares
+from .factor_polish import NEAR, least_squares
 from .factor_start import RANK, freedom
 from .factorisation import Factorisation
 
@@ -40,11 +40,11 @@ class Depth:
 def depth(positions: ArrayLike, weights: ArrayLike | None, found: Factorisation) -> Depth:
     """Compare the best shape in depth with the best flat one, by Schwarz's criterion (BIC).
 
-    Before a static camera, under a motion in the picture plane, or of a flat scene, positions (less their mean)
-    have rank 2, and a third direction fits noise. It has 2 n_frames + n_points - 6 numbers; fitting noise, they
-    take away at most about twice as many variances (the largest singular value of a random matrix), so that a
-    criterion of log(numbers observed) for each leaves room, whatever the scene. Errors of a tracker that last
-    may still look like depth.
+    Before a static camera, under a motion in the picture plane, or of a flat scene, positions (less their
+    mean) have rank 2, and a third direction fits noise. It has 2 n_frames + n_points - 6 numbers; fitting
+    noise, they take away at most about twice as many variances (the largest singular value of a random
+    matrix), so that a criterion of log(numbers observed) for each leaves room, whatever the scene. Errors
+    of a tracker that last may still look like depth.
 
     Parameters
     ----------
@@ -66,13 +66,14 @@ def depth(positions: ArrayLike, weights: ArrayLike | None, found: Factorisation)
     if left <= 0:  # everything is fitted, and nothing is left to tell noise by
         return Depth(0.0, needed)
     cameras = observations.scaled(found.cameras)
-    deep = least_squares(part, cameras, tolerance=PRECISION, most_steps=MOST_STEPS)
+    deep = least_squares(part, cameras, damping=NEAR, tolerance=PRECISION, most_steps=MOST_STEPS)
     noise = max(deep.error / left, LEAST_NOISE**2)
     cameras[..., 2] = 0  # the axis that moves points least
     flat = least_squares(
         part,
         cameras,
         rank=2,
+        damping=NEAR,
         tolerance=PRECISION,
         most_steps=MOST_STEPS,
         enough=deep.error + needed * noise,

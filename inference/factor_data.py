@@ -6,12 +6,15 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 LEAST_FRAMES = 3
 LEAST_POINTS = 4
+
+ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +43,19 @@ class Listed:
     def columns(self) -> tuple[Indices, Indices, Numbers, Numbers, Numbers]:
         """As the kernels take them."""
         return self.edges, self.other, self.x, self.y, self.weight
+
+    def transposed(self, n: int) -> "Listed":
+        """The same in the order of the other side, of which there are `n`."""
+        rows = len(self.edges) - 1
+        places = csr_array((np.arange(len(self.other)), self.other, self.edges), shape=(rows, n)).tocsc()
+        order = places.data
+        return Listed(
+            places.indptr.astype(np.int64),
+            places.indices.astype(np.int64),
+            self.x[order],
+            self.y[order],
+            self.weight[order],
+        )
 
     @cached_property
     def own(self) -> Indices:
@@ -78,8 +94,8 @@ class Observations:
         positions
             `(n_frames, n_points, 2)` px; anything where the weight is 0.
         weights
-            `(n_frames, n_points)`, 1 / relative variance, 0 where nothing was seen; where left out, 1 wherever
-            the position is not NaN.
+            `(n_frames, n_points)`, 1 / relative variance, 0 where nothing was seen; where left out, 1
+            wherever the position is not NaN.
 
         Raises
         ------
@@ -103,11 +119,14 @@ class Observations:
             raise ValueError(
                 f"weights: got {weight[frame, point]} at frame {frame}, point {point}, expected 0 or more"
             )
-        seen = np.where((weight > 0)[..., None], where, 0.0)
-        if not np.isfinite(seen).all():
-            frame, point = np.argwhere(~np.isfinite(seen).all(axis=2))[0]
+        shown = weight > 0
+        frames, points = np.nonzero(shown)
+        x, y = where[frames, points, 0], where[frames, points, 1]
+        finite = np.isfinite(x) & np.isfinite(y)
+        if not finite.all():
+            k = int(np.argmin(finite))
             raise ValueError(
-                f"positions: got {where[frame, point].tolist()} at frame {frame}, point {point}, "
+                f"positions: got {[float(x[k]), float(y[k])]} at frame {frames[k]}, point {points[k]}, "
                 "expected finite numbers"
             )
         if n_frames < LEAST_FRAMES or n_points < LEAST_POINTS:
@@ -115,20 +134,28 @@ class Observations:
                 f"positions: got {n_frames} frames and {n_points} points, "
                 f"expected {LEAST_FRAMES} frames and {LEAST_POINTS} points or more"
             )
-        if not weight.any():
-            raise ValueError("positions: got no observation at all, expected points that are seen in some frames")
-        shown = weight > 0
-        counts = shown.sum(axis=1)
-        unit = float(weight.sum() / counts.sum())
-        centre = seen.sum(axis=(0, 1)) / counts.sum()
-        middle = seen.sum(axis=1) / np.maximum(counts, 1)[:, None]
-        scale = float(np.sqrt(np.mean((seen - middle[:, None])[shown] ** 2)))
-        if not scale > 0:
+        if not len(frames):
+            raise ValueError(
+                "positions: got no observation at all, expected points that are seen in some frames"
+            )
+        given = weight[frames, points]
+        unit = float(given.mean())
+        centre = np.array([x.mean(), y.mean()])
+        x -= centre[0]
+        y -= centre[1]
+        counts = np.count_nonzero(shown, axis=1)
+        of_frame = np.maximum(counts, 1)
+        # about the middle of each frame
+        squares = float(x @ x + y @ y) - float(
+            np.sum((np.bincount(frames, x, n_frames) ** 2 + np.bincount(frames, y, n_frames) ** 2) / of_frame)
+        )
+        scale = float(np.sqrt(max(squares, 0.0) / (2 * len(x))))
+        if scale <= ROUNDING * float(np.abs(centre).max() + np.sqrt(x @ x + y @ y)):
             raise ValueError("positions: got all points of a frame in one place, expected points that differ")
-        moved = (seen - centre) / scale
-        x, y = np.ascontiguousarray(moved[..., 0]), np.ascontiguousarray(moved[..., 1])
-        relative = weight / unit
-        return cls(_listed(x, y, relative), _listed(x.T, y.T, relative.T), centre, scale, unit)
+        edges = np.zeros(n_frames + 1, np.int64)
+        np.cumsum(counts, out=edges[1:])
+        by_frame = Listed(edges, points, x / scale, y / scale, given / unit)
+        return cls(by_frame, by_frame.transposed(n_points), centre, scale, unit)
 
     @property
     def n_frames(self) -> int:
@@ -156,14 +183,6 @@ class Observations:
         return replace(
             self, by_frame=_kept(self.by_frame, frames, points), by_point=_kept(self.by_point, points, frames)
         )
-
-
-def _listed(x: Numbers, y: Numbers, weight: Numbers) -> Listed:
-    """What has weight in tables `(n, m)`, row by row."""
-    own, other = np.nonzero(weight)
-    edges = np.zeros(len(weight) + 1, np.int64)
-    np.cumsum(np.count_nonzero(weight, axis=1), out=edges[1:])
-    return Listed(edges, other, x[own, other], y[own, other], weight[own, other])
 
 
 def _kept(listed: Listed, own: NDArray[np.bool_], other: NDArray[np.bool_]) -> Listed:

@@ -1,10 +1,10 @@
 """EM of factor analysis with missing data: RSMCM eq. (18), cameras independent or coherent by eq. (19).
 
 Model, in the units of `Observations`: position = M_t (S_i, 1) + noise of variance sigma^2 / weight; points
-S_i ~ N(0, I), which is no restriction as long as cameras are free to scale and shear; the rows of M_t either
-independent, or moving by eq. (19). The posterior is sought in the form q(M) q(S) (variational EM), so both sides
-enter each other's update with their moments: a point that is hardly determined does not pull at cameras, nor a
-camera that hardly is at points.
+S_i ~ N(0, I), which is no restriction as long as cameras are free to scale and shear; the rows of M_t
+either independent, or moving by eq. (19). The posterior is sought in the form q(M) q(S) (variational EM),
+so both sides enter each other's update with their moments: a point that is hardly determined does not pull
+at cameras, nor a camera that hardly is at points.
 """
 
 import math
@@ -108,13 +108,15 @@ class CameraEstimate:
 
 
 FIRST_SPREAD = (1e2, 0.1, 0.01)
-"""With coherence: variances of m, m', m'' in the first frame; broad, as shape and positions are of order 1."""
+"""With coherence: variances of m, m', m'' in the first frame; broad, as shape and positions are about 1."""
 
 LEAST_JITTER = 1e-3
-"""With coherence: by what the motion's noise is expected to change rows over the whole sequence, at the least."""
+"""With coherence: by what the motion's noise is expected to change rows over all frames, at the least."""
 
 
-def estimate_cameras(information: Numbers, vector: Numbers, noise: float, prior: CameraPrior) -> CameraEstimate:
+def estimate_cameras(
+    information: Numbers, vector: Numbers, noise: float, prior: CameraPrior
+) -> CameraEstimate:
     """E-step over cameras: `information (n_frames, 4, 4)` and `vector (n_frames, 4, 2)` at noise variance 1.
 
     With coherence the noise of the motion is learned by the multiplicative step for variance components,
@@ -151,8 +153,7 @@ def least_variance(n_frames: int) -> Numbers:
     few frames may be highest where there is no noise at all, of which EM would be overconfident.
     """
     order = 2.0 * np.arange(ORDERS)[:, None] + 1
-    spread: Numbers = LEAST_JITTER**2 / float(n_frames) ** order
-    return spread
+    return np.asarray(LEAST_JITTER**2 / float(n_frames) ** order, np.float64)
 
 
 def _pooled(values: Numbers) -> Numbers:
@@ -213,7 +214,9 @@ def expectation_maximisation(
         learn = len(history) % LEARNING == 0
         better = estimate_cameras(information, vector, noise, prior).better if learn else prior
         cameras = estimate_cameras(information, vector, noise, better)
-        divergence = 0.5 * (float(np.einsum("ijj->", covariance) + np.sum(shape**2)) - shape.size - log_determinant)
+        divergence = 0.5 * (
+            float(np.einsum("ijj->", covariance) + np.sum(shape**2)) - shape.size - log_determinant
+        )
         bound = log_weight - count * math.log(2 * math.pi * noise) - 0.5 * sums.total / noise
         bound += cameras.log_evidence - divergence
         if shape is not plain and history and bound < history[-1] - ROUNDING * abs(history[-1]):

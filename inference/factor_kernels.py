@@ -196,19 +196,23 @@ def connected_frames(frame_edges, points, point_edges, frames, first, second, sh
 
 @compiled
 def point_leverages(edges, other, x, y, weight, cameras, inverses):
-    """Share of each observation `(n_observations,)` in its own point, the mean of both coordinates, 0 to 1.
+    """Share of each observation `(n_observations,)`, by frame, in its point: mean of both coordinates, 0..1.
 
     `inverses` `(n_points, 3, 3)` of the points' information at noise variance 1.
     """
     leverages = np.empty(weight.size)
-    for i in range(edges.size - 1):
-        p = inverses[i]
-        for k in range(edges[i], edges[i + 1]):
-            m = cameras[other[k]]
-            total = 0.0
-            for c in range(2):
-                r0, r1, r2 = m[c, 0], m[c, 1], m[c, 2]
-                total += r0 * (p[0, 0] * r0 + 2.0 * (p[0, 1] * r1 + p[0, 2] * r2))
-                total += r1 * (p[1, 1] * r1 + 2.0 * p[1, 2] * r2) + p[2, 2] * r2 * r2
+    for t in range(edges.size - 1):
+        m = cameras[t]
+        # sum over rows of r P r^T = sum of P times these
+        q00 = m[0, 0] * m[0, 0] + m[1, 0] * m[1, 0]
+        q11 = m[0, 1] * m[0, 1] + m[1, 1] * m[1, 1]
+        q22 = m[0, 2] * m[0, 2] + m[1, 2] * m[1, 2]
+        q01 = 2.0 * (m[0, 0] * m[0, 1] + m[1, 0] * m[1, 1])
+        q02 = 2.0 * (m[0, 0] * m[0, 2] + m[1, 0] * m[1, 2])
+        q12 = 2.0 * (m[0, 1] * m[0, 2] + m[1, 1] * m[1, 2])
+        for k in range(edges[t], edges[t + 1]):
+            p = inverses[other[k]]
+            total = p[0, 0] * q00 + p[1, 1] * q11 + p[2, 2] * q22
+            total += p[0, 1] * q01 + p[0, 2] * q02 + p[1, 2] * q12
             leverages[k] = min(0.5 * weight[k] * total, 1.0)
     return leverages

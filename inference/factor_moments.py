@@ -39,9 +39,9 @@ def camera_moments(cameras: Numbers, covariance: Numbers) -> Numbers:
 class Sums:
     """Weighted sums over the observations.
 
-    Over lists where the matrix is sparse; as matrix products where most points are seen; and where all are, with
-    equal weights, the normal matrices of all points are one, and so are those of all frames: then they come as
-    one matrix that is repeated without being stored more than once.
+    Over lists where the matrix is sparse; as matrix products where most points are seen; and where all are,
+    with equal weights, the normal matrices of all points are one, and so are those of all frames: then they
+    come as one matrix that is repeated without being stored more than once.
     """
 
     def __init__(self, observations: Observations) -> None:
@@ -67,7 +67,8 @@ class Sums:
         """Weighted squares of each point's positions."""
         listed = self._observations.by_point
         squares = listed.weight * (listed.x**2 + listed.y**2)
-        return np.bincount(listed.own, squares, self._observations.n_points)
+        sums: Numbers = np.bincount(listed.own, squares, self._observations.n_points).astype(np.float64)
+        return sums
 
     @cached_property
     def total(self) -> float:
@@ -86,7 +87,9 @@ class Sums:
         weight, weighted = self._tables
         seconds = self._summed(moments, len(weight)) if self._equal else weight @ moments
         vector = weighted @ np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
-        return _matrices(seconds, _SYMMETRIC), np.ascontiguousarray(vector.reshape(-1, 2, 4).transpose(0, 2, 1))
+        return _matrices(seconds, _SYMMETRIC), np.ascontiguousarray(
+            vector.reshape(-1, 2, 4).transpose(0, 2, 1)
+        )
 
     def of_points(self, cameras: Numbers, moments: Numbers) -> tuple[Numbers, Numbers, Numbers]:
         """Information `(n_points, 3, 3)`, vector `(n_points, 3)` and quadratic `(n_points,)` of points."""

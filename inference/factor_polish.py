@@ -1,8 +1,8 @@
 """Weighted least squares to the optimum: variable projection with Levenberg-Marquardt damping.
 
-The points that are best for given cameras have a closed form, so the squared error is a function of the cameras
-alone. It has far fewer poor valleys than the error as a function of both (Hong and Fitzgibbon, "Secrets of
-matrix factorization", 2015), and is reached from nearly everywhere, where alternation stalls.
+The points that are best for given cameras have a closed form, so the squared error is a function of the
+cameras alone. It has far fewer poor valleys than the error as a function of both (Hong and Fitzgibbon,
+"Secrets of matrix factorization", 2015), and is reached from nearly everywhere, where alternation stalls.
 """
 
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ from .polish_kernels import camera_gradient, eliminate_points, reduced_step
 ACCURACY = 1e-3
 """Relative, of the solution of the normal equations."""
 MOST_PRODUCTS = 500
-FIRST_DAMPING = 1e-2
-"""Of the mean of the diagonal."""
+FAR, NEAR = 1.0, 1e-2
+"""First damping, of the mean of the diagonal, from anywhere and from near the optimum."""
 LEAST_DAMPING = 1e-12
 BOLDNESS = 10.0
 """Factor by which damping falls after a step that lowered the error, and rises after one that did not. Bold
@@ -55,6 +55,7 @@ def least_squares(
     observations: Observations,
     cameras: Numbers,
     *,
+    damping: float = FAR,
     tolerance: float = 1e-9,
     most_steps: int = 600,
     rank: int = RANK,
@@ -68,6 +69,8 @@ def least_squares(
         of points that are seen twice or more, in frames that show four or more; others are left alone.
     cameras
         `(n_frames, 2, 4)`, the start.
+    damping
+        `FAR` or `NEAR`: how far that is from the optimum.
     tolerance
         share of the error by which the last steps still lowered it.
     most_steps
@@ -78,28 +81,39 @@ def least_squares(
         stop as soon as the error is not above this.
     """
     by_point = observations.by_point.columns
-    edges, other, _, _, weight = by_point
-    points = np.diff(edges) > 0
-    certain = np.zeros((len(points), 3, 3))
-    cameras, shape, factors, error = _eliminated(observations, cameras, points, rank)
-    damping, rejected, small, better = FIRST_DAMPING, 0, 0, True
+    lists = [
+        (listed.edges, listed.other, listed.weight)
+        for listed in (observations.by_point, observations.by_frame)
+    ]
+    points = np.diff(observations.by_point.edges) > 0
+    certain = np.zeros((len(points), RANK, RANK))
+    cameras = cameras.copy()
+    cameras[..., rank:RANK] = 0
+    shape, inverses, error = eliminate_points(*by_point, cameras)
+    cameras, shape, inverses = _in_gauge(cameras, shape, inverses, points, rank)
+    rejected, small, better = 0, 0, True
     for steps in range(1, most_steps + 1):  # noqa: B007
         if better:
             gradient = camera_gradient(*by_point, cameras, shape)
-            information, _ = frame_moments(*observations.by_frame.columns, shape, shape_moments(shape, certain))
+            information, _ = frame_moments(
+                *observations.by_frame.columns, shape, shape_moments(shape, certain)
+            )
             scale = float(np.einsum("tjj->", information)) / (4 * len(cameras))
         added = damping * scale
         inverse, _ = invert_information(information, np.full(4, added), 1.0)
-        system = (cameras, shape, factors, information, inverse, gradient, added)
-        step = reduced_step(edges, other, weight, *system, ACCURACY, MOST_PRODUCTS)
-        if damping <= FIRST_DAMPING and -float(np.sum(step * gradient)) <= tolerance * error:
+        system = (cameras, shape, inverses, information, inverse, gradient, added)
+        step = reduced_step(*lists, *system, ACCURACY, MOST_PRODUCTS)
+        with np.errstate(over="ignore", invalid="ignore"):  # steps may run away where damping is too small
+            promised = -float(np.sum(step * gradient))
+        if damping <= NEAR and promised <= tolerance * error:
             break  # even an undamped step would hardly gain
-        *_, reached = eliminate_points(*by_point, cameras + step)
-        better = reached < error
+        reached, spreads, left = eliminate_points(*by_point, cameras + step)
+        better = left < error
         if better:
             damping, rejected = max(damping / BOLDNESS, LEAST_DAMPING), 0
-            small = small + 1 if error - reached <= tolerance * error else 0
-            cameras, shape, factors, error = _eliminated(observations, cameras + step, points, rank)
+            small = small + 1 if error - left <= tolerance * error else 0
+            error = left
+            cameras, shape, inverses = _in_gauge(cameras + step, reached, spreads, points, rank)
             if small == STILL or error <= enough:
                 break
         else:
@@ -109,22 +123,22 @@ def least_squares(
     return LeastSquares(cameras, shape, error, steps)
 
 
-def _eliminated(
-    observations: Observations, cameras: Numbers, points: NDArray[np.bool_], rank: int
-) -> tuple[Numbers, Numbers, Numbers, float]:
-    """Cameras in a gauge of similar numbers everywhere, their best points, those' factors, and the error.
+def _in_gauge(
+    cameras: Numbers, shape: Numbers, inverses: Numbers, points: NDArray[np.bool_], rank: int
+) -> tuple[Numbers, Numbers, Numbers]:
+    """Cameras, points and inverses of the points' information in a gauge of similar numbers everywhere.
 
     Orthogonal columns, and a shape about the origin of size 1: the damping is then the same for all numbers.
     Medians, because points that two or three frames hardly determine may be anywhere.
     """
-    columns, _ = np.linalg.qr(cameras[..., :3].reshape(-1, 3))
-    moved = cameras.copy()
-    columns[:, rank:] = 0
-    moved[..., :3] = columns.reshape(-1, 2, 3)
-    shape, _, _ = eliminate_points(*observations.by_point.columns, moved)
-    middle = np.median(shape[points], axis=0)
-    size = float(np.median(np.abs(shape[points, :rank] - middle[:rank]))) or 1.0
-    moved[..., 3] += moved[..., :3] @ middle
-    moved[..., :3] *= size
-    shape, factors, error = eliminate_points(*observations.by_point.columns, moved)
-    return moved, shape, factors, error
+    columns, triangle = np.linalg.qr(cameras[..., :rank].reshape(-1, rank))
+    turn = np.zeros((RANK, RANK))
+    turn[:rank, :rank] = triangle
+    turned = shape @ turn.T
+    middle = np.median(turned[points], axis=0)
+    size = float(np.median(np.abs(turned[points, :rank] - middle[:rank]))) or 1.0
+    moved = np.zeros_like(cameras)
+    moved[..., :rank] = columns.reshape(-1, 2, rank) * size
+    moved[..., 3] = cameras[..., 3] + columns.reshape(-1, 2, rank) @ middle[:rank]
+    turn /= size
+    return moved, turned / size - middle / size, turn @ inverses @ turn.T

@@ -6,7 +6,8 @@ from .factor_data import Numbers, Observations
 from .factor_em import LEAST_VARIANCE, Posterior, first_prior
 from .factor_kernels import frame_moments, invert_information, point_leverages, point_moments, squared_error
 from .factor_moments import camera_moments, shape_moments
-from .factor_start import RANK, Mask, freedom, whitened
+from .factor_polish import LeastSquares
+from .factor_start import RANK, Mask, freedom, regauged, whitened, whitening
 
 LOOSEST = 100.0
 """Standard deviation, in spreads of the shape, of a direction in which observations leave a point open."""
@@ -16,7 +17,13 @@ HALF = 0.5
 
 
 def around_start(
-    observations: Observations, cameras: Numbers, shape: Numbers, frames: Mask, points: Mask, *, coherent: bool
+    observations: Observations,
+    cameras: Numbers,
+    shape: Numbers,
+    frames: Mask,
+    points: Mask,
+    *,
+    coherent: bool,
 ) -> Posterior:
     """A posterior from which EM can begin.
 
@@ -27,7 +34,8 @@ def around_start(
     cameras, shape
         `(n_frames, 2, 4)` and `(n_points, 3)`.
     frames, points
-        of which this is more than a filler. Other frames lie between those, other points are draws of N(0, I).
+        of which this is more than a filler. Other frames lie between those, other points are draws of N(0,
+        I).
     coherent
         which prior to begin with.
     """
@@ -54,12 +62,12 @@ def _bridged(cameras: Numbers, known: Mask) -> Numbers:
     return np.stack(filled, axis=1).reshape(-1, 2, 4)
 
 
-def around_optimum(observations: Observations, part: Observations, cameras: Numbers, shape: Numbers) -> Posterior:
+def around_optimum(observations: Observations, part: Observations, found: LeastSquares) -> Posterior:
     """A posterior around the least squares optimum.
 
-    Points: sigma^2 (sum of w R^T R)^-1, given the cameras. Cameras: sigma^2 (sum of w (1 - h) s s^T)^-1 with h
-    the share that an observation has in its own point, so that a point which a frame all but defines does not
-    vouch for the frame's camera; given the other cameras.
+    Points: sigma^2 (sum of w R^T R)^-1, given the cameras. Cameras: sigma^2 (sum of w (1 - h) s s^T)^-1
+    with h the share that an observation has in its own point, so that a point which a frame all but defines
+    does not vouch for the frame's camera; given the other cameras.
 
     Parameters
     ----------
@@ -67,28 +75,29 @@ def around_optimum(observations: Observations, part: Observations, cameras: Numb
         what was seen.
     part
         of frames and points that least squares determines. Others get the prior's posterior given those.
-    cameras, shape
-        at the optimum.
+    found
+        from that part.
     """
-    error = float(squared_error(*part.by_point.columns, cameras, shape).sum())
-    noise = max(error / max(freedom(part), 1.0), LEAST_VARIANCE**2)
+    cameras, shape = found.cameras, found.shape
+    noise = max(found.error / max(freedom(part), 1.0), LEAST_VARIANCE**2)
     points, frames = np.diff(part.by_point.edges) > 0, np.diff(part.by_frame.edges) > 0
     certain = np.zeros((len(cameras), 4, 4))
+    information, _, _ = point_moments(*part.by_point.columns, cameras, camera_moments(cameras, certain))
     good = points
     for _ in range(2):  # the first spread is that of points which may be anywhere
-        cameras, shape = whitened(cameras, shape, good)
-        information, _, _ = point_moments(*part.by_point.columns, cameras, camera_moments(cameras, certain))
+        mean, change = whitening(shape[good])
+        cameras, shape = regauged(cameras, shape, mean, change)
+        information = change.T @ information @ change
         covariance, _ = invert_information(information, np.full(RANK, LOOSEST**-2), 1 / noise)
         worst = np.linalg.eigvalsh(covariance)[:, -1]
         good = points & (worst <= max(HALF**2, float(np.median(worst[points]))))
     shape[~points] = 0
 
     prior = first_prior(cameras[frames], coherent=False)
-    leverages = point_leverages(*part.by_point.columns, cameras, covariance / noise)
-    order = np.lexsort((part.by_point.own, part.by_point.other))
     edges, other, x, y, weight = part.by_frame.columns
+    leverages = point_leverages(edges, other, x, y, weight, cameras, covariance / noise)
     information, _ = frame_moments(
-        edges, other, x, y, weight * (1 - leverages[order]), shape, shape_moments(shape, 0 * covariance)
+        edges, other, x, y, weight * (1 - leverages), shape, shape_moments(shape, np.zeros_like(covariance))
     )
     camera_covariance, _ = invert_information(information, np.full(4, LEAST_VARIANCE), 1 / noise)
     posterior = Posterior(cameras, camera_covariance, shape, covariance, noise, prior)

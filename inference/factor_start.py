@@ -1,4 +1,4 @@
-"""Where EM starts: grown from the window that shows a rigid motion best, or the SVD of a mean-filled matrix."""
+"""Where to start: from the window that shows a rigid motion best, or the SVD of a mean-filled matrix."""
 
 from dataclasses import dataclass
 
@@ -18,6 +18,8 @@ RANK = 3
 
 WINDOW_POINTS = 6
 """A window counts if it shows at least so many points throughout."""
+MOSTLY = 0.5
+"""If this share of the points is seen throughout, the window is the whole."""
 SAMPLE = 100
 """Numbers of a window's rows and points by which it is judged, at most."""
 LARGE = 50
@@ -73,7 +75,7 @@ def mean_filled(observations: Observations) -> tuple[Numbers, Numbers]:
 
 
 def factored(table: Numbers) -> tuple[Numbers, Numbers]:
-    """Cameras `(n_frames, 2, 4)` and white shape of a full table `(2 n_frames, n_points)` of rank 3 and a mean."""
+    """Cameras `(n_frames, 2, 4)` and white shape that fit a full table `(2 n_frames, n_points)` best."""
     middle = table.mean(axis=1, keepdims=True)
     rows, values, columns = _leading(table - middle)
     n_points, rank = table.shape[1], len(values)
@@ -115,9 +117,9 @@ def grown(observations: Observations, *, coherent: bool) -> tuple[Numbers, Numbe
     """Cameras and shape grown from a window by resection and intersection; what is determined of both.
 
     Frames come in as soon as they show enough known points, or with coherence as soon as known points and
-    known frames together determine their camera; points as soon as known cameras determine them. What is known
-    is refined after every round. Points that no frames determine stay out, so that they spoil nothing. Where no
-    window shows six points throughout, the mean-filled matrix has to do.
+    known frames together determine their camera; points as soon as known cameras determine them. What is
+    known is refined after every round. Points that no frames determine stay out, so that they spoil
+    nothing. Where no window shows six points throughout, the mean-filled matrix has to do.
     """
     n_frames, n_points = observations.n_frames, observations.n_points
     window = _best_window(observations)
@@ -126,9 +128,7 @@ def grown(observations: Observations, *, coherent: bool) -> tuple[Numbers, Numbe
         return cameras, shape, np.ones(n_frames, bool), np.diff(observations.by_point.edges) > 1
     first, end, members = window
     cameras, shape = np.zeros((n_frames, 2, 4)), np.zeros((n_points, RANK))
-    cameras[first:end], shape[members] = factored(
-        _full_table(observations, np.arange(first, end), members)
-    )
+    cameras[first:end], shape[members] = factored(_full_table(observations, np.arange(first, end), members))
     frames, points = np.zeros(n_frames, bool), np.zeros(n_points, bool)
     frames[first:end], points[members] = True, True
     noise = _noise(observations.only(frames, points), cameras, shape)
@@ -150,13 +150,16 @@ def grown(observations: Observations, *, coherent: bool) -> tuple[Numbers, Numbe
 
 
 def _best_window(observations: Observations) -> tuple[int, int, Indices] | None:
-    """Frames `first:end` and the points seen in all of them, whose third direction stands out most of the rest."""
+    """Frames `first:end` and the points seen in all of them, whose third direction stands out most."""
     listed, n_frames = observations.by_point, observations.n_frames
     starts = np.ones(observations.count, bool)
     starts[1:] = (np.diff(listed.own) != 0) | (np.diff(listed.other) != 1)
     first_of_run = np.flatnonzero(starts)
     lengths = np.diff(np.append(first_of_run, observations.count))
     run_point, run_frame = listed.own[first_of_run], listed.other[first_of_run]
+    whole = np.flatnonzero(lengths == n_frames)
+    if len(whole) >= max(WINDOW_POINTS, MOSTLY * observations.n_points):
+        return 0, n_frames, run_point[whole]
     best, best_score = None, -np.inf
     for length in _window_lengths(n_frames):
         long = lengths >= length
@@ -196,7 +199,7 @@ def _apart(count: Numbers, wanted: int, distance: int) -> list[int]:
 
 
 def _full_table(observations: Observations, frames: Indices, members: Indices) -> Numbers:
-    """Positions `(2 len(frames), n_members)` of points seen in all frames from the first of these to the last."""
+    """Positions `(2 len(frames), n_members)` of points seen from the first of these frames to the last."""
     listed, n_frames = observations.by_point, observations.n_frames
     # observations of a point are in the order of frames, so those of a stretch lie side by side
     begins = np.searchsorted(listed.own * n_frames + listed.other, members * n_frames + frames[0])
@@ -214,7 +217,7 @@ def _clearness(observations: Observations, first: int, length: int, members: Ind
     noise = float(np.sum(values[RANK:] ** 2)) / max((rows - RANK) * (columns - RANK - 1), 1)
     signal = float(values[RANK - 1] ** 2) * 2 * length * len(members) / (rows * columns)
     expected = noise * (np.sqrt(2 * length) + np.sqrt(len(members))) ** 2
-    return signal / (expected + 1e-12 * float(values[0] ** 2) + 1e-300)
+    return float(signal / (expected + 1e-12 * values[0] ** 2 + 1e-300))
 
 
 def _resect(observations: Observations, known: _Known, terms: "_Terms") -> bool:
@@ -298,11 +301,19 @@ def freedom(observations: Observations) -> float:
 
 
 def whitened(cameras: Numbers, shape: Numbers, points: Mask) -> tuple[Numbers, Numbers]:
-    """Move, turn and scale the shape so that some points have mean 0 and covariance I; cameras make up for it."""
-    mean = shape[points].mean(axis=0)
-    values, axes = np.linalg.eigh(np.cov(shape[points].T, bias=True))
-    scale = np.sqrt(np.maximum(values, 1e-12 * values[-1] + 1e-300))
-    moved, white = cameras.copy(), (shape - mean) @ axes / scale
+    """Move, turn and scale the shape so that `points` have mean 0 and covariance I, and cameras to match."""
+    return regauged(cameras, shape, *whitening(shape[points]))
+
+
+def whitening(shape: Numbers) -> tuple[Numbers, Numbers]:
+    """Mean `(3,)` of points and a root `(3, 3)` of their covariance, columns from the longest axis on."""
+    values, axes = np.linalg.eigh(np.cov(shape.T, bias=True))
+    change: Numbers = (axes * np.sqrt(np.maximum(values, 1e-12 * values[-1] + 1e-300)))[:, ::-1]
+    return shape.mean(axis=0), change
+
+
+def regauged(cameras: Numbers, shape: Numbers, mean: Numbers, change: Numbers) -> tuple[Numbers, Numbers]:
+    """Cameras and shape, with old shape = mean + change new shape."""
+    moved = np.concatenate([cameras[..., :3] @ change, cameras[..., 3:]], axis=2)
     moved[..., 3] += cameras[..., :3] @ mean
-    moved[..., :3] = cameras[..., :3] @ axes * scale
-    return moved, white
+    return moved, np.ascontiguousarray(np.linalg.solve(change, (shape - mean).T).T, np.float64)

@@ -14,7 +14,7 @@ from .factor_data import Numbers, Observations
 from .factor_em import CameraPrior, Posterior, expectation_maximisation, first_prior
 from .factor_kernels import point_moments, squared_error
 from .factor_moments import camera_moments
-from .factor_polish import least_squares
+from .factor_polish import FAR, NEAR, least_squares
 from .factor_posterior import around_optimum, around_start
 from .factor_start import RANK, Mask, grown, mean_filled
 from .polish_kernels import eliminate_points
@@ -33,7 +33,8 @@ class Factorisation:
     camera_covariance
         `(n_frames, 4, 4)`, of the row of u and of that of v alike.
     shape
-        `(n_points, 3)`, about white (mean 0, covariance I); the third axis is the one that moves points least.
+        `(n_points, 3)`, about white (mean 0, covariance I); the third axis is the one that moves points
+        least.
     shape_covariance
         `(n_points, 3, 3)`.
     noise_variance
@@ -43,8 +44,8 @@ class Factorisation:
     coherent
         whether cameras follow eq. (19).
     motion_noise
-        px^2. With coherence `(3, 2)`: variances of eps_1, eps_2, eps_3 for the numbers that multiply the shape
-        and for the translation. Else `(1, 2)`: variances of those numbers themselves.
+        px^2. With coherence `(3, 2)`: variances of eps_1, eps_2, eps_3 for the numbers that multiply the
+        shape and for the translation. Else `(1, 2)`: variances of those numbers themselves.
     frame_determined
         `(n_frames,)` bool: the frame shows four points or more that other frames show too. Other cameras are
         what the prior makes of what there is.
@@ -90,13 +91,14 @@ def factorise(
     positions
         `(n_frames, n_points, 2)` px; anything where the weight is 0.
     weights
-        `(n_frames, n_points)`, 1 / relative variance, 0 where nothing was seen; where left out, 1 wherever the
-        position is not NaN.
+        `(n_frames, n_points)`, 1 / relative variance, 0 where nothing was seen; where left out, 1 wherever
+        the position is not NaN.
     coherence
         whether cameras move by eq. (19) or each frame is on its own.
     start
-        `"grow"` from the window that shows a rigid motion best; `"svd"` of the mean-filled matrix (the published
-        start); an earlier result for the same frames and points; or cameras `(n_frames, 2, 4)`, in px.
+        `"grow"` from the window that shows a rigid motion best; `"svd"` of the mean-filled matrix (the
+        published start); an earlier result for the same frames and points; or cameras `(n_frames, 2, 4)`,
+        in px.
     polish
         go on to the optimum. Without coherence that is weighted least squares: no prior pulls at points and
         frames that are determined. With coherence it is the bound of the likelihood that EM climbs, with
@@ -107,16 +109,17 @@ def factorise(
     Raises
     ------
     ValueError
-        if shapes do not fit; numbers are not finite; fewer than 3 frames share 4 points; or, without coherence,
-        frames fall into sets that share fewer than 4 points.
+        if shapes do not fit; numbers are not finite; fewer than 3 frames share 4 points; or, without
+        coherence, frames fall into sets that share fewer than 4 points.
     """
     observations = Observations.from_arrays(positions, weights)
     frames, points = determined(observations, apart=coherence)
     part = observations.only(frames, points)
     beginning = _beginning(observations, part, start, coherence)
     if polish and not coherence:
-        found = least_squares(part, beginning.cameras)
-        posterior, history = around_optimum(observations, part, found.cameras, found.shape), []
+        near = isinstance(start, str | Factorisation)
+        found = least_squares(part, beginning.cameras, damping=NEAR if near else FAR)
+        posterior, history = around_optimum(observations, part, found), list[float]()
     else:
         posterior, history = expectation_maximisation(
             observations, beginning, iterations=iterations, tolerance=tolerance, accelerate=polish
@@ -127,7 +130,7 @@ def factorise(
 def _beginning(
     observations: Observations, part: Observations, start: Start | Factorisation | Numbers, coherent: bool
 ) -> Posterior:
-    n_frames, n_points = observations.n_frames, observations.n_points
+    n_frames = observations.n_frames
     frames, points = np.diff(part.by_frame.edges) > 0, np.diff(part.by_point.edges) > 0
     if isinstance(start, Factorisation):
         return _in_units(observations, start, coherent)
@@ -142,9 +145,22 @@ def _beginning(
         given = np.asarray(start, np.float64)
         if given.shape != (n_frames, 2, 4) or not np.isfinite(given).all():
             raise ValueError(f"start: got {given.shape} cameras, expected finite {(n_frames, 2, 4)}")
-        cameras = observations.scaled(given)
-        shape, _, _ = eliminate_points(*part.by_point.columns, cameras)
+        cameras, shape = _with_points(part, observations.scaled(given))
     return around_start(observations, cameras, shape, frames, points, coherent=coherent)
+
+
+def _with_points(part: Observations, cameras: Numbers) -> tuple[Numbers, Numbers]:
+    """Given cameras with the points that fit them best.
+
+    Where they look past the points, as random ones do, their translations become the middles of the frames.
+    """
+    listed = part.by_frame
+    counts = np.maximum(np.diff(listed.edges), 1)
+    middles = [np.bincount(listed.own, values, part.n_frames) / counts for values in (listed.x, listed.y)]
+    centred = np.concatenate([cameras[..., :3], np.stack(middles, axis=1)[..., None]], axis=2)
+    tried = [(each, *eliminate_points(*part.by_point.columns, each)) for each in (cameras, centred)]
+    best, shape, _, _ = min(tried, key=lambda each: each[3])
+    return best, shape
 
 
 def _in_units(observations: Observations, start: Factorisation, coherent: bool) -> Posterior:

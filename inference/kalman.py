@@ -273,7 +273,7 @@ def _checked_states(states: PointStates, axes: int) -> int:
             f"states: got mean {shape} and covariance {states.covariance.shape}, "
             f"expected {points}, {STATE}) and {points}, {STATE}, {STATE})"
         )
-    return shape[-2]
+    return int(shape[-2])
 
 
 def _checked_times(times: ArrayLike) -> Numbers:

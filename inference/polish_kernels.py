@@ -10,13 +10,12 @@ ROUNDING = 1e-13
 
 @compiled
 def eliminate_points(edges, other, x, y, weight, cameras):
-    """Best points for given cameras, factors of their covariances, and the weighted squared error left.
+    """Best points for given cameras, the inverses of their information, and the weighted squared error left.
 
-    `(n_points, 3)` and `(n_points, 3, 3)`: L^-T of the Cholesky factors L of their information. Directions that
-    only rounding determines stay at 0.
+    `(n_points, 3)` and `(n_points, 3, 3)`. Directions that only rounding determines stay at 0.
     """
     n_points = edges.size - 1
-    shape, factors = np.empty((n_points, 3)), np.zeros((n_points, 3, 3))
+    shape, inverses = np.empty((n_points, 3)), np.empty((n_points, 3, 3))
     error = 0.0
     for i in range(n_points):
         a00 = a01 = a02 = a11 = a12 = a22 = b0 = b1 = b2 = 0.0
@@ -47,16 +46,17 @@ def eliminate_points(edges, other, x, y, weight, cameras):
         z0, z1, z2 = d0 * b0, g10 * b0 + d1 * b1, g20 * b0 + g21 * b1 + d2 * b2
         s0, s1, s2 = d0 * z0 + g10 * z1 + g20 * z2, d1 * z1 + g21 * z2, d2 * z2
         shape[i, 0], shape[i, 1], shape[i, 2] = s0, s1, s2
-        f = factors[i]
-        f[0, 0], f[0, 1], f[0, 2] = d0, g10, g20
-        f[1, 1], f[1, 2] = d1, g21
-        f[2, 2] = d2
+        f = inverses[i]
+        f[0, 0], f[1, 1], f[2, 2] = d0 * d0 + g10 * g10 + g20 * g20, d1 * d1 + g21 * g21, d2 * d2
+        f[0, 1] = f[1, 0] = g10 * d1 + g20 * g21
+        f[0, 2] = f[2, 0] = g20 * d2
+        f[1, 2] = f[2, 1] = g21 * d2
         for k in range(edges[i], edges[i + 1]):
             m = cameras[other[k]]
             du = m[0, 0] * s0 + m[0, 1] * s1 + m[0, 2] * s2 + m[0, 3] - x[k]
             dv = m[1, 0] * s0 + m[1, 1] * s1 + m[1, 2] * s2 + m[1, 3] - y[k]
             error += weight[k] * (du * du + dv * dv)
-    return shape, factors, error
+    return shape, inverses, error
 
 
 @compiled
@@ -89,20 +89,30 @@ def _add_outer(out, a, b, s0, s1, s2):
 
 @compiled
 def reduced_step(
-    edges, other, weight, cameras, shape, factors, information, inverse, gradient, damping, accuracy, most
+    by_point,
+    by_frame,
+    cameras,
+    shape,
+    inverses,
+    information,
+    preconditioner,
+    gradient,
+    damping,
+    accuracy,
+    most,
 ):
     """Gauss-Newton step of the cameras `(n_frames, 2, 4)` with points eliminated, by conjugate gradients.
 
-    The matrix is never formed: a product with it goes through the list of observations once. It leaves out how
-    the eliminated points' own directions turn (Kaufman), as all variable projection does that works well.
+    The matrix is never formed: a product with it goes through both lists of observations once. It leaves out
+    how the eliminated points' own directions turn (Kaufman), as all variable projection does that works well.
 
     Parameters
     ----------
-    edges, other, weight
-        observations by point.
-    cameras, shape, factors
-        `shape` and `factors` of `eliminate_points` for these cameras.
-    information, inverse
+    by_point, by_frame
+        `(edges, other, weight)` of the observations in both orders.
+    cameras, shape, inverses
+        the points of `eliminate_points` for these cameras, and the inverses of their information.
+    information, preconditioner
         `(n_frames, 4, 4)` of the cameras at fixed points, and the inverse of it plus `damping`.
     gradient
         of `camera_gradient`.
@@ -111,19 +121,21 @@ def reduced_step(
     accuracy, most
         relative, and number of products at most.
     """
+    n_frames, n_points = cameras.shape[0], shape.shape[0]
     step, residual = np.zeros(gradient.shape), -gradient
     direction, product = np.zeros(gradient.shape), np.empty(gradient.shape)
     solved = np.empty(gradient.shape)
+    of_frames, of_points = np.empty((n_frames, ENTRIES)), np.empty((n_points, ENTRIES))
     length = first_length = 1.0
     for turn in range(most):
         before = length
         length = 0.0
-        for t in range(cameras.shape[0]):
+        for t in range(n_frames):
             for c in range(2):
                 for j in range(4):
                     total = 0.0
                     for n in range(4):
-                        total += inverse[t, j, n] * residual[t, c, n]
+                        total += preconditioner[t, j, n] * residual[t, c, n]
                     solved[t, c, j] = total
                     length += total * residual[t, c, j]
         if turn == 0:
@@ -131,46 +143,65 @@ def reduced_step(
         if length <= accuracy * accuracy * first_length:
             break
         direction = solved + (length / before if turn else 0.0) * direction
-        _reduced_product(
-            edges, other, weight, cameras, shape, factors, information, damping, direction, product
-        )
-        stride = length / max(np.sum(direction * product), 1e-300)
+        _turned_by(cameras, direction, of_frames)
+        _weighted_sums(by_point, of_frames, of_points)
+        _answers(inverses, shape, of_points)
+        _weighted_sums(by_frame, of_points, of_frames)
+        stride = 0.0
+        for t in range(n_frames):
+            for c in range(2):
+                for j in range(4):
+                    total = damping * direction[t, c, j]
+                    for n in range(4):
+                        total += information[t, j, n] * direction[t, c, n]
+                    for k in range(3):
+                        total -= cameras[t, c, k] * of_frames[t, 4 * k + j]
+                    product[t, c, j] = total
+                    stride += total * direction[t, c, j]
+        stride = length / max(stride, 1e-300)
         step += stride * direction
         residual -= stride * product
     return step
 
 
+ENTRIES = 12
+"""Of a 3x4 matrix; sums over observations are of such, for which vector units serve."""
+
+
 @inlined
-def _reduced_product(
-    edges, other, weight, cameras, shape, factors, information, damping, direction, product
-):
-    """Write the reduced normal matrix times a direction."""
+def _turned_by(cameras, direction, of_frames):
+    """Write R^T D for every frame."""
     for t in range(cameras.shape[0]):
-        for c in range(2):
+        for k in range(3):
             for j in range(4):
-                total = damping * direction[t, c, j]
-                for n in range(4):
-                    total += information[t, j, n] * direction[t, c, n]
-                product[t, c, j] = total
-    for i in range(edges.size - 1):
-        s0, s1, s2 = shape[i, 0], shape[i, 1], shape[i, 2]
-        y0 = y1 = y2 = 0.0
-        for k in range(edges[i], edges[i + 1]):
-            w, m, d = weight[k], cameras[other[k]], direction[other[k]]
-            a = w * (d[0, 0] * s0 + d[0, 1] * s1 + d[0, 2] * s2 + d[0, 3])
-            b = w * (d[1, 0] * s0 + d[1, 1] * s1 + d[1, 2] * s2 + d[1, 3])
-            y0 += m[0, 0] * a + m[1, 0] * b
-            y1 += m[0, 1] * a + m[1, 1] * b
-            y2 += m[0, 2] * a + m[1, 2] * b
-        f = factors[i]
-        z0 = f[0, 0] * y0
-        z1 = f[0, 1] * y0 + f[1, 1] * y1
-        z2 = f[0, 2] * y0 + f[1, 2] * y1 + f[2, 2] * y2
-        y0 = f[0, 0] * z0 + f[0, 1] * z1 + f[0, 2] * z2
-        y1 = f[1, 1] * z1 + f[1, 2] * z2
-        y2 = f[2, 2] * z2
-        for k in range(edges[i], edges[i + 1]):
-            w, m = weight[k], cameras[other[k]]
-            a = -w * (m[0, 0] * y0 + m[0, 1] * y1 + m[0, 2] * y2)
-            b = -w * (m[1, 0] * y0 + m[1, 1] * y1 + m[1, 2] * y2)
-            _add_outer(product[other[k]], a, b, s0, s1, s2)
+                total = cameras[t, 0, k] * direction[t, 0, j] + cameras[t, 1, k] * direction[t, 1, j]
+                of_frames[t, 4 * k + j] = total
+
+
+@inlined
+def _weighted_sums(listed, rows, out):
+    """Write for each frame (point) the weighted sum of the rows of its points (frames)."""
+    edges, other, weight = listed
+    for k in range(out.shape[0]):
+        total = out[k]
+        for j in range(ENTRIES):
+            total[j] = 0.0
+        for n in range(edges[k], edges[k + 1]):
+            row, w = rows[other[n]], weight[n]
+            for j in range(ENTRIES):
+                total[j] += w * row[j]
+
+
+@inlined
+def _answers(inverses, shape, of_points):
+    """From the sums E of R^T D, write z (S, 1)^T for every point, z = inverse E (S, 1)."""
+    for i in range(shape.shape[0]):
+        e, f, s = of_points[i], inverses[i], shape[i]
+        y0 = e[0] * s[0] + e[1] * s[1] + e[2] * s[2] + e[3]
+        y1 = e[4] * s[0] + e[5] * s[1] + e[6] * s[2] + e[7]
+        y2 = e[8] * s[0] + e[9] * s[1] + e[10] * s[2] + e[11]
+        for k in range(3):
+            z = f[k, 0] * y0 + f[k, 1] * y1 + f[k, 2] * y2
+            for j in range(3):
+                e[4 * k + j] = z * s[j]
+            e[4 * k + 3] = z

@@ -182,7 +182,8 @@ def _factorised(
 
 def _expected(cameras: Numbers, shape: Numbers) -> Numbers:
     """`(n_frames, n, 2)` px."""
-    return np.einsum("tcj,ij->tic", cameras[:, :, :3], shape) + cameras[:, None, :, 3]
+    positions: Numbers = np.einsum("tcj,ij->tic", cameras[:, :, :3], shape) + cameras[:, None, :, 3]
+    return positions
 
 
 def _persistence(cameras: Numbers, shape: Numbers, positions: Numbers, seen: NDArray[np.bool_]) -> float:

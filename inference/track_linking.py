@@ -290,16 +290,20 @@ class _Linking:
         """Memberships after points between which the same tracks are torn have become one."""
         information, vector, _, _ = self._noise_now.moments(self._tracks, self._cameras)
         mean, covariance = self._population()
-        prior = np.linalg.inv(covariance)
+        prior = np.asarray(np.linalg.inv(covariance), np.float64)
+        pull: Numbers = prior @ mean
         seen = np.zeros((len(self._counts), self._observations.n_frames))
         seen[self._tracks.own, self._tracks.other] = 1
         while True:
-            whole = np.einsum("kp,kij->pij", membership, information)
-            sums = membership.T @ vector
+            whole: Numbers = np.einsum("kp,kij->pij", membership, information)
+            sums: Numbers = membership.T @ vector
             busy = membership.T @ seen
-            alone = log_partition(whole + prior, sums + prior @ mean)
-            together = log_partition(whole[:, None] + whole + prior, sums[:, None] + sums + prior @ mean)
-            gains = together - alone[:, None] - alone + log_partition(prior, prior @ mean)
+            alone = log_partition(whole + prior, sums + pull)
+            rows = np.arange(len(whole))
+            together = log_partition(
+                whole[rows[:, None]] + whole[rows] + prior, sums[rows[:, None]] + sums[rows] + pull
+            )
+            gains = together - alone[:, None] - alone + log_partition(prior, pull)
             both = (busy[:, None] * busy).sum(axis=2)
             gains[both > 0.5] = -np.inf
             np.fill_diagonal(gains, -np.inf)
@@ -432,14 +436,15 @@ def _unambiguous(
 
 def _close(gains: Numbers, chosen: int, margin: float) -> Indices:
     """Others that are nearly as likely as the chosen one, or likelier."""
-    close = np.flatnonzero(gains > gains[chosen] - margin)
-    return close[close != chosen]
+    near = gains > gains[chosen] - margin
+    near[chosen] = False
+    return np.flatnonzero(near).astype(np.int64)
 
 
 def camera_precision(fit: Factorisation, n_frames: int) -> Numbers:
     """Prior information `(4 n_frames, 4 n_frames)` 1/px^2 of a row of the cameras at all times."""
     if not fit.coherent:
-        return np.kron(np.eye(n_frames), np.diag(1 / np.repeat(fit.motion_noise[0], (3, 1))))
+        return np.diag(np.tile(1 / np.repeat(fit.motion_noise[0], (3, 1)), n_frames))
     linear, shift = (motion_precision(fit.motion_noise[:, k], n_frames) for k in range(2))
     precision = np.zeros((n_frames, 4, n_frames, 4))
     for number in range(3):
@@ -464,7 +469,9 @@ def motion_precision(variances: Numbers, n_frames: int) -> Numbers:
         ((-1, 1), variances[1]),
         ((1, -2, 1), variances[0]),
     ):
-        band = sum(w * np.eye(count, count + len(weights) - 1, k) for k, w in enumerate(weights))
+        band = np.zeros((count, count + len(weights) - 1))
+        for k, weight in enumerate(weights):
+            band += weight * np.eye(*band.shape, k)
         noise += variance * band @ band.T
     noise[np.diag_indices(count)] *= 1 + 1e-6
     rows = solve_triangular(np.linalg.cholesky(noise), np.diff(np.eye(n_frames), 3, axis=0), lower=True)

@@ -1,8 +1,9 @@
 """Affine cameras: what makes them cameras of a rigid world, and shapes that are alike up to a transformation.
 
-A factorisation knows shape and cameras up to an affine change of space. Under scaled orthography the rows of a
-camera are of equal length and orthogonal, which fixes that change up to a similarity and a reflection (seen from
-far, a shape and its mirror image that turns the other way look the same) - if the motion is rich enough.
+A factorisation knows shape and cameras up to an affine change of space. Under scaled orthography the rows
+of a camera are of equal length and orthogonal, which fixes that change up to a similarity and a reflection
+(seen from far, a shape and its mirror image that turns the other way look the same) - if the motion is rich
+enough.
 """
 
 from dataclasses import dataclass
@@ -77,7 +78,7 @@ class Euclidean:
 
 
 def euclidean(cameras: ArrayLike, shape: ArrayLike, camera_covariance: ArrayLike | None = None) -> Euclidean:
-    """Upgrade affine cameras and shape: the metric in which rows of cameras are orthogonal and of equal length.
+    """Find the metric in which rows of affine cameras are orthogonal and of equal length.
 
     Scaled orthography: each camera may have its own scale (zoom, distance), and no perspective. The symmetric
     matrix Q = G G^T with u Q v = 0 and u Q u = v Q v for the rows u, v of all frames is first found by linear
@@ -191,9 +192,10 @@ def _linear_metric(rows: Numbers) -> Numbers:
 
 
 def _refined(rows: Numbers, spread: Numbers | None, upgrade: Numbers) -> tuple[Numbers, float]:
-    """Improve G by Gauss-Newton steps G <- G exp(E); and the largest standard deviation of what E is known to.
+    """Improve G by Gauss-Newton steps G <- G exp(E); and give the largest standard deviation of E.
 
-    Errors are (|u|^2 - |v|^2) / (|u|^2 + |v|^2) and 2 u . v / (|u|^2 + |v|^2), in which the scale is no matter.
+    Errors are (|u|^2 - |v|^2) / (|u|^2 + |v|^2) and 2 u . v / (|u|^2 + |v|^2), in which the scale is no
+    matter.
     """
     damping, best = 1e-3, _errors(rows, spread, upgrade)
     for _ in range(MOST_STEPS):
@@ -219,9 +221,7 @@ def _refined(rows: Numbers, spread: Numbers | None, upgrade: Numbers) -> tuple[N
     return upgrade, float(np.sqrt(inflation * np.linalg.eigvalsh(covariance)[-1]))
 
 
-def _errors(
-    rows: Numbers, spread: Numbers | None, upgrade: Numbers
-) -> tuple[Numbers, Numbers, Numbers]:
+def _errors(rows: Numbers, spread: Numbers | None, upgrade: Numbers) -> tuple[Numbers, Numbers, Numbers]:
     """Errors `(2 n_frames,)`, their derivatives by E `(2 n_frames, 5)` and their weights."""
     moved = rows @ upgrade
     u, v = moved[:, 0], moved[:, 1]
@@ -246,7 +246,7 @@ def _errors(
 
 
 def scaled_rotations(matrices: ArrayLike) -> tuple[Numbers, Numbers]:
-    """Scales `(n,)` and rotations `(n, 3, 3)` whose product's first two rows are nearest to matrices `(n, 2, 3)`."""
+    """Scales `(n,)` and rotations `(n, 3, 3)`; scaled, their first rows are nearest to `(n, 2, 3)` ones."""
     left, values, right = np.linalg.svd(np.asarray(matrices, np.float64), full_matrices=False)
     rows = left @ right
     third = np.cross(rows[:, 0], rows[:, 1])
@@ -280,11 +280,11 @@ def affine_alignment(shape: ArrayLike, target: ArrayLike) -> Alignment:
     """Affine map of a shape `(n_points, 3)` onto another, by least squares."""
     points, goal, middle, goal_middle = _centred(shape, target)
     solution, *_ = np.linalg.lstsq(points, goal)
-    return _alignment(solution.T, points, goal, middle, goal_middle)
+    return _alignment(np.asarray(solution.T, np.float64), points, goal, middle, goal_middle)
 
 
 def similarity_alignment(shape: ArrayLike, target: ArrayLike) -> Alignment:
-    """Scaling, rotation or reflection, and translation of a shape onto another, by least squares (Procrustes)."""
+    """Scaling, rotation or reflection, and translation of a shape onto another, by least squares."""
     points, goal, middle, goal_middle = _centred(shape, target)
     left, values, right = np.linalg.svd(goal.T @ points)
     total = float(np.sum(points**2))
@@ -295,7 +295,9 @@ def similarity_alignment(shape: ArrayLike, target: ArrayLike) -> Alignment:
 def _centred(shape: ArrayLike, target: ArrayLike) -> tuple[Numbers, Numbers, Numbers, Numbers]:
     points, goal = np.asarray(shape, np.float64), np.asarray(target, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or points.shape != goal.shape or not len(points):
-        raise ValueError(f"shape, target: got {points.shape} and {goal.shape}, expected the same (n_points, 3)")
+        raise ValueError(
+            f"shape, target: got {points.shape} and {goal.shape}, expected the same (n_points, 3)"
+        )
     middle, goal_middle = points.mean(axis=0), goal.mean(axis=0)
     return points - middle, goal - goal_middle, middle, goal_middle
 

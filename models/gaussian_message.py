@@ -114,7 +114,7 @@ class GaussianMessage:
     @property
     def dimension(self) -> int:
         """Numbers of each thing."""
-        return self.vector.shape[1]
+        return int(self.vector.shape[1])
 
     @cached_property
     def proper(self) -> NDArray[np.bool_]:
@@ -178,8 +178,8 @@ class GaussianMessage:
         information[place], vector[place], log_scale[place] = self.information, self.vector, self.log_scale
         return type(self)(identities, information, vector, log_scale)
 
-    def only(self, kept: NDArray[np.bool_]) -> Self:
-        """The factors of those of whom `kept`, `(n,)`, is true."""
+    def only(self, kept: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
+        """The factors of those of whom `kept` is true, or at these places, in order."""
         return type(self)(
             self.identities[kept], self.information[kept], self.vector[kept], self.log_scale[kept]
         )

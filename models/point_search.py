@@ -48,13 +48,14 @@ SHARPNESS, LIKENESS_NOISE = 3.5, 0.02
 def least_likeness(false_alarms: float, area: ArrayLike, side: int) -> Numbers:
     """Normalised correlation that a share of `false_alarms` of windows without the point exceeds by chance.
 
-    The expected number of places that are at least so like a patch of `side` px in `area` px^2 is 0.24
-    (area / 1089)^0.56 (5 / side)^2.5 ((1 - likeness) / 0.1)^2.5: a fit to counts for sides from 5 to 11, areas
-    from 25 to 1089 and likenesses from 0.8 to 0.95, right to a third.
+    The expected number of places that are at least so like a patch of `side` px in `area` px^2 is
+    0.24 (area / 1089)^0.56 (5 / side)^2.5 ((1 - likeness) / 0.1)^2.5: a fit to counts for sides from 5 to 11,
+    areas from 25 to 1089 and likenesses from 0.8 to 0.95, right to a third.
     """
     at_ten_percent = 0.24 * (np.maximum(area, 1) / 1089) ** 0.56 * (5 / side) ** 2.5
     unlike = 0.1 * (-np.log(1 - false_alarms) / at_ten_percent) ** 0.4
-    return np.maximum(1 - unlike, 0.5)
+    least: Numbers = np.maximum(1 - unlike, 0.5)
+    return least
 
 
 @dataclass(frozen=True, eq=False)

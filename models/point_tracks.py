@@ -176,17 +176,16 @@ class PointTracks:
 
         A given point is N(z; F, noise^2 I), whatever the prior. Otherwise every point of whom `prior` knows
         what it looks like, and where to within a standard deviation of `farthest`, is looked for by normalised
-        correlation. One that is found is area * N(z; F, R), as against being anywhere in the picture; one that
-        is not found is no information.
+        correlation. One that is found is area * N(z; F, R), as against being anywhere in the picture; one
+        that is not found is no information.
         """
         if frame.points is not None:
             return self._given(frame.points, frame.time)
         if frame.image is None:
             return self.uniform()
         image = frame.image
-        grey = np.ascontiguousarray(
-            image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8
-        )
+        one_channel = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        grey = np.ascontiguousarray(one_channel, np.uint8)
         positions, found = self._looked_for(grey, prior)
         return PointMessage(positions, view=View(frame.time, found, grey, self.noise, self.patch))
 
@@ -257,4 +256,4 @@ def noise_of_tracks(frames: Iterable[Frame]) -> float:
     thirds = np.concatenate(off) if off else np.zeros(0)
     if not len(thirds):
         return 0.01 * spread
-    return max(float(np.median(thirds)) / (0.6745 * np.sqrt(20)), 1e-6 * spread)
+    return float(max(np.median(thirds) / (0.6745 * np.sqrt(20)), 1e-6 * spread))
