@@ -1,4 +1,6 @@
-"""Speed beside OpenCV's MOG2, and exactness beside enumeration: `python -m rsmcm.apps.bench`.
+"""Speed beside peers, and exactness beside enumeration: `python -m rsmcm.apps.bench`.
+
+Background and tracking beside OpenCV's MOG2 here; points and structure in `bench_points`, `bench_structure`.
 
 All ratios are of times taken in one run, in turns, at equal thread counts.
 """
@@ -22,18 +24,25 @@ from ..models import Categorical, Frame
 from ..models.categorical import CategoricalMessage
 from ..models.threads import set_threads
 from .background import Engine, build_model
+from .bench_points import point_claims
+from .bench_structure import structure_claims
 from .claims import HEADER, Claim, in_columns
 from .data import data_folder
 from .methods import Model
 from .progress import Progress
-from .scenes import sleeping_man
+from .reconstruction import solve
+from .scenes import cylinder, sleeping_man
 from .sources import open_source
+from .track_files import frames_of_tracks
 
 SIZE = (768, 576)
 N_FRAMES = 240  # preloaded: 320 MB
 TURN = 20  # frames that a method works on before it is another one's turn
 WARM_UP = 40  # frames that do not count
 ROUNDS = 2
+
+PX = 100.0  # per radius of the cylinder
+FEEDBACK_ROUNDS = 5
 
 Image = NDArray[np.uint8]
 Table = NDArray[np.float64]
@@ -49,10 +58,28 @@ def main() -> None:
         set_threads(threads)
         claims += speed_claims(frames, threads)
     claims += [end_to_end(frames), *over_time(frames, 10_000 if "--long" in sys.argv[1:] else 1_500)]
-    print(in_columns(HEADER, [claim.cells for claim in claims]))
     set_threads(1)
+    cv2.setNumThreads(1)
+    claims += [*point_claims(), *structure_claims(), feedback_in_rounds()]
+    print(in_columns(HEADER, [claim.cells for claim in claims]))
     print("\nwhere the time of a frame goes, one thread\n")
     print(in_columns(("stage", "ms", "share, %"), stages(frames)))
+
+
+def feedback_in_rounds() -> Claim:
+    """A round of coordinate ascent in which the tracker hears the shape, beside one in which it does not."""
+    frames = frames_of_tracks(PX * cylinder(p_loose=0.1, p_drift=0.1, seed=0).tracks())
+    spent: dict[bool, list[float]] = {False: [], True: []}
+    for _ in range(FEEDBACK_ROUNDS):
+        before = time.perf_counter()
+        for number, _ in enumerate(solve(frames, "second-order", "dual-chain")):
+            now = time.perf_counter()
+            spent[number > 0].append(now - before)
+            before = now
+            if number == 1:
+                break
+    ratio = float(np.median(spent[True]) / np.median(spent[False]))
+    return Claim("structure: a round with feedback over one without, time", ratio - 1, "<=", 0.1)
 
 
 def _preloaded() -> tuple[list[Frame], str]:

@@ -114,6 +114,10 @@ LEAST_JITTER = 1e-3
 """With coherence: by what the motion's noise is expected to change rows over all frames, at the least."""
 
 
+LONGEST_STEP = 1e3
+"""Factor by which a variance of the motion may grow at once."""
+
+
 def estimate_cameras(
     information: Numbers, vector: Numbers, noise: float, prior: CameraPrior
 ) -> CameraEstimate:
@@ -132,9 +136,10 @@ def estimate_cameras(
         )
         old = prior.variance
         evidence -= float(np.sum(least_variance(n_frames) / old))
-        learned = np.sqrt(
-            (old**2 * _pooled(squares) + 2 * least_variance(n_frames)) / np.maximum(_pooled(counts), 1e-300)
-        )
+        above = old**2 * _pooled(squares) + 2 * least_variance(n_frames)
+        # part of a step raises the evidence as well; where nothing was seen there is nothing to be learned
+        longest = LONGEST_STEP * old
+        learned = np.sqrt(above / np.maximum(_pooled(counts), above / longest**2))
     else:
         covariance, log_determinant = inverses(information, 1 / variance, 1 / noise)
         means = covariance @ vector / noise
@@ -224,7 +229,7 @@ def expectation_maximisation(
             acceleration.forget()
             continue
         history.append(bound)
-        prior, start = better, shape
+        prior, start, kept = better, shape, cameras
         moments = camera_moments(cameras.cameras, cameras.covariance)
         information, vector, quadratic = sums.of_points(cameras.cameras, moments)
         covariance, determinants = inverses(information, np.ones(3), 1 / noise)
@@ -240,9 +245,8 @@ def expectation_maximisation(
             break
         if accelerate:
             shape = acceleration.propose(start, shape)
-    return Posterior(
-        cameras.cameras, np.array(cameras.covariance), plain, np.array(covariance), noise, prior
-    ), history
+    spread = np.array(kept.covariance), np.array(covariance)  # no longer one that is repeated
+    return Posterior(kept.cameras, spread[0], plain, spread[1], noise, prior), history
 
 
 def _camera_error(sums: Sums, covariance: Numbers, shape: Numbers) -> float:

@@ -75,17 +75,13 @@ class Sums:
         """Weighted squares of all positions."""
         return float(self._squares.sum())
 
-    def _summed(self, moments: Numbers, n: int) -> Numbers:
-        """Moments of all, which each of `n` others sees with weight 1."""
-        return np.broadcast_to(moments.sum(axis=0), (n, moments.shape[1]))
-
     def of_frames(self, shape: Numbers, moments: Numbers) -> tuple[Numbers, Numbers]:
         """Information `(n_frames, 4, 4)` and vector `(n_frames, 4, 2)` of cameras, at noise variance 1."""
         if not self._dense:
             information, vector = frame_moments(*self._observations.by_frame.columns, shape, moments)
             return information, vector
         weight, weighted = self._tables
-        seconds = self._summed(moments, len(weight)) if self._equal else weight @ moments
+        seconds = _summed(moments, len(weight)) if self._equal else weight @ moments
         vector = weighted @ np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
         return _matrices(seconds, _SYMMETRIC), np.ascontiguousarray(
             vector.reshape(-1, 2, 4).transpose(0, 2, 1)
@@ -99,11 +95,16 @@ class Sums:
             )
             return information, vector, quadratic
         weight, weighted = self._tables
-        seconds = self._summed(moments, weight.shape[1]) if self._equal else weight.T @ moments
+        seconds = _summed(moments, weight.shape[1]) if self._equal else weight.T @ moments
         vector = weighted.T @ cameras.reshape(-1, 4)
         quadratic = self._squares - 2 * vector[:, 3] + seconds[:, 9]
         information = _matrices(seconds, _SYMMETRIC[:3, :3])
         return information, vector[:, :3] - seconds[:, [3, 6, 8]], quadratic
+
+
+def _summed(moments: Numbers, n: int) -> Numbers:
+    """Moments of all, which each of `n` others sees with weight 1."""
+    return np.broadcast_to(moments.sum(axis=0), (n, moments.shape[1]))
 
 
 def _matrices(seconds: Numbers, places: NDArray[np.int64]) -> Numbers:

@@ -27,7 +27,7 @@ LARGE = 50
 CANDIDATES = 4
 """So many windows of each length are looked at closely."""
 
-LEAST_VIEWS = 3
+VIEWS = 3
 """Frames that show a point, for it to come in."""
 ROUNDS, LAST_ROUNDS = 3, 10
 """Of refinement, after frames or points came in, and at the end."""
@@ -116,9 +116,9 @@ class _Known:
 def grown(observations: Observations, *, coherent: bool) -> tuple[Numbers, Numbers, Mask, Mask]:
     """Cameras and shape grown from a window by resection and intersection; what is determined of both.
 
-    Frames come in as soon as they show enough known points, or with coherence as soon as known points and
-    known frames together determine their camera; points as soon as known cameras determine them. What is
-    known is refined after every round. Points that no frames determine stay out, so that they spoil
+    Frames come in as soon as they show enough known points, points as soon as known cameras determine them.
+    What is known is refined after every round; with coherence by the smoother, which also foresees the next
+    cameras where growing would end otherwise. Points that no frames determine stay out, so that they spoil
     nothing. Where no window shows six points throughout, the mean-filled matrix has to do.
     """
     n_frames, n_points = observations.n_frames, observations.n_points
@@ -144,6 +144,7 @@ def grown(observations: Observations, *, coherent: bool) -> tuple[Numbers, Numbe
             break
         _refine(observations, known, LAST_ROUNDS)
         _foresee(known)
+        alone = False
     if not alone:
         _refine(observations, known, LAST_ROUNDS)
     return known.cameras, known.shape, known.frames, known.points
@@ -235,13 +236,10 @@ def _resect(observations: Observations, known: _Known, terms: "_Terms") -> bool:
     return bool(chosen.any())
 
 
-def _foresee(known: _Known) -> bool:
-    """With coherence, add frames that the motion of the others foresees best; whether there were any."""
-    if known.prior is None or known.frames.all():
-        return False
+def _foresee(known: _Known) -> None:
+    """With coherence, add the frames that the motion of the known ones foresees best."""
     variance = np.where(known.frames, np.inf, np.einsum("tjj->t", known.camera_covariance))
     known.frames |= variance <= FORESIGHT * variance.min()
-    return True
 
 
 def _intersect(observations: Observations, known: _Known, terms: "_Terms") -> bool:
@@ -252,7 +250,7 @@ def _intersect(observations: Observations, known: _Known, terms: "_Terms") -> bo
         *part.by_point.columns, known.cameras, camera_moments(known.cameras, certain)
     )
     strength = np.linalg.eigvalsh(information)[:, 0]
-    chosen = (np.diff(part.by_point.edges) >= LEAST_VIEWS) & (strength * terms.spread**2 > known.noise)
+    chosen = (np.diff(part.by_point.edges) >= VIEWS) & (strength * terms.spread**2 > known.noise)
     if chosen.any():
         known.shape[chosen] = np.linalg.solve(information[chosen], vector[chosen][..., None])[..., 0]
         known.points |= chosen

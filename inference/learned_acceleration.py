@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .kalman import STATE, PointStates, filter_tracks
+from .kalman import PointStates, filter_tracks
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -21,16 +21,14 @@ MOST_TRACKS = 300
 """Tracks that are looked at: the longest."""
 
 HALVINGS = 24
-"""Of the range of logarithms in which the acceleration is sought; the last ones change it by less than 1
-%."""
+"""Of the range in which the acceleration's logarithm is sought; the last ones are far below a percent."""
 
 LEAST_GROWTH, MOST_GROWTH = 1e-4, 1e2
-"""Least and most that is believed: px by which a point leaves its way in a frame, in units of the
-measurements' noise and of the typical step."""
+"""Least and most that is believed. By how much a point leaves its way from one frame to the next: in units of
+the measurements' noise, and of a typical step."""
 
 EVERY_SPEED = 3.0
-"""Standard deviation of velocities at the beginning, in units of the typical velocity: nobody is
-surprised."""
+"""Standard deviation of velocities at the beginning, in units of a typical velocity: nobody is surprised."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +60,7 @@ class Measurements:
         return Measurements(self.times, self.information[:, points], self.vector[:, points])
 
     def moments(self) -> tuple[Numbers, Numbers]:
-        """Positions `(n_frames, n_points, 2)` px and covariances `(n_frames, n_points, 2, 2)`, 0 where not
-        seen."""
+        """Positions `(n_frames, n_points, 2)` px and covariances `(n_frames, n_points, 2, 2)` px^2, else 0."""
         seen = self.seen
         position, covariance = np.zeros_like(self.vector), np.zeros_like(self.information)
         covariance[seen] = np.linalg.inv(self.information[seen])
@@ -97,11 +94,10 @@ class Motion:
 def learned_motion(measured: Measurements, acceleration: float | None = None) -> Motion:
     """Motion that fits the measurements.
 
-    The acceleration is the one with which the median of all squared Mahalanobis distances between
-    measurements and what the filter expects, one frame ahead, is what it should be: half of the points are
-    inside the ellipses that should hold half of them. That is the maximum likelihood's answer for Gaussian
-    errors, but tracks that jump or slip do not sway it. Where the measurements alone are less sure than the
-    points are regular, it is the least that is believed.
+    The acceleration is the one with which half of all measurements are inside the ellipses in which the filter,
+    one frame ahead, expects half of them: the median of the squared Mahalanobis distances is that of a Gaussian.
+    Maximum likelihood agrees where errors are Gaussian, but would be swayed by tracks that jump or slip. Where
+    measurements scatter less than they claim, the acceleration is the least that is believed.
 
     Parameters
     ----------
@@ -110,8 +106,8 @@ def learned_motion(measured: Measurements, acceleration: float | None = None) ->
     """
     seen = measured.seen
     position, covariance = measured.moments()
-    steps, noise = _steps(measured.times, position, seen), covariance[seen]
-    speed, length, dt = steps
+    noise = covariance[seen]
+    speed, length, dt = _steps(measured.times, position, seen)
     error = float(np.sqrt(np.median(noise[:, 0, 0] + noise[:, 1, 1]) / 2)) if len(noise) else 1.0
     extent = 1e3 * max(float(np.abs(position[seen]).max(initial=0.0)), error)
     speed = EVERY_SPEED * max(speed, error / dt)

@@ -36,7 +36,10 @@ SURE = 0.98
 DETERMINED = 0.15
 """A point is one if its positions in all frames are known to this share of the spread of all points."""
 
-MOST_TOGETHER = 800
+TORN = 0.05
+"""Product of probabilities from which a track is torn between two points."""
+
+MOST_TOGETHER = 500
 """Tracks with most observations whose joint posterior is looked at; others are only assigned at the end."""
 
 AT_ONCE = 0.05
@@ -295,26 +298,20 @@ class _Linking:
         seen = np.zeros((len(self._counts), self._observations.n_frames))
         seen[self._tracks.own, self._tracks.other] = 1
         while True:
-            whole: Numbers = np.einsum("kp,kij->pij", membership, information)
+            first, second = np.nonzero(np.triu(membership.T @ membership > TORN, 1))
+            whole: Numbers = np.einsum("kp,kij->pij", membership, information, optimize=True)
             sums: Numbers = membership.T @ vector
             busy = membership.T @ seen
             alone = log_partition(whole + prior, sums + pull)
-            rows = np.arange(len(whole))
-            together = log_partition(
-                whole[rows[:, None]] + whole[rows] + prior, sums[rows[:, None]] + sums[rows] + pull
-            )
-            gains = together - alone[:, None] - alone + log_partition(prior, pull)
-            both = (busy[:, None] * busy).sum(axis=2)
-            gains[both > 0.5] = -np.inf
-            np.fill_diagonal(gains, -np.inf)
-            first, second = np.unravel_index(int(gains.argmax()), gains.shape)
-            if gains[first, second] < self._log_new:
+            together = log_partition(whole[first] + whole[second] + prior, sums[first] + sums[second] + pull)
+            gains = together - alone[first] - alone[second] + log_partition(prior, pull)
+            gains[(busy[first] * busy[second]).sum(axis=1) > 0.5] = -np.inf
+            if not len(gains) or gains.max() < self._log_new:
                 return membership
-            membership = np.delete(
-                np.where(np.arange(len(gains)) == first, membership + membership[:, [second]], membership),
-                second,
-                axis=1,
-            )
+            one, other = int(first[gains.argmax()]), int(second[gains.argmax()])
+            membership = membership.copy()
+            membership[:, one] += membership[:, other]
+            membership = np.delete(membership, other, axis=1)
 
     def _determined(self, membership: Numbers) -> NDArray[np.bool_]:
         """Whether tracks say where each point is, in every frame."""

@@ -25,6 +25,9 @@ CLEAR = 4.0
 FLAT = 1e-10
 """Share of the cameras' squares that is rounding."""
 
+OPEN = 1e-12
+"""Share of the information on stretches that is rounding."""
+
 MOST_STEPS = 100
 
 FLATTISH = "no depth shows: the camera does not turn out of the picture plane, or the scene is flat"
@@ -125,12 +128,10 @@ def euclidean(cameras: ArrayLike, shape: ArrayLike, camera_covariance: ArrayLike
     except np.linalg.LinAlgError:
         return _undetermined(matrices, points, HARDLY)
     if not uncertainty < DETERMINED:
-        return _undetermined(
-            matrices,
-            points,
-            f"{HARDLY}: depth is known to a factor of {np.exp(min(uncertainty, 99.0)):.2g} only",
-            uncertainty,
+        reason = (
+            HARDLY if np.isinf(uncertainty) else f"{HARDLY}: stretches are known to {uncertainty:.0%} only"
         )
+        return _undetermined(matrices, points, reason, uncertainty)
     scales, rotations = scaled_rotations(rows @ upgrade)
     size = float(np.exp(np.mean(np.log(scales))))
     first = rotations[0]
@@ -216,9 +217,11 @@ def _refined(rows: Numbers, spread: Numbers | None, upgrade: Numbers) -> tuple[N
                 break
     errors, jacobian, weight = best
     deviation = float(np.sum(weight * errors**2)) / max(len(errors) - len(_BASIS), 1)
-    covariance = np.linalg.inv(jacobian.T @ (weight[:, None] * jacobian))
+    known = np.linalg.eigvalsh(jacobian.T @ (weight[:, None] * jacobian))
+    if known[0] <= OPEN * known[-1]:
+        return upgrade, np.inf
     inflation = deviation if spread is None else max(deviation, 1.0)
-    return upgrade, float(np.sqrt(inflation * np.linalg.eigvalsh(covariance)[-1]))
+    return upgrade, float(np.sqrt(inflation / known[0]))
 
 
 def _errors(rows: Numbers, spread: Numbers | None, upgrade: Numbers) -> tuple[Numbers, Numbers, Numbers]:

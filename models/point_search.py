@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from . import patch_search
 from .correlation_kernels import best_places
-from .patch_alignment import Aligned, align_patches, sample_patches
+from .patch_alignment import Aligned, align_patches
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -181,9 +182,12 @@ def leads_back(
 ) -> Mask:
     """Whether what is at `position (n, 2)` px was at `origin (n, 2)` px in the picture before.
 
-    It is looked for there as it was looked for on the way forth: with `covariance (n, 2, 2)` px^2.
+    It is looked for there in windows as wide as on the way forth, where it was known to
+    `covariance (n, 2, 2)` px^2; there is no prior on the way back.
     """
-    patches = sample_patches(grey, position, side)
-    places = likeliest_places(before, patches, origin, covariance, farthest)
-    led: Mask = np.abs(places.position[:, 0] - origin).max(axis=1) <= BACK
-    return led & (places.likeness[:, 0] > 0)
+    patches = patch_search.sample_patches(grey, position, side, unit=True)
+    back = patch_search.search_patches(
+        before, patches, origin, patch_search.reaches_of(covariance, int(farthest))
+    )
+    led: Mask = (back.score > 0) & (np.abs(back.position - origin).max(axis=1, initial=0) <= NEAR)
+    return led

@@ -15,7 +15,7 @@ HEIGHT, WIDTH = 140, 180
 class Texture:
     """Grey values about 128 with a standard deviation of 40, in waves of 5 to 60 px in all directions."""
 
-    def __init__(self, seed: int, n_waves: int = 80) -> None:
+    def __init__(self, seed: int, n_waves: int = 50) -> None:
         random = np.random.default_rng(seed)
         length = np.exp(random.uniform(np.log(5), np.log(60), n_waves))
         direction = random.uniform(0, np.pi, n_waves)
@@ -81,7 +81,7 @@ def film(poses: Sequence[Pose], seed: int = 0, noise: float = 1.0) -> list[Grey]
 
 
 def hidden_by_a_bar(pictures: Sequence[Grey], first: int, speed: float, width: int = 40) -> list[Grey]:
-    """A textured bar from top to bottom enters from the left in frame `first` and crosses at `speed` px a frame."""
+    """A textured bar enters from the left in frame `first` and crosses the picture at `speed` px a frame."""
     texture = Texture(987)
     rows, columns = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
     result = []

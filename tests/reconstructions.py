@@ -1,6 +1,7 @@
 """Reconstructions made from the truth of generated scenes, with known errors."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -58,3 +59,18 @@ def pictures(truth: Cylinder, colours: NDArray[np.uint8]) -> list[Frame]:
 
 def without_images(frames: Sequence[Frame]) -> list[Frame]:
     return [Frame(None, frame.time, frame.number) for frame in frames]
+
+
+def write_film(folder: Path, n_frames: int) -> None:
+    """Pictures, `frame1.png` and so on, in which patches of cloth move like points of a cylinder."""
+    moving = cylinder(30, n_frames, p_loose=0, p_drift=0, noise=0, seed=6, degrees_per_frame=2)
+    patches = np.random.default_rng(0).integers(0, 256, (30, 5, 5), dtype=np.uint8)
+    size = (200, 160)
+    for number, places in enumerate(60 * moving.positions + (100, 80), start=1):
+        image = np.full((size[1], size[0]), 120, np.uint8)
+        for patch, (x, y) in zip(patches, places, strict=True):
+            shift = np.array([[2.0, 0.0, x - 4.5], [0.0, 2.0, y - 4.5]])
+            large = cv2.warpAffine(patch, shift, size, flags=cv2.INTER_LINEAR)
+            cover = cv2.warpAffine(np.ones_like(patch), shift, size, flags=cv2.INTER_NEAREST)
+            image = np.where(cover > 0, np.asarray(large, np.uint8), image)
+        cv2.imwrite(str(folder / f"frame{number}.png"), image)

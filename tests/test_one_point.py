@@ -1,5 +1,6 @@
 """Identities that become one, and what is known of points by identity."""
 
+import networkx as nx
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,13 +34,15 @@ def trajectory(first: NDArray[np.float32], last: NDArray[np.float32]) -> PointTr
 
 
 @given(pairs, pairs)
-def test_groups_are_those_of_a_graph_and_named_by_their_smallest(one: list[tuple[int, int]], other: list[tuple[int, int]]) -> None:
-    import networkx as nx
-
+def test_groups_are_those_of_a_graph_and_named_by_their_smallest(
+    one: list[tuple[int, int]], other: list[tuple[int, int]]
+) -> None:
     graph = nx.Graph()
     graph.add_nodes_from(range(10))
     graph.add_edges_from([*one, *other])
-    expected = {node: min(part) for part in nx.connected_components(graph) for node in part if node != min(part)}
+    expected = {
+        node: min(part) for part in nx.connected_components(graph) for node in part if node != min(part)
+    }
     assert united(united({}, one), other) == expected
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.inference.learned_acceleration import Measurements, Motion, learned_motion
-from rsmcm.inference.point_trajectory import Gathered, PointTrajectory, smoothed_trajectory
+from rsmcm.inference.learned_acceleration import Motion
+from rsmcm.inference.point_trajectory import Gathered, smoothed_trajectory
 from rsmcm.models.gaussian_message import GaussianMessage
 from scipy.stats import multivariate_normal
 
@@ -19,7 +19,7 @@ ANY = 1e9
 
 
 def prior_covariance(times: Numbers, motion: Motion) -> Numbers:
-    """Covariance `(n, n)` of a coordinate's positions at `times`: an integrated Wiener process, in closed form."""
+    """Covariance `(n, n)` of a coordinate at `times`: an integrated Wiener process, in closed form."""
     s, t = np.meshgrid(times, times)
     low, high = np.minimum(s, t), np.maximum(s, t)
     process = low**2 * (3 * high - low) / 6
@@ -28,7 +28,7 @@ def prior_covariance(times: Numbers, motion: Motion) -> Numbers:
 
 
 def messages(random: np.random.Generator, seen: NDArray[np.bool_]) -> list[GaussianMessage]:
-    """Densities of positions about (50, 50) of the points that are `seen`, `(n_frames, n_points)`, in a frame."""
+    """Densities of positions about (50, 50) of the points that are `seen`, `(n_frames, n_points)`."""
     result = []
     for frame in seen:
         identities = np.flatnonzero(frame)
@@ -55,7 +55,11 @@ def dense(parts: list[GaussianMessage], point: int) -> tuple[Numbers, Numbers, f
             means.append(mean)
             noise.append(covariance)
     if not rows:
-        return np.zeros((len(TIMES), 2)), np.array([prior[i : i + 2, i : i + 2] for i in range(0, 12, 2)]), 0.0
+        return (
+            np.zeros((len(TIMES), 2)),
+            np.array([prior[i : i + 2, i : i + 2] for i in range(0, 12, 2)]),
+            0.0,
+        )
     whole = prior[np.ix_(rows, rows)]
     for k, covariance in enumerate(noise):
         whole[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += covariance

@@ -96,7 +96,7 @@ def test_shapes_are_drawn_where_they_belong(tmp_path: Path) -> None:
 
 def test_the_methods_on_one_sequence() -> None:
     """What is wanted of medians over 20 sequences holds on this one, with some room."""
-    scores = experiment.scores(Cell(0.12, 0.2, 0.5), seed=0)
+    scores = experiment.scores(Cell(0.06, 0.1, 0.5), seed=0)
     assert list(scores) == list(METHODS)
     dual, oracle = scores[DUAL_COHERENT], scores[ORACLE]
     assert dual.reprojection_error < 2 * oracle.reprojection_error

@@ -17,11 +17,13 @@ from rsmcm.apps import structure
 from rsmcm.apps.command_line import main
 from rsmcm.apps.scenes import Cylinder, cylinder
 
+from .reconstructions import write_film
+
 COMMAND = [sys.executable, "-m", "rsmcm.apps.command_line"]
 ALWAYS = {"cameras.json", "tracks.npz", "predictions.npz", "summary.json", "report.html"}
+ALONE = ("--association", "none")  # quicker, where it makes no difference
 PX = 60.0  # per radius
 CENTRE = np.array([100.0, 80.0])
-SIZE = (200, 160)
 
 
 def run(*arguments: object) -> int:
@@ -83,19 +85,8 @@ def finished(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of pictures, in which patches of cloth move like points of a cylinder."""
-    moving = cylinder(n_points=30, n_frames=16, p_loose=0, p_drift=0, noise=0, seed=6, degrees_per_frame=2)
-    generator = np.random.default_rng(0)
-    patches = generator.integers(0, 256, (30, 5, 5), dtype=np.uint8)
     folder = tmp_path_factory.mktemp("film")
-    for number, places in enumerate(in_px(moving.positions), start=1):
-        image = np.full((SIZE[1], SIZE[0]), 120, np.uint8)
-        for patch, (x, y) in zip(patches, places, strict=True):
-            shift = np.array([[2.0, 0.0, x - 4.5], [0.0, 2.0, y - 4.5]])
-            large = cv2.warpAffine(patch, shift, SIZE, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-            cover = cv2.warpAffine(np.ones_like(patch), shift, SIZE, flags=cv2.INTER_NEAREST)
-            image = np.where(cover > 0, np.asarray(large, np.uint8), image)
-        cv2.imwrite(str(folder / f"frame{number}.png"), image)  # frame10 sorts before frame2 in a naive order
+    write_film(folder, n_frames=16)
     return folder
 
 
@@ -164,7 +155,7 @@ def test_every_track_a_point(source: Path, tracks: NDArray[np.float64], tmp_path
 
 
 def test_without_coherence(source: Path, tmp_path: Path) -> None:
-    assert run(source, "--out", tmp_path, "--coherence", "none") == 0
+    assert run(source, "--out", tmp_path, "--coherence", "none", *ALONE) == 0
     assert summary_of(tmp_path)["parameters"]["coherence"] == "none"
 
 
@@ -186,14 +177,14 @@ def test_missing_pictures_and_a_selection(film: Path, tmp_path: Path) -> None:
     folder.mkdir()
     for path in film.iterdir():
         (folder / path.name).write_bytes(path.read_bytes()[: 60 if path.name == "frame7.png" else None])
-    assert run(folder, "--out", tmp_path / "out", "--start", 3, "--stop", 14) == 0
+    assert run(folder, "--out", tmp_path / "out", "--start", 3, "--stop", 14, *ALONE) == 0
     summary = summary_of(tmp_path / "out")
     assert (summary["first_frame"], summary["last_frame"], summary["missing"]) == (3, 14, [7])
     assert "Missing or unreadable: frame 7." in summary["notes"]
 
 
 def test_selected_frames_of_a_track_file(source: Path, tmp_path: Path) -> None:
-    assert run(source, "--out", tmp_path, "--start", 2, "--stop", 20, "--step", 2) == 0
+    assert run(source, "--out", tmp_path, "--start", 2, "--stop", 20, "--step", 2, *ALONE) == 0
     with np.load(tmp_path / "tracks.npz") as content:
         assert content["frame"].tolist() == list(range(2, 21, 2))
 
@@ -204,7 +195,7 @@ def test_selected_frames_of_a_track_file(source: Path, tmp_path: Path) -> None:
 def test_a_frame_without_any_point(tracks: NDArray[np.float64], tmp_path: Path) -> None:
     holed = tracks.copy()
     holed[9:11] = np.nan
-    assert run(track_file(tmp_path / "t.npz", holed), "--out", tmp_path / "out") == 0
+    assert run(track_file(tmp_path / "t.npz", holed), "--out", tmp_path / "out", *ALONE) == 0
     summary = summary_of(tmp_path / "out")
     assert any("frames 10, 11" in note for note in summary["notes"])
     with np.load(tmp_path / "out" / "tracks.npz") as content:
@@ -295,7 +286,7 @@ def test_pictures_without_corners(tmp_path: Path, capfd: pytest.CaptureFixture[s
     for number in range(5):
         cv2.imwrite(str(folder / f"{number}.png"), np.full((60, 80, 3), 90, np.uint8))
     message = complaint(capfd, folder, "--out", tmp_path / "out")
-    assert "expected 4 or more" in message
+    assert "0 points, expected 3 frames and 4 points or more" in message
     assert not (tmp_path / "out").exists()
 
 
@@ -318,7 +309,7 @@ def test_existing_results(
 def test_overwriting_leaves_nothing_of_the_old_run(source: Path, tmp_path: Path) -> None:
     for name in ("overlay.mp4", "structure.ply", "mine.txt"):
         (tmp_path / name).write_text("old")
-    assert run(source, "--out", tmp_path, "--overwrite") == 0
+    assert run(source, "--out", tmp_path, "--overwrite", *ALONE) == 0
     assert names(tmp_path) == {*ALWAYS, "structure.ply", "mine.txt"}
     assert (tmp_path / "structure.ply").read_bytes() != b"old"
 
@@ -327,7 +318,7 @@ def test_a_full_disk_leaves_nothing(source: Path, tmp_path: Path) -> None:
     """A limit of the size of files stands for it."""
     out = tmp_path / "out"
     done = subprocess.run(
-        [*COMMAND, "structure", str(source), "--out", str(out)],
+        [*COMMAND, "structure", str(source), "--out", str(out), *ALONE],
         capture_output=True,
         text=True,
         timeout=120,

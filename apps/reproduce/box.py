@@ -38,12 +38,12 @@ class Result:
         """A line of the table."""
         found = self.found
         return [
-            self.sequence, self.method, len(found.point_of_track), found.n_points, self.median_length,
-            found.reprojection_error, found.geometry,
+            self.sequence, self.method, len(found.positions), len(found.point_of_track), found.n_points,
+            self.median_length, found.reprojection_error, found.geometry,
         ]  # fmt: skip
 
 
-LINE = ("sequence", "method", "tracks", "points", "median frames of a point", "error, px", "shape")
+LINE = ("sequence", "method", "frames", "tracks", "points", "median frames of a point", "error, px", "shape")
 
 
 def reproduce_box(out: Path) -> None:
