@@ -37,7 +37,7 @@ def _without_look(
     seen, looks, noise = evidence.moments
     common, here, there = np.intersect1d(identities, seen, assume_unique=True, return_indices=True)
     mean, covariance, looks = mean[here], covariance[here], looks[there]
-    about = structure.noise * np.eye(2)  # by which features scatter about the shape, eq. (20)
+    about = structure.scatter * np.eye(2)  # by which features scatter about the shape, eq. (20)
     fitted = structure.factorisation.noise_variance * np.trace(noise[there], axis1=1, axis2=2) / 2
     of_look = np.eye(2) / fitted[:, None, None]
     of_shape = np.linalg.inv(covariance - about)

@@ -14,6 +14,9 @@ from ..models.point_tracks import PointMessage, PointTracks
 
 Numbers = NDArray[np.float64]
 
+LEAST_SCATTER = 1e-6
+"""Of the noise: keeps covariances positive where shape and cameras are known exactly."""
+
 
 @dataclass(frozen=True, eq=False)
 class StructureTrajectory:
@@ -29,12 +32,15 @@ class StructureTrajectory:
         cameras and points; see there.
     noise
         px^2, variance of an observation about what shape and cameras predict.
+    scatter
+        px^2, what of this is the features' own, eq. (20), and not the noise that observations state.
     """
 
     identities: NDArray[np.int64]
     point_of_track: NDArray[np.int64]
     factorisation: Factorisation
     noise: float
+    scatter: float
 
     @property
     def log_prior(self) -> float:
@@ -80,14 +86,14 @@ class FactorStructure:
         else:
             fit = factorise(positions, weights, coherence=self.coherence)
             point = np.arange(len(identities))
-        noise = fit.noise_variance / float(np.median(weights[weights > 0]))
-        return StructureTrajectory(identities, point, fit, noise)
+        stated = 1 / float(np.median(weights[weights > 0]))
+        noise = fit.noise_variance * stated
+        return StructureTrajectory(identities, point, fit, noise, max(noise - stated, 0.0))
 
     def messages(self, trajectory: StructureTrajectory, feature: PointTracks) -> list[PointMessage]:
         """Where the points of all tracks are in each frame, seen or not; nothing of tracks without one."""
         positions, covariances = predicted(trajectory.factorisation)
-        # eq. (20): features scatter about what the shape predicts
-        covariances[..., [0, 1], [0, 1]] += trajectory.noise
+        covariances[..., [0, 1], [0, 1]] += trajectory.scatter + LEAST_SCATTER * trajectory.noise
         known = trajectory.point_of_track >= 0
         tracks, points = trajectory.identities[known], trajectory.point_of_track[known]
         first = np.full(len(trajectory.factorisation.shape), np.iinfo(np.int64).max)

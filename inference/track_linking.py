@@ -30,7 +30,7 @@ MARGINS = (3.0, 1.5, 0.0)
 
 MOST_ROUNDS = 10
 SHARINGS = 4
-SURE = 0.98
+SURE = 0.99
 """Probability from which a track is said to show a point."""
 
 DETERMINED = 0.15
