@@ -103,9 +103,11 @@ def kalman_claims() -> list[Claim]:
 
 def _moving(axes: int) -> tuple[Numbers, Numbers]:
     """Transition and its noise over a frame, positions before velocities."""
-    transition = np.kron([[1, FRAME], [0, 1]], np.eye(axes))
-    noise = np.kron([[FRAME**3 / 3, FRAME**2 / 2], [FRAME**2 / 2, FRAME]], np.eye(axes))
-    return transition, ACCELERATION * noise
+    one = np.array([[1.0, FRAME], [0.0, 1.0]])
+    noise = ACCELERATION * np.array([[FRAME**3 / 3, FRAME**2 / 2], [FRAME**2 / 2, FRAME]])
+    moving: Numbers = np.kron(one, np.eye(axes))
+    pushed: Numbers = np.kron(noise, np.eye(axes))
+    return moving, pushed
 
 
 def _filterpy_filter(places: Numbers) -> tuple[Numbers, Numbers]:

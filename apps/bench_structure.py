@@ -5,6 +5,7 @@ All on one thread: set `OPENBLAS_NUM_THREADS=1` (or that of your BLAS) for the p
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,7 @@ def turning_points(n_frames: int, n_points: int, length: int, seed: int = 0) -> 
     cameras = np.zeros((n_frames, 2, 3))
     cameras[:, 0, 0], cameras[:, 0, 2] = np.cos(angle), np.sin(angle)
     cameras[:, 1, 1], cameras[:, 1, 0] = 1.0, 0.3 * np.sin(angle)
-    positions = (
+    positions: Numbers = (
         300 + np.einsum("tcj,ij->tic", cameras, shape) + generator.normal(size=(n_frames, n_points, 2))
     )
     if length < n_frames:
@@ -139,7 +140,7 @@ def solve_claims() -> list[Claim]:
     for length, bound in ((N_FRAMES, 10.0), (60, None)):
         positions = turning_points(N_FRAMES, N_POINTS, length)
         found = factorise(positions)
-        ours = medians({"ours": lambda positions=positions: factorise(positions)}, 3)["ours"]
+        ours = medians({"ours": partial(factorise, positions)}, 3)["ours"]
         generator = np.random.default_rng(1)
         near = found.cameras + 50 * generator.normal(size=found.cameras.shape)
         shape = found.shape + 0.5 * generator.normal(size=found.shape.shape)
@@ -160,7 +161,7 @@ def solve_claims() -> list[Claim]:
     started = time.perf_counter()
     error = bundle_adjustment(positions, cameras, shape)
     theirs = time.perf_counter() - started
-    ours = medians({"ours": lambda: factorise(positions)}, 3)["ours"]
+    ours = medians({"ours": partial(factorise, positions)}, 3)["ours"]
     what = f"100 x 600, {SEEN_THROUGH} frames a point: bundle adjustment from the mean-filled SVD"
     claims.append(Claim(f"{what}, over a solve", theirs / ours))
     claims.append(Claim(f"{what}, its error over ours", error / factorise(positions).rmse))

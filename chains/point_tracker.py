@@ -31,6 +31,7 @@ from ..inference.point_trajectory import Gathered, Looks, PointTrajectory, smoot
 from ..inference.protocols import BatchIncoming, Incoming
 from ..models.frame import Frame
 from ..models.gaussian_message import GaussianMessage
+from ..models.mahalanobis import squared_distances
 from ..models.patches import Patches
 from ..models.point_tracks import PointMessage, PointTracks
 
@@ -297,5 +298,5 @@ def _plausible(told: GaussianMessage, identities: Identities, positions: Numbers
     off = positions[place] - mean
     spread = covariance + BORN**2 * np.eye(2)
     plausible = np.ones(len(identities), np.bool_)
-    plausible[place] = (off * np.linalg.solve(spread, off[:, :, None])[:, :, 0]).sum(axis=1) <= FAR**2
+    plausible[place] = squared_distances(off, spread) <= FAR**2
     return plausible

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..models.mahalanobis import squared_distances
 from .kalman import PointStates, filter_tracks
 
 Numbers = NDArray[np.float64]
@@ -60,7 +61,7 @@ class Measurements:
         return Measurements(self.times, self.information[:, points], self.vector[:, points])
 
     def moments(self) -> tuple[Numbers, Numbers]:
-        """Positions `(n_frames, n_points, 2)` px and covariances `(n_frames, n_points, 2, 2)` px^2, else 0."""
+        """Positions `(n_frames, n_points, 2)` px and covariances `(..., 2, 2)` px^2; 0 where not seen."""
         seen = self.seen
         position, covariance = np.zeros_like(self.vector), np.zeros_like(self.information)
         covariance[seen] = np.linalg.inv(self.information[seen])
@@ -94,10 +95,10 @@ class Motion:
 def learned_motion(measured: Measurements, acceleration: float | None = None) -> Motion:
     """Motion that fits the measurements.
 
-    The acceleration is the one with which half of all measurements are inside the ellipses in which the filter,
-    one frame ahead, expects half of them: the median of the squared Mahalanobis distances is that of a Gaussian.
-    Maximum likelihood agrees where errors are Gaussian, but would be swayed by tracks that jump or slip. Where
-    measurements scatter less than they claim, the acceleration is the least that is believed.
+    The acceleration is the one with which half of all measurements are inside the ellipses in which the
+    filter, one frame ahead, expects half of them: the median of the squared distances is a Gaussian's.
+    Maximum likelihood agrees where errors are Gaussian, but would be swayed by tracks that jump or slip.
+    Where measurements scatter less than they claim, the acceleration is the least that is believed.
 
     Parameters
     ----------
@@ -154,8 +155,7 @@ def one_frame_ahead(filtered: PointStates, times: Numbers, acceleration: float) 
 
 
 def _steps(times: Numbers, position: Numbers, seen: Mask) -> tuple[float, float, float]:
-    """Typical velocity (px/s) and step from frame to frame (px) of a coordinate, and time between frames
-    (s)."""
+    """Typical velocity, px/s, and step from frame to frame, px, of a coordinate; s between frames."""
     apart = np.diff(times)
     dt = float(np.median(apart)) if len(apart) else 1.0
     both = seen[1:] & seen[:-1]
@@ -165,8 +165,7 @@ def _steps(times: Numbers, position: Numbers, seen: Mask) -> tuple[float, float,
 
 
 def _distances(measured: Measurements, motion: Motion) -> Numbers:
-    """Squared Mahalanobis distances of measurements from where they are expected, of points that were seen
-    twice."""
+    """Squared distances of measurements from where they are expected, once a point was seen twice."""
     seen = measured.seen
     filtered = filter_tracks(
         motion.prior(seen.shape[1]),
@@ -180,5 +179,4 @@ def _distances(measured: Measurements, motion: Motion) -> Numbers:
     known = seen[1:] & (np.cumsum(seen, axis=0)[:-1] >= 2)
     off = (position[1:] - expected)[known]
     spread = (covariance + noise[1:])[known]
-    distances: Numbers = (off * np.linalg.solve(spread, off[:, :, None])[:, :, 0]).sum(axis=1)
-    return distances
+    return squared_distances(off, spread)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..models.gaussian_message import GaussianMessage
+from ..models.mahalanobis import squared_distances
 from ..models.patches import Patches, likeness, lit_as
 from ..models.point_tracks import PointMessage, View
 from . import kalman
@@ -216,8 +217,7 @@ def _restless(state: TrackerState, positions: GaussianMessage, seen: Mask) -> fl
     noise = np.linalg.inv(positions.information[seen])
     off = (noise @ positions.vector[seen][:, :, None])[:, :, 0] - state.known.states.position[seen]
     spread = noise + state.known.states.position_covariance[seen]
-    distances = (off * np.linalg.solve(spread, off[:, :, None])[:, :, 0]).sum(axis=1)
-    surprise = np.log(np.median(distances) / MEDIAN + 1e-9)
+    surprise = np.log(np.median(squared_distances(off, spread)) / MEDIAN + 1e-9)
     return float(state.acceleration * np.exp(LEARNING * np.clip(surprise, -MOST_SURPRISE, MOST_SURPRISE)))
 
 

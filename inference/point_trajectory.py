@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models.gaussian_message import GaussianMessage
+from ..models.mahalanobis import squared_distances
 from .kalman import PointStates, cavity, filter_tracks, smooth
 from .learned_acceleration import Measurements, Motion, one_frame_ahead
 
@@ -220,6 +221,6 @@ def _log_prior(
 
 
 def _log_density(off: Numbers, covariance: Numbers) -> Numbers:
-    quadratic = (off * np.linalg.solve(covariance, off[:, :, None])[:, :, 0]).sum(axis=1)
-    density: Numbers = -0.5 * quadratic - np.log(2 * np.pi) - 0.5 * np.log(np.linalg.det(covariance))
+    sizes = np.log(np.linalg.det(covariance))
+    density: Numbers = -0.5 * (squared_distances(off, covariance) + sizes) - np.log(2 * np.pi)
     return density

@@ -14,7 +14,7 @@ TAPS = 5
 """Offsets that are taken in one go: the side of a usual patch."""
 
 SPAN = 64
-"""Places among which the best one is found first."""
+"""Places: the best ones of all that are so far apart are found in long loops, then the best of these."""
 
 FLAT = 0.5
 """Grey levels: patches whose standard deviation is below show little but rounding."""
@@ -38,7 +38,7 @@ ROUNDING = 0.25
 LEAST_DEVIATION = 0.03
 """px: error of a place even where patches fit exactly, for what is between pixels is only interpolated."""
 
-_LOW = _f4(-2)  # below any score
+_LOW = _f4(-4)  # below any score, also when one is added
 _FARTHEST = 0.999  # px from the best whole pixel: beyond, another one would be better
 
 
@@ -95,20 +95,35 @@ def _window(image, left, top, width, height, line):
 
 
 @compiled
+def _layout(width, columns, rows, side, offsets, rim):
+    """Lay out a window with room for `rows` of `columns` patches, as one line of rows of `width`.
+
+    `offsets` takes those of a patch's column and of the whole patch, `rim` a low number for the places on the
+    window's rim, and for those from which a patch would run over the end of a row; 0 for all others.
+    """
+    whole = offsets[padded(side) :]
+    for y in range(side):
+        offsets[y] = y * width
+        for x in range(side):
+            whole[y * side + x] = y * width + x
+    for y in range(rows):
+        outside = y in (0, rows - 1)
+        for x in range(min(width, rim.size - y * width)):
+            inside = not outside and 0 < x < columns - 1
+            rim[y * width + x] = _f4(0) if inside else _LOW
+
+
+@compiled
 def _correlate(line, width, side, template, offsets, ones, scratch, score):
     """Normalised correlation of a patch of mean 0 and length 1 with all that begin on the line.
 
-    `offsets` takes those of a column and of the whole patch; `ones` are as many as it has rows. A place from
-    which a patch would run over the end of a row gets a number without meaning.
+    See `_layout` for `offsets`; `ones` are as many as a patch has rows. A place from which a patch would run
+    over the end of a row gets a number without meaning.
     """
-    column, whole = offsets[: padded(side)], offsets[padded(side) :]
+    column, whole = offsets[: ones.size], offsets[ones.size :]
     in_rows = score.size + (side - 1) * width
     row_total, row_energy = scratch[0, :in_rows], scratch[1, :in_rows]
     total, energy = scratch[2, : score.size], scratch[3, : score.size]
-    for y in range(side):
-        column[y] = y * width
-        for x in range(side):
-            whole[y * side + x] = y * width + x
     _row_sums(line, ones, row_total, row_energy)
     _sum_products(row_total, column, ones, total)
     _sum_products(row_energy, column, ones, energy)
@@ -119,8 +134,8 @@ def _correlate(line, width, side, template, offsets, ones, scratch, score):
 
 
 @compiled
-def _peaks(score, width, columns, rows, highest, peak):
-    """Leave in `peak` the scores that none of their eight neighbours exceeds, and a low number elsewhere.
+def _peaks(score, width, rim, highest, peak):
+    """Leave in `peak` the scores that none of their eight neighbours exceeds, and low numbers elsewhere.
 
     On the window's rim there are none: nothing tells whether the score falls off behind it.
     """
@@ -132,40 +147,43 @@ def _peaks(score, width, columns, rows, highest, peak):
     above, below = highest[:inner], highest[2 * width : 2 * width + inner]
     before, here, after = score[width:], score[width + 1 :], score[width + 2 :]
     peak[:] = _LOW
-    found = peak[width + 1 :]
+    found, inside = peak[width + 1 :], rim[width + 1 :]
     for i in range(inner):
         around = max(max(before[i], after[i]), max(above[i], below[i]))
-        found[i] = here[i] if here[i] >= around else _LOW
-    for y in range(rows):
-        peak[y * width] = _LOW
-        for x in range(columns - 1, min(width, n - y * width)):
-            peak[y * width + x] = _LOW
+        found[i] = here[i] + inside[i] if here[i] >= around else _LOW
 
 
 @compiled
-def _highest(peak):
-    """Place on the line of the highest peak, or -1; the line is a multiple of `SPAN` long."""
-    best, start = _LOW, -1
-    for first in range(0, peak.size, SPAN):
-        span, most = peak[first : first + SPAN], _LOW
-        for i in range(SPAN):
-            most = max(most, span[i])
-        if most > best:
-            best, start = most, first
-    if start < 0:
+def _highest(peak, among):
+    """Place on the line of the highest peak, or -1; the line is a multiple of four times `among`'s length."""
+    n = among.size
+    for i in range(n):
+        among[i] = _LOW
+    for first in range(0, peak.size, 4 * n):
+        a0, a1 = peak[first : first + n], peak[first + n : first + 2 * n]
+        a2, a3 = peak[first + 2 * n : first + 3 * n], peak[first + 3 * n : first + 4 * n]
+        for i in range(n):
+            among[i] = max(among[i], max(max(a0[i], a1[i]), max(a2[i], a3[i])))
+    best = _LOW
+    for i in range(n):
+        best = max(best, among[i])
+    if best < NOWHERE:
         return -1
-    while peak[start] != best:
-        start += 1
-    return start
+    place = 0
+    while among[place] != best:
+        place += 1
+    while peak[place] != best:
+        place += n
+    return place
 
 
 @compiled
 def _flat(template):
     """Whether a template is that of a patch without contrast, or of none: all 0."""
-    largest = _f4(0)
-    for i in range(template.size):
-        largest = max(largest, abs(template[i]))
-    return largest == 0
+    for i in range(template.size):  # noqa: SIM110
+        if template[i] != 0:
+            return False
+    return True
 
 
 @compiled
@@ -181,13 +199,18 @@ def _summit(before, here, after):
 def _around(image, x, y, reach, line):
     """Pixels about `(x, y)` as far as `reach`, less the middle one; beyond the edge the last ones repeat."""
     rows, columns = image.shape
-    middle = _f4(image[y, x])
-    i = 0
-    for row in range(y - reach, y + reach + 1):
-        pixels = image[min(max(row, 0), rows - 1)]
-        for column in range(x - reach, x + reach + 1):
-            line[i] = _f4(pixels[min(max(column, 0), columns - 1)]) - middle
-            i += 1
+    size, middle = 2 * reach + 1, _f4(image[y, x])
+    whole = x >= reach and x + reach < columns
+    for row in range(size):
+        pixels = image[min(max(y - reach + row, 0), rows - 1)]
+        here = line[row * size : (row + 1) * size]
+        if whole:
+            seen = pixels[x - reach : x + reach + 1]
+            for i in range(size):
+                here[i] = _f4(seen[i]) - middle
+        else:
+            for i in range(size):
+                here[i] = _f4(pixels[min(max(x - reach + i, 0), columns - 1)]) - middle
 
 
 @compiled
@@ -337,10 +360,12 @@ def search(image, templates, side, middles, reaches, scores, rivals, positions, 
     longest = 1
     for k in range(len(reaches)):
         longest = max(longest, (2 * reaches[k, 0] + side) * (2 * reaches[k, 1] + side))
-    longest = -(-longest // SPAN) * SPAN
+    longest = -(-longest // (4 * SPAN)) * 4 * SPAN
     # what a row's sums read beyond the end of the line has weight 0, but must be a number
     line, scratch = np.zeros(longest + TAPS, np.float32), np.empty((4, longest), np.float32)
     whole_score, whole_peak = np.empty(longest, np.float32), np.empty(longest, np.float32)
+    whole_rim, last_columns, last_rows = np.empty(longest, np.float32), 0, 0
+    among = np.empty(SPAN, np.float32)
     offsets, ones = np.zeros(taps + padded(side * side), np.int64), np.zeros(taps, np.float32)
     for i in range(side):
         ones[i] = _f4(1)
@@ -364,18 +389,26 @@ def search(image, templates, side, middles, reaches, scores, rivals, positions, 
             continue
         width = columns + side - 1
         count = (rows - 1) * width + columns
-        score, peak = whole_score[:count], whole_peak[: -(-count // SPAN) * SPAN]
+        score, peak, rim = (
+            whole_score[:count],
+            whole_peak[: -(-count // (4 * SPAN)) * 4 * SPAN],
+            whole_rim[:count],
+        )
+        if columns != last_columns or rows != last_rows:
+            _layout(width, columns, rows, side, offsets, rim)
+            last_columns, last_rows = columns, rows
         _window(image, left, top, width, rows + side - 1, line)
         _correlate(line, width, side, template, offsets, ones, scratch, score)
-        _peaks(score, width, columns, rows, scratch[0], peak)
-        best = _highest(peak)
+        _peaks(score, width, rim, scratch[0], peak)
+        best = _highest(peak, among)
         if best < 0:
             continue
         y, x = best // width, best % width
         move_x, _ = _summit(score[best - 1], score[best], score[best + 1])
         move_y, _ = _summit(score[best - width], score[best], score[best + width])
-        for i in range(side * side):
-            spread[i // side * wide + i % side] = template[i]
+        for row in range(side):
+            for column in range(side):
+                spread[row * wide + column] = template[row * side + column]
         middle_x, middle_y = left + x + half, top + y + half
         move_x, move_y, found, xx, xy, yy = _refine(
             image, middle_x, middle_y, side, spread, inside, move_x, move_y, around, between
@@ -387,7 +420,7 @@ def search(image, templates, side, middles, reaches, scores, rivals, positions, 
         for row in range(max(y - half, 0), min(y + half + 1, rows)):
             for column in range(max(x - half, 0), min(x + half + 1, columns)):
                 peak[row * width + column] = _LOW
-        other = _highest(peak)
+        other = _highest(peak, among)
         if other >= 0:
             _, more = _summit(score[other - 1], score[other], score[other + 1])
             _, still = _summit(score[other - width], score[other], score[other + width])

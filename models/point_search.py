@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import patch_search
 from .correlation_kernels import best_places
+from .mahalanobis import squared_distances
 from .patch_alignment import Aligned, align_patches
 
 Numbers = NDArray[np.float64]
@@ -26,17 +27,15 @@ REACH = 3.0
 """Standard deviations from where a point should be within which it is looked for."""
 
 GRID = 0.5
-"""px, standard deviation added to what is known of a position: places are compared pixel by pixel, and half a
-pixel more than expected is soon moved by any hand that holds a camera."""
+"""px, standard deviation added to what is known of a position: places are compared pixel by pixel, and any
+hand that holds a camera soon moves it by half a pixel more than expected."""
 
 ODDS = 10.0
 """By which a place must be likelier than its rival."""
 
 NEAR = 1.0
-"""px: places that are nearer to each other are one, and what is found is at most so far from its whole pixel."""
-
-BACK = 1.5
-"""px, to whole pixels: so far from where it began the way back may lead."""
+"""px: places that are nearer to each other are one. So far may fractions of a pixel lead, and the way
+back."""
 
 LEAST_SPREAD, MOST_SPREAD = 0.05, 0.7
 """px, standard deviation of a found position: the least there is, and from which on it is as good as not
@@ -51,7 +50,8 @@ def least_likeness(false_alarms: float, area: ArrayLike, side: int) -> Numbers:
 
     The expected number of places that are at least so like a patch of `side` px in `area` px^2 is
     0.24 (area / 1089)^0.56 (5 / side)^2.5 ((1 - likeness) / 0.1)^2.5: a fit to counts for sides from 5 to 11,
-    areas from 25 to 1089 and likenesses from 0.8 to 0.95, right to a third.
+    areas from 25 to 1089 and likenesses from 0.8 to 0.95, right to a third. What else is
+    asked of a place leaves a third of these false alarms.
     """
     at_ten_percent = 0.24 * (np.maximum(area, 1) / 1089) ** 0.56 * (5 / side) ** 2.5
     unlike = 0.1 * (-np.log(1 - false_alarms) / at_ten_percent) ** 0.4
@@ -165,7 +165,7 @@ def _weights(way: Aligned, mean: Numbers, covariance: Numbers) -> Numbers:
     """`(n,)` log of likelihood and prior, up to a constant; -inf where a patch cannot be."""
     off = way.position - mean
     wide = covariance + way.covariance + GRID**2 * np.eye(2)
-    square = (off * np.linalg.solve(wide, off[..., None])[..., 0]).sum(axis=1)
+    square = squared_distances(off, wide)
     weight = -SHARPNESS * np.log(1 - np.clip(way.likeness, 0, 1) ** 2 + LIKENESS_NOISE) - 0.5 * square
     weights: Numbers = np.where((way.likeness > 0) & (square < REACH**2), weight, -np.inf)
     return weights

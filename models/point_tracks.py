@@ -41,6 +41,8 @@ class View:
         `(height, width)` uint8; `None` where points were given instead of a picture.
     noise
         px, standard deviation of each coordinate of points that were given.
+    patch
+        px, side of the patches that are cut from it.
     """
 
     time: float
@@ -174,8 +176,8 @@ class PointTracks:
     def evidence(self, frame: Frame, prior: PointMessage) -> PointMessage:
         """Where the frame shows points of `prior`; or all points that are given with the frame.
 
-        A given point is N(z; F, noise^2 I), whatever the prior. Otherwise every point of whom `prior` knows
-        what it looks like, and where to within a standard deviation of `farthest`, is looked for by normalised
+        A given point is N(z; F, noise^2 I), whatever the prior. Otherwise every point of which `prior` knows
+        the look, and the place to a standard deviation of `farthest`, is looked for by normalised
         correlation. One that is found is area * N(z; F, R), as against being anywhere in the picture; one
         that is not found is no information.
         """

@@ -12,25 +12,6 @@ Grey = NDArray[np.uint8]
 HEIGHT, WIDTH = 140, 180
 
 
-class Texture:
-    """Grey values about 128 with a standard deviation of 40, in waves of 5 to 60 px in all directions."""
-
-    def __init__(self, seed: int, n_waves: int = 50) -> None:
-        random = np.random.default_rng(seed)
-        length = np.exp(random.uniform(np.log(5), np.log(60), n_waves))
-        direction = random.uniform(0, np.pi, n_waves)
-        self._waves = 2 * np.pi / length * np.array([np.cos(direction), np.sin(direction)])
-        self._phases = random.uniform(0, 2 * np.pi, n_waves)
-        self._heights = np.sqrt(length)
-        self._heights *= 40 / np.sqrt((self._heights**2).sum() / 2)
-
-    def __call__(self, x: Numbers, y: Numbers) -> Numbers:
-        values = np.full(np.shape(x), 128.0)
-        for height, (along_x, along_y), phase in zip(self._heights, self._waves.T, self._phases, strict=True):
-            values += height * np.cos(along_x * x + along_y * y + phase)
-        return values
-
-
 @dataclass(frozen=True)
 class Pose:
     """Where the plane is: its point P is seen at `linear @ P + shift`."""
@@ -45,6 +26,29 @@ class Pose:
     def on_plane(self, positions: Numbers) -> Numbers:
         """Points of the plane at positions `(..., 2)` px."""
         return (positions - self.shift) @ np.linalg.inv(self.linear).T
+
+
+class Texture:
+    """A plane with grey values about 0 with a standard deviation of 40, in waves of 5 to 60 px in all
+    directions."""
+
+    def __init__(self, seed: int, n_waves: int = 80) -> None:
+        random = np.random.default_rng(seed)
+        length = np.exp(random.uniform(np.log(5), np.log(60), n_waves))
+        direction = random.uniform(0, np.pi, n_waves)
+        self._waves = 2 * np.pi / length * np.array([np.cos(direction), np.sin(direction)])
+        self._heights = np.sqrt(length) * np.exp(1j * random.uniform(0, 2 * np.pi, n_waves))
+        self._heights *= 40 / np.sqrt((np.abs(self._heights) ** 2).sum() / 2)
+
+    def seen(self, pose: Pose) -> Numbers:
+        """Values at all pixels, `(HEIGHT, WIDTH)`, of the plane in a pose."""
+        # a wave on the plane is one in the picture: a product of what its rows and its columns do
+        waves = np.linalg.inv(pose.linear).T @ self._waves
+        shifted = self._heights * np.exp(-1j * pose.shift @ waves)
+        rows = np.exp(1j * np.arange(HEIGHT)[:, None] * waves[1])
+        columns = np.exp(1j * waves[0][:, None] * np.arange(WIDTH))
+        values: Numbers = ((rows * shifted) @ columns).real
+        return values
 
 
 def sliding(n_frames: int, per_frame: Sequence[float] = (0.83, 0.37)) -> list[Pose]:
@@ -65,11 +69,16 @@ def turning(n_frames: int, degrees_per_frame: float = 0.5) -> list[Pose]:
     return poses
 
 
-def picture(texture: Texture, pose: Pose, noise: float = 0.0, seed: int = 0) -> Grey:
+def picture(
+    texture: Texture,
+    pose: Pose,
+    noise: float = 0.0,
+    seed: int = 0,
+    contrast: float = 1.0,
+    light: float = 128.0,
+) -> Grey:
     """`(HEIGHT, WIDTH)` of the plane in a pose, with noise of so many grey values."""
-    rows, columns = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
-    points = pose.on_plane(np.stack([columns, rows], axis=2))
-    values = texture(points[..., 0], points[..., 1])
+    values = light + contrast * texture.seen(pose)
     values += noise * np.random.default_rng(seed).standard_normal(values.shape)
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
@@ -83,10 +92,10 @@ def film(poses: Sequence[Pose], seed: int = 0, noise: float = 1.0) -> list[Grey]
 def hidden_by_a_bar(pictures: Sequence[Grey], first: int, speed: float, width: int = 40) -> list[Grey]:
     """A textured bar enters from the left in frame `first` and crosses the picture at `speed` px a frame."""
     texture = Texture(987)
-    rows, columns = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
+    columns = np.arange(WIDTH)
     result = []
     for t, grey in enumerate(pictures):
         left = speed * (t - first) - width
-        bar = np.clip(np.rint(texture(columns - left, rows)), 0, 255).astype(np.uint8)
+        bar = picture(texture, Pose(np.eye(2), np.array([left, 0.0])))
         result.append(np.where((columns >= left) & (columns < left + width), bar, grey))
     return result

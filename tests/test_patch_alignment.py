@@ -22,12 +22,8 @@ def shifted(
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """The same plane before and after `SHIFT`, half as contrasty as usual so that nothing is cut off."""
     texture = Texture(3)
-
-    def dim(x: Numbers, y: Numbers) -> Numbers:
-        return 128 + 0.5 * (texture(x, y) - 128)
-
-    before = picture(dim, Pose(np.eye(2), np.zeros(2)), noise, 1)  # type: ignore[arg-type]
-    after = picture(lambda x, y: gain * dim(x, y) + offset, Pose(np.eye(2), SHIFT), noise, 2)  # type: ignore[arg-type]
+    before = picture(texture, Pose(np.eye(2), np.zeros(2)), noise, 1, 0.5)
+    after = picture(texture, Pose(np.eye(2), SHIFT), noise, 2, 0.5 * gain, 128 + offset)
     return before, after
 
 
