@@ -105,9 +105,8 @@ def _moving(axes: int) -> tuple[Numbers, Numbers]:
     """Transition and its noise over a frame, positions before velocities."""
     one = np.array([[1.0, FRAME], [0.0, 1.0]])
     noise = ACCELERATION * np.array([[FRAME**3 / 3, FRAME**2 / 2], [FRAME**2 / 2, FRAME]])
-    moving: Numbers = np.kron(one, np.eye(axes))
-    pushed: Numbers = np.kron(noise, np.eye(axes))
-    return moving, pushed
+    axis = np.eye(axes)
+    return np.asarray(np.kron(one, axis), np.float64), np.asarray(np.kron(noise, axis), np.float64)
 
 
 def _filterpy_filter(places: Numbers) -> tuple[Numbers, Numbers]:
