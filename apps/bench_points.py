@@ -29,8 +29,6 @@ FIRST, SPEED = 10.0, 100.0  # px and px/s: standard deviations of a new point
 N_PATCHES = 300
 SIDE, REACH = 5, 10  # px
 
-ROUNDS = 7
-
 
 def point_claims() -> list[Claim]:
     """All of them."""
@@ -42,15 +40,16 @@ def point_claims() -> list[Claim]:
         cv2.setNumThreads(threads)
 
 
-def in_turns(methods: Mapping[str, Callable[[], object]], rounds: int = ROUNDS) -> dict[str, float]:
-    """Median seconds a call of several methods, which take turns; the first round only warms up."""
+def in_turns(methods: Mapping[str, Callable[[], object]], rounds: int, turn: int = 1) -> dict[str, float]:
+    """Median seconds a call of methods that take turns of `turn` calls; the first round warms up."""
     spent: dict[str, list[float]] = {name: [] for name in methods}
     for _ in range(rounds + 1):
         for name, method in methods.items():
-            started = time.perf_counter()
-            method()
-            spent[name].append(time.perf_counter() - started)
-    return {name: statistics.median(values[1:]) for name, values in spent.items()}
+            for _ in range(turn):
+                started = time.perf_counter()
+                method()
+                spent[name].append(time.perf_counter() - started)
+    return {name: statistics.median(values[turn:]) for name, values in spent.items()}
 
 
 # --- Kalman filter and smoother -----------------------------------------------------------------------------
@@ -82,7 +81,8 @@ def kalman_claims() -> list[Claim]:
             "filterpy smoother": lambda: [_filterpy_smoother(*states) for states in passed],
             "simdkalman": lambda: _simdkalman(places, smoothed=False),
             "simdkalman both": lambda: _simdkalman(places, smoothed=True),
-        }
+        },
+        rounds=7,
     )
     of = {name: 1e6 * value / (N_POINTS * N_FRAMES) for name, value in seconds.items()}
     return [
@@ -172,7 +172,8 @@ def search_claims() -> list[Claim]:
             "matchTemplate": one_by_one,
             "PyrLK": lambda: cv2.calcOpticalFlowPyrLK(first, second, corners, room),
         },
-        rounds=50,
+        rounds=10,
+        turn=8,
     )
     return [
         Claim(f"search for {len(corners)} patches, +-{REACH} px, ms", 1e3 * seconds["search"]),

@@ -13,6 +13,9 @@ _f4 = np.float32
 TAPS = 5
 """Offsets that are taken in one go: the side of a usual patch."""
 
+REGISTER = 16
+"""Numbers of a vector register: a line that is a multiple of it long leaves nothing to be done one by one."""
+
 SPAN = 64
 """Places: the best ones of all that are so far apart are found in long loops, then the best of these."""
 
@@ -43,9 +46,9 @@ _FARTHEST = 0.999  # px from the best whole pixel: beyond, another one would be 
 
 
 @compiled
-def padded(count):
-    """Return `count` made a multiple of `TAPS`; what is too much has weight 0."""
-    return -(-count // TAPS) * TAPS
+def padded(count, unit):
+    """Return `count`, made a multiple of `unit`."""
+    return -(-count // unit) * unit
 
 
 @compiled
@@ -101,16 +104,15 @@ def _layout(width, columns, rows, side, offsets, rim):
     `offsets` takes those of a patch's column and of the whole patch, `rim` a low number for the places on the
     window's rim, and for those from which a patch would run over the end of a row; 0 for all others.
     """
-    whole = offsets[padded(side) :]
+    whole = offsets[padded(side, TAPS) :]
     for y in range(side):
         offsets[y] = y * width
         for x in range(side):
             whole[y * side + x] = y * width + x
-    for y in range(rows):
-        outside = y in (0, rows - 1)
-        for x in range(min(width, rim.size - y * width)):
-            inside = not outside and 0 < x < columns - 1
-            rim[y * width + x] = _f4(0) if inside else _LOW
+    rim[:] = _LOW
+    for y in range(1, rows - 1):
+        for x in range(1, columns - 1):
+            rim[y * width + x] = _f4(0)
 
 
 @compiled
@@ -121,7 +123,7 @@ def _correlate(line, width, side, template, offsets, ones, scratch, score):
     over the end of a row gets a number without meaning.
     """
     column, whole = offsets[: ones.size], offsets[ones.size :]
-    in_rows = score.size + (side - 1) * width
+    in_rows = padded(score.size + (side - 1) * width, REGISTER)
     row_total, row_energy = scratch[0, :in_rows], scratch[1, :in_rows]
     total, energy = scratch[2, : score.size], scratch[3, : score.size]
     _row_sums(line, ones, row_total, row_energy)
@@ -349,33 +351,40 @@ def search(image, templates, side, middles, reaches, scores, rivals, positions, 
     Parameters
     ----------
     templates
-        `(n, TAPS * ...)`: pixels of a patch in rows, mean 0 and length 1 (all 0: flat), then zeros.
+        `(n, ...)`: pixels of a patch in rows, mean 0 and length 1 (all 0: flat), then zeros.
     middles, reaches
         `(n, 2)` int64: x and y of the windows' middles and half sizes.
     scores, rivals, positions, information
         `(n,)`, `(n,)`, `(n, 2)`, `(n, 2, 2)`: results; positions stay as they are where there is no peak. A
         rival is the highest peak that is more than half a patch away along x or y.
     """
-    half, taps = side // 2, padded(side)
+    half, taps = side // 2, padded(side, TAPS)
     longest = 1
     for k in range(len(reaches)):
         longest = max(longest, (2 * reaches[k, 0] + side) * (2 * reaches[k, 1] + side))
-    longest = -(-longest // (4 * SPAN)) * 4 * SPAN
-    # what a row's sums read beyond the end of the line has weight 0, but must be a number
-    line, scratch = np.zeros(longest + TAPS, np.float32), np.empty((4, longest), np.float32)
+    longest = padded(longest, 4 * SPAN)
+    # what is read beyond the end of a window counts for nothing, but must be numbers
+    line, scratch = (
+        np.zeros(longest + 2 * REGISTER, np.float32),
+        np.empty((4, longest + REGISTER), np.float32),
+    )
     whole_score, whole_peak = np.empty(longest, np.float32), np.empty(longest, np.float32)
     whole_rim, last_columns, last_rows = np.empty(longest, np.float32), 0, 0
+    offsets, ones = np.zeros(taps + padded(side * side, TAPS), np.int64), np.zeros(taps, np.float32)
     among = np.empty(SPAN, np.float32)
-    offsets, ones = np.zeros(taps + padded(side * side), np.int64), np.zeros(taps, np.float32)
     for i in range(side):
         ones[i] = _f4(1)
     # the best place's surroundings, two pixels wider than a patch, and between pixels one
     wide = side + 4
-    around, between = np.empty(wide * wide, np.float32), np.empty((side + 1) * wide + side + 2, np.float32)
-    inside = np.zeros((side - 1) * wide + side, np.float32)
-    spread = np.zeros_like(inside)
-    for i in range(side * side):
-        inside[i // side * wide + i % side] = _f4(1)
+    inside = np.zeros(padded((side - 1) * wide + side, REGISTER), np.float32)
+    spread, between = (
+        np.zeros_like(inside),
+        np.empty(padded(inside.size + 2 * wide + 2, REGISTER), np.float32),
+    )
+    around = np.zeros(between.size + 2 * wide + 4, np.float32)
+    for row in range(side):
+        for column in range(side):
+            inside[row * wide + column] = _f4(1)
     for k in range(len(middles)):
         scores[k] = rivals[k] = NOWHERE
         information[k, 0, 0] = information[k, 0, 1] = information[k, 1, 0] = information[k, 1, 1] = 0.0

@@ -146,7 +146,7 @@ def search_patches(
     windows = np.clip(np.broadcast_to(windows, (n_points, 2)), 0, size)
     # far outside is as good as a little further than a window reaches
     middles = np.rint(np.clip(places, -side - windows, size + side + windows)).astype(np.int64)
-    templates = np.zeros((n_points, patch_kernels.padded(side * side)), np.float32)
+    templates = np.zeros((n_points, patch_kernels.padded(side * side, patch_kernels.TAPS)), np.float32)
     templates[:, : side * side] = given.reshape(n_points, side * side)
     found = PatchMatches(np.empty(n_points), np.empty(n_points), places.copy(), np.empty((n_points, 2, 2)))
     patch_kernels.search(
