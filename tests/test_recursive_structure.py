@@ -158,7 +158,7 @@ def test_prediction_is_equation_19() -> None:
         np.testing.assert_allclose(predicted, covariance, rtol=0.02)
 
 
-@given(SEEDS, st.floats(-4, 4))
+@given(SEEDS, st.floats(-3, 3))  # beyond, the dense form that this is held against rounds at the tolerance
 @settings(max_examples=30)
 def test_update_is_that_of_joint_gaussians(seed: int, decades: float) -> None:
     random = np.random.default_rng(seed)
