@@ -46,11 +46,10 @@ AT_ONCE = 0.05
 """Unions between two looks at all pairs, as a share of the points."""
 
 LEAST_CORRELATION = 1e-8
+"""Of the noise of two frames, that counts."""
 
 RIDGE = 1e-7
 """Added to the cameras' information, of unit diagonal, for what rounding takes away."""
-
-"""Of the noise of two frames, that counts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +111,8 @@ class _Linking:
         self._tracks = self._observations.by_point
         n_tracks = positions.shape[1]
         self._counts = np.diff(self._tracks.edges)
+        self._seen = np.zeros((n_tracks, self._observations.n_frames))
+        self._seen[self._tracks.own, self._tracks.other] = 1
         self._point = np.arange(n_tracks)
         self._membership = np.eye(n_tracks)
         self._fit = factorise(positions, weights, coherence=coherence)
@@ -124,9 +125,7 @@ class _Linking:
     @property
     def _cameras(self) -> Numbers:
         """In the units of the observations."""
-        cameras = self._fit.cameras / self._observations.scale
-        cameras[..., 3] -= self._observations.centre / self._observations.scale
-        return cameras
+        return self._observations.scaled(self._fit.cameras)
 
     def _population(self) -> tuple[Numbers, Numbers]:
         """Mean `(3,)` and covariance `(3, 3)` of the points that are well seen."""
@@ -219,9 +218,7 @@ class _Linking:
         mean, covariance = self._population()
         prior = np.linalg.inv(covariance)
         membership = np.ascontiguousarray(membership)
-        seen = np.zeros((len(self._counts), self._observations.n_frames))
-        seen[tracks.own, tracks.other] = 1
-        busy = membership.T @ seen
+        busy = membership.T @ self._seen
         order = np.argsort(self._counts, kind="stable")
         assign_tracks(
             order,
@@ -260,13 +257,12 @@ class _Linking:
         weights[weights < 1e-3] = 0
         positions = sums / np.maximum(weights, 1e-3)[..., None]
         self._membership = membership
-        start = self._fit
         shape, spread = self._points_given_cameras(membership)
         self._fit = factorise(
             positions,
             weights,
             coherence=self._coherence,
-            start=replace(start, shape=shape, shape_covariance=spread),
+            start=replace(self._fit, shape=shape, shape_covariance=spread),
         )
 
     def _points_given_cameras(self, membership: Numbers) -> tuple[Numbers, Numbers]:
@@ -295,13 +291,11 @@ class _Linking:
         mean, covariance = self._population()
         prior = np.asarray(np.linalg.inv(covariance), np.float64)
         pull: Numbers = prior @ mean
-        seen = np.zeros((len(self._counts), self._observations.n_frames))
-        seen[self._tracks.own, self._tracks.other] = 1
         while True:
             first, second = np.nonzero(np.triu(membership.T @ membership > TORN, 1))
             whole: Numbers = np.einsum("kp,kij->pij", membership, information, optimize=True)
             sums: Numbers = membership.T @ vector
-            busy = membership.T @ seen
+            busy = membership.T @ self._seen
             alone = log_partition(whole + prior, sums + pull)
             together = log_partition(whole[first] + whole[second] + prior, sums[first] + sums[second] + pull)
             gains = together - alone[first] - alone[second] + log_partition(prior, pull)
