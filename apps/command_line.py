@@ -157,6 +157,112 @@ def structure(
 
 
 @app.command
+def face(
+    source: str,
+    *,
+    out: Path,
+    model: Path | None = None,
+    landmarks: Path | None = None,
+    correspondences: Path | None = None,
+    detector: Path | None = None,
+    experts: int = 20,
+    gain: float | Literal["learned"] = 0.1,
+    seed: int = 0,
+    start: int = 1,
+    stop: int | None = None,
+    step: int = 1,
+    overwrite: Flag = False,
+) -> int:
+    """Track a face: its pose, deformation and texture.
+
+    Writes overlay.mp4, poses.npz, texture.png, texture_variance.png, summary.json and report.html. Frames
+    that are missing, unreadable or blank are predicted. Where the face is lost, that is said, and it is
+    looked for again. Ctrl-C ends the run with complete results of what was processed.
+
+    Parameters
+    ----------
+    source
+        A video file, a folder or glob of images, the number of a camera, or an rtsp or http address.
+    out
+        Folder for the results.
+    model
+        Morphable model: an .npz (of rsmcm shape, say), Candide-3 (.wfm), the Surrey model's folder or .bin,
+        or an .obj. A small built-in face if not given.
+    landmarks
+        An .npy with landmarks (n_frames, n_landmarks, 2) in px, NaN where one is missing. Those of the first
+        frame start the track. The others do not help it; it is measured by them. The first row belongs to the
+        first frame that is processed, unless there are as many rows as the source has frames.
+    correspondences
+        Text that says which landmark is which of the model's: a line per pair, index from 0 = number from 1.
+        Not needed where the landmarks are in the order of the model's landmarks or vertices.
+    detector
+        Without landmarks, the face is found by a detector: OpenCV's YuNet with this model file (.onnx), or
+        the Haar cascade that OpenCV 4 brings along.
+    experts
+        How many hypotheses are tracked.
+    gain
+        How fast the texture follows the picture, from near 0 (a template) to near 1 (optic flow); learned: by
+        each texel for itself.
+    seed
+        Of random numbers; recorded with the results.
+    start
+        First frame, counted from 1.
+    stop
+        Last frame, included; the end of the source if not given.
+    step
+        Take every n-th frame.
+    overwrite
+        Replace the results that are in the folder.
+    """
+    from .face import FaceJob, run_face
+
+    outcome = run_face(
+        FaceJob(
+            source, out, model, landmarks, correspondences, detector, experts, gain, seed, start, stop, step,
+            overwrite,
+        )
+    )  # fmt: skip
+    summary = outcome.summary
+    print(
+        f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, "
+        f"{summary['lost_frames']} lost, {len(summary['reinitialised'])} re-initialisations"
+    )
+    if error := summary["error"]:
+        print(
+            f"error in {error['frames']} frames: mean {error['mean_px']:.3g} px, "
+            f"worst {error['worst_px']:.3g} px in frame {error['worst_frame']}"
+        )
+    for note in summary["notes"]:
+        print(note)
+    print(f"results: {out / 'report.html'}")
+    return _ended(outcome.signal)
+
+
+@app.command
+def shape(tracks: Path, *, bases: int, out: Path, overwrite: Flag = False) -> int:
+    """Learn a deformable 3-D model of an object from tracks of its points.
+
+    By EM for probabilistic PCA of the shape, seen by a scaled orthographic camera. `rsmcm face` and
+    rsmcm.models.morphable_files read the model that it writes.
+
+    Parameters
+    ----------
+    tracks
+        .npy, or .npz with an array tracks or a single one: (n_frames, n_points, 2) px, NaN where missing.
+    bases
+        Number of morph bases, the mean shape among them: 2 or more.
+    out
+        The .npz file to write.
+    overwrite
+        Replace the file if it is there.
+    """
+    from .shape import in_words, run_shape
+
+    print(*in_words(run_shape(tracks, bases, out, overwrite=overwrite)), f"model: {out}", sep="\n")
+    return 0
+
+
+@app.command
 def demo(*, out: Path = Path("results/demo")) -> int:
     """Track a person who stands still in a generated street, with feedback and without.
 

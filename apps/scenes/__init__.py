@@ -1,6 +1,7 @@
-"""Generated scenes with exact ground truth: a street for background and tracks, a cylinder for shapes."""
+"""Generated scenes with exact ground truth: a street for background and tracks, a cylinder, a face."""
 
 from .street import Scene, TruthBox, sleeping_man
+from .talking_face import FaceScene, face
 from .turning_cylinder import Cylinder, cylinder
 
-__all__ = ["Cylinder", "Scene", "TruthBox", "cylinder", "sleeping_man"]
+__all__ = ["Cylinder", "FaceScene", "Scene", "TruthBox", "cylinder", "face", "sleeping_man"]

@@ -1,0 +1,151 @@
+"""What a face-tracking run leaves: arrays and a video that grow with the frames, pictures of the texture."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..chains.gflow import GFlow, GFlowState
+from ..models.frame import Frame
+from .face_files import GivenLandmarks, RowWriter
+from .face_overlay import FaceOverlay, FaceVideo, TrackedFace, caption, texture_picture
+from .face_report import FaceRecord
+from .face_start import FaceStart
+from .results import write_image
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+class FaceResults:
+    """What grows with the frames: `poses.npz`, `overlay.mp4` and the record for summary and report.
+
+    `poses.npz` holds, a row a frame: `frame_numbers`, `times` s; of the experts `weights (n_experts,)`,
+    `rotations (n_experts, 3, 3)`, `translations (n_experts, 2)` px, `morphs (n_experts, n_bases)` px; of
+    their mean `mean_rotation`, `mean_translation`, `mean_morphs`; `vertices_2d (n_vertices, 2)` px,
+    `vertices_3d (n_vertices, 3)` px with depth, and `covariance (n_vertices, 3, 3)` px squared, how the
+    experts differ; `landmarks (n_landmarks, 2)` px, NaN for those that were missing at the start;
+    `log_evidence` nats and `fit`, the share of the picture under the face that the texture explains, NaN
+    where there is none; `lost`, `reinitialised`, `missing`. `bases (n_bases,
+    n_vertices, 3)` and `triangles (n_triangles, 3)` of the person's model come once.
+
+    Parameters
+    ----------
+    folder
+        of the results.
+    rate
+        frames per second.
+    chain
+        that tracks.
+    start
+        with the points that the landmarks are attached to.
+    given
+        landmarks to compare with.
+    """
+
+    def __init__(
+        self, folder: Path, rate: float, chain: GFlow, start: FaceStart, given: GivenLandmarks | None
+    ) -> None:
+        self.record = FaceRecord()
+        self._chain = chain
+        self._start = start
+        self._given = given
+        self._overlay = FaceOverlay(start.model)
+        self._open = ExitStack()
+        self._rows = self._open.enter_context(RowWriter(folder / "poses.npz"))
+        self._video = self._open.enter_context(FaceVideo(folder / "overlay.mp4", rate, self._overlay))
+        self._image: Image | None = None  # the last one
+        self._relocations = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._open.__exit__(*error)
+
+    def add(self, frame: Frame, state: GFlowState, seconds: float) -> None:
+        """Take in a frame, which took the tracker so long."""
+        mean = self._chain.mean_pose(state)
+        vertices, covariance = self._chain.vertices(state)
+        present = self._start.present
+        landmarks = np.full((len(present), 2), np.nan)
+        if present.any():
+            landmarks[present] = self._chain.points(state, self._start.points)
+        restarted = state.relocations > self._relocations
+        self._relocations = state.relocations
+        # the first frame shows the texture, which nothing could predict
+        unpredicted = frame.missing or not self.record.numbers
+        evidence, fit = (np.nan, np.nan) if unpredicted else (state.log_evidence, state.fit)
+        self._rows.append(
+            {
+                "frame_numbers": np.int64(frame.number),
+                "times": np.float64(frame.time),
+                "weights": state.weights,
+                "rotations": state.poses.rotations,
+                "translations": state.poses.translations,
+                "morphs": state.poses.morphs,
+                "mean_rotation": mean.rotations[0],
+                "mean_translation": mean.translations[0],
+                "mean_morphs": mean.morphs[0],
+                "vertices_2d": vertices[:, :2].astype(np.float32),
+                "vertices_3d": vertices.astype(np.float32),
+                "covariance": covariance.astype(np.float32),
+                "landmarks": landmarks,
+                "log_evidence": np.float64(evidence),
+                "fit": np.float64(fit),
+                "lost": np.bool_(state.lost),
+                "reinitialised": np.bool_(restarted),
+                "missing": np.bool_(frame.missing),
+            }
+        )
+        image = self._image if frame.image is None else frame.image
+        assert image is not None  # the first frame has one
+        self._image = image
+        face = TrackedFace(state.poses, mean, landmarks, state.lost)
+        self._video.write(image, frame, face)
+        self.record.add(
+            frame,
+            mean,
+            state.weights,
+            evidence,
+            fit,
+            np.nan if self._given is None else self._given.error(frame.number, landmarks),
+            seconds,
+            lost=state.lost,
+            restarted=restarted,
+            overlay=lambda: self._overlay.draw(image, face, caption(frame)),
+        )
+
+    def finish(self) -> None:
+        """Complete the file of poses, with what its numbers refer to."""
+        self._rows.finish({"bases": self._start.model.bases, "triangles": self._start.model.triangles})
+
+
+def write_textures(folder: Path, chain: GFlow, state: GFlowState) -> tuple[float, dict[str, Image]]:
+    """Write texture and variance of the most credible expert as pictures, on the mean shape from the front.
+
+    Returns
+    -------
+    tuple
+        the variance (squared grey levels) that is white, and the pictures by their captions.
+    """
+    best = int(np.argmax(state.weights))
+    morphs = chain.mean_pose(state).morphs[0]
+    mean, variance = (
+        texture_picture(chain.model, morphs, chain.object.texels, values)
+        for values in (state.texture.mean[best, 0], state.texture.variance[best])
+    )
+    white = float(np.nanmax(variance))
+    pictures = [_grey(mean, 255.0), _grey(variance, white)]
+    for name, picture in zip(("texture.png", "texture_variance.png"), pictures, strict=True):
+        write_image(folder / name, picture)
+    captions = ("mean", f"variance, 0 to {white:.3g} squared grey levels")
+    return white, dict(zip(captions, pictures, strict=True))
+
+
+def _grey(values: Array, highest: float) -> Image:
+    """A picture of values from 0 (black) to `highest` (white); black where there is none."""
+    shades = np.clip(255 * values / max(highest, 1e-12), 0, 255)
+    return np.rint(np.nan_to_num(shades)).astype(np.uint8)

@@ -1,0 +1,110 @@
+"""Loops that draw a textured mesh: triangles into samples with a depth each, and samples into pixels."""
+
+import numpy as np
+
+from ...models.compiled import compiled, inlined
+
+_f4 = np.float32
+
+FARTHEST = 1e30
+"""Depth of a sample that nothing covers."""
+
+
+@inlined
+def texel(texture, u, v):
+    """Texture at `(u, v)`, bilinear; outside, that of the nearest edge."""
+    u = min(max(u, _f4(0)), _f4(texture.shape[1]) - _f4(1.001))
+    v = min(max(v, _f4(0)), _f4(texture.shape[0]) - _f4(1.001))
+    column, row = np.int32(u), np.int32(v)
+    right, down = u - _f4(column), v - _f4(row)
+    above, below = texture[row], texture[row + 1]
+    upper = above[column] + right * (above[column + 1] - above[column])
+    lower = below[column] + right * (below[column + 1] - below[column])
+    return upper + down * (lower - upper)
+
+
+@compiled
+def draw_mesh(grey, depth, places, attributes, triangles, texture):
+    """Draw triangles into samples `grey`, `depth` (height, width); nearer ones win, whatever their order.
+
+    places (n, 3): column, row and depth of vertices, in samples. attributes (n, 3): column and row in the
+    texture, and light; interpolated over a triangle like depth, as weak perspective has it.
+    """
+    height, width = depth.shape
+    for number in range(triangles.shape[0]):
+        a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
+        ax, ay, az = places[a, 0], places[a, 1], places[a, 2]
+        bx, by, bz = places[b, 0] - ax, places[b, 1] - ay, places[b, 2] - az
+        cx, cy, cz = places[c, 0] - ax, places[c, 1] - ay, places[c, 2] - az
+        area = bx * cy - by * cx
+        if abs(area) < 1e-12:
+            continue
+        top = max(0, int(np.ceil(ay + min(0.0, by, cy))))
+        bottom = min(height - 1, int(np.floor(ay + max(0.0, by, cy))))
+        left = max(0, int(np.ceil(ax + min(0.0, bx, cx))))
+        right = min(width - 1, int(np.floor(ax + max(0.0, bx, cx))))
+        to_b, to_c = cy / area, -by / area  # growth of the shares of b and c from one column to the next
+        ua, va, la = attributes[a, 0], attributes[a, 1], attributes[a, 2]
+        ub, vb, lb = attributes[b, 0] - ua, attributes[b, 1] - va, attributes[b, 2] - la
+        uc, vc, lc = attributes[c, 0] - ua, attributes[c, 1] - va, attributes[c, 2] - la
+        for row in range(top, bottom + 1):
+            greys, depths = grey[row], depth[row]
+            dy = row - ay
+            for column in range(left, right + 1):
+                dx = column - ax
+                share_b = dx * to_b - dy * cx / area
+                share_c = dx * to_c + dy * bx / area
+                # edges belong to both triangles: a sample may be drawn twice, but there are no cracks
+                if share_b >= -1e-9 and share_c >= -1e-9 and share_b + share_c <= 1 + 1e-9:
+                    z = az + share_b * bz + share_c * cz
+                    if z < depths[column]:
+                        depths[column] = z
+                        u = _f4(ua + share_b * ub + share_c * uc)
+                        v = _f4(va + share_b * vb + share_c * vc)
+                        light = _f4(la + share_b * lb + share_c * lc)
+                        greys[column] = light * texel(texture, u, v)
+
+
+@compiled
+def average_samples(picture, covered, grey, depth, across, left, top):
+    """Blend samples, `across` x `across` a pixel, over `picture` from pixel `(left, top)` on.
+
+    covered (height, width) receives the share of each pixel that is drawn.
+    """
+    share = _f4(1.0 / (across * across))
+    for row in range(depth.shape[0] // across):
+        for column in range(depth.shape[1] // across):
+            total, count = _f4(0), 0
+            for i in range(row * across, (row + 1) * across):
+                for j in range(column * across, (column + 1) * across):
+                    if depth[i, j] < _f4(FARTHEST):
+                        total += grey[i, j]
+                        count += 1
+            part = _f4(count) * share
+            covered[top + row, left + column] = part
+            old = picture[top + row, left + column]
+            picture[top + row, left + column] = total * share + (_f4(1) - part) * old
+
+
+@compiled
+def see_vertices(seen, places, triangles, n_vertices):
+    """Whether the first `n_vertices` vertices of a mesh are seen, exactly: no grid of pixels is involved.
+
+    A vertex is seen if a triangle at it faces the viewer, and no triangle that it is not part of is in front.
+    """
+    for vertex in range(n_vertices):
+        x, y, z = places[vertex, 0], places[vertex, 1], places[vertex, 2]
+        facing, hidden = False, False
+        for number in range(triangles.shape[0]):
+            a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
+            ax, ay = places[a, 0] - x, places[a, 1] - y
+            bx, by = places[b, 0] - x, places[b, 1] - y
+            cx, cy = places[c, 0] - x, places[c, 1] - y
+            share_a, share_b, share_c = bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx
+            area = share_a + share_b + share_c
+            if vertex in (a, b, c):
+                facing = facing or area < 0
+            elif area != 0 and share_a * area >= 0 and share_b * area >= 0 and share_c * area >= 0:
+                depth = (share_a * places[a, 2] + share_b * places[b, 2] + share_c * places[c, 2]) / area
+                hidden = hidden or depth < z
+        seen[vertex] = facing and not hidden

@@ -1,0 +1,350 @@
+"""A face that turns, talks and moves in front of a room, with its exact pose in every frame.
+
+The tracker's model is the built-in face; the renderer draws the same surface with a finer mesh, so that the
+model is nearly right, as in life. Any frame is rendered on its own, from the seed and the frame's index only.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.built_in_face import face_model, face_plane, landmarks, unit_length
+from ...models.frame import Frame
+from ...models.morphable_model import MorphableModel
+from ...models.pose import Poses, exponential
+from .face_paint import Pixels, mottle, paint_room, paint_skin, skin_texels
+from .rendering_kernels import FARTHEST, average_samples, draw_mesh, see_vertices
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FINENESS = 4  # of the renderer's mesh: its facets are a fourth of the tracker's
+SAMPLES = 3  # of a pixel, across and down
+TEXELS = 2.5  # of the skin's picture in a pixel of a face seen from the front
+SIZE = 0.18  # c_1 in heights of the picture
+NECK = np.array([0.0, 0.5, 1.1])  # the point about which the head turns, in units of c_1 from its origin
+MAX_PITCH, MAX_ROLL = 14.0, 10.0  # degrees
+JAW = 0.5  # the mouth is a little open on average, in standard deviations of that expression
+MOST = 2.5  # nobody makes a larger expression, in standard deviations
+AMBIENT = 0.4  # share of the light that has no direction
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How somebody moves: shortest and longest periods (s) of the sines that are summed, and amplitudes.
+
+    Parameters
+    ----------
+    head, travel, expression
+        periods of rotations and scale, of translation, and of expressions.
+    reach
+        standard deviation of translation, in units of c_1: across and down.
+    liveliness
+        standard deviation of each expression, in its own.
+    """
+
+    head: tuple[float, float]
+    travel: tuple[float, float]
+    expression: tuple[float, float]
+    reach: tuple[float, float]
+    liveliness: float
+
+
+MANNERS = {
+    "natural": Manner((3.0, 8.0), (3.0, 8.0), (0.8, 4.0), (0.30, 0.15), 0.8),
+    "fast": Manner((1.4, 4.0), (1.2, 4.0), (0.4, 1.5), (0.45, 0.25), 1.3),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class FaceScene:
+    """A face with its truth; build it with `face`, which explains the parameters.
+
+    Frames are rendered when asked for. Indices count from 0, `Frame.number` from 1.
+    """
+
+    n_frames: int
+    seed: int
+    size: tuple[int, int]
+    motion: Literal["natural", "fast"]
+    max_yaw: float
+    shields: bool
+    texture: float
+    change: float
+    light: float
+    background: float
+    noise: float
+    blur: float
+    dt: float = 1 / 25
+
+    def __post_init__(self) -> None:
+        width, height = self.size
+        if width < 64 or height < 64:
+            raise ValueError(f"size: got {self.size}, expected (width, height) of at least (64, 64) px")
+        if self.n_frames < 1:
+            raise ValueError(f"n_frames: got {self.n_frames}, expected 1 or more")
+        if self.motion not in MANNERS:
+            raise ValueError(f"motion: got {self.motion!r}, expected one of {', '.join(MANNERS)}")
+        if not 0 <= self.max_yaw <= 80:
+            raise ValueError(f"max_yaw: got {self.max_yaw}, expected 0 to 80 degrees")
+        if not 0 <= self.light <= 1:
+            raise ValueError(f"light: got {self.light}, expected 0 to 1")
+        for name in ("texture", "change", "background", "noise", "blur"):
+            value = getattr(self, name)
+            if not 0 <= value < np.inf:
+                raise ValueError(f"{name}: got {value}, expected 0 or more")
+
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self.frame(index) for index in range(self.n_frames))
+
+    def images(self) -> Iterator[NDArray[np.uint8]]:
+        """All pictures in turn, `(height, width)` uint8."""
+        return (self.image(index) for index in range(self.n_frames))
+
+    def frame(self, index: int) -> Frame:
+        """Frame `index` (from 0) with its time."""
+        index = range(self.n_frames)[index]
+        return Frame(self.image(index), index * self.dt, index + 1)
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """What the camera gives for frame `index` (from 0): `(height, width)` uint8."""
+        index = range(self.n_frames)[index]
+        picture = self._drawn(index)[0]
+        if self.noise > 0:
+            generator = np.random.default_rng([self.seed, 5, index])  # frames may come in any order
+            picture += np.float32(self.noise) * generator.standard_normal(picture.shape, np.float32)
+        return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+    def foreground(self, index: int) -> Mask:
+        """`(height, width)` bool: pixels that the face covers by more than half."""
+        return self._drawn(range(self.n_frames)[index])[1] > 0.5
+
+    # The truth
+
+    @cached_property
+    def model(self) -> MorphableModel:
+        """What a tracker is given: the coarse mesh of the face."""
+        return face_model(1, shields=self.shields)
+
+    @cached_property
+    def poses(self) -> Poses:
+        """Pose of every frame, exact for `model` (whose vertices the renderer's mesh shares)."""
+        return _poses(self)
+
+    @cached_property
+    def vertices(self) -> Array:
+        """Where the vertices of `model` are, `(n_frames, n_vertices, 2)` px."""
+        return self.model.project(self.poses)
+
+    @cached_property
+    def visible(self) -> Mask:
+        """`(n_frames, n_vertices)` bool: vertices of `model` in the picture that nothing hides."""
+        seen = np.zeros(self.vertices.shape[:2], np.bool_)
+        for index in range(self.n_frames):
+            places = self._mesh.positions(self.poses[index])[0]
+            see_vertices(seen[index], places, self._mesh.triangles, self.model.n_vertices)
+        inside = (self.vertices > -0.5) & (self.vertices < np.array(self.size) - 0.5)
+        return seen & inside[..., 0] & inside[..., 1]
+
+    @property
+    def landmarks(self) -> dict[str, int]:
+        """Numbers of the vertices that have a name: "nose tip", "left mouth corner", ..."""
+        return landmarks()
+
+    # What it looks like
+
+    @property
+    def _times(self) -> Array:
+        return self.dt * np.arange(self.n_frames, dtype=np.float64)
+
+    @cached_property
+    def _mesh(self) -> MorphableModel:
+        return face_model(FINENESS, shields=self.shields)
+
+    @cached_property
+    def _density(self) -> float:
+        """Texels of the skin's picture in one unit of `face_plane`."""
+        return TEXELS * SIZE * self.size[1] * unit_length()
+
+    @cached_property
+    def _skin(self) -> Pixels:
+        return paint_skin(self._density, self.texture, np.random.default_rng([self.seed, 0]))
+
+    @cached_property
+    def _room(self) -> Pixels:
+        return paint_room(self.size, self.background, np.random.default_rng([self.seed, 1]))
+
+    @cached_property
+    def _changes(self) -> tuple[Pixels, Array, Array]:
+        """Blotches that come and go: `(8, rows, columns)` of unit variance, their periods (s) and phases."""
+        generator = np.random.default_rng([self.seed, 3])
+        fields = [
+            mottle(self._skin.shape, 0.3 * self._density, 0.04 * self._density, generator) for _ in range(8)
+        ]
+        return np.stack(fields), generator.uniform(1.5, 5.0, 8), generator.uniform(0, 2 * np.pi, 8)
+
+    @cached_property
+    def _lights(self) -> tuple[Array, Array]:
+        """Directions to the light, `(n_frames, 3)` of unit length, and its gains, `(n_frames,)`."""
+        generator = np.random.default_rng([self.seed, 4])
+        azimuth, elevation, gain = (_wander(self._times, (3.0, 9.0), generator) for _ in range(3))
+        azimuth, elevation = 0.75 * np.tanh(azimuth), 0.6 + 0.35 * np.tanh(elevation)
+        across, down = np.sin(azimuth) * np.cos(elevation), -np.sin(elevation)
+        towards = -np.cos(azimuth) * np.cos(elevation)
+        return np.stack([across, down, towards], axis=1), 1 + 0.2 * np.tanh(gain)
+
+    def _albedo(self, index: int) -> Pixels:
+        if self.change == 0:
+            return self._skin
+        fields, periods, phases = self._changes
+        amounts = self.change / 2 * np.cos(2 * np.pi * index * self.dt / periods + phases)
+        changed = self._skin + np.tensordot(amounts.astype(np.float32), fields, 1)
+        return np.clip(changed, 8, 245, out=changed)
+
+    def _shading(self, index: int, places: Array) -> Array:
+        """Light at every vertex of the mesh at `places` `(n, 3)`, as a share of full light (Lambert)."""
+        normals = np.zeros_like(places)
+        first, second, third = (places[self._mesh.triangles[:, corner]] for corner in range(3))
+        faces = np.cross(second - first, third - first)
+        for corner in range(3):
+            np.add.at(normals, self._mesh.triangles[:, corner], faces)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        directions, gains = self._lights
+        lambertian = np.maximum(normals @ directions[index], 0)
+        shade: Array = gains[index] * (AMBIENT + (1.15 - AMBIENT) * lambertian)
+        return 1 + self.light * (shade - 1)
+
+    def _drawn(self, index: int) -> tuple[Pixels, Pixels]:
+        """The picture before noise, and the share of every pixel that the face covers."""
+        places = self._mesh.positions(self.poses[index])[0]
+        picture = self._room.copy()
+        covered = np.zeros_like(picture)
+        lowest = np.floor(places[:, :2].min(axis=0)).astype(int)
+        highest = np.ceil(places[:, :2].max(axis=0)).astype(int) + 1
+        left, top = np.clip(lowest, 0, self.size)
+        right, bottom = np.clip(highest, 0, self.size)
+        if right > left and bottom > top:
+            shape = ((bottom - top) * SAMPLES, (right - left) * SAMPLES)
+            grey, depth = np.zeros(shape, np.float32), np.full(shape, FARTHEST, np.float32)
+            # sample k of a pixel lies at (k - (SAMPLES - 1) / 2) / SAMPLES from its centre
+            samples = places.copy()
+            samples[:, :2] = (places[:, :2] - (left, top) + 0.5) * SAMPLES - 0.5
+            texels = skin_texels(face_plane(FINENESS, shields=self.shields), self._density)
+            attributes = np.column_stack([texels, self._shading(index, places)])
+            draw_mesh(grey, depth, samples, attributes, self._mesh.triangles, self._albedo(index))
+            average_samples(picture, covered, grey, depth, SAMPLES, left, top)
+        if self.blur > 0:
+            picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), self.blur), np.float32)
+        return picture, covered
+
+
+def face(
+    n_frames: int = 200,
+    seed: int = 0,
+    size: tuple[int, int] = (320, 240),
+    *,
+    motion: Literal["natural", "fast"] = "natural",
+    max_yaw: float = 35.0,
+    shields: bool = False,
+    texture: float = 1.0,
+    change: float = 0.0,
+    light: float = 1.0,
+    background: float = 1.0,
+    noise: float = 2.0,
+    blur: float = 0.0,
+) -> FaceScene:
+    """A face that turns, talks and moves about in front of a room.
+
+    It begins at rest, seen from the front, and takes a second to come to its full motion; calm and hurried
+    stretches follow each other. c_1 is 18 % of the picture's height, give or take 8 %. The first frames of a
+    longer scene are those of a shorter one. The room stays as it is: neither camera nor its light changes.
+
+    Parameters
+    ----------
+    n_frames
+        length of the scene, 25 frames a second.
+    seed
+        decides motion, textures, light and noise.
+    size
+        `(width, height)` px.
+    motion
+        "natural", or "fast": two or three times as quick, with large expressions.
+    max_yaw
+        largest turn to a side, degrees, at most 80; from 50 on a large part of the face hides itself.
+    shields
+        whether two round shields that stand off from the cheeks hide what is behind them (see `face_model`).
+    texture
+        contrast of the skin with all that is on it, as a share of a usual one; 0 is even grey.
+    change
+        standard deviation, grey levels, of blotches that come and go on the skin within seconds.
+    light
+        how much light shades and changes: 1, a lamp that moves about and flickers slowly; 0, even light.
+    background
+        contrast of the room; 0 is even grey.
+    noise
+        standard deviation of the sensor's noise, grey levels.
+    blur
+        standard deviation of the lens's blur, px (pixels average over their area anyway).
+
+    Raises
+    ------
+    ValueError
+        if the picture is smaller than 64 x 64 px, there is no frame, or a parameter is out of its range.
+    """
+    return FaceScene(
+        n_frames, seed, size, motion, max_yaw, shields, texture, change, light, background, noise, blur
+    )
+
+
+def _wander(times: Array, periods: tuple[float, float], generator: np.random.Generator) -> Array:
+    """A smooth random function of unit variance at `times` (s): sines of periods (s) in a range."""
+    n_sines = 8
+    lengths = np.exp(generator.uniform(np.log(periods[0]), np.log(periods[1]), n_sines))
+    phases = generator.uniform(0, 2 * np.pi, n_sines)
+    sines = np.sin(2 * np.pi * times[:, None] / lengths + phases)
+    wander: Array = sines.sum(axis=1) * np.sqrt(2 / n_sines)
+    return wander
+
+
+def _poses(scene: FaceScene) -> Poses:
+    generator = np.random.default_rng([scene.seed, 2])
+    manner = MANNERS[scene.motion]
+    width, height = scene.size
+    pace = np.exp(0.45 * np.tanh(_wander(scene._times, (1.5, 6.0), generator)))
+    own_times = np.concatenate([[0.0], np.cumsum(pace[:-1]) * scene.dt])
+    beginning = np.tanh(own_times) ** 2  # the first second
+
+    def wander(periods: tuple[float, float]) -> Array:
+        wandered: Array = beginning * _wander(own_times, periods, generator)
+        return wandered
+
+    yaw, pitch, roll = (
+        np.radians(most) * np.tanh(1.2 * wander(manner.head)) for most in (scene.max_yaw, MAX_PITCH, MAX_ROLL)
+    )
+    zero = np.zeros_like(yaw)
+    turn, nod, tilt = (
+        exponential(np.stack(vector, axis=1))
+        for vector in ((zero, yaw, zero), (pitch, zero, zero), (zero, zero, roll))
+    )
+    rotations = tilt @ nod @ turn
+    sizes = SIZE * height * (1 + 0.08 * np.tanh(wander(manner.head)))
+    travel = np.stack([reach * wander(manner.travel) for reach in manner.reach], axis=1)
+    # the head turns about the neck, not about the origin, and so swings to the side
+    swing = NECK[:2] - (rotations @ NECK)[:, :2]
+    middle = np.array([(width - 1) / 2, (height - 1) / 2])
+    translations = middle + sizes[:, None] * (swing + travel)
+    morphs = np.zeros((scene.n_frames, scene.model.n_bases))
+    morphs[:, 0] = 1
+    for number in range(1, scene.model.n_bases):
+        strength = manner.liveliness * wander(manner.expression)
+        morphs[:, number] = MOST * np.tanh(strength / MOST)
+    morphs[:, 1] += JAW * beginning
+    return Poses(rotations, translations, morphs * sizes[:, None])

@@ -1,0 +1,425 @@
+"""G-flow as a chain: pose, deformation and texture of an object by a Rao-Blackwellised particle filter."""
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..inference.backdrop import Behind, Reading, first_trust, tones, units
+from ..inference.coverage import Coverage
+from ..inference.pose_dynamics import PoseDynamics, PosePrior
+from ..inference.pose_experts import Generation, continued, log_likelihood, resampled, sampled
+from ..inference.pose_peak import find_peaks
+from ..inference.protocols import Incoming
+from ..inference.relocation import likely_places
+from ..inference.resampling import log_sum, normalised
+from ..inference.silhouette import Silhouette
+from ..inference.texture_filter import Texture
+from ..inference.texture_likelihood import TexturedObject, TextureLikelihood
+from ..models.frame import Frame
+from ..models.memo import LastCall
+from ..models.morphable_model import MorphableModel
+from ..models.outline import MeshEdges
+from ..models.picture_levels import Level, picture_levels
+from ..models.pixel_labels import PixelLabels, PixelMessage
+from ..models.pose import Poses
+from ..models.surface_points import SurfacePoints
+from ..models.surface_texels import SurfaceTexels
+from ..models.texel_noise import TexelNoise
+
+Array = NDArray[np.float64]
+
+N_LEVELS = 3
+LEAST_FIT = 0.5
+"""Share of the picture's variance under the object that its texture has to explain."""
+
+RETURN_FIT = 0.7
+"""The same for an object that was lost and is found elsewhere: chance has had many places to try."""
+
+LEAST_INSIDE = 0.4
+"""Share of the visible texels that has to lie in the picture."""
+
+COVERING_TEXELS = 1500
+"""Of the mesh where it is integrated over what it hides."""
+
+PATIENCE = 3
+"""Looks in a row without that share after which the object is lost."""
+
+
+@dataclass(frozen=True, eq=False)
+class GFlowState:
+    """Experts: each a history of poses, of which the last is kept, and the texture that follows from it.
+
+    Parameters
+    ----------
+    poses
+        of the experts.
+    log_weights
+        `(n_experts,)`, normalised.
+    texture
+        of every expert.
+    trusted
+        poses of the last look that left no doubt.
+    size
+        px: of the object at the start.
+    elapsed
+        s since the last picture.
+    looks
+        pictures seen.
+    log_evidence
+        nats: log p(y_t | y_1:t-1) of the last picture, of its effective pixels.
+    fit
+        share of the picture's variance under the object that the predicted texture explained, from -1 to 1.
+    doubts
+        looks in a row with too low a fit.
+    relocations
+        how often it was lost and found again.
+    random
+        source of all draws.
+    trust
+        `(height, width)` float32, from 0 to 1: how well the background of each pixel is known, where another
+        chain predicts it; `None` without one.
+    """
+
+    poses: Poses
+    log_weights: Array
+    texture: Texture
+    trusted: Poses
+    size: float
+    elapsed: float
+    looks: int
+    log_evidence: float
+    fit: float
+    doubts: int
+    relocations: int
+    random: np.random.Generator
+    trust: NDArray[np.float32] | None = None
+
+    @property
+    def weights(self) -> Array:
+        """`(n_experts,)`, sum 1."""
+        weights: Array = np.exp(self.log_weights)
+        return weights
+
+    @property
+    def lost(self) -> bool:
+        """Whether the tracker knows that it does not follow the object."""
+        return self.doubts >= PATIENCE
+
+
+@dataclass(frozen=True)
+class GFlow:
+    """Joint filter of pose, deformation and texture (G-flow paper, Table 2).
+
+    Each expert looks ahead: Gauss-Newton finds the peak of its belief on coarse to fine levels. On
+    resampling frames samples about the peaks, weighed by the full predictive distribution, become the next
+    experts; on the others every expert goes on at its peak. Every expert has its own texture, a Kalman filter
+    a texel.
+
+    Departures: the picture is divided by its local mean, which takes light out; sums over pixels are tempered
+    to an effective number of independent ones; texels seen for the first time start in their steady state;
+    the object may be lost, and is then looked for all over the picture.
+
+    Parameters
+    ----------
+    model
+        shape of the object.
+    start
+        poses at the first picture, one for all experts or one each; or a function that finds them in it.
+    experts
+        how many, eta.
+    surface
+        `"dense"`: texels over all triangles; `"patches"`: discs about the vertices.
+    texels
+        how many on a dense surface.
+    radius
+        px, of patches.
+    gain
+        Kalman gain of the texels in their steady state, from 0 (template) to 1 (optic flow), or `"learned"`
+        for each texel.
+    temperature
+        squared grey levels: noise of a texel's prediction in the steady state, tau.
+    effective_pixels
+        number of independent pixels that the object's pixels are worth.
+    samples
+        an expert on resampling frames, lambda.
+    spread
+        of the samples against Laplace's covariance, alpha; 0 for no resampling frames.
+    resample_every
+        looks from one resampling frame to the next.
+    levels
+        of the picture, from the finest; 1 for no coarse search.
+    local_mean
+        divide the picture by its local mean.
+    dynamics
+        of the pose.
+    texture
+        of the object where it is known at the start, of one expert.
+    recover
+        doubt what does not fit, and look for the object all over the picture when it is lost.
+    seed
+        of all draws.
+    """
+
+    model: MorphableModel
+    start: Poses | Callable[[Frame], Poses]
+    experts: int = 20
+    surface: Literal["dense", "patches"] = "dense"
+    texels: int = 2000
+    radius: float = 4.0
+    gain: float | Literal["learned"] = 0.05
+    temperature: float = 36.0
+    effective_pixels: float = 400.0
+    samples: int = 10
+    spread: float = 1.0
+    resample_every: int = 5
+    levels: int = N_LEVELS
+    local_mean: bool = True
+    dynamics: PoseDynamics = field(default_factory=PoseDynamics)
+    texture: Texture | None = None
+    recover: bool = True
+    seed: int = 0
+    name: str = "gflow"
+    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
+
+    uses_cavity = True
+
+    @cached_property
+    def object(self) -> TexturedObject:
+        """Shape and texels."""
+        if self.surface == "dense":
+            return TexturedObject(self.model, SurfaceTexels.dense(self.model, self.texels))
+        return TexturedObject(self.model, SurfaceTexels.patches(self.model, self.radius))
+
+    @cached_property
+    def _whole(self) -> TexturedObject:
+        """The whole mesh, as it hides what is behind it."""
+        return TexturedObject(self.model, SurfaceTexels.dense(self.model, COVERING_TEXELS))
+
+    @cached_property
+    def _edges(self) -> MeshEdges:
+        return MeshEdges.of(self.model.triangles)
+
+    @cached_property
+    def noise(self) -> TexelNoise:
+        """Noises of which gain and temperature are the steady state, eq. (33)."""
+        return TexelNoise.of_steady_state(0.0 if self.gain == "learned" else self.gain, self.temperature)
+
+    @classmethod
+    def optic_flow(
+        cls,
+        model: MorphableModel,
+        start: Poses,
+        *,
+        surface: Literal["dense", "patches"] = "patches",
+        **more: Any,
+    ) -> Self:
+        """Constrained optic flow (§4.2): one expert at its peak, whose texture is the last picture."""
+        return cls(model, start, experts=1, spread=0.0, gain=1.0, surface=surface, recover=False, **more)
+
+    @classmethod
+    def template(
+        cls,
+        model: MorphableModel,
+        start: Poses,
+        *,
+        surface: Literal["dense", "patches"] = "dense",
+        **more: Any,
+    ) -> Self:
+        """Template matching (§4.3): one expert at its peak, whose texture stays as first seen or as given."""
+        return cls(model, start, experts=1, spread=0.0, gain=0.0, surface=surface, recover=False, **more)
+
+    def initial(self, frame: Frame) -> GFlowState:
+        """Experts at the start, with one common texture (Table 2, I)."""
+        start = self.start(frame) if callable(self.start) else self.start
+        one_each = np.arange(self.experts) if len(start) == self.experts else np.zeros(self.experts, np.int64)
+        texture = self.texture
+        if texture is None:
+            texture = Texture.unknown(1, self.levels, len(self.object.texels), learn=self.gain == "learned")
+        return GFlowState(
+            poses=start[one_each],
+            trusted=start[one_each],
+            log_weights=np.full(self.experts, -np.log(self.experts)),
+            texture=texture.of(np.zeros(self.experts, np.int64)),
+            size=float(start.sizes.mean()),
+            elapsed=0.0,
+            looks=0,
+            log_evidence=0.0,
+            fit=1.0,
+            doubts=0,
+            relocations=0,
+            random=np.random.default_rng(self.seed),
+        )
+
+    def predict(self, state: GFlowState, dt: float) -> GFlowState:
+        """Poses may have changed by more when the next picture comes."""
+        return replace(state, elapsed=state.elapsed + dt)
+
+    def message(self, state: GFlowState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
+        """What the object covers (mu_{X -> F}); nothing while it is lost.
+
+        Where others have predicted the background already, it is registered with what reaches the feature.
+        """
+        told: PixelMessage = incoming[feature]
+        if state.lost or not len(self.model.triangles) or (told.image is None and told.background is None):
+            return feature.uniform()
+        seen = state
+        if told.background is not None and told.image is not None:
+            seen = self._last(self._after, state, told)
+            if seen.doubts and self.recover:
+                return feature.uniform()
+        coverage = Coverage.of(self.model, seen.poses, seen.weights, told.size)
+        return PixelMessage(layers=coverage.layers(state.trust))
+
+    def update(self, state: GFlowState, incoming: Incoming) -> GFlowState:
+        """Experts and textures after the picture."""
+        return self._last(self._after, state, incoming["pixels"])
+
+    def _after(self, state: GFlowState, told: PixelMessage) -> GFlowState:
+        image = told.image
+        if image is None:
+            return state
+        state = replace(state, random=copy.deepcopy(state.random))
+        levels = picture_levels(image, state.size, n_levels=self.levels, local_mean=self.local_mean)
+        if state.looks == 0:
+            generation = self._first(state, levels)
+        elif state.lost and self.recover:
+            generation = self._found_again(state, levels)
+        else:
+            generation = self._followed(state, levels, self._behind(state, told))
+        return self._with_trust(self._textured(state, generation, levels), told)
+
+    def _behind(self, state: GFlowState, told: PixelMessage) -> Behind | None:
+        """The background of this picture near the object, if somebody predicts it."""
+        if told.background is None or told.image is None or state.trust is None:
+            return None
+        coverage = Coverage.of(self.model, state.poses, state.weights, told.size, margin=state.size)
+        usual = tones(told.image, coverage.inner, coverage.box)
+        unit = units(told.image, state.size, local_mean=self.local_mean)
+        return Behind(Reading(told).backdrop(state.trust, coverage.box, usual, unit), self._whole)
+
+    def _with_trust(self, state: GFlowState, told: PixelMessage) -> GFlowState:
+        """What is known of the background after the picture."""
+        if told.background is None or not len(self.model.triangles) or (state.doubts and self.recover):
+            return state
+        coverage = Coverage.of(self.model, state.poses, state.weights, told.size)
+        trust = state.trust
+        if trust is None:
+            trust = first_trust(coverage.hidden, coverage.box, told.size)
+        return replace(state, trust=Reading(told).trust_after(trust, coverage.hidden, coverage.box))
+
+    def _likelihood(self, state: GFlowState, levels: list[Level], poses: Poses) -> TextureLikelihood:
+        texture = state.texture
+        return TextureLikelihood(
+            self.object, levels, texture.mean, texture.temperature(self.noise), self.object.visible(poses)
+        )
+
+    def _first(self, state: GFlowState, levels: list[Level]) -> Generation:
+        """Weights at t = 1 (Table 2, I)."""
+        likelihood = self._likelihood(state, levels, state.poses)
+        every = np.arange(self.experts)
+        weights = state.log_weights + log_likelihood(likelihood, state.poses, every, self.effective_pixels)
+        return Generation(state.poses, normalised(weights), every, float(log_sum(weights)))
+
+    def _followed(self, state: GFlowState, levels: list[Level], behind: Behind | None) -> Generation:
+        """Continuation or resampling frame (Table 2, II)."""
+        likelihood = self._likelihood(state, levels, state.poses)
+        prior = PosePrior.after(state.poses, self.dynamics, state.size, state.elapsed)
+        more = []
+        if behind is not None:
+            more.append(Silhouette(self.model, self._edges, behind.backdrop, self.effective_pixels))
+        peaks = find_peaks(likelihood, prior, state.poses, self.effective_pixels, self.levels - 1, more)
+        likelihood = replace(likelihood, visible=self.object.visible(peaks.poses))
+        behind = None if behind is None else behind.around(peaks.poses)
+        if self.spread == 0 or state.looks % self.resample_every:
+            every = np.arange(self.experts)
+            density = log_likelihood(likelihood, peaks.poses, every, self.effective_pixels, behind)
+            return continued(state.log_weights, peaks, prior, density)
+        seeds = sampled(peaks, self.samples, self.spread, state.random)
+        density = log_likelihood(likelihood, seeds.poses, seeds.owner, self.effective_pixels, behind)
+        return resampled(state.log_weights, seeds, prior, density, self.samples, state.random)
+
+    def _found_again(self, state: GFlowState, levels: list[Level]) -> Generation:
+        """Look all over the picture, from the likeliest places, with the best expert's texture."""
+        best = np.full(self.experts, int(state.log_weights.argmax()))
+        remembered = replace(state, texture=state.texture.of(best))
+        likelihood = self._likelihood(remembered, levels, state.trusted[best])
+        places = likely_places(likelihood, state.trusted[best[:1]], self.experts)
+        prior = PosePrior.after(places, self.dynamics, state.size, 1.0)
+        peaks = find_peaks(likelihood, prior, places, self.effective_pixels, self.levels - 1)
+        every = np.arange(self.experts)
+        likelihood = replace(likelihood, visible=self.object.visible(peaks.poses))
+        weights = log_likelihood(likelihood, peaks.poses, every, self.effective_pixels)
+        return Generation(
+            peaks.poses, normalised(weights), best, float(log_sum(weights) - np.log(len(weights)))
+        )
+
+    def _textured(self, state: GFlowState, generation: Generation, levels: list[Level]) -> GFlowState:
+        """Textures given the poses (Table 2, III), and how well the predicted ones fitted."""
+        texture = state.texture.of(generation.parents)
+        visible = self.object.visible(generation.poses)
+        looks, seen = self.object.looks(levels, generation.poses, visible)
+        fit = 1.0
+        if state.looks or self.texture is not None:
+            fit = float(
+                np.exp(generation.log_weights) @ _fits(looks[:, 0], texture.mean[:, 0], visible, seen)
+            )
+        doubtful = fit < (RETURN_FIT if state.lost and self.recover else LEAST_FIT)
+        poses, log_weights, doubts = generation.poses, generation.log_weights, 0
+        if doubtful:
+            doubts = state.doubts + 1
+        elif state.lost and self.recover:
+            doubts = 1  # one look more, before it is believed
+        if doubtful and state.lost and self.recover:
+            poses, log_weights, texture = state.trusted, state.log_weights, state.texture
+        if doubts and self.recover:
+            seen = np.zeros_like(seen)  # what may not be the object teaches nothing about it
+        return replace(
+            state,
+            poses=poses,
+            log_weights=log_weights,
+            texture=texture.after(looks, seen, self.noise),
+            trusted=state.trusted if doubts else poses,
+            elapsed=0.0,
+            looks=state.looks + 1,
+            log_evidence=generation.log_evidence,
+            fit=fit,
+            doubts=doubts,
+            relocations=state.relocations + int(state.lost and not doubtful),
+        )
+
+    def mean_pose(self, state: GFlowState) -> Poses:
+        """One pose: the experts' weighted mean."""
+        return state.poses.mean(state.weights)
+
+    def vertices(self, state: GFlowState) -> tuple[Array, Array]:
+        """Mean `(n_vertices, 3)` and covariance `(n_vertices, 3, 3)` px of where vertices are, depth included."""
+        positions = self.model.positions(state.poses)
+        mean = np.einsum("n,nva->va", state.weights, positions)
+        off = positions - mean
+        return mean, np.einsum("n,nva,nvb->vab", state.weights, off, off)
+
+    def points(self, state: GFlowState, points: SurfacePoints) -> Array:
+        """`(n, 2)` px: where points of the surface are in the mean pose."""
+        projected: Array = points.project(self.model, self.mean_pose(state))[0]
+        return projected
+
+
+def _fits(
+    looks: NDArray[np.float32],
+    mean: NDArray[np.float32],
+    visible: NDArray[np.bool_],
+    seen: NDArray[np.bool_],
+) -> Array:
+    """Share of the looks' variance that the mean explains, `(n,)`; 0 where most texels are off the picture."""
+    count = np.maximum(seen.sum(axis=1), 1)
+    middle = (looks * seen).sum(axis=1) / count
+    error = ((looks - mean) ** 2 * seen).sum(axis=1)
+    power = ((looks - middle[:, None]) ** 2 * seen).sum(axis=1)
+    inside = count > LEAST_INSIDE * np.maximum(visible.sum(axis=1), 1)
+    fits: Array = np.where(inside, np.maximum(1 - error / np.maximum(power, 1), -1.0), 0.0)
+    return fits

@@ -1,0 +1,47 @@
+"""Where a lost object may be: its remembered texture tried all over a coarse picture."""
+
+import numpy as np
+
+from ..models.pose import Poses, exponential
+from .texture_likelihood import TextureLikelihood
+
+STEP = 0.3
+"""Distance between places that are tried, in sizes of the object."""
+
+SIZES = (0.8, 1.0, 1.25)
+TURNS = (-0.35, 0.0, 0.35)
+"""rad about the upright axis, against the pose that it was last seen in."""
+
+LEAST_SHARE = 0.6
+"""Least share of the object's area that has to lie in the picture."""
+
+
+def likely_places(likelihood: TextureLikelihood, last: Poses, n: int) -> Poses:
+    """The `n` poses, of a grid of places, sizes and turns, whose coarse texture fits the picture best.
+
+    Parameters
+    ----------
+    likelihood
+        of one expert.
+    last
+        the pose in which it was seen last, which gives turns and shape.
+    n
+        how many.
+    """
+    coarsest = len(likelihood.levels) - 1
+    height, width = likelihood.levels[0].image.shape
+    step = STEP * float(last.sizes[0])
+    columns, rows = np.arange(step / 2, width, step), np.arange(step / 2, height, step)
+    grid = np.stack(np.meshgrid(columns, rows, SIZES, TURNS, indexing="ij"), axis=-1).reshape(-1, 4)
+    centre = likelihood.surface.positions(last)[0].mean(axis=0) - last.translations[0]
+    turns = exponential(grid[:, 3:] * np.array([0.0, 1.0, 0.0]))
+    tried = Poses(
+        turns @ last.rotations[0],
+        grid[:, :2] - centre * grid[:, 2:3],
+        last.morphs * grid[:, 2:3],
+    )
+    owner = np.zeros(len(tried), np.int64)
+    squares, _, areas, _ = likelihood.sums(tried, owner, level=coarsest).T
+    whole = areas.max() * grid[:, 2] ** 2 / max(SIZES) ** 2
+    misfit = np.where(areas > LEAST_SHARE * whole, squares / np.maximum(areas, 1e-9), np.inf)
+    return tried[np.argsort(misfit, kind="stable")[:n]]

@@ -1,0 +1,36 @@
+"""Resampling of weighted samples, from weights in log space."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def log_sum(values: Array, axis: int | None = None) -> Array:
+    """log sum exp of `values` along `axis`; minus infinity where all are."""
+    peak = np.max(values, axis=axis, keepdims=True)
+    peak = np.where(np.isfinite(peak), peak, 0.0)
+    with np.errstate(divide="ignore"):
+        total = np.log(np.exp(values - peak).sum(axis=axis, keepdims=True)) + peak
+    return np.squeeze(total, axis=axis) if axis is not None else total.reshape(())
+
+
+def normalised(log_weights: Array) -> Array:
+    """`log_weights` shifted so that weights sum to one; equal ones where none is above zero."""
+    total = log_sum(log_weights)
+    if not np.isfinite(total):
+        return np.full(log_weights.shape, -np.log(log_weights.size))
+    return log_weights - total
+
+
+def effective_size(log_weights: Array) -> float:
+    """1 / sum w^2 of the normalised weights: how many equal samples they are worth."""
+    return float(np.exp(-log_sum(2 * normalised(log_weights))))
+
+
+def systematic(log_weights: Array, n: int, random: np.random.Generator) -> NDArray[np.int64]:
+    """`(n,)` indices drawn by systematic resampling: each sample as often as its weight says, within one."""
+    cumulated = np.cumsum(np.exp(normalised(log_weights)))
+    points = (random.random() + np.arange(n)) / n
+    chosen = np.searchsorted(cumulated / cumulated[-1], points, side="right")
+    return np.minimum(chosen, len(log_weights) - 1)

@@ -1,0 +1,156 @@
+"""Kalman filter of each texel of each expert, G-flow paper eq. (10)-(12), with gains fixed or learned."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models.picture_levels import MIDDLE_GREY
+from ..models.texel_noise import TexelNoise
+
+Map = NDArray[np.float32]
+
+UNKNOWN_VARIANCE = 60.0**2
+"""Squared grey levels: of a texel that has never been seen."""
+
+MEMORY = 25.0
+"""Looks over which the correlation of innovations is averaged, where gains are learned."""
+
+PACE = 0.1
+"""Change of a gain's log odds per look, at full correlation."""
+
+GAIN_LIMITS = (-6.0, 6.0)
+"""Log odds between which a learned gain stays."""
+
+FIRST_GAIN = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedGain:
+    """What is remembered of each texel's innovations, to learn its gain (§7.2.1).
+
+    Under the right gain innovations are white. A texel that changes faster than its gain follows has
+    innovations of the same sign one after the other, one that follows noise has alternating ones.
+
+    Parameters
+    ----------
+    log_odds
+        `(n_experts, n_texels)` float32 of the gain.
+    last
+        `(n_experts, n_texels)` float32 grey levels: the last innovation, 0 if the texel was hidden.
+    product, power
+        `(n_experts, n_texels)` float32: running means of successive innovations' product and of their square.
+    """
+
+    log_odds: Map
+    last: Map
+    product: Map
+    power: Map
+
+    @classmethod
+    def first(cls, n_experts: int, n_texels: int) -> Self:
+        """Before anything was seen."""
+        start = np.full((n_experts, n_texels), np.log(FIRST_GAIN / (1 - FIRST_GAIN)), np.float32)
+        return cls(start, *(np.zeros_like(start) for _ in range(3)))
+
+    @property
+    def gain(self) -> Map:
+        """`(n_experts, n_texels)` from 0 to 1."""
+        gain: Map = 1 / (1 + np.exp(-self.log_odds))
+        return gain
+
+    def of(self, parents: NDArray[np.int64]) -> Self:
+        """What the children of `parents` remember."""
+        return replace(
+            self,
+            log_odds=self.log_odds[parents],
+            last=self.last[parents],
+            product=self.product[parents],
+            power=self.power[parents],
+        )
+
+    def after(self, innovation: Map, seen: NDArray[np.bool_]) -> Self:
+        """With one more look; `innovation` counts where `seen`."""
+        both = seen & (self.last != 0)
+        share = np.float32(1 / MEMORY)
+        product = np.where(both, self.product + share * (innovation * self.last - self.product), self.product)
+        power = np.where(seen, self.power + share * (innovation**2 - self.power), self.power)
+        step = np.float32(PACE) * product / np.maximum(power, np.float32(1))
+        return replace(
+            self,
+            log_odds=np.clip(self.log_odds + np.where(both, step, 0), *GAIN_LIMITS).astype(np.float32),
+            last=np.where(seen, innovation, np.float32(0)),
+            product=product,
+            power=power,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """Predicted texture of every expert: independent Gaussians of its texels.
+
+    Parameters
+    ----------
+    mean
+        `(n_experts, n_levels, n_texels)` float32 grey levels, on each level of the picture.
+    variance
+        `(n_experts, n_texels)` float32, squared grey levels, common to the levels.
+    learned
+        where gains are learned.
+    """
+
+    mean: Map
+    variance: Map
+    learned: LearnedGain | None = None
+
+    @classmethod
+    def unknown(cls, n_experts: int, n_levels: int, n_texels: int, *, learn: bool) -> Self:
+        """Texture of which nothing has been seen."""
+        return cls(
+            np.full((n_experts, n_levels, n_texels), MIDDLE_GREY, np.float32),
+            np.full((n_experts, n_texels), UNKNOWN_VARIANCE, np.float32),
+            LearnedGain.first(n_experts, n_texels) if learn else None,
+        )
+
+    def of(self, parents: NDArray[np.int64]) -> Self:
+        """Textures of the children of `parents`."""
+        return replace(
+            self,
+            mean=self.mean[parents],
+            variance=self.variance[parents],
+            learned=None if self.learned is None else self.learned.of(parents),
+        )
+
+    def temperature(self, noise: TexelNoise) -> Map:
+        """tau = V + sigma_w^2 `(n_experts, n_texels)`, squared grey levels (§4.1)."""
+        return self.variance + self._noises(noise)[0]
+
+    def after(self, looks: Map, seen: NDArray[np.bool_], noise: TexelNoise) -> Self:
+        """Predicted texture for the next frame, eq. (10)-(12).
+
+        `looks` `(n_experts, n_levels, n_texels)` are the texels as this frame shows them; where they are not
+        `seen` `(n_experts, n_texels)` the mean stays and the variance grows. Departure: a texel that is seen
+        for the first time starts in its steady state, so that gain 0 is a fixed template from the first look
+        on and gain 1 the last frame.
+        """
+        rendering, process = self._noises(noise)
+        unknown = self.variance >= np.float32(0.5 * UNKNOWN_VARIANCE)
+        gain = np.where(unknown, np.float32(1), self.variance / (self.variance + rendering))
+        gain = np.where(seen, gain, np.float32(0)).astype(np.float32)
+        variance = (1 - gain) * self.variance + process
+        steady = 0.5 * (process + np.sqrt(process**2 + 4 * rendering * process))
+        variance = np.where(seen & unknown, steady, variance).astype(np.float32)
+        variance = np.minimum(variance, np.float32(UNKNOWN_VARIANCE))
+        innovation = looks - self.mean
+        learned = self.learned
+        if learned is not None:
+            learned = learned.after(innovation[:, 0], seen & ~unknown)
+        return replace(self, mean=self.mean + gain[:, None] * innovation, variance=variance, learned=learned)
+
+    def _noises(self, noise: TexelNoise) -> tuple[Map | np.float32, Map | np.float32]:
+        """Rendering and process noise; with a learned gain those of its steady state at the temperature."""
+        if self.learned is None:
+            return np.float32(noise.rendering), np.float32(noise.process)
+        gain, temperature = self.learned.gain, np.float32(noise.temperature)
+        return (1 - gain) * temperature, gain**2 * temperature

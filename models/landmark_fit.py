@@ -1,0 +1,194 @@
+"""Poses from landmarks: closed forms for a rigid object, then Gauss-Newton with all morphs."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .pose import RIGID, Poses
+
+if TYPE_CHECKING:
+    from .morphable_model import MorphableModel
+
+Array = NDArray[np.float64]
+
+LANDMARK_NOISE = 0.03
+"""Standard deviation of a landmark in units of c_1: about 2 % of a face's width."""
+
+FEWEST = 4
+"""Landmarks that a frame must have: three do for a rigid object, but leave its depth ambiguous."""
+
+_BATCH = 256
+"""Frames fitted at once, which bounds the memory of their Jacobians."""
+
+_MOST_STEPS = 60
+
+_SMALL_STEP = 1e-6
+"""Step (rad, and share of the object's size) at which a fit is finished."""
+
+_DEPTH_DOUBT = 0.05
+"""How far a point may be from where the typical shape has it, in units of c_1, at the start."""
+
+
+def fit_points(points: "MorphableModel", landmarks: Array, start: Poses | None, noise: float) -> Poses:
+    """Fit poses to landmarks, as `MorphableModel.fit` documents it.
+
+    Parameters
+    ----------
+    points
+        the model whose vertices are the points at the landmarks.
+    landmarks
+        `(n_frames, n_points, 2)` px, NaN where missing.
+    start, noise
+        as of `MorphableModel.fit`.
+    """
+    if not noise > 0:
+        raise ValueError(f"noise: got {noise}, expected a positive share of the object's size")
+    landmarks, seen = _checked(landmarks)
+    if start is not None:
+        if len(start) not in (1, len(landmarks)) or start.morphs.shape[1] != points.n_bases:
+            raise ValueError(
+                f"start: got {len(start)} poses of {start.morphs.shape[1]} bases, expected one or "
+                f"{len(landmarks)} of {points.n_bases}"
+            )
+        if not (start.sizes > 0).all():
+            raise ValueError("start: got a first morph coefficient that is not positive")
+        start = start[np.arange(len(landmarks)) % len(start)]
+    parts = []
+    for begin in range(0, len(landmarks), _BATCH):
+        batch = slice(begin, begin + _BATCH)
+        poses = _rigid_poses(points, landmarks[batch], seen[batch], noise) if start is None else start[batch]
+        # twice: noise is relative to a size that only the first fit tells
+        for _ in range(2):
+            poses, _ = _peak(points, landmarks[batch], seen[batch], poses, noise)
+        parts.append(poses)
+    return Poses.concatenated(parts)
+
+
+def _checked(landmarks: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Landmarks with zeros where they are missing, and which ones are there."""
+    if np.isinf(landmarks).any():
+        frame, point = np.argwhere(np.isinf(landmarks))[0, :2]
+        raise ValueError(f"landmark {point} of frame {frame}: got infinity, expected px, NaN where missing")
+    seen: NDArray[np.bool_] = np.logical_not(np.isnan(landmarks).any(axis=2))
+    counts = seen.sum(axis=1)
+    if (counts < FEWEST).any():
+        frame = int(np.argmax(counts < FEWEST))
+        raise ValueError(f"frame {frame}: got {counts[frame]} landmarks, expected at least {FEWEST}")
+    landmarks = np.where(seen[..., None], landmarks, 0.0)
+    middle = landmarks.sum(axis=1, keepdims=True) / counts[:, None, None]
+    apart = np.where(seen[..., None], np.abs(landmarks - middle), 0.0).max(axis=(1, 2))
+    if (apart < 1e-6).any():
+        raise ValueError(f"frame {int(apart.argmin())}: got all landmarks at one place")
+    return landmarks, seen
+
+
+def _rigid_poses(points: "MorphableModel", landmarks: Array, seen: NDArray[np.bool_], noise: float) -> Poses:
+    """Poses of the typical shape: the best that Gauss-Newton finds from three closed forms.
+
+    They are the scaled rotation nearest to the affine camera that fits best, the same seen with depth turned
+    round (which of them is right is told by the depth of the points alone), and an unturned one.
+    """
+    typical = type(points)(points.bases[:1], points.triangles)
+    shape = np.append(typical.bases[0], np.ones((points.n_vertices, 1)), axis=1)
+    normal = np.einsum("fp,pi,pj->fij", seen.astype(np.float64), shape, shape)
+    counts = seen.sum(axis=1)
+    # Where an object is nearly flat, errors of the typical shape would decide how far it is turned: depth
+    # counts as far as it is above them.
+    normal[:, [0, 1, 2], [0, 1, 2]] += _DEPTH_DOUBT**2 * counts[:, None]
+    cameras = np.linalg.solve(normal, np.einsum("fp,pi,fpc->fic", seen, shape, landmarks))
+    rows = np.swapaxes(cameras[:, :3], 1, 2)
+    left, scales, right = np.linalg.svd(rows, full_matrices=False)
+    pair = left @ right
+    turned = np.concatenate([pair, np.cross(pair[:, 0], pair[:, 1])[:, None]], axis=1)
+    # the mirror image in depth: what is seen of a flat object would be the same
+    mirror = np.diag([1.0, 1.0, -1.0])
+    # in the picture's plane only: the part of the camera that neither looks at depth nor reflects
+    angle = np.arctan2(rows[:, 1, 0] - rows[:, 0, 1], rows[:, 0, 0] + rows[:, 1, 1])
+    flat = np.tile(np.eye(3), (len(rows), 1, 1))
+    flat[:, 0, 0] = flat[:, 1, 1] = np.cos(angle)
+    flat[:, 1, 0], flat[:, 0, 1] = np.sin(angle), -np.sin(angle)
+    size = np.maximum(scales[:, :1], 1e-6)  # where nothing agrees with the shape
+    peaks = [
+        _peak(typical, landmarks, seen, Poses(rotations, cameras[:, 3], size), noise)
+        for rotations in (turned, mirror @ turned @ mirror, flat)
+    ]
+    chosen = np.argmin([cost for _, cost in peaks], axis=0)
+    best = Poses.concatenated([found for found, _ in peaks])[chosen * len(rows) + np.arange(len(rows))]
+    morphs = np.zeros((len(best), points.n_bases))
+    morphs[:, 0] = best.sizes
+    return Poses(best.rotations, best.translations, morphs)
+
+
+def _peak(
+    points: "MorphableModel", landmarks: Array, seen: NDArray[np.bool_], poses: Poses, noise: float
+) -> tuple[Poses, Array]:
+    """The poses nearby of the highest posterior density, and their costs (twice its negative logarithm).
+
+    Levenberg and Marquardt's steps in units of rad and of the first size, so that all columns are alike.
+    """
+    poses = poses.moved(np.zeros((1, poses.dimension)))  # written to below
+    units = np.ones((len(poses), poses.dimension))
+    units[:, 3:] = poses.sizes[:, None]
+    sigma = noise * poses.sizes  # px; held, or it would reward large objects
+    damping = np.full(len(poses), 1e-3)
+    cost = _cost(points, landmarks, seen, poses, sigma)
+    moving = np.arange(len(poses))
+    for _ in range(_MOST_STEPS):
+        some = poses[moving]
+        gradient, normal = _normal_equations(points, landmarks[moving], seen[moving], some, sigma[moving])
+        unit = units[moving]
+        normal *= unit[:, :, None] * unit[:, None, :]
+        diagonal = np.einsum("fii->fi", normal)  # a view
+        diagonal += damping[moving, None] * (diagonal + 1e-3 * diagonal.max(axis=1, keepdims=True))
+        steps = np.linalg.solve(normal, (gradient * unit)[..., None])[..., 0]
+        trial = some.moved(steps * unit)
+        trial_cost = _cost(points, landmarks[moving], seen[moving], trial, sigma[moving])
+        better = trial_cost <= cost[moving]
+        taken = moving[better]
+        for whole, part in (
+            (poses.rotations, trial.rotations),
+            (poses.translations, trial.translations),
+            (poses.morphs, trial.morphs),
+        ):
+            whole[taken] = part[better]
+        cost[taken] = trial_cost[better]
+        damping[moving] *= np.where(better, 0.2, 8.0)
+        moving = moving[(np.abs(steps).max(axis=1) > _SMALL_STEP) & (damping[moving] < 1e9)]
+        if moving.size == 0:
+            break
+    return poses, cost
+
+
+def _cost(
+    points: "MorphableModel", landmarks: Array, seen: NDArray[np.bool_], poses: Poses, sigma: Array
+) -> Array:
+    """Squared residuals of landmarks and of c_j / c_1, in their standard deviations; `(n_frames,)`."""
+    away = ((landmarks - points.project(poses)) ** 2).sum(axis=2)
+    shares = poses.morphs[:, 1:] / poses.sizes[:, None]
+    total = (away * seen).sum(axis=1) / sigma**2 + (shares**2).sum(axis=1)
+    cost: Array = np.where(poses.sizes > 0, total, np.inf)
+    return cost
+
+
+def _normal_equations(
+    points: "MorphableModel", landmarks: Array, seen: NDArray[np.bool_], poses: Poses, sigma: Array
+) -> tuple[Array, Array]:
+    """J^T e `(n_frames, dimension)` and J^T J of the residuals of `_cost`."""
+    n = len(poses)
+    rows = points.jacobian(poses) * (seen / sigma[:, None])[..., None, None]
+    rows = rows.reshape(n, -1, poses.dimension)
+    errors = (landmarks - points.project(poses)) / sigma[:, None, None]
+    across = np.swapaxes(rows, 1, 2)
+    gradient, normal = (across @ errors.reshape(n, -1, 1))[..., 0], across @ rows
+    # the prior's residuals c_j / c_1, of which only the one's own c_j and c_1 move each
+    size = poses.sizes[:, None]
+    shares = poses.morphs[:, 1:] / size
+    gradient[:, RIGID] += (shares**2).sum(axis=1) / poses.sizes
+    gradient[:, RIGID + 1 :] -= shares / size
+    normal[:, RIGID, RIGID] += (shares**2).sum(axis=1) / poses.sizes**2
+    normal[:, RIGID, RIGID + 1 :] -= shares / size**2
+    normal[:, RIGID + 1 :, RIGID] -= shares / size**2
+    others = np.arange(RIGID + 1, poses.dimension)
+    normal[:, others, others] += 1 / size**2
+    return gradient, normal

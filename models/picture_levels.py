@@ -1,0 +1,79 @@
+"""A picture prepared for matching textures: light taken out, smoothed to several degrees."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Picture = NDArray[np.float32]
+
+MIDDLE_GREY = 128.0
+DARKEST = 5.0
+"""Grey levels added to the local mean, so that black regions do not blow up sensor noise."""
+
+LIGHT_REACH = 0.25
+"""Standard deviation of the local mean, in sizes of the object."""
+
+SMOOTHING = (0.0175, 0.05, 0.125)
+"""Standard deviation of the smoothing of each level, in sizes of the object, fine to coarse."""
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One level of a picture.
+
+    Parameters
+    ----------
+    image
+        `(height, width)` float32 grey.
+    scale
+        px of the level per px of the picture: pixel x of the picture is at x scale + (scale - 1) / 2.
+    """
+
+    image: Picture
+    scale: float
+
+
+def picture_levels(image: NDArray[np.uint8], size: float, *, n_levels: int, local_mean: bool) -> list[Level]:
+    """Levels of a picture, fine to coarse; each is half as large as the one before.
+
+    `image` is uint8, grey or BGR. With `local_mean` grey values are divided by their mean about them,
+    y <- 128 y / (mean + 5), which takes out light that changes slowly over the object; `size` px is that of
+    the object, by which the mean's reach and the smoothing are set.
+    """
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    picture = grey.astype(np.float32)
+    if local_mean:
+        picture *= MIDDLE_GREY / (blurred(picture, LIGHT_REACH * size) + DARKEST)
+    levels = []
+    for number in range(n_levels):
+        scale = 0.5**number
+        if number:
+            height, width = (length // 2 * 2 for length in picture.shape)
+            picture = cv2.resize(
+                picture[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA
+            )
+        already = SMOOTHING[number - 1] * size if number else 0.0
+        more = np.sqrt((SMOOTHING[number] * size) ** 2 - already**2) * scale
+        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), float(more)), np.float32)
+        levels.append(Level(picture, scale))
+    return levels
+
+
+def blurred(picture: Picture, deviation: float) -> Picture:
+    """Gaussian mean about every pixel, worked out on a smaller picture where it is wide."""
+    factor = max(int(deviation / 3), 1)
+    height, width = picture.shape
+    small = cv2.resize(
+        picture, (max(width // factor, 1), max(height // factor, 1)), interpolation=cv2.INTER_AREA
+    )
+    small = cv2.GaussianBlur(small, (0, 0), deviation / factor)
+    return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def smallest(levels: Sequence[Level]) -> tuple[int, int]:
+    """Height and width of the coarsest level."""
+    height, width = levels[-1].image.shape
+    return height, width
