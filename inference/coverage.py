@@ -1,4 +1,4 @@
-"""Which pixels an object covers as its experts see it, and what that tells others at the pixels' feature node."""
+"""Which pixels an object covers as its experts see it, and what that tells others of the pixels."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,11 +32,14 @@ class Coverage:
     ----------
     box
         that holds the object, with a margin.
+    inside
+        `(n_experts, height, width)`: 1 where the object covers the pixel as an expert sees it, else 0.
     share
         `(height, width)` float32 of the box: probability that the object covers the pixel.
     """
 
     box: Box
+    inside: NDArray[np.uint8]
     share: Map
 
     @classmethod
@@ -53,11 +56,11 @@ class Coverage:
         box = Box.around(positions, margin, size)
         inside = covered(positions, model.triangles, box)
         share = np.tensordot(weights.astype(np.float32), inside.astype(np.float32), 1)
-        return cls(box, np.asarray(share, np.float32))
+        return cls(box, inside, np.asarray(share, np.float32))
 
     @cached_property
     def hidden(self) -> NDArray[np.bool_]:
-        """`(height, width)`: whether the pixel may be covered, by any likely expert or an error of the model."""
+        """`(height, width)`: whether a likely expert, or the model's error, may cover the pixel."""
         return widened(self.share > LEAST_SHARE)
 
     @cached_property

@@ -26,7 +26,7 @@ LEAST_NOISE = 1e-4
 """Standard deviation of noise in the unit of `Tracks`, the spread of points: there likelihood ends."""
 
 ALIKE = 10.0
-"""So many frames of a video say as much as one that stands by itself: the strength of the bases' prior."""
+"""So many frames of a video say as much as one that stands by itself; the power of the bases' prior."""
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
 LONGEST_TURN, LONGEST_GROWTH = 0.3, 0.3
@@ -284,8 +284,8 @@ def basis_covariance(state: State) -> Numbers:
 
     Where an object hardly turns, its likelihood grows with its depth: sliding outlines and whatever else does
     not fit the model are then best explained by deep shapes that turn by a trifle. The prior says that a
-    basis is about as deep as it is wide, and counts as much as `ALIKE` frames' worth of such nonsense. The
-    mean is independent of the modes.
+    basis is about as deep as it is wide; it is taken to the power `ALIKE`, since successive frames err alike
+    and their likelihood claims that much more than it knows. The mean is independent of the modes.
     """
     seen = np.matmul(state.seen_axes.transpose(0, 2, 1), state.seen_axes).mean(axis=0)
     scale = np.trace(seen) / 2

@@ -126,8 +126,8 @@ def learn_shape(
         raise ValueError("tracks: got points that all lie in one place, expected a shape")
     centred /= unit
     observed = Tracks.of(centred)
-    state, _ = start(observed, centred, bases, on_iteration)
-    state, history = climb(observed, state, iterations, tolerance, on_iteration)
+    beginning = start(observed, centred, bases, on_iteration)
+    state, history = climb(observed, beginning, iterations, tolerance, on_iteration)
     return _in_pixels(observed, state, history, unit, middles, determined)
 
 

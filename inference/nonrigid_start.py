@@ -39,10 +39,8 @@ TOLERANCE = 1e-5
 """Nats a coordinate, for what comes before the last climb."""
 
 
-def start(
-    tracks: Tracks, positions: Numbers, bases: int, on_iteration: Callable[[], None]
-) -> tuple[State, float]:
-    """The most likely of several states with so many bases, and its log likelihood.
+def start(tracks: Tracks, positions: Numbers, bases: int, on_iteration: Callable[[], None]) -> State:
+    """The most likely of several states with so many bases.
 
     Rigid motion is found twice, as factorisation gives it and with smooth turns instead of sudden ones of
     about 180 degrees that explain a flat object's picture as well. Modes are added one after the other or all
@@ -70,7 +68,7 @@ def start(
             likelihood = log_likelihood(tracks, state)
             if likelihood > best_likelihood:
                 best, best_likelihood = state, likelihood
-    return best, best_likelihood
+    return best
 
 
 def rigid_start(positions: Numbers) -> State:

@@ -57,11 +57,11 @@ def place_equations(
 def scan(contrast, top, left, places, normals, lengths, share, reach, step, noise, targets, information):
     """Where along their normals the edge of an object is, given what its background looks like.
 
-    `contrast` `(n_maps, height, width)` float32: log density of the background over that of anything, of
-    pixels from `(top, left)`; one map for all, or one each. Writes `targets` `(n, n_points, 2)` and
-    `information` `(n, n_points, 3)`, zero where a scan says nothing. A scan goes `reach` steps of `step` px to
-    either side, and the variance `noise` in steps is added to what it finds; `share` `(n,)` is how much a px
-    of outline counts. The nats of a scan are not tempered, or the edge would be found too far on the side
+    `contrast` `(n_maps, height, width)` float32: log density of the background over that of the
+    object, of pixels from `(top, left)`; one map for all, or one each. Writes `targets` `(n, n_points, 2)`
+    and `information` `(n, n_points, 3)`, zero where a scan says nothing. A scan goes `reach` steps of
+    `step` px to either side, and the variance `noise` in steps is added to what it finds; `share` `(n,)` is
+    how much a px of outline counts. The nats of a scan are not tempered, or the edge would be found too far on the side
     where the background speaks more softly.
     """
     height, width = contrast.shape[1], contrast.shape[2]
@@ -84,8 +84,9 @@ def scan(contrast, top, left, places, normals, lengths, share, reach, step, nois
                 if (x >= 0) & (y >= 0) & (x < width - 1) & (y < height - 1):
                     column, row = np.int64(x), np.int64(y)
                     fx, fy = _f4(x - column), _f4(y - row)
-                    above = image[row, column] + fx * (image[row, column + 1] - image[row, column])
-                    below = image[row + 1, column] + fx * (image[row + 1, column + 1] - image[row + 1, column])
+                    upper, lower = image[row], image[row + 1]
+                    above = upper[column] + fx * (upper[column + 1] - upper[column])
+                    below = lower[column] + fx * (lower[column + 1] - lower[column])
                     value = above + fy * (below - above)
                 outside[k] = outside[k + 1] + step * value
             best = outside[0]
@@ -143,8 +144,9 @@ def map_sums(positions, owner, groups, first, weights, offsets, areas, on, contr
                 if good:
                     column, row = np.int64(x), np.int64(y)
                     fx, fy = x - _f4(column), y - _f4(row)
-                    above = image[row, column] + fx * (image[row, column + 1] - image[row, column])
-                    below = image[row + 1, column] + fx * (image[row + 1, column + 1] - image[row + 1, column])
+                    upper, lower = image[row], image[row + 1]
+                    above = upper[column] + fx * (upper[column + 1] - upper[column])
+                    below = lower[column] + fx * (lower[column + 1] - lower[column])
                     in_group += above + fy * (below - above)
             total += each * in_group
         sums[m] = total

@@ -1,4 +1,4 @@
-"""Evidence of poses besides the texture: Gaussian knowledge of where points of the surface are in the picture."""
+"""Evidence of poses besides the texture: where points of the surface are in the picture, as Gaussians."""
 
 from dataclasses import dataclass
 from typing import Protocol, Self

@@ -5,6 +5,7 @@ G-flow paper §3.4.1; its appendix is missing, DESIGN of the derivation: see `fi
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from ..models.pose import Poses
 from .point_terms import PoseEvidence, PoseTerm
 from .pose_dynamics import PosePrior
-from .texture_likelihood import Equations, TextureLikelihood
+from .texture_likelihood import Equations
 
 Array = NDArray[np.float64]
 
@@ -23,6 +24,14 @@ SHORTEST_STEP = 0.03
 REFERENCE_SIZE = 40.0
 MOST_STEPS = (6, 4, 4)
 """Evaluations on each level, fine to coarse, the first at the start included."""
+
+
+class PoseLikelihood(Protocol):
+    """What a picture says of poses, as `TextureLikelihood` does for textures that experts remember."""
+
+    def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> Equations:
+        """Normal equations on a level at `poses`, of which number m belongs to expert `owner[m]`."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +51,7 @@ class Peaks:
 
 
 def find_peaks(
-    likelihood: TextureLikelihood,
+    likelihood: PoseLikelihood,
     prior: PosePrior,
     start: Poses,
     effective_pixels: float,

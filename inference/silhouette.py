@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models.morphable_model import MorphableModel
-from ..models.outline import Box, MeshEdges, covered, outline
+from ..models.outline import MeshEdges, covered, outline
 from ..models.pose import Poses
 from . import place_kernels
 from .backdrop import Backdrop
@@ -24,6 +24,9 @@ REACH = 4
 
 NOISE = 1.0
 """Squared steps by which the outline of a coarse mesh is off the object's."""
+
+WORTH = 4.0
+"""px across the outline that the find of a scan is worth: so much of a texture says as much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +64,12 @@ class Silhouette:
         every = np.arange(len(poses))[:, None, None]
         ends = positions[every, found.vertices]
         places = (ends * found.weights[..., None]).sum(axis=2)
-        areas = np.maximum(inside.sum(axis=(1, 2)), 1)
+        share = WORTH * self.effective_pixels / np.maximum(inside.sum(axis=(1, 2)), 1)
         targets = np.empty_like(places)
         information = np.empty((*places.shape[:2], 3))
         place_kernels.scan(
             self.backdrop.border, box.top, box.left, places, found.normals.astype(np.float64),
-            found.lengths.astype(np.float64), self.effective_pixels / areas, REACH, float(2**level), NOISE,
-            targets, information,
+            found.lengths.astype(np.float64), share, REACH, float(2**level), NOISE, targets, information,
         )  # fmt: skip
         bases = self.model.bases[:, found.vertices]  # (n_bases, n, n_points, 2, 3)
         bases = np.einsum("npe,knpec->npkc", found.weights, bases)

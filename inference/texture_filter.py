@@ -15,10 +15,16 @@ UNKNOWN_VARIANCE = 60.0**2
 """Squared grey levels: of a texel that has never been seen."""
 
 MEMORY = 25.0
-"""Looks over which the correlation of innovations is averaged, where gains are learned."""
+"""Looks over which the square of innovations is averaged, where gains are learned."""
 
-PACE = 0.1
-"""Change of a gain's log odds per look, at full correlation."""
+PACE = 0.6
+"""Change of a gain's log odds per look, at full correlation of large innovations."""
+
+SMALL = 36.0
+"""Squared grey levels: innovations whose square is well below it say little of the gain."""
+
+MISPLACED = 3.0
+"""Squared grey levels: persistent innovations of this product come from texels that are seen a little off."""
 
 GAIN_LIMITS = (-6.0, 6.0)
 """Log odds between which a learned gain stays."""
@@ -31,7 +37,11 @@ class LearnedGain:
     """What is remembered of each texel's innovations, to learn its gain (§7.2.1).
 
     Under the right gain innovations are white. A texel that changes faster than its gain follows has
-    innovations of the same sign one after the other, one that follows noise has alternating ones.
+    innovations of the same sign one after the other, one that follows noise has alternating ones. So the log
+    odds of a gain climb or fall with the correlation of successive innovations: fast where innovations are
+    large beside what noise makes of a prediction, slowly where they are small. A texel of a shape that is
+    only nearly right is seen next to its place for many frames; what this leaves in the correlation is taken
+    off, or else every texel would end at flow, whose drift no texel can see.
 
     Parameters
     ----------
@@ -39,20 +49,19 @@ class LearnedGain:
         `(n_experts, n_texels)` float32 of the gain.
     last
         `(n_experts, n_texels)` float32 grey levels: the last innovation, 0 if the texel was hidden.
-    product, power
-        `(n_experts, n_texels)` float32: running means of successive innovations' product and of their square.
+    power
+        `(n_experts, n_texels)` float32: running mean of innovations' square.
     """
 
     log_odds: Map
     last: Map
-    product: Map
     power: Map
 
     @classmethod
     def first(cls, n_experts: int, n_texels: int) -> Self:
         """Before anything was seen."""
         start = np.full((n_experts, n_texels), np.log(FIRST_GAIN / (1 - FIRST_GAIN)), np.float32)
-        return cls(start, *(np.zeros_like(start) for _ in range(3)))
+        return cls(start, np.zeros_like(start), np.zeros_like(start))
 
     @property
     def gain(self) -> Map:
@@ -66,23 +75,21 @@ class LearnedGain:
             self,
             log_odds=self.log_odds[parents],
             last=self.last[parents],
-            product=self.product[parents],
             power=self.power[parents],
         )
 
     def after(self, innovation: Map, seen: NDArray[np.bool_]) -> Self:
         """With one more look; `innovation` counts where `seen`."""
         both = seen & (self.last != 0)
-        share = np.float32(1 / MEMORY)
-        product = np.where(both, self.product + share * (innovation * self.last - self.product), self.product)
-        power = np.where(seen, self.power + share * (innovation**2 - self.power), self.power)
-        step = np.float32(PACE) * product / np.maximum(power, np.float32(1))
+        square = innovation**2
+        power = np.where(seen, self.power + np.float32(1 / MEMORY) * (square - self.power), self.power)
+        scale = np.maximum(power, square) + np.float32(SMALL)
+        step = np.float32(PACE) * (innovation * self.last - np.float32(MISPLACED)) / scale
         return replace(
             self,
             log_odds=np.clip(self.log_odds + np.where(both, step, 0), *GAIN_LIMITS).astype(np.float32),
             last=np.where(seen, innovation, np.float32(0)),
-            product=product,
-            power=power,
+            power=power.astype(np.float32),
         )
 
 

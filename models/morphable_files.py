@@ -35,7 +35,7 @@ IBUG = 68
 """Landmarks in the list that `SURREY_LANDMARKS` refers to."""
 
 
-def read_model(path: Path) -> MorphableModel:
+def read_model(path: str | Path) -> MorphableModel:
     """Read a morphable model; the name of the file says which kind.
 
     - `.npz`: ours, as `write_model` leaves it. Bases of any scale are brought to that of `MorphableModel`.
@@ -59,6 +59,7 @@ def read_model(path: Path) -> MorphableModel:
         ".obj": _read_obj,
         ".bin": _read_surrey,
     }
+    path = Path(path)
     file = path / SURREY_SHAPE if path.is_dir() else path
     if path.is_dir() and not file.is_file():
         raise ValueError(f"{path}: got a folder without {SURREY_SHAPE}, expected that or a model file")
@@ -67,7 +68,7 @@ def read_model(path: Path) -> MorphableModel:
     return readers[file.suffix.lower()](file)
 
 
-def write_model(model: MorphableModel, path: Path) -> None:
+def write_model(model: MorphableModel, path: str | Path) -> None:
     """Write a model as `.npz`, whole or not at all; `read_model` gives the same back.
 
     Raises
@@ -77,6 +78,7 @@ def write_model(model: MorphableModel, path: Path) -> None:
     OSError
         if the file cannot be written; it is then as before.
     """
+    path = Path(path)
     if path.suffix.lower() != ".npz":
         raise ValueError(f"{path}: got {path.suffix!r}, expected a name that ends with .npz")
     fields: dict[str, Any] = {
@@ -97,7 +99,7 @@ def write_model(model: MorphableModel, path: Path) -> None:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
-def read_correspondences(path: Path) -> NDArray[np.int64]:
+def read_correspondences(path: str | Path) -> NDArray[np.int64]:
     """Read which landmarks of a landmark file are which of a model.
 
     Parameters
@@ -118,6 +120,7 @@ def read_correspondences(path: Path) -> NDArray[np.int64]:
     OSError
         if the file cannot be read.
     """
+    path = Path(path)
     pairs: dict[int, int] = {}
     for line_number, line in enumerate(_text(path).splitlines(), start=1):
         content = line.partition("#")[0].strip()

@@ -1,4 +1,4 @@
-"""The outline of a projected mesh against what is behind it, and the pixels that the mesh covers; many at once."""
+"""Outlines of a projected mesh against what is behind it, and the pixels that it covers, in many poses."""
 
 from dataclasses import dataclass
 from typing import Self

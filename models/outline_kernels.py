@@ -1,4 +1,4 @@
-"""Loops over the triangles and edges of projected meshes: which pixels they cover, and where their outline is."""
+"""Loops over triangles and edges of projected meshes: which pixels they cover, where the outline is."""
 
 import numpy as np
 

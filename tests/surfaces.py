@@ -1,4 +1,4 @@
-"""A small bumpy surface that deforms, smooth pictures to paint it with, and bilinear interpolation in numpy."""
+"""A small bumpy surface that deforms, smooth pictures to paint it with, bilinear interpolation in numpy."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ def bumpy(n_bases: int = 3, seed: int = 0, *, closed: bool = True) -> MorphableM
     shape[:, :2] += random.uniform(-0.1, 0.1, (20, 2))
     shape = (shape - shape.mean(axis=0)) / spread(shape)
     waves = [
-        0.15 * np.sin(shape @ random.normal(size=(3, 3)) + random.uniform(0, 6, 3)) for _ in range(n_bases - 1)
+        0.15 * np.sin(shape @ random.normal(size=(3, 3)) + random.uniform(0, 6, 3))
+        for _ in range(n_bases - 1)
     ]
     corner = np.array([row * 5 + column for row in range(3) for column in range(4)])
     upper = np.stack([corner, corner + 5, corner + 1], axis=1)
@@ -31,7 +32,7 @@ def poses_near(n: int, n_bases: int, seed: int, *, size: float = 24.0, turn: flo
     random = np.random.default_rng(seed)
     morphs = size * 0.5 * random.normal(size=(n, n_bases))
     morphs[:, 0] = size * random.uniform(0.95, 1.05, n)
-    translations = [80, 60] + random.uniform(-3, 3, (n, 2))
+    translations = np.array([80, 60]) + random.uniform(-3, 3, (n, 2))
     return Poses(exponential(turn * random.uniform(-1, 1, (n, 3))), translations, morphs)
 
 
@@ -53,7 +54,7 @@ def level(picture: Array, scale: float = 1.0) -> Level:
 
 
 def bilinear(picture: Array, places: Array) -> tuple[Array, Array]:
-    """Values `(n,)` and slopes `(n, 2)` of the bilinear interpolant at `places` `(n, 2)` inside the picture."""
+    """Values `(n,)` and slopes `(n, 2)` of the bilinear interpolant at `places` `(n, 2)` in the picture."""
     picture = np.asarray(picture, np.float64)
     left = np.floor(places).astype(int)
     fx, fy = (places - left).T

@@ -1,7 +1,7 @@
-"""Optic flow and template matching, each written down once more in plain numpy, are what G-flow is at its ends.
+"""Optic flow and template matching, written down once more in plain numpy, are what G-flow is at its ends.
 
-The paper shows it in §4.2 and §4.3: with an uninformative pose prior, no background and no occlusion, a gain of
-one makes eq. (18) the objective of constrained optic flow, eq. (38), and a gain of zero that of template
+The paper shows it in §4.2 and §4.3: with an uninformative pose prior, no background and no occlusion, a gain
+of one makes eq. (18) the objective of constrained optic flow, eq. (38), and a gain of zero that of template
 matching, eq. (40).
 """
 
@@ -26,7 +26,9 @@ from .surfaces import bilinear, bumpy, poses_near, smooth_picture
 
 Array = NDArray[np.float64]
 
-UNINFORMATIVE = PoseDynamics(rotation=1e3, translation=1e3, size=1e3, morphs=1e3, size_range=1e3, morph_range=1e3)
+UNINFORMATIVE = PoseDynamics(
+    rotation=1e3, translation=1e3, size=1e3, morphs=1e3, size_range=1e3, morph_range=1e3
+)
 RADIUS = 4
 SIZE = 24.0
 EQUAL = 1e-3
@@ -34,17 +36,16 @@ EQUAL = 1e-3
 
 
 def clip(seed: int, n_frames: int = 6) -> list[NDArray[np.uint8]]:
-    """A scene that drifts, turns and changes under a moving shade, so that neither tracker can fit it exactly.
+    """A scene that drifts and turns a little, rounded to whole grey values, so that nothing fits it exactly.
 
-    It is smooth: in a noisy one the objective has a local minimum wherever patches cross from one pixel to the
-    next, and which one a search ends in depends on its steps.
+    Nothing else disturbs it: bilinear interpolation bends wherever texels cross from one pixel to the next,
+    all of a patch at once, so that large residuals make local minima there, and a search ends in any of them.
     """
-    texture, shade, pictures = smooth_picture(seed, 200, 240), smooth_picture(seed + 50, shortest=40.0), []
+    texture, pictures = smooth_picture(seed, 200, 240), []
     for number in range(n_frames):
-        turn = cv2.getRotationMatrix2D((120, 100), 1.2 * number, 1 + 0.006 * number)
-        turn[:, 2] += [-40 + 0.8 * number, -40 - 0.5 * number]
+        turn = cv2.getRotationMatrix2D((120, 100), 0.12 * number, 1 + 0.0006 * number)
+        turn[:, 2] += [-40 + 0.83 * number, -40 - 0.52 * number]
         seen = cv2.warpAffine(texture, turn, (160, 120), flags=cv2.INTER_CUBIC)
-        seen += 0.03 * number * (shade - 128)
         pictures.append(np.clip(np.rint(seen), 0, 255).astype(np.uint8))
     return pictures
 
@@ -89,7 +90,7 @@ class Plain:
 
     def follow(self, picture: Array, template: Array) -> None:
         """Least squares of values less template, by Gauss-Newton to the last digit."""
-        for _ in range(200):
+        for _ in range(60):
             value, rows = self.values(picture)
             step = np.linalg.lstsq(rows, template - value, rcond=None)[0]
             before, squares = (self.rotation, self.translation, self.morphs), ((value - template) ** 2).sum()
@@ -145,12 +146,20 @@ def test_an_end_of_gflow_is_the_classic_tracker(case: str, seed: int, local_mean
     start = Poses(start.rotations, start.translations, start.morphs * SIZE / start.sizes[:, None])
     make = GFlow.optic_flow if case == "flow" else GFlow.template
     chain = make(
-        model, start, surface="patches", radius=RADIUS, levels=1, local_mean=local_mean, dynamics=UNINFORMATIVE
+        model,
+        start,
+        surface="patches",
+        radius=RADIUS,
+        levels=1,
+        local_mean=local_mean,
+        dynamics=UNINFORMATIVE,
     )
     pictures = [picture_levels(frame, SIZE, n_levels=1, local_mean=local_mean)[0].image for frame in frames]
-    wanted, residual = by_hand(model, start, [np.asarray(one, np.float64) for one in pictures], case == "flow")
+    wanted, residual = by_hand(
+        model, start, [np.asarray(one, np.float64) for one in pictures], case == "flow"
+    )
     found = by_chain(chain, frames)
-    assert np.abs(residual).mean() > 0.3  # there was something to settle
+    assert np.abs(residual).mean() > 0.2  # there was something to settle
     assert np.abs(wanted[-1] - wanted[0]).mean() > 2
     for one, other in zip(found, wanted, strict=True):
         assert np.abs(one - other).max() < EQUAL

@@ -25,7 +25,7 @@ def test_a_point_is_smeared_by_as_much_as_a_level_says(size: float) -> None:
         middle = np.array([(share * x).sum(), (share * y).sum()])
         # the pixel's own 2 x 2 or 4 x 4 block: its middle may be that much off
         assert np.abs(middle - [163, 116]).max() <= (1 / level.scale - 1) / 2 + 1e-3
-        # samples of the smoothing kernel are as wide as it is; averaging blocks moves the point, not its spread
+        # averaging blocks moves the point, not its spread
         spread = (share * (x - middle[0]) ** 2).sum()
         wanted = (SMOOTHING[number] * size) ** 2
         assert spread == pytest.approx(wanted, rel=0.12, abs=0.1)
@@ -55,7 +55,8 @@ def test_light_that_changes_slowly_is_taken_out() -> None:
         picture_levels(uint8(scene), size, n_levels=2, local_mean=True) for scene in (picture, picture * lamp)
     )
     raw, dim = (
-        picture_levels(uint8(scene), size, n_levels=2, local_mean=False) for scene in (picture, picture * lamp)
+        picture_levels(uint8(scene), size, n_levels=2, local_mean=False)
+        for scene in (picture, picture * lamp)
     )
     for number in range(2):
         left = np.abs(even[number].image - lit[number].image).mean()
@@ -64,7 +65,8 @@ def test_light_that_changes_slowly_is_taken_out() -> None:
 
 def test_black_stays_black_and_an_even_picture_even() -> None:
     black, grey = (
-        picture_levels(np.full((60, 80), value, np.uint8), 24.0, n_levels=2, local_mean=True) for value in (0, 100)
+        picture_levels(np.full((60, 80), value, np.uint8), 24.0, n_levels=2, local_mean=True)
+        for value in (0, 100)
     )
     assert not black[0].image.any()
     np.testing.assert_allclose(grey[1].image, 128 * 100 / (100 + DARKEST), rtol=1e-4)

@@ -25,7 +25,8 @@ def test_a_walk_spreads_with_the_root_of_time_and_with_size() -> None:
     np.testing.assert_allclose(larger[3:], 4 * walk[3:])
     one_second = np.sqrt(dynamics.walk(1.0, 8, 1.0))
     np.testing.assert_allclose(
-        one_second, [*[dynamics.rotation] * 3, *[dynamics.translation] * 2, dynamics.size, *[dynamics.morphs] * 2]
+        one_second,
+        [*[dynamics.rotation] * 3, *[dynamics.translation] * 2, dynamics.size, *[dynamics.morphs] * 2],
     )
     assert (dynamics.walk(SIZE, 8, 0.0) > 0).all()
 
@@ -41,7 +42,8 @@ def test_gradient_and_precision_are_derivatives_of_the_energy(seed: int) -> None
     middle, gradient = prior.energy(poses, owner)
     for j in (1, 3, 4, 5, 6, 7):
         ends = [
-            prior.energy(poses.moved(np.tile(sign * step[j] * np.eye(8)[j], (4, 1))), owner)[0] for sign in (-1, 1)
+            prior.energy(poses.moved(np.tile(sign * step[j] * np.eye(8)[j], (4, 1))), owner)[0]
+            for sign in (-1, 1)
         ]
         slope, bend = (ends[1] - ends[0]) / (2 * step[j]), (ends[1] + ends[0] - 2 * middle) / step[j] ** 2
         np.testing.assert_allclose(gradient[:, j], slope, rtol=1e-5, atol=1e-6 / step[j])

@@ -46,7 +46,7 @@ def test_samples_have_laplaces_covariance(spread: float) -> None:
 
 
 class Gaussian(NamedTuple):
-    """A picture that says of the pose: N(translations and morphs; middle, inverse of precision), unnormalised."""
+    """A picture that says of translations and morphs: N(middle, inverse of precision), unnormalised."""
 
     middle: Array
     precision: Array
@@ -92,9 +92,7 @@ def test_going_on_is_exact_for_a_gaussian(seed: int) -> None:
     peaks, evidence = picture.peaks(prior)
     found = continued(log_weights, peaks, prior, picture.log_likelihood(peaks.poses))
     assert found.log_evidence == pytest.approx(np.logaddexp.reduce(log_weights + evidence), abs=1e-8)
-    np.testing.assert_allclose(
-        found.log_weights, log_weights + evidence - found.log_evidence, atol=1e-8
-    )
+    np.testing.assert_allclose(found.log_weights, log_weights + evidence - found.log_evidence, atol=1e-8)
     assert found.parents.tolist() == [0, 1, 2, 3]
 
 
@@ -115,7 +113,9 @@ def test_resampling_keeps_evidence_and_shares(spread: float) -> None:
     assert abs(ratio.mean() - 1) < 5 * ratio.std() / np.sqrt(repeats) + 2e-3
     # systematic resampling draws the four within one of what their weights say
     np.testing.assert_allclose(
-        shares / repeats, np.exp(log_weights + evidence - wanted), atol=5 * 0.25 * 0.5 / np.sqrt(repeats) + 0.01
+        shares / repeats,
+        np.exp(log_weights + evidence - wanted),
+        atol=5 * 0.25 * 0.5 / np.sqrt(repeats) + 0.01,
     )
 
 
@@ -133,7 +133,9 @@ def test_evidence_of_a_picture_that_is_not_gaussian_is_its_integral() -> None:
         walk = norm(middle, deviation)
         reach = 8 * deviation
         integral, _ = quad(
-            lambda x, walk=walk: float(walk.pdf(x) * np.exp(says(np.array(x)))), middle - reach, middle + reach,
+            lambda x, walk=walk: float(walk.pdf(x) * np.exp(says(np.array(x)))),
+            middle - reach,
+            middle + reach,
             limit=400,
         )  # fmt: skip
         off, total = prior.previous.morphs[expert] - prior.middle, prior.walk[5:] + prior.spread
@@ -162,7 +164,8 @@ def test_a_million_nats_more_or_less_change_nothing() -> None:
     seeds = sampled(peaks, 5, 1.0, np.random.default_rng(0))
     density = picture.log_likelihood(seeds.poses)
     drawn = [
-        resampled(log_weights, seeds, prior, density + shift, 5, np.random.default_rng(1)) for shift in (0.0, -1e6)
+        resampled(log_weights, seeds, prior, density + shift, 5, np.random.default_rng(1))
+        for shift in (0.0, -1e6)
     ]
     assert drawn[0].parents.tolist() == drawn[1].parents.tolist()
     assert drawn[1].log_evidence == pytest.approx(drawn[0].log_evidence - 1e6)

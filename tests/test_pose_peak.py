@@ -1,4 +1,4 @@
-"""Peaks of what experts believe: found where texture and prior say, with their curvature, from afar, in any batch."""
+"""Peaks of beliefs: where texture and prior say, with their curvature, from afar, in any batch."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,9 @@ def test_coarse_levels_reach_further() -> None:
     start = truth.moved(np.tile([0, 0, 0, 5.0, -4.0, 0, 0], (20, 1)))
     prior = PosePrior.after(start, WEAK, 24.0, 1.0)
     found = [
-        (vertex_error(likelihood, find_peaks(likelihood, prior, start, EFFECTIVE, n).poses, truth) < 0.5).sum()
+        (
+            vertex_error(likelihood, find_peaks(likelihood, prior, start, EFFECTIVE, n).poses, truth) < 0.5
+        ).sum()
         for n in (0, 2)
     ]
     assert found[1] > found[0]
@@ -88,7 +90,11 @@ def test_the_prior_decides_where_there_is_nothing_to_see() -> None:
     likelihood = learned_at(truth)
     blank = [type(one)(np.full_like(one.image, 90), one.scale) for one in likelihood.levels]
     nothing = TextureLikelihood(
-        likelihood.surface, blank, np.full_like(likelihood.mean, 90), likelihood.temperature, likelihood.visible
+        likelihood.surface,
+        blank,
+        np.full_like(likelihood.mean, 90),
+        likelihood.temperature,
+        likelihood.visible,
     )
     start = moved_by(truth, 1.0, 7)
     prior = PosePrior.after(truth, PoseDynamics(), 24.0, 0.04)
@@ -136,6 +142,8 @@ def test_experts_do_not_disturb_each_other() -> None:
             EFFECTIVE,
             2,
         )
-        np.testing.assert_allclose(alone.poses.translations[0], together.poses.translations[expert], atol=1e-6)
+        np.testing.assert_allclose(
+            alone.poses.translations[0], together.poses.translations[expert], atol=1e-6
+        )
         np.testing.assert_allclose(alone.poses.rotations[0], together.poses.rotations[expert], atol=1e-7)
         np.testing.assert_allclose(alone.poses.morphs[0], together.poses.morphs[expert], atol=1e-6)

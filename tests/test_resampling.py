@@ -51,9 +51,7 @@ def test_frequencies_are_the_weights() -> None:
     random = np.random.default_rng(3)
     weights = random.dirichlet(np.ones(6))
     repeats, n = 4000, 5
-    counts = sum(
-        np.bincount(systematic(np.log(weights), n, random), minlength=6) for _ in range(repeats)
-    )
+    counts = sum(np.bincount(systematic(np.log(weights), n, random), minlength=6) for _ in range(repeats))
     # a count of one draw is off by less than one, so its variance is at most 1/4
     bar = 5 * 0.5 / np.sqrt(repeats)
     np.testing.assert_allclose(counts / repeats, n * weights, atol=bar)

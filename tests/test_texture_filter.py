@@ -1,4 +1,4 @@
-"""The filter of texels against filterpy's, one texel at a time; gains that are learned against the best ones."""
+"""The filter of texels against filterpy's, one at a time; gains that are learned against the best ones."""
 
 import numpy as np
 import pytest
@@ -93,10 +93,12 @@ def squared_error(gain: float | None, process: float, rendering: float) -> tuple
     return float(np.mean(errors)), final
 
 
-@pytest.mark.parametrize(("process", "rendering"), [(0.0, 20.0), (0.5, 20.0), (20.0, 20.0), (40.0, 1.0)])
+@pytest.mark.parametrize(
+    ("process", "rendering"), [(0.0, 200.0), (0.5, 20.0), (6.0, 200.0), (200.0, 200.0), (400.0, 10.0)]
+)
 def test_learned_gains_predict_nearly_as_well_as_the_best_one(process: float, rendering: float) -> None:
     best = TexelNoise(rendering, process).steady_gain
     wanted, _ = squared_error(best, process, rendering)
     found, gain = squared_error(None, process, rendering)
-    assert found < 1.1 * wanted
+    assert found < 1.2 * wanted
     assert abs(gain - best) < 0.12

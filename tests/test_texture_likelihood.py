@@ -1,4 +1,4 @@
-"""An object with texels seen in a picture: the batch against one pose at a time, the model and bilinear values."""
+"""An object with texels seen in a picture: the batch against one pose, the model and bilinear values."""
 
 import numpy as np
 import pytest

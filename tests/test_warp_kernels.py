@@ -1,4 +1,4 @@
-"""Fused loops over texels against plain numpy with one Jacobian a texel, in float64, and finite differences."""
+"""Fused loops over texels against plain numpy with a Jacobian a texel, in float64, and finite differences."""
 
 from typing import NamedTuple
 
@@ -176,7 +176,7 @@ def test_a_ramp_is_the_same_on_every_level(height: int, width: int) -> None:
 
 def test_texels_outside_the_picture_count_for_nothing() -> None:
     one = case("patches", 2)
-    away = Poses(one.poses.rotations, one.poses.translations + [90.0, 0.0], one.poses.morphs)
+    away = Poses(one.poses.rotations, one.poses.translations + np.array([90.0, 0.0]), one.poses.morphs)
     sums = one.likelihood.equations(0, away, one.owner).sums
     model, texels = one.surface.model, one.surface.texels
     for number in range(3):
@@ -184,7 +184,7 @@ def test_texels_outside_the_picture_count_for_nothing() -> None:
         inside = ((places >= 0) & (places <= [159, 119])).all(axis=1)
         assert sums[number, 2] == (inside & one.likelihood.visible[one.owner[number]]).sum()
         assert 0 < inside.mean() < 1
-    far = Poses(one.poses.rotations, one.poses.translations + [1e7, -1e7], one.poses.morphs)
+    far = Poses(one.poses.rotations, one.poses.translations + np.array([1e7, -1e7]), one.poses.morphs)
     gone = one.likelihood.equations(0, far, one.owner)
     assert not gone.sums.any()
     assert not gone.matrices.any()
