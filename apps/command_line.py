@@ -400,6 +400,51 @@ def talking_face(*, out: Path = Path("results/talking-face")) -> int:
     return 0
 
 
+@reproduce.command
+def experts(*, out: Path = Path("results/experts")) -> int:
+    """Figure 3a of the G-flow paper: one expert and several, flow and a slow texture, on quick motion.
+
+    Parameters
+    ----------
+    out
+        Folder for the figures.
+    """
+    from .reproduce.experts import reproduce_experts
+
+    reproduce_experts(out)
+    return 0
+
+
+@reproduce.command
+def gain(*, out: Path = Path("results/gain")) -> int:
+    """Figure 3b of the G-flow paper: gains from template to flow, and learned ones.
+
+    Parameters
+    ----------
+    out
+        Folder for the figures.
+    """
+    from .reproduce.gain import reproduce_gain
+
+    reproduce_gain(out)
+    return 0
+
+
+@reproduce.command
+def recovery(*, out: Path = Path("results/recovery")) -> int:
+    """Figure 4 of the G-flow paper: experts scattered about the pose find it.
+
+    Parameters
+    ----------
+    out
+        Folder for the figures.
+    """
+    from .reproduce.recovery import reproduce_recovery
+
+    reproduce_recovery(out)
+    return 0
+
+
 def _ended(signal: int | None) -> int:
     return 0 if signal is None else SIGNALLED + signal
 

@@ -1,4 +1,4 @@
-"""Trials of face trackers on generated faces: errors against the truth, and the floor below which no filter gets."""
+"""Trials of face trackers on generated faces: errors against the truth, and the floor for any filter."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,7 +16,7 @@ from ..chains.gflow import GFlow, GFlowState
 from ..inference.pose_dynamics import PoseDynamics, PosePrior
 from ..inference.pose_peak import find_peaks
 from ..inference.protocols import Incoming
-from ..inference.texture_filter import Texture
+from ..inference.texture_filter import UNKNOWN_VARIANCE, Texture
 from ..inference.texture_likelihood import TextureLikelihood
 from ..models.frame import Frame
 from ..models.morphable_model import MorphableModel
@@ -43,8 +43,8 @@ class Trial:
     Parameters
     ----------
     errors
-        `(n_frames,)` px: distance in the picture of the mean pose's vertices from the true ones, mean over all
-        vertices, hidden ones too.
+        `(n_frames,)` px: distance in the picture of the mean pose's vertices from the true ones, mean over
+        all vertices, hidden ones too.
     errors_3d
         `(n_frames,)` px: the same in space, after the mean offset in depth is taken off, which a weak
         perspective does not show.
@@ -80,7 +80,7 @@ class Trial:
 
     @property
     def lost(self) -> bool:
-        """Whether the error is above half the face's size in the last frame, or was for more than a second."""
+        """Whether the error is above half the face's size at the end, or was for more than a second."""
         off = np.concatenate([[False], self.errors > LOST_SHARE * self.size, [False]])
         starts, ends = np.flatnonzero(off[1:] & ~off[:-1]), np.flatnonzero(off[:-1] & ~off[1:])
         longest = (ends - starts).max(initial=0) * self.dt
@@ -139,7 +139,7 @@ class Tracker:
 
 
 LIVELY = PoseDynamics(rotation=0.6, translation=1.0, morphs=4.0)
-"""Motion of somebody who moves quickly: coefficients of the built-in face go through their range in a few frames."""
+"""Of somebody who moves quickly: expressions of the built-in face come and go in a few frames."""
 
 
 def follow(film: Film, chain: GFlow, texturing: Texturing = "own") -> Trial:
@@ -177,9 +177,7 @@ def floor(film: Film, chain: GFlow) -> Trial:
             likelihood, prior, scene.poses[index], chain.effective_pixels, coarsest=chain.levels - 1
         )
         found.append(peaks.poses)
-        squared[index] = normalised_square(
-            scene.poses[index], peaks.poses, np.linalg.inv(peaks.precision[0])
-        )
+        squared[index] = normalised_square(scene.poses[index], peaks.poses, np.linalg.inv(peaks.precision[0]))
     return _trial(scene, Poses.concatenated(found), squared)
 
 
@@ -218,7 +216,11 @@ class _Taught:
         """What picture `index` says, seen with `texture`; visibility is that of `poses`."""
         surface = self.chain.object
         return TextureLikelihood(
-            surface, self.levels(index), texture.mean, texture.temperature(self.chain.noise), surface.visible(poses)
+            surface,
+            self.levels(index),
+            texture.mean,
+            texture.temperature(self.chain.noise),
+            surface.visible(poses),
         )
 
     def learn(self, index: int) -> Texture:
@@ -232,7 +234,7 @@ class _Taught:
         return self.texture
 
     def covariance(self, before: GFlowState, after: GFlowState, mean: Poses) -> Numbers:
-        """Of the pose: spread of the experts, and Laplace's about each, for which that at their mean stands."""
+        """Of the pose: spread of the experts, and Laplace's about each, taken at their mean."""
         chain, index = self.chain, self.learned + 1
         changes = after.poses.changes_from(mean[np.zeros(len(after.poses), np.int64)])
         spread: Numbers = np.einsum("n,ni,nj->ij", after.weights, changes, changes)
@@ -243,16 +245,21 @@ class _Taught:
 
 
 def taught_texture(film: Film, chain: GFlow) -> Texture:
-    """Texture that a chain's object has in the first picture, seen at the true pose."""
-    return _Taught(replace(chain, start=film.scene.poses[0], texture=None), film).learn(0)
+    """What a chain's object looks like in the first picture at the true pose, as sure as after a long time."""
+    texture = _Taught(replace(chain, start=film.scene.poses[0], texture=None), film).learn(0)
+    steady = np.full_like(texture.variance, chain.noise.steady_variance)
+    seen = texture.variance < 0.5 * UNKNOWN_VARIANCE
+    return replace(texture, variance=np.where(seen, steady, texture.variance))
 
 
 def _trial(scene: FaceScene, found: Poses, squared: Numbers) -> Trial:
-    return Trial(*vertex_errors(scene.model, found, scene.poses), squared, float(scene.poses.sizes[0]), scene.dt)
+    return Trial(
+        *vertex_errors(scene.model, found, scene.poses), squared, float(scene.poses.sizes[0]), scene.dt
+    )
 
 
 def vertex_errors(model: MorphableModel, found: Poses, truth: Poses) -> tuple[Numbers, Numbers]:
-    """Mean distance of vertices, `(n,)` px each: in the picture, and in space without the mean depth offset."""
+    """Mean distance of vertices, `(n,)` px: in the picture, and in space without the mean depth offset."""
     off = model.positions(found) - model.positions(truth)
     off[..., 2] -= off[..., 2].mean(axis=1, keepdims=True)
     return np.linalg.norm(off[..., :2], axis=2).mean(axis=1), np.linalg.norm(off, axis=2).mean(axis=1)
@@ -281,12 +288,11 @@ def _on_one_scene(trackers: Sequence[Tracker], scene: Mapping[str, Any]) -> list
 def in_processes(label: str, work: Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]) -> list[Any]:
     """Results of functions with their arguments, in order, worked out in two processes at most."""
     found: dict[int, Any] = {}
+    workers = min(MOST_WORKERS, os.cpu_count() or 1)
     # spawned, since the threads of compiled loops do not survive a fork
     with (
         _one_thread_each(),
-        ProcessPoolExecutor(
-            min(MOST_WORKERS, os.cpu_count() or 1), get_context("spawn"), initializer=set_threads, initargs=(1,)
-        ) as pool,
+        ProcessPoolExecutor(workers, get_context("spawn"), set_threads, (1,)) as pool,
         Progress(label, len(work), unit="sequences") as progress,
     ):
         futures = {
@@ -332,3 +338,15 @@ def quartiles(trials: Sequence[Trial], measure: str = "error") -> str:
 def n_lost(trials: Sequence[Trial]) -> int:
     """Sequences on which the face was lost."""
     return sum(trial.lost for trial in trials)
+
+
+def as_json(found: Measured) -> dict[str, Any]:
+    """Every run's errors (px) and whether it was lost, by system and seed."""
+    return {
+        name: {
+            "error": [trial.error for trial in trials],
+            "error_3d": [trial.error_3d for trial in trials],
+            "lost": [trial.lost for trial in trials],
+        }
+        for name, trials in found.items()
+    }

@@ -169,6 +169,8 @@ class GFlow:
         `"experts"`: each expert has a map of the background, eq. (2), and no other chain's is used. With
         `"shared"` the background is the one that another chain predicts at the same feature node (connected
         before this chain), or none.
+    occlusion
+        leave out texels that the object hides itself or shows at a grazing angle.
     seed
         of all draws.
     """
@@ -191,6 +193,7 @@ class GFlow:
     texture: Texture | None = None
     recover: bool = True
     background: Literal["shared", "experts"] = "shared"
+    occlusion: bool = True
     seed: int = 0
     name: str = "gflow"
     _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
@@ -231,6 +234,12 @@ class GFlow:
         if self.surface == "dense":
             return TexturedObject(self.model, SurfaceTexels.dense(self.model, self.texels))
         return TexturedObject(self.model, SurfaceTexels.patches(self.model, self.radius))
+
+    def _visible(self, poses: Poses) -> NDArray[np.bool_]:
+        """`(n, n_texels)`: texels that the object does not hide itself."""
+        if self.occlusion:
+            return self.object.visible(poses)
+        return np.ones((len(poses), len(self.object.texels)), np.bool_)
 
     @cached_property
     def _whole(self) -> TexturedObject:
@@ -373,7 +382,7 @@ class GFlow:
     def _likelihood(self, state: GFlowState, levels: list[Level], poses: Poses) -> TextureLikelihood:
         texture = state.texture
         return TextureLikelihood(
-            self.object, levels, texture.mean, texture.temperature(self.noise), self.object.visible(poses)
+            self.object, levels, texture.mean, texture.temperature(self.noise), self._visible(poses)
         )
 
     def _first(self, state: GFlowState, levels: list[Level]) -> Generation:
@@ -391,7 +400,7 @@ class GFlow:
         if behind is not None:
             more.append(Silhouette(self.model, self._edges, behind.backdrop, self.effective_pixels))
         peaks = find_peaks(likelihood, prior, state.poses, self.effective_pixels, self.levels - 1, more)
-        likelihood = replace(likelihood, visible=self.object.visible(peaks.poses))
+        likelihood = replace(likelihood, visible=self._visible(peaks.poses))
         behind = None if behind is None else behind.around(peaks.poses)
         if self.spread == 0 or state.looks % self.resample_every:
             every = np.arange(self.experts)
@@ -410,7 +419,7 @@ class GFlow:
         prior = PosePrior.after(places, self.dynamics, state.size, 1.0)
         peaks = find_peaks(likelihood, prior, places, self.effective_pixels, self.levels - 1)
         every = np.arange(self.experts)
-        likelihood = replace(likelihood, visible=self.object.visible(peaks.poses))
+        likelihood = replace(likelihood, visible=self._visible(peaks.poses))
         weights = log_likelihood(likelihood, peaks.poses, every, self.effective_pixels)
         return Generation(
             peaks.poses, normalised(weights), best, float(log_sum(weights) - np.log(len(weights)))
@@ -419,7 +428,7 @@ class GFlow:
     def _textured(self, state: GFlowState, generation: Generation, levels: list[Level]) -> GFlowState:
         """Textures given the poses (Table 2, III), and how well the predicted ones fitted."""
         texture = state.texture.of(generation.parents)
-        visible = self.object.visible(generation.poses)
+        visible = self._visible(generation.poses)
         looks, seen = self.object.looks(levels, generation.poses, visible)
         fit = 1.0
         if state.looks or self.texture is not None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..models.background_kernels import ODDS_STEPS
 from ..models.outline import Box
-from ..models.picture_levels import DARKEST, LIGHT_REACH, MIDDLE_GREY, blurred
+from ..models.picture_levels import DARKEST, FINE_LIGHT_REACH, MIDDLE_GREY, blurred
 from ..models.pixel_labels import PixelMessage
 from ..models.pose import Poses
 from ..models.threads import over_bands
@@ -150,7 +150,7 @@ def units(image: NDArray[np.uint8], size: float, *, local_mean: bool) -> Map:
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     if not local_mean:
         return np.full(grey.shape, np.log(N_GREYS), np.float32)
-    mean = blurred(grey.astype(np.float32), LIGHT_REACH * size)
+    mean = blurred(grey.astype(np.float32), FINE_LIGHT_REACH * size)
     unit: Map = np.log(np.float32(N_GREYS * MIDDLE_GREY) / (mean + np.float32(DARKEST)))
     return unit
 

@@ -32,10 +32,10 @@ class PoseDynamics:
         of the other coefficients about zero, in sizes.
     """
 
-    rotation: float = 0.25
-    translation: float = 0.35
+    rotation: float = 0.6
+    translation: float = 1.0
     size: float = 0.05
-    morphs: float = 0.4
+    morphs: float = 4.0
     size_range: float = 0.15
     morph_range: float = 1.0
 

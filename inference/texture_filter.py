@@ -137,23 +137,23 @@ class Texture:
         """Predicted texture for the next frame, eq. (10)-(12).
 
         `looks` `(n_experts, n_levels, n_texels)` are the texels as this frame shows them; where they are not
-        `seen` `(n_experts, n_texels)` the mean stays and the variance grows. Departure: a texel that is seen
-        for the first time starts in its steady state, so that gain 0 is a fixed template from the first look
-        on and gain 1 the last frame.
+        `seen` `(n_experts, n_texels)` the mean stays and the variance grows. Departures: only the finest
+        level is filtered. The coarse ones, which say where the search begins and nothing of the belief, hold
+        the texel as last seen: blurred texture is blurred light as well, which changes. And where nothing is
+        said to change (gain 0) the first look is the template.
         """
         rendering, process = self._noises(noise)
         unknown = self.variance >= np.float32(0.5 * UNKNOWN_VARIANCE)
         gain = np.where(unknown, np.float32(1), self.variance / (self.variance + rendering))
         gain = np.where(seen, gain, np.float32(0)).astype(np.float32)
-        variance = (1 - gain) * self.variance + process
-        steady = 0.5 * (process + np.sqrt(process**2 + 4 * rendering * process))
-        variance = np.where(seen & unknown, steady, variance).astype(np.float32)
+        first = np.where(process > 0, rendering + process, np.float32(0))
+        variance = np.where(seen & unknown, first, (1 - gain) * self.variance + process).astype(np.float32)
         variance = np.minimum(variance, np.float32(UNKNOWN_VARIANCE))
-        innovation = looks - self.mean
-        learned = self.learned
-        if learned is not None:
-            learned = learned.after(innovation[:, 0], seen & ~unknown)
-        return replace(self, mean=self.mean + gain[:, None] * innovation, variance=variance, learned=learned)
+        mean = np.where(seen[:, None], looks, self.mean)
+        innovation = looks[:, 0] - self.mean[:, 0]
+        mean[:, 0] = self.mean[:, 0] + gain * innovation
+        learned = None if self.learned is None else self.learned.after(innovation, seen & ~unknown)
+        return replace(self, mean=mean, variance=variance, learned=learned)
 
     def _noises(self, noise: TexelNoise) -> tuple[Map | np.float32, Map | np.float32]:
         """Rendering and process noise; with a learned gain those of its steady state at the temperature."""

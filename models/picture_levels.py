@@ -13,8 +13,11 @@ MIDDLE_GREY = 128.0
 DARKEST = 5.0
 """Grey levels added to the local mean, so that black regions do not blow up sensor noise."""
 
-LIGHT_REACH = 0.25
-"""Standard deviation of the local mean, in sizes of the object."""
+FINE_LIGHT_REACH = 0.1
+"""Standard deviation of the local mean on the finest level, in sizes of the object."""
+
+COARSE_LIGHT_REACH = 0.25
+"""The same on the others, whose textures are wider than the finest one's reach."""
 
 SMOOTHING = (0.0175, 0.05, 0.125)
 """Standard deviation of the smoothing of each level, in sizes of the object, fine to coarse."""
@@ -44,22 +47,31 @@ def picture_levels(image: NDArray[np.uint8], size: float, *, n_levels: int, loca
     the object, by which the mean's reach and the smoothing are set.
     """
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    picture = grey.astype(np.float32)
-    if local_mean:
-        picture *= MIDDLE_GREY / (blurred(picture, LIGHT_REACH * size) + DARKEST)
-    levels = []
-    for number in range(n_levels):
+    raw = grey.astype(np.float32)
+    picture = without_light(raw, FINE_LIGHT_REACH * size) if local_mean else raw
+    levels = [Level(smoothed(picture, SMOOTHING[0] * size), 1.0)]
+    picture = without_light(raw, COARSE_LIGHT_REACH * size) if local_mean and n_levels > 1 else raw
+    already = 0.0
+    for number in range(1, n_levels):
         scale = 0.5**number
-        if number:
-            height, width = (length // 2 * 2 for length in picture.shape)
-            picture = cv2.resize(
-                picture[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA
-            )
-        already = SMOOTHING[number - 1] * size if number else 0.0
-        more = np.sqrt((SMOOTHING[number] * size) ** 2 - already**2) * scale
-        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), float(more)), np.float32)
+        height, width = (length // 2 * 2 for length in picture.shape)
+        picture = np.asarray(
+            cv2.resize(picture[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+        )
+        picture = smoothed(picture, np.sqrt((SMOOTHING[number] * size) ** 2 - already**2) * scale)
+        already = SMOOTHING[number] * size
         levels.append(Level(picture, scale))
     return levels
+
+
+def without_light(picture: Picture, reach: float) -> Picture:
+    """The picture divided by its mean about every pixel, of standard deviation `reach` px."""
+    return picture * (np.float32(MIDDLE_GREY) / (blurred(picture, reach) + np.float32(DARKEST)))
+
+
+def smoothed(picture: Picture, deviation: float) -> Picture:
+    """Gaussian blur of a few px."""
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), float(deviation)), np.float32)
 
 
 def blurred(picture: Picture, deviation: float) -> Picture:

@@ -16,7 +16,7 @@ from rsmcm.apps.scenes import face
 from rsmcm.chains.gflow import GFlow
 from rsmcm.models.pose import Poses
 
-N_FRAMES = 40
+N_FRAMES = 30
 SCENE = face(N_FRAMES, 1, (200, 150), light=0.5)
 FRAMES = list(SCENE)
 

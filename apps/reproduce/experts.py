@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from .. import report
 from ..claims import HEADER, Claim, print_tables
-from ..face_trials import Measured, Tracker, measure, median, n_lost, quartiles
+from ..face_trials import Measured, Tracker, as_json, measure, median, n_lost, quartiles
 from ..results import write_json
 
 SEEDS = range(10)
@@ -66,7 +66,10 @@ def reproduce_experts(out: Path) -> None:
         for name, trials in found.items()
     ]
     print_tables(LINE, lines, claims)
-    size, caption = (9.0, 5.0), f"Fig. 3a: error of the mean pose's vertices, median of {len(SEEDS)} sequences."
+    size, caption = (
+        (9.0, 5.0),
+        f"Fig. 3a: error of the mean pose's vertices, median of {len(SEEDS)} sequences.",
+    )
     report.write_figure(out / "fig-3a.png", lambda canvas: draw(canvas, found), size)
     write_json(out / "results.json", as_json(found))
     sections = [
@@ -106,18 +109,6 @@ def claims_of(found: Measured) -> list[Claim]:
 
 def _honesty(found: Measured) -> float:
     return median(found[TAUGHT], "honesty")
-
-
-def as_json(found: Measured) -> dict[str, Any]:
-    """Every run's errors (px) and whether it was lost, by system and seed."""
-    return {
-        name: {
-            "error": [trial.error for trial in trials],
-            "error_3d": [trial.error_3d for trial in trials],
-            "lost": [trial.lost for trial in trials],
-        }
-        for name, trials in found.items()
-    }
 
 
 def draw(canvas: Figure, found: Measured) -> None:

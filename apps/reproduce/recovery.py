@@ -176,7 +176,10 @@ def claims_of(found: Mapping[str, list[Recovery]]) -> list[Claim]:
             ">=",
             1.0,
         ),
-        Claim(f"{BLANK}: median error in frame {soon}, px", float(np.median([one.errors[SOON] for one in blank]))),
+        Claim(
+            f"{BLANK}: median error in frame {soon}, px",
+            float(np.median([one.errors[SOON] for one in blank])),
+        ),
         Claim(f"{BLANK}: median error at the end, px", float(np.median([one.errors[-1] for one in blank]))),
         Claim(
             f"{BLANK}: runs within {NEAR} px in frame {soon}, share",
