@@ -33,6 +33,13 @@ TRUST_RATE = 0.125
 UNSEEN = -1.0
 """Trust in the background of a pixel that the object has hidden from the beginning; as good as none."""
 
+LOUDEST = 3.0
+"""Nats of a pixel for or against an edge: with more on one side of it, the edge would be found off to the other."""
+
+INDEPENDENT = 0.3
+"""Share of them that counts: pixels side by side are alike, and where an object is toned like what is behind it
+all of them err together."""
+
 N_GREYS = 256.0
 
 TONE_WIDTH = 4.0
@@ -57,7 +64,7 @@ class Backdrop:
         `(n_maps, height, width)` float32, from 0, nothing is known of the background there, to 1.
     border
         `(n_maps, height, width)` float32: nats by which the background explains the pixel better than the
-        object's usual tones do, times `trust`.
+        object's usual tones do, times `trust`, as they count in a row of pixels.
     unit
         `(height, width)` float32 of the whole picture: log by which a density of the values in which textures
         are compared exceeds the uniform one.
@@ -76,7 +83,8 @@ class Backdrop:
     def of(cls, box: Box, ratio: Map, trust: Map, tones: Map, unit: Map, everywhere: Array) -> Self:
         """Of the log `ratio` of background and anything `(n_maps, height, width)` in the box; `tones` is the
         same of the object, `(height, width)` (see `Tones`)."""
-        return cls(box, trust * ratio, trust, trust * (ratio - tones), unit, everywhere)
+        border = INDEPENDENT * trust * np.clip(ratio - tones, -LOUDEST, LOUDEST)
+        return cls(box, trust * ratio, trust, border.astype(np.float32), unit, everywhere)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ REACH = 4
 NOISE = 1.0
 """Squared steps by which the outline of a coarse mesh is off the object's."""
 
-WORTH = 4.0
+WORTH = 2.0
 """px across the outline that the find of a scan is worth: so much of a texture says as much."""
 
 

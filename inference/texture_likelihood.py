@@ -149,6 +149,14 @@ class TextureLikelihood:
     temperature: Map
     visible: NDArray[np.bool_]
 
+    @cached_property
+    def _precision(self) -> Map:
+        return 1 / self.temperature
+
+    @cached_property
+    def _log_temperature(self) -> Map:
+        return np.log(self.temperature)
+
     def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
         """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
         positions, rows = self.surface.rows(poses)
@@ -161,8 +169,8 @@ class TextureLikelihood:
         def work(a: int, b: int) -> None:
             warp_kernels.normal_equations(
                 *_flat(image), positions[a:b], rows[a:b], owner[a:b], self.surface.groups, texels.first,
-                4**level, texels.weights, texels.offsets, texels.areas, self.visible, mean, self.temperature,
-                dimension, matrices[a:b], vectors[a:b], sums[a:b],
+                4**level, texels.weights, texels.offsets, texels.areas, self.visible, mean, self._precision,
+                self._log_temperature, dimension, matrices[a:b], vectors[a:b], sums[a:b],
             )  # fmt: skip
 
         over_bands(work, n)
@@ -185,8 +193,8 @@ class TextureLikelihood:
         def work(a: int, b: int) -> None:
             warp_kernels.texel_densities(
                 *_flat(image), positions[a:b], owner[a:b], self.surface.groups, texels.first,
-                4**level, texels.weights, texels.offsets, texels.areas, self.visible, mean, self.temperature,
-                behind.reshape(-1), sums[a:b],
+                4**level, texels.weights, texels.offsets, texels.areas, self.visible, mean, self._precision,
+                self._log_temperature, behind.reshape(-1), sums[a:b],
             )  # fmt: skip
 
         over_bands(work, len(poses))

@@ -6,6 +6,9 @@ from .compiled import compiled
 
 _f4 = np.float32
 
+FEW = 8
+"""Texels in a group up to which their Jacobians one by one are cheaper than the group's moments."""
+
 
 @compiled
 def vertex_rows(rotations, translations, morphs, bases, positions, rows):
@@ -122,16 +125,17 @@ def sample(image, width, height, places, n, value, area):
 @compiled
 def normal_equations(
     image, width, height, scale, positions, rows, owner, groups, first, share, weights, offsets, areas,
-    visible, mean, temperature, dimension, matrices, vectors, sums,
+    visible, mean, precision, log_temperature, dimension, matrices, vectors, sums,
 ):  # fmt: skip
     """Gauss-Newton's normal equations of the texels' weighted squared differences, for poses of experts.
 
-    Pose m is that of expert `owner[m]`, whose texture `mean`, `temperature` and `visible` are taken.
+    Pose m is that of expert `owner[m]`, whose texture `mean`, `precision` (1 / tau), `log_temperature`
+    and `visible` are taken.
 
     With e_i = y(x_i) - v_i and weights a_i / tau_i: `matrices` `(n, width, width)` = sum of J_i' J_i,
-    `vectors` `(n, width)` = sum of J_i' e_i, `sums` `(n, 3)` = sum of a_i e_i^2 / tau_i, of a_i log tau_i, and of a_i.
-    Slopes are per px of the full picture. The Jacobian of a texel is never formed: within a group all are
-    linear in the slopes of the three vertices, whose 6 x 6 moments are summed first.
+    `vectors` `(n, width)` = sum of J_i' e_i, `sums` `(n, 3)` = sums of a_i e_i^2 / tau_i, of a_i log tau_i
+    and of a_i. Slopes are per px of the full picture. No Jacobian of a texel is kept: within a group all are linear in
+    those of the three vertices, so that 6 x 6 moments are summed first and turned into the pose's once.
     """
     n_texels = len(weights)
     n_rows = rows.shape[3]
@@ -154,6 +158,37 @@ def normal_equations(
         for g in range(len(groups)):
             start = first[g]
             count = (first[g + 1] - start + share - 1) // share
+            if count <= FEW:
+                for k in range(count):
+                    i, at = start + k, n + k
+                    a = area[at]
+                    if a == _f4(0):
+                        continue
+                    w = a * precision[d, i]
+                    e = value[at] - mean[d, i]
+                    squares += w * e * e
+                    logs += a * log_temperature[d, i]
+                    total += a
+                    gx, gy = across[at] * scale, down[at] * scale
+                    b0, b1, b2 = weights[i, 0], weights[i, 1], weights[i, 2]
+                    corner0, corner1, corner2 = (
+                        rows[m, groups[g, 0]], rows[m, groups[g, 1]], rows[m, groups[g, 2]]
+                    )  # fmt: skip
+                    for j in range(n_rows):
+                        product[j] = (
+                            b0 * (gx * corner0[0, j] + gy * corner0[1, j])
+                            + b1 * (gx * corner1[0, j] + gy * corner1[1, j])
+                            + b2 * (gx * corner2[0, j] + gy * corner2[1, j])
+                        )
+                    for j in range(n_rows):
+                        vector[j] += w * e * product[j]
+                    for row in range(dimension):
+                        factor = w * product[row]
+                        target = matrix[row]
+                        for j in range(n_rows):
+                            target[j] += factor * product[j]
+                n += count
+                continue
             xx00 = xx01 = xx02 = xx11 = xx12 = xx22 = _f4(0)
             xy00 = xy01 = xy02 = xy11 = xy12 = xy22 = _f4(0)
             yy00 = yy01 = yy02 = yy11 = yy12 = yy22 = _f4(0)
@@ -162,11 +197,10 @@ def normal_equations(
             for k in range(count):
                 i, at = start + k, n + k
                 a = area[at]
-                tau = temperature[d, i]
-                w = a / tau
+                w = a * precision[d, i]
                 e = value[at] - mean[d, i]
                 group_squares += w * e * e
-                group_logs += a * np.log(tau)
+                group_logs += a * log_temperature[d, i]
                 group_total += a
                 gx, gy = across[at] * scale, down[at] * scale
                 b0, b1, b2 = weights[i, 0], weights[i, 1], weights[i, 2]
@@ -241,7 +275,7 @@ def normal_equations(
 @compiled
 def texel_densities(
     image, width, height, scale, positions, owner, groups, first, share, weights, offsets, areas, visible,
-    mean, temperature, extra, sums,
+    mean, precision, log_temperature, extra, sums,
 ):  # fmt: skip
     """Sums of a_i e_i^2 / tau_i, a_i log tau_i, a_i, and a_i times `extra` at x_i, for poses of owners.
 
@@ -270,10 +304,10 @@ def texel_densities(
             group_squares = group_logs = group_total = group_other = _f4(0)
             for k in range(count):
                 i, at = start + k, n + k
-                a, tau = area[at], temperature[d, i]
+                a = area[at]
                 e = value[at] - mean[d, i]
-                group_squares += a * e * e / tau
-                group_logs += a * np.log(tau)
+                group_squares += a * e * e * precision[d, i]
+                group_logs += a * log_temperature[d, i]
                 group_total += a
                 group_other += a * behind[at]
             n += count
