@@ -445,6 +445,21 @@ def recovery(*, out: Path = Path("results/recovery")) -> int:
     return 0
 
 
+@reproduce.command
+def face_background(*, out: Path = Path("results/face-background")) -> int:
+    """What a background and the surface's own occlusion are worth to G-flow.
+
+    Parameters
+    ----------
+    out
+        Folder for the figures.
+    """
+    from .reproduce.face_background import reproduce_face_background
+
+    reproduce_face_background(out)
+    return 0
+
+
 def _ended(signal: int | None) -> int:
     return 0 if signal is None else SIGNALLED + signal
 

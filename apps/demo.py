@@ -1,6 +1,6 @@
 """The main job on a generated scene: write it to disk, run on it as on any other source, compare.
 
-Tracks of a turning cylinder are written beside it, for the structure application.
+Tracks of a turning cylinder and a film of a talking face are written beside it, for the other applications.
 """
 
 import shutil
@@ -13,9 +13,10 @@ from .claims import in_columns
 from .compare import run_compare
 from .progress import Progress
 from .results import write_atomically, write_image
-from .scenes import Scene, cylinder, sleeping_man
+from .scenes import FaceScene, Scene, cylinder, face, sleeping_man
 
 N_FRAMES = 400
+FACE_FRAMES = 100
 
 P_LOOSE = 0.1
 PX, MIDDLE = 100.0, (320.0, 240.0)
@@ -28,7 +29,7 @@ def run_demo(out: Path) -> int | None:
     Parameters
     ----------
     out
-        folder; holds the scene (in CDnet's layout), `cylinder.npz` and the results afterwards.
+        folder; holds the scene (in CDnet's layout), `cylinder.npz`, `face` and the results afterwards.
 
     Returns
     -------
@@ -43,6 +44,7 @@ def run_demo(out: Path) -> int | None:
     scene = out / "scene"
     write_scene(sleeping_man(N_FRAMES), scene)
     write_cylinder(out / "cylinder.npz")
+    write_face(face(FACE_FRAMES, light=0.5), out / "face")
     job = Job(str(scene / "input"), out, overwrite=True, ground_truth=scene)
     outcome = run_background(job)
     if outcome.signal is None:
@@ -86,3 +88,24 @@ def write_cylinder(path: Path) -> None:
     """
     with write_atomically(path) as unfinished:
         np.savez(unfinished, tracks=PX * cylinder(p_loose=P_LOOSE, p_drift=0.1, seed=0).tracks() + MIDDLE)
+
+
+def write_face(scene: FaceScene, folder: Path) -> None:
+    """Write a film of a face as images, and where its landmarks are in every frame (`landmarks.npy`).
+
+    The landmarks are the vertices of the built-in model. An earlier film in the folder is replaced.
+
+    Raises
+    ------
+    OSError
+        if the folder cannot be written to.
+    """
+    if (folder / "input").exists():
+        shutil.rmtree(folder / "input")
+    (folder / "input").mkdir(parents=True)
+    with Progress("face", len(scene)) as progress:
+        for number, image in enumerate(scene.images(), start=1):
+            write_image(folder / "input" / f"in{number:06d}.png", image)
+            progress.update()
+    with write_atomically(folder / "landmarks.npy") as unfinished:
+        np.save(unfinished, scene.vertices)

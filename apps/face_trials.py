@@ -245,7 +245,7 @@ class _Taught:
 
 
 def taught_texture(film: Film, chain: GFlow) -> Texture:
-    """What a chain's object looks like in the first picture at the true pose, as sure as after a long time."""
+    """What a chain's object looks like in the first picture at the true pose, and surely so."""
     texture = _Taught(replace(chain, start=film.scene.poses[0], texture=None), film).learn(0)
     steady = np.full_like(texture.variance, chain.noise.steady_variance)
     seen = texture.variance < 0.5 * UNKNOWN_VARIANCE

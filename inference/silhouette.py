@@ -25,9 +25,6 @@ REACH = 4
 NOISE = 1.0
 """Squared steps by which the outline of a coarse mesh is off the object's."""
 
-WORTH = 2.0
-"""px across the outline that the find of a scan is worth: so much of a texture says as much."""
-
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
@@ -64,7 +61,7 @@ class Silhouette:
         every = np.arange(len(poses))[:, None, None]
         ends = positions[every, found.vertices]
         places = (ends * found.weights[..., None]).sum(axis=2)
-        share = WORTH * self.effective_pixels / np.maximum(inside.sum(axis=(1, 2)), 1)
+        share = self.effective_pixels / np.maximum(inside.sum(axis=(1, 2)), 1)
         targets = np.empty_like(places)
         information = np.empty((*places.shape[:2], 3))
         place_kernels.scan(

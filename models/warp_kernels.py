@@ -134,8 +134,9 @@ def normal_equations(
 
     With e_i = y(x_i) - v_i and weights a_i / tau_i: `matrices` `(n, width, width)` = sum of J_i' J_i,
     `vectors` `(n, width)` = sum of J_i' e_i, `sums` `(n, 3)` = sums of a_i e_i^2 / tau_i, of a_i log tau_i
-    and of a_i. Slopes are per px of the full picture. No Jacobian of a texel is kept: within a group all are linear in
-    those of the three vertices, so that 6 x 6 moments are summed first and turned into the pose's once.
+    and of a_i. Slopes are per px of the full picture. No Jacobian of a texel is kept: within a group all are
+    linear in those of the three vertices, so that 6 x 6 moments are summed first and turned into the pose's
+    once.
     """
     n_texels = len(weights)
     n_rows = rows.shape[3]

@@ -1,5 +1,6 @@
 """The background terms of G-flow: its own maps, another chain's prediction, and what it says to pixels."""
 
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -17,6 +18,7 @@ from rsmcm.inference.pose_experts import log_likelihood
 from rsmcm.inference.protocols import Incoming
 from rsmcm.inference.recursive_bp import RecursiveBP
 from rsmcm.inference.texture_likelihood import TexturedObject, TextureLikelihood
+from rsmcm.models.frame import Frame
 from rsmcm.models.outline import Box, covered
 from rsmcm.models.picture_levels import picture_levels
 from rsmcm.models.pixel_labels import PixelLabels, PixelMessage
@@ -101,8 +103,8 @@ def test_foreground_less_background_is_the_whole_picture_but_for_a_constant() ->
     inside = covered(model.project(poses), model.triangles, WHOLE) > 0
     whole = own + np.array([density[~each].sum() for each in inside])
     # pixels are whole in the sum over the picture: outlines of 150 px, 1/sqrt(12) each, of a few nats
-    np.testing.assert_allclose(np.diff(found), np.diff(whole), atol=40)
-    assert np.abs(np.diff(whole)).min() > 200  # which matters little
+    np.testing.assert_allclose(np.diff(found), np.diff(whole), atol=80)
+    assert np.abs(np.diff(whole)).min() > 500
 
 
 def test_a_background_that_is_not_known_favours_no_size() -> None:
@@ -148,7 +150,7 @@ def test_what_an_expert_never_saw_says_nothing_and_the_rest_is_a_density() -> No
     maps = ExpertBackground.unknown(2, SIZE).after(image, np.arange(2), hidden, box)
     flat = np.zeros((50, 60), np.float32)
     found = maps.backdrop(image, box, flat, units(image, 24.0, local_mean=True))
-    assert not found.contrast[1, 10:40, 10:50].any()
+    assert np.abs(found.contrast[1, 10:40, 10:50]).max() < 1e-5
     assert (found.trust[0] > 0.98).all()
     variance = maps.variance.astype(float) + NOISE
     nats = np.log(256) - 0.5 * (
@@ -165,8 +167,6 @@ def test_what_an_expert_never_saw_says_nothing_and_the_rest_is_a_density() -> No
 def test_trust_grows_where_predictions_come_true_and_the_object_is_not() -> None:
     scene = np.full(SIZE, 100, np.uint8)
     chain = AdaptiveBackground(follow_light=False)
-    from rsmcm.models.frame import Frame
-
     state = chain.initial(Frame(scene, 0.0, 1))
     box, hidden = Box(40, 60, 20, 20), np.ones((20, 20), np.bool_)
     trust = first_trust(hidden, box, SIZE)
@@ -185,11 +185,11 @@ def following(scene: FaceScene, **options: Any) -> tuple[GFlow, AdaptiveBackgrou
     return chain, background, MultiChain().connect(background, PIXELS)
 
 
-def sliding(n_frames: int, moving: int, seed: int = 1) -> FaceScene:
-    """A face that slides to the side in the first frames, to where the room was seen, and rests there."""
+def sliding(n_frames: int, first: int, moving: int, seed: int = 1) -> FaceScene:
+    """A face that slides to the side from frame `first` on, to where the room was seen, and rests there."""
     scene = face(n_frames, seed, (192, 128), light=0.0)
     start, n = scene.poses[0], n_frames
-    along = np.minimum(np.arange(n) / moving, 1.0)
+    along = np.clip((np.arange(n) - first) / moving, 0.0, 1.0)
     scene.__dict__["poses"] = Poses(
         np.repeat(start.rotations, n, 0),
         start.translations + np.stack([55 * (along - 0.6), np.zeros(n)], axis=1),
@@ -200,7 +200,7 @@ def sliding(n_frames: int, moving: int, seed: int = 1) -> FaceScene:
 
 @pytest.mark.parametrize("feedback", [True, False])
 def test_the_background_does_not_absorb_a_face_that_rests(feedback: bool) -> None:
-    scene = sliding(100, 30)
+    scene = sliding(150, 70, 30)
     chain, background, model = following(scene)
     model.connect(chain, PIXELS, feedback=feedback)
     *_, belief = RecursiveBP(model).run(scene)
@@ -209,7 +209,7 @@ def test_the_background_does_not_absorb_a_face_that_rests(feedback: bool) -> Non
     error = np.linalg.norm(chain.vertices(tracked)[0][:, :2] - scene.vertices[-1], axis=1).mean()
     assert error < 1.0
     seen_before = ~cv2.dilate(scene.foreground(0).astype(np.uint8), np.ones((9, 9))).astype(bool)
-    rests = cv2.erode(scene.foreground(99).astype(np.uint8), np.ones((9, 9))) > 0
+    rests = cv2.erode(scene.foreground(149).astype(np.uint8), np.ones((9, 9))) > 0
     chosen = seen_before & rests
     off = np.abs(state.picture().astype(float) - scene._room)[chosen]
     assert chosen.sum() > 300
@@ -217,7 +217,7 @@ def test_the_background_does_not_absorb_a_face_that_rests(feedback: bool) -> Non
 
 
 def test_what_the_face_hid_at_first_is_learned_when_it_leaves() -> None:
-    scene = sliding(45, 30)
+    scene = sliding(45, 0, 30)
     chain, background, model = following(scene)
     *_, belief = RecursiveBP(model.connect(chain, PIXELS)).run(scene)
     left = scene.foreground(0) & ~cv2.dilate(scene.foreground(44).astype(np.uint8), np.ones((11, 11))).astype(
@@ -253,9 +253,9 @@ def test_a_tracker_that_knows_nothing_says_nothing() -> None:
     scene = face(2, 0, (192, 128))
     chain = GFlow(scene.model, scene.poses[0], experts=2, texels=300)
     state = chain.initial(scene.frame(0))
-    assert chain.message(state, PIXELS, Incoming({"pixels": PixelMessage()})) == PIXELS.uniform()
-    from dataclasses import replace
-
+    nothing = chain.message(state, PIXELS, Incoming({"pixels": PixelMessage()}))
+    assert nothing.layers.layers == ()
+    assert nothing.image is None
     lost = replace(state, doubts=9, looks=5)
     told = Incoming({"pixels": PixelMessage(image=scene.image(0))})
     message = chain.message(lost, PIXELS, told)
@@ -266,12 +266,12 @@ def test_a_tracker_that_knows_nothing_says_nothing() -> None:
 
 @pytest.mark.parametrize("background", ["shared", "experts"])
 def test_a_known_background_holds_a_face_without_texture(background: Any) -> None:
-    """Even skin under even light: the outline is all there is to see."""
-    scene = face(60, 3, (192, 128), texture=0.15, light=0.1, max_yaw=10)
+    """Hardly any texture, under light that moves: the outline is seen best."""
+    scene = face(60, 1, texture=0.3, light=0.3)
     errors = {}
     for which in ("none", background):
         chain = GFlow(
-            scene.model, scene.poses[0], experts=4, texels=500, local_mean=False, recover=False,
+            scene.model, scene.poses[0], experts=4, texels=500, local_mean=False, gain=0.2, recover=False,
             background="experts" if which == "experts" else "shared",
         )  # fmt: skip
         model = MultiChain()

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from rsmcm.apps.command_line import app, main
-from rsmcm.apps.demo import write_cylinder, write_scene
-from rsmcm.apps.scenes import sleeping_man
+from rsmcm.apps.demo import write_cylinder, write_face, write_scene
+from rsmcm.apps.scenes import face, sleeping_man
 
 ROOT = Path(__file__).parents[1]
 LONG = ("rsmcm demo", "rsmcm reproduce")  # only read, not run; tests of their own run them
@@ -34,6 +34,7 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest
     monkeypatch.chdir(tmp_path)
     write_scene(sleeping_man(12, enter=0), Path("results/demo/scene"))
     write_cylinder(Path("results/demo/cylinder.npz"))
+    write_face(face(24), Path("results/demo/face"))
     (settings,) = blocks("toml")
     Path("settings.toml").write_text(settings)
     assert len(commands("rsmcm")) > 8
@@ -45,8 +46,10 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest
         with pytest.raises(SystemExit) as ended:
             main(arguments)
         assert ended.value.code == 0, capfd.readouterr().err
-    first, second = (ROOT / "README.md").read_text().split("## Structure from motion")
-    for folder, text in (("street", first), ("shape", second)):
+    text = (ROOT / "README.md").read_text()
+    street, rest = text.split("## Structure from motion")
+    shape, talking = rest.split("## Faces")
+    for folder, text in (("street", street), ("shape", shape), ("face", talking)):
         for name in re.findall(r"^\| `([^`]+)`", text, re.MULTILINE):
             if not name.endswith("/"):
                 assert (Path("results") / folder / name).stat().st_size > 0

@@ -18,7 +18,7 @@ SCENE: Mapping[str, Any] = {"n_frames": 200, "motion": "fast"}
 
 COUNTS = (1, 5, 10, 20)
 ALMOST_FLOW = 0.99
-SLOW = 0.03
+SLOW = 0.01
 
 FLOW = "patches, flow, {} experts"
 ONE = "patches, flow, 1 expert"
