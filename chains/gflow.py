@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..inference.backdrop import Behind, Reading, first_trust, tones, units
 from ..inference.coverage import Coverage, widened
 from ..inference.expert_background import ExpertBackground
+from ..inference.point_terms import PoseEvidence, measured_points, predicted_points
 from ..inference.pose_dynamics import PoseDynamics, PosePrior
 from ..inference.pose_experts import Generation, continued, log_likelihood, resampled, sampled
 from ..inference.pose_peak import find_peaks
@@ -27,6 +28,7 @@ from ..models.morphable_model import MorphableModel
 from ..models.outline import MeshEdges
 from ..models.picture_levels import Level, picture_levels
 from ..models.pixel_labels import PixelLabels, PixelMessage
+from ..models.point_tracks import PointMessage, PointTracks
 from ..models.pose import Poses
 from ..models.surface_points import SurfacePoints
 from ..models.surface_texels import SurfaceTexels
@@ -169,6 +171,9 @@ class GFlow:
         `"experts"`: each expert has a map of the background, eq. (2), and no other chain's is used. With
         `"shared"` the background is the one that another chain predicts at the same feature node (connected
         before this chain), or none.
+    tracked
+        numbers of the vertices that are features of `PointTracks`, in increasing order, where it is connected
+        to one: an identity there is the number of a vertex.
     occlusion
         leave out texels that the object hides itself or shows at a grazing angle.
     seed
@@ -193,6 +198,7 @@ class GFlow:
     texture: Texture | None = None
     recover: bool = True
     background: Literal["shared", "experts"] = "shared"
+    tracked: tuple[int, ...] = ()
     occlusion: bool = True
     seed: int = 0
     name: str = "gflow"
@@ -308,17 +314,22 @@ class GFlow:
         """Poses may have changed by more when the next picture comes."""
         return replace(state, elapsed=state.elapsed + dt)
 
-    def message(self, state: GFlowState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
-        """What the object covers (mu_{X -> F}); nothing while it is lost.
+    def message(
+        self, state: GFlowState, feature: PixelLabels | PointTracks, incoming: Incoming
+    ) -> PixelMessage | PointMessage:
+        """What the object says to a feature (mu_{X -> F}); nothing while it is lost.
 
-        Where others have predicted the background already, it is registered with what reaches the feature.
+        To pixels: which it covers, registered with what reaches the feature where others have predicted the
+        background already. To points: where its vertices should be, before the picture.
         """
+        if isinstance(feature, PointTracks):
+            return self._vertices_predicted(state) or feature.uniform()
         told: PixelMessage = incoming[feature]
         if state.lost or not len(self.model.triangles) or (told.image is None and told.background is None):
             return feature.uniform()
         seen = state
         if told.background is not None and told.image is not None:
-            seen = self._last(self._after, state, told)
+            seen = self._last(self._after, state, told, _points_of(incoming))
             if seen.doubts and self.recover:
                 return feature.uniform()
         coverage = Coverage.of(self.model, seen.poses, seen.weights, told.size)
@@ -326,9 +337,16 @@ class GFlow:
 
     def update(self, state: GFlowState, incoming: Incoming) -> GFlowState:
         """Experts and textures after the picture."""
-        return self._last(self._after, state, incoming["pixels"])
+        return self._last(self._after, state, incoming["pixels"], _points_of(incoming))
 
-    def _after(self, state: GFlowState, told: PixelMessage) -> GFlowState:
+    def _vertices_predicted(self, state: GFlowState) -> PointMessage | None:
+        if state.lost or not self.tracked or not state.elapsed:
+            return None
+        prior = PosePrior.after(state.poses, self.dynamics, state.size, state.elapsed)
+        chosen = np.array(self.tracked, np.int64)
+        return PointMessage(predicted_points(self.model, prior, state.weights, chosen))
+
+    def _after(self, state: GFlowState, told: PixelMessage, points: PointMessage | None) -> GFlowState:
         image = told.image
         if image is None:
             return state
@@ -339,7 +357,7 @@ class GFlow:
         elif state.lost and self.recover:
             generation = self._found_again(state, levels)
         else:
-            generation = self._followed(state, levels, self._behind(state, told))
+            generation = self._followed(state, levels, self._behind(state, told), points)
         after = self._textured(state, generation, levels)
         if not len(self.model.triangles) or (after.doubts and self.recover):
             return after
@@ -392,11 +410,17 @@ class GFlow:
         weights = state.log_weights + log_likelihood(likelihood, state.poses, every, self.effective_pixels)
         return Generation(state.poses, normalised(weights), every, float(log_sum(weights)))
 
-    def _followed(self, state: GFlowState, levels: list[Level], behind: Behind | None) -> Generation:
+    def _followed(
+        self, state: GFlowState, levels: list[Level], behind: Behind | None, points: PointMessage | None
+    ) -> Generation:
         """Continuation or resampling frame (Table 2, II)."""
         likelihood = self._likelihood(state, levels, state.poses)
         prior = PosePrior.after(state.poses, self.dynamics, state.size, state.elapsed)
-        more = []
+        more: list[PoseEvidence] = []
+        known = None
+        if points is not None and self.tracked:
+            known = measured_points(self.model, points.positions, np.array(self.tracked, np.int64))
+            more.append(known)
         if behind is not None:
             more.append(Silhouette(self.model, self._edges, behind.backdrop, self.effective_pixels))
         peaks = find_peaks(likelihood, prior, state.poses, self.effective_pixels, self.levels - 1, more)
@@ -405,9 +429,11 @@ class GFlow:
         if self.spread == 0 or state.looks % self.resample_every:
             every = np.arange(self.experts)
             density = log_likelihood(likelihood, peaks.poses, every, self.effective_pixels, behind)
+            density -= 0.0 if known is None else known.equations(peaks.poses, every)[0]
             return continued(state.log_weights, peaks, prior, density)
         seeds = sampled(peaks, self.samples, self.spread, state.random)
         density = log_likelihood(likelihood, seeds.poses, seeds.owner, self.effective_pixels, behind)
+        density -= 0.0 if known is None else known.equations(seeds.poses, seeds.owner)[0]
         return resampled(state.log_weights, seeds, prior, density, self.samples, state.random)
 
     def _found_again(self, state: GFlowState, levels: list[Level]) -> Generation:
@@ -474,6 +500,10 @@ class GFlow:
         """`(n, 2)` px: where points of the surface are in the mean pose."""
         projected: Array = points.project(self.model, self.mean_pose(state))[0]
         return projected
+
+
+def _points_of(incoming: Incoming) -> PointMessage | None:
+    return next((told for told in incoming.values() if isinstance(told, PointMessage)), None)
 
 
 def _fits(

@@ -6,8 +6,12 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..models.gaussian_message import GaussianMessage
+from ..models.morphable_model import MorphableModel
 from ..models.pose import RIGID, Poses
+from ..models.surface_points import SurfacePoints
 from . import place_kernels
+from .pose_dynamics import PosePrior
 
 Array = NDArray[np.float64]
 
@@ -63,3 +67,32 @@ class PointTerms:
             self.information, energy, gradient, curvature,
         )  # fmt: skip
         return energy, gradient, curvature
+
+
+def measured_points(model: MorphableModel, message: GaussianMessage, chosen: NDArray[np.int64]) -> PointTerms:
+    """What a message says of the places of vertices, of which the identities are their numbers.
+
+    Others than those `chosen`, and those of whose place not enough is said, are left out.
+    """
+    identities, means, covariances = message.moments
+    known = np.isin(identities, chosen)
+    numbers, means = identities[known], means[known]
+    precision = np.linalg.inv(covariances[known])
+    information = np.stack([precision[:, 0, 0], precision[:, 0, 1], precision[:, 1, 1]], axis=1)
+    bases = np.ascontiguousarray(np.swapaxes(model.bases[:, numbers], 0, 1))
+    return PointTerms(bases[None], means[None], information[None])
+
+
+def predicted_points(
+    model: MorphableModel, prior: PosePrior, weights: Array, chosen: NDArray[np.int64]
+) -> GaussianMessage:
+    """Where the vertices `chosen` should be, by the experts' poses of the time before and how poses change.
+
+    Moments of the mixture over experts, with x_i linear in the change of the pose.
+    """
+    model = model.of_points(SurfacePoints.of_vertices(chosen))
+    places, rows = model.project(prior.previous), model.jacobian(prior.previous)
+    moved = np.einsum("n,nvap,p,nvbp->vab", weights, rows, prior.walk, rows)
+    mean = np.einsum("n,nva->va", weights, places)
+    off = places - mean
+    return GaussianMessage.from_moments(chosen, mean, moved + np.einsum("n,nva,nvb->vab", weights, off, off))

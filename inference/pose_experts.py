@@ -59,11 +59,12 @@ def log_likelihood(
     own = -0.5 * (squares + logs + np.log(2 * np.pi) * areas)
     areas = np.maximum(areas, 1e-9)
     if behind is None:
-        return effective_pixels * own / areas
+        alone: Array = effective_pixels * own / areas
+        return alone
     own += units
     usual, area = float(np.median(own / areas)), float(np.median(areas))
     unknown = usual * (areas - area - behind.trusted_area(likelihood, poses, owner))
-    total = own - unknown - behind.hidden_contrast(poses, owner) + behind.everywhere(owner)
+    total: Array = own - unknown - behind.hidden_contrast(poses, owner) + behind.everywhere(owner)
     return effective_pixels * total / area
 
 

@@ -11,8 +11,8 @@ def log_sum(values: Array, axis: int | None = None) -> Array:
     peak = np.max(values, axis=axis, keepdims=True)
     peak = np.where(np.isfinite(peak), peak, 0.0)
     with np.errstate(divide="ignore"):
-        total = np.log(np.exp(values - peak).sum(axis=axis, keepdims=True)) + peak
-    return np.squeeze(total, axis=axis) if axis is not None else total.reshape(())
+        total: Array = np.log(np.exp(values - peak).sum(axis=axis, keepdims=True)) + peak
+    return total.reshape(()) if axis is None else np.squeeze(total, axis=axis)
 
 
 def normalised(log_weights: Array) -> Array:

@@ -66,8 +66,8 @@ class LearnedGain:
     @property
     def gain(self) -> Map:
         """`(n_experts, n_texels)` from 0 to 1."""
-        gain: Map = 1 / (1 + np.exp(-self.log_odds))
-        return gain
+        gain = 1 / (1 + np.exp(-self.log_odds))
+        return gain.astype(np.float32)
 
     def of(self, parents: NDArray[np.int64]) -> Self:
         """What the children of `parents` remember."""

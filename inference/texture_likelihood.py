@@ -151,11 +151,11 @@ class TextureLikelihood:
 
     @cached_property
     def _precision(self) -> Map:
-        return 1 / self.temperature
+        return np.reciprocal(self.temperature)
 
     @cached_property
     def _log_temperature(self) -> Map:
-        return np.log(self.temperature)
+        return np.log(self.temperature).astype(np.float32)
 
     def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
         """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""

@@ -46,7 +46,7 @@ class Poses:
     @property
     def dimension(self) -> int:
         """Degrees of freedom: five and one for each morph basis."""
-        return RIGID + self.morphs.shape[1]
+        return RIGID + int(self.morphs.shape[1])
 
     @property
     def sizes(self) -> Array:

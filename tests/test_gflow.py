@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-
 from rsmcm.apps.scenes import FaceScene, face
 from rsmcm.chains.gflow import GFlow, GFlowState
 from rsmcm.inference import MultiChain, RecursiveBP
@@ -42,7 +41,9 @@ def error(chain: GFlow, scene: FaceScene, state: GFlowState, number: int) -> flo
     return float(np.linalg.norm(seen - scene.vertices[number], axis=1).mean())
 
 
-@pytest.mark.parametrize("settings", [{}, {"surface": "patches"}, {"gain": "learned"}, {"experts": 1, "spread": 0.0}])
+@pytest.mark.parametrize(
+    "settings", [{}, {"surface": "patches"}, {"gain": "learned"}, {"experts": 1, "spread": 0.0}]
+)
 def test_follows_a_face(
     scene: FaceScene, images: list[NDArray[np.uint8] | None], settings: dict[str, object]
 ) -> None:
@@ -77,9 +78,7 @@ def test_resumes_from_a_file(
     np.testing.assert_allclose(belief[chain.name].poses.morphs, whole[13].poses.morphs, atol=1e-9)
 
 
-def test_missing_frames_are_predicted(
-    scene: FaceScene, images: list[NDArray[np.uint8] | None]
-) -> None:
+def test_missing_frames_are_predicted(scene: FaceScene, images: list[NDArray[np.uint8] | None]) -> None:
     chain = chain_for(scene)
     gap = [*images[:8], None, None, *images[10:16]]
     followed = states(chain, gap)
@@ -132,9 +131,7 @@ def test_a_face_that_leaves_the_picture_is_lost(
     assert states(chain, leaving)[-1].lost
 
 
-def test_experts_agree_with_their_summary(
-    scene: FaceScene, images: list[NDArray[np.uint8] | None]
-) -> None:
+def test_experts_agree_with_their_summary(scene: FaceScene, images: list[NDArray[np.uint8] | None]) -> None:
     chain = chain_for(scene)
     state = states(chain, images[:11])[-1]
     mean, covariance = chain.vertices(state)

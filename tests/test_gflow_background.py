@@ -181,7 +181,7 @@ def test_trust_grows_where_predictions_come_true_and_the_object_is_not() -> None
 
 def following(scene: FaceScene, **options: Any) -> tuple[GFlow, AdaptiveBackground, MultiChain]:
     chain = GFlow(scene.model, scene.poses[0], experts=3, texels=500, **options)
-    background = AdaptiveBackground(settle_time=1.0)
+    background = AdaptiveBackground(settle_time=1.0, follow_light=False)
     return chain, background, MultiChain().connect(background, PIXELS)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -154,13 +155,14 @@ def follow(
 
 def points_one_by_one(first: Numbers, frames: Iterable[Frame], progress: Progress) -> tuple[Numbers, int]:
     """Every landmark followed by itself from picture to picture."""
-    places, before, now = [first], None, first.astype(np.float32)[:, None]
+    places, before = [first], None
+    now: Any = first.astype(np.float32)[:, None]
     for frame in frames:
         assert frame.image is not None
         image = frame.image if frame.image.ndim == 2 else cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
         if before is not None:
             now, _, _ = cv2.calcOpticalFlowPyrLK(
-                before, image, now, None, winSize=(WINDOW, WINDOW), maxLevel=2
+                before, image, now, now.copy(), winSize=(WINDOW, WINDOW), maxLevel=2
             )
             places.append(now[:, 0].astype(np.float64))
         before = image
