@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..chains.gflow import GFlow, GFlowState
-from ..inference.pose_dynamics import PoseDynamics, PosePrior
+from ..inference.pose_dynamics import PosePrior
 from ..inference.pose_peak import find_peaks
 from ..inference.protocols import Incoming
 from ..inference.texture_filter import UNKNOWN_VARIANCE, Texture
@@ -24,6 +24,7 @@ from ..models.picture_levels import Level, picture_levels
 from ..models.pixel_labels import PixelMessage
 from ..models.pose import Poses
 from ..models.threads import set_threads
+from .face_baselines import constrained_flow, generative_template, learned_subspace, template_subspace
 from .progress import Progress
 from .scenes import FaceScene, face
 
@@ -33,6 +34,8 @@ LOST_SHARE = 0.5
 """Error from which a face counts as not followed, in sizes of the face."""
 LOST_SECONDS = 1.0
 """For how long at a stretch, unless it is so in the last frame."""
+TAUGHT_EVERY, MODES = 10, 8
+"""Frames from which a subspace of textures is learned, and its dimension."""
 MOST_WORKERS = 2
 
 
@@ -117,29 +120,36 @@ class Tracker:
         of `GFlow`, beyond model and start.
     texturing
         `"true"` learns every texture at the true poses.
-    oracle
-        the floor: texture learned at the true poses, and every search started at the true pose.
+    system
+        `"oracle"`: the floor, texture learned at the true poses and every search started at the true pose.
+        `"subspace"` and `"batch"` are the 2D+3D AAM and the batch template of the paper's Table 3 in their
+        roles; the first learns its appearance from every tenth frame at the true pose.
     """
 
     name: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     texturing: Texturing = "own"
-    oracle: bool = False
+    system: Literal["g-flow", "oracle", "subspace", "batch"] = "g-flow"
 
     def chain(self, scene: FaceScene) -> GFlow:
         """The chain for a scene, started at the true pose."""
-        return GFlow(scene.model, scene.poses[0], **{"dynamics": LIVELY, "recover": False, **self.settings})
+        return GFlow(scene.model, scene.poses[0], **{"recover": False, **self.settings})
 
     def run(self, film: Film) -> Trial:
         """Follow the face through the film."""
-        chain = self.chain(film.scene)
-        if self.oracle:
-            return floor(film, replace(chain, experts=1))
-        return follow(film, chain, self.texturing)
-
-
-LIVELY = PoseDynamics(rotation=0.6, translation=1.0, morphs=4.0)
-"""Of somebody who moves quickly: expressions of the built-in face come and go in a few frames."""
+        scene, frames = film.scene, film.frames
+        if self.system == "oracle":
+            return floor(film, replace(self.chain(scene), experts=1))
+        if self.system == "g-flow":
+            return follow(film, self.chain(scene), self.texturing)
+        if self.system == "subspace":
+            taught = slice(0, None, TAUGHT_EVERY)
+            subspace = learned_subspace(frames[taught], scene.model, scene.poses[taught], MODES)
+            found = template_subspace(frames, scene.model, scene.poses[0], subspace)
+        else:
+            track = constrained_flow(frames, scene.model, scene.poses[0])
+            found = generative_template(frames, scene.model, track).poses
+        return _trial(scene, found, np.full(len(scene), np.nan))
 
 
 def follow(film: Film, chain: GFlow, texturing: Texturing = "own") -> Trial:

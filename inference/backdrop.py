@@ -34,11 +34,11 @@ UNSEEN = -1.0
 """Trust in the background of a pixel that the object has hidden from the beginning; as good as none."""
 
 LOUDEST = 3.0
-"""Nats of a pixel for or against an edge: with more on one side of it, the edge would be found off to the other."""
+"""Nats of a pixel for or against an edge: with more on one side, the edge would be found off to the other."""
 
 INDEPENDENT = 0.3
-"""Share of them that counts: pixels side by side are alike, and where an object is toned like what is behind it
-all of them err together."""
+"""Share of them that counts: pixels side by side are alike, and all of them err together where an object has
+the tones of what is behind it."""
 
 N_GREYS = 256.0
 

@@ -61,8 +61,8 @@ def scan(contrast, top, left, places, normals, lengths, share, reach, step, nois
     object, of pixels from `(top, left)`; one map for all, or one each. Writes `targets` `(n, n_points, 2)`
     and `information` `(n, n_points, 3)`, zero where a scan says nothing. A scan goes `reach` steps of
     `step` px to either side, and the variance `noise` in steps is added to what it finds; `share` `(n,)` is
-    how much a px of outline counts. The nats of a scan are not tempered, or the edge would be found too far on the side
-    where the background speaks more softly.
+    how much a px of outline counts. Nats are not tempered by it, or the edge would be found too far on the
+    side where the background speaks more softly.
     """
     height, width = contrast.shape[1], contrast.shape[2]
     n_steps = 2 * reach + 1

@@ -15,7 +15,7 @@ from ...models.pixel_labels import PixelMessage
 from ...models.pose import Poses
 from .. import report
 from ..claims import HEADER, Claim, print_tables
-from ..face_trials import LIVELY, Film, in_processes, taught_texture
+from ..face_trials import Film, in_processes, taught_texture
 from ..results import write_json
 
 Numbers = NDArray[np.float64]
@@ -112,7 +112,7 @@ def recover(seed: int) -> dict[str, Recovery]:
     film = Film.of(seed=seed, **SCENE)
     scene = film.scene
     start = scattered(film, np.random.default_rng([seed, 9]))
-    blank = GFlow(scene.model, start, experts=N_EXPERTS, gain=GAIN, dynamics=LIVELY, recover=False, seed=seed)
+    blank = GFlow(scene.model, start, experts=N_EXPERTS, gain=GAIN, recover=False, seed=seed)
     known = replace(blank, texture=taught_texture(film, blank))
     return {KNOWN: _followed(film, known), BLANK: _followed(film, blank)}
 
