@@ -49,6 +49,15 @@ LEAST_INSIDE = 0.4
 COVERING_TEXELS = 1500
 """Of the mesh where it is integrated over what it hides."""
 
+FARTHEST_AHEAD = 1.5
+"""Share of an expert's last motion, up to which experts begin their search ahead."""
+
+ASIDE = 0.5
+"""How far they begin it aside, in standard deviations of the motion."""
+
+STRAIGHT = 0.25
+"""Share of the experts that do not."""
+
 PATIENCE = 3
 """Looks in a row without that share after which the object is lost."""
 
@@ -83,6 +92,8 @@ class GFlowState:
         how often it was lost and found again.
     random
         source of all draws.
+    motion
+        `(n_experts, dimension)` per second: last change of each expert's pose, where there was one.
     trust
         `(height, width)` float32, from 0 to 1: how well the background of each pixel is known, where another
         chain predicts it; `None` without one.
@@ -104,6 +115,7 @@ class GFlowState:
     random: np.random.Generator
     trust: NDArray[np.float32] | None = None
     background: ExpertBackground | None = None
+    motion: Array | None = None
 
     @property
     def weights(self) -> Array:
@@ -188,7 +200,7 @@ class GFlow:
     radius: float = 4.0
     gain: float | Literal["learned"] = 0.05
     temperature: float = 36.0
-    effective_pixels: float = 400.0
+    effective_pixels: float = 150.0
     samples: int = 10
     spread: float = 1.0
     resample_every: int = 5
@@ -423,7 +435,8 @@ class GFlow:
             more.append(known)
         if behind is not None:
             more.append(Silhouette(self.model, self._edges, behind.backdrop, self.effective_pixels))
-        peaks = find_peaks(likelihood, prior, state.poses, self.effective_pixels, self.levels - 1, more)
+        start = self._ahead(state, prior)
+        peaks = find_peaks(likelihood, prior, start, self.effective_pixels, self.levels - 1, more)
         likelihood = replace(likelihood, visible=self._visible(peaks.poses))
         behind = None if behind is None else behind.around(peaks.poses)
         if self.spread == 0 or state.looks % self.resample_every:
@@ -435,6 +448,20 @@ class GFlow:
         density = log_likelihood(likelihood, seeds.poses, seeds.owner, self.effective_pixels, behind)
         density -= 0.0 if known is None else known.equations(seeds.poses, seeds.owner)[0]
         return resampled(state.log_weights, seeds, prior, density, self.samples, state.random)
+
+    def _ahead(self, state: GFlowState, prior: PosePrior) -> Poses:
+        """Where experts begin to climb: apart, so that not all of them take a wrong peak for the right one.
+
+        They go on by different shares of their last motion, and most of them step aside, too. What they
+        believe is not touched: all climb on the same likelihood and prior.
+        """
+        if self.experts == 1 or state.motion is None:
+            return state.poses
+        n = self.experts
+        share = np.linspace(0.0, FARTHEST_AHEAD, n)[state.random.permutation(n)]
+        aside = ASIDE * np.sqrt(prior.walk) * state.random.standard_normal((n, state.poses.dimension))
+        aside[state.random.random(n) < STRAIGHT] = 0.0
+        return state.poses.moved(share[:, None] * state.elapsed * state.motion + aside)
 
     def _found_again(self, state: GFlowState, levels: list[Level]) -> Generation:
         """Look all over the picture, from the likeliest places, with the best expert's texture."""
@@ -471,6 +498,9 @@ class GFlow:
             poses, log_weights, texture = state.trusted, state.log_weights, state.texture
         if doubts and self.recover:
             seen = np.zeros_like(seen)  # what may not be the object teaches nothing about it
+        motion = None
+        if state.elapsed and not doubts:
+            motion = generation.poses.changes_from(state.poses[generation.parents]) / state.elapsed
         return replace(
             state,
             poses=poses,
@@ -478,6 +508,7 @@ class GFlow:
             texture=texture.after(looks, seen, self.noise),
             trusted=state.trusted if doubts else poses,
             elapsed=0.0,
+            motion=motion,
             looks=state.looks + 1,
             log_evidence=generation.log_evidence,
             fit=fit,
@@ -490,7 +521,7 @@ class GFlow:
         return state.poses.mean(state.weights)
 
     def vertices(self, state: GFlowState) -> tuple[Array, Array]:
-        """Mean `(n_vertices, 3)` and covariance `(n_vertices, 3, 3)` px of where vertices are, depth included."""
+        """Mean `(n_vertices, 3)` and covariance `(n_vertices, 3, 3)` px of vertices, depth included."""
         positions = self.model.positions(state.poses)
         mean = np.einsum("n,nva->va", state.weights, positions)
         off = positions - mean
@@ -512,7 +543,7 @@ def _fits(
     visible: NDArray[np.bool_],
     seen: NDArray[np.bool_],
 ) -> Array:
-    """Share of the looks' variance that the mean explains, `(n,)`; 0 where most texels are off the picture."""
+    """Share of the looks' variance that the mean explains, `(n,)`; 0 with most texels off the picture."""
     count = np.maximum(seen.sum(axis=1), 1)
     middle = (looks * seen).sum(axis=1) / count
     error = ((looks - mean) ** 2 * seen).sum(axis=1)
