@@ -85,13 +85,17 @@ class GFlowState:
     log_evidence
         nats: log p(y_t | y_1:t-1) of the last picture, of its effective pixels.
     fit
-        share of the picture's variance under the object that the predicted texture explained, from -1 to 1.
+        share of the picture's variance under the object that the predicted texture explained, from -1 to 1:
+        -log(1 - fit) / 2 nats a pixel is the evidence for the texture over a broad alternative, a Gaussian
+        with the picture's own mean and variance there, where the noise is not taken for known.
     doubts
         looks in a row with too low a fit.
     relocations
         how often it was lost and found again.
     random
         source of all draws.
+    covariance
+        `(n_experts, dimension, dimension)`: of what each expert believed of its pose, by Laplace's method.
     motion
         `(n_experts, dimension)` per second: last change of each expert's pose, where there was one.
     trust
@@ -113,6 +117,7 @@ class GFlowState:
     doubts: int
     relocations: int
     random: np.random.Generator
+    covariance: Array
     trust: NDArray[np.float32] | None = None
     background: ExpertBackground | None = None
     motion: Array | None = None
@@ -139,8 +144,9 @@ class GFlow:
     a texel.
 
     Departures: the picture is divided by its local mean, which takes light out; sums over pixels are tempered
-    to an effective number of independent ones; texels seen for the first time start in their steady state;
-    the object may be lost, and is then looked for all over the picture.
+    to an effective number of independent ones; only the finest level's texture is filtered (see `Texture`);
+    experts begin their search apart; the object may be lost, and is then looked for all over the picture. A
+    missing picture changes nothing but the time that has passed: points alone are not heard.
 
     Parameters
     ----------
@@ -176,7 +182,10 @@ class GFlow:
     dynamics
         of the pose.
     texture
-        of the object where it is known at the start, of one expert.
+        of the object where it is known at the start, of one expert. Without it every expert takes its texture
+        from the first picture where it stands: they should then start from one pose, for an expert that
+        starts off the object learns a wrong texture there and never comes back (Table 2, I, wants a common
+        texture for this reason).
     recover
         doubt what does not fit, and look for the object all over the picture when it is lost.
     background
@@ -235,10 +244,25 @@ class GFlow:
             raise ValueError(f"spread: got {self.spread}, expected 0 or more")
         if not 1 <= self.levels <= N_LEVELS:
             raise ValueError(f"levels: got {self.levels}, expected 1 to {N_LEVELS}")
+        if self.texture is not None:
+            expected = (self.levels, len(self.object.texels))
+            if self.texture.mean.shape[1:] != expected:
+                raise ValueError(
+                    f"texture: got {self.texture.mean.shape[1:]} levels and texels, expected {expected}"
+                )
+        numbers = np.array(self.tracked, np.int64)
+        if (np.diff(numbers) <= 0).any() or not ((numbers >= 0) & (numbers < self.model.n_vertices)).all():
+            raise ValueError(
+                f"tracked: got {self.tracked}, expected numbers of vertices from 0 to "
+                f"{self.model.n_vertices - 1}, increasing"
+            )
         if not callable(self.start):
             self._check_start(self.start)
 
     def _check_start(self, start: Poses) -> None:
+        numbers = (start.rotations, start.translations, start.morphs)
+        if not all(np.isfinite(part).all() for part in numbers) or not (start.sizes > 0).all():
+            raise ValueError("start: got poses with NaN, infinity or a size of 0 or less, expected none")
         if len(start) not in (1, self.experts):
             raise ValueError(f"start: got {len(start)} poses, expected 1 or {self.experts}, one an expert")
         if start.morphs.shape[1] != self.model.n_bases:
@@ -304,9 +328,10 @@ class GFlow:
             start = start(frame)
             self._check_start(start)
         one_each = np.arange(self.experts) if len(start) == self.experts else np.zeros(self.experts, np.int64)
-        texture = self.texture
-        if texture is None:
-            texture = Texture.unknown(1, self.levels, len(self.object.texels), learn=self.gain == "learned")
+        n_texels, learn = len(self.object.texels), self.gain == "learned"
+        texture = Texture.unknown(1, self.levels, n_texels, learn=learn)
+        if self.texture is not None:
+            texture = replace(texture, mean=self.texture.mean[:1], variance=self.texture.variance[:1])
         return GFlowState(
             poses=start[one_each],
             trusted=start[one_each],
@@ -320,6 +345,7 @@ class GFlow:
             doubts=0,
             relocations=0,
             random=np.random.default_rng(self.seed),
+            covariance=np.zeros((self.experts, start.dimension, start.dimension)),
         )
 
     def predict(self, state: GFlowState, dt: float) -> GFlowState:
@@ -349,10 +375,10 @@ class GFlow:
 
     def update(self, state: GFlowState, incoming: Incoming) -> GFlowState:
         """Experts and textures after the picture."""
-        return self._last(self._after, state, incoming["pixels"], _points_of(incoming))
+        return self._last(self._after, state, _pixels_of(incoming), _points_of(incoming))
 
     def _vertices_predicted(self, state: GFlowState) -> PointMessage | None:
-        if state.lost or not self.tracked or not state.elapsed:
+        if (state.doubts and self.recover) or not self.tracked or not state.elapsed:
             return None
         prior = PosePrior.after(state.poses, self.dynamics, state.size, state.elapsed)
         chosen = np.array(self.tracked, np.int64)
@@ -420,7 +446,7 @@ class GFlow:
         likelihood = self._likelihood(state, levels, state.poses)
         every = np.arange(self.experts)
         weights = state.log_weights + log_likelihood(likelihood, state.poses, every, self.effective_pixels)
-        return Generation(state.poses, normalised(weights), every, float(log_sum(weights)))
+        return Generation(state.poses, normalised(weights), every, float(log_sum(weights)), state.covariance)
 
     def _followed(
         self, state: GFlowState, levels: list[Level], behind: Behind | None, points: PointMessage | None
@@ -475,7 +501,11 @@ class GFlow:
         likelihood = replace(likelihood, visible=self._visible(peaks.poses))
         weights = log_likelihood(likelihood, peaks.poses, every, self.effective_pixels)
         return Generation(
-            peaks.poses, normalised(weights), best, float(log_sum(weights) - np.log(len(weights)))
+            peaks.poses,
+            normalised(weights),
+            best,
+            float(log_sum(weights) - np.log(len(weights))),
+            np.linalg.inv(peaks.precision),
         )
 
     def _textured(self, state: GFlowState, generation: Generation, levels: list[Level]) -> GFlowState:
@@ -494,10 +524,15 @@ class GFlow:
             doubts = state.doubts + 1
         elif state.lost and self.recover:
             doubts = 1  # one look more, before it is believed
+        parents = generation.parents
         if doubtful and state.lost and self.recover:
             poses, log_weights, texture = state.trusted, state.log_weights, state.texture
+            parents = np.arange(self.experts)
         if doubts and self.recover:
             seen = np.zeros_like(seen)  # what may not be the object teaches nothing about it
+        background = state.background
+        if background is not None and doubts and self.recover:  # else it follows when it learns
+            background = background.of(parents)
         motion = None
         if state.elapsed and not doubts:
             motion = generation.poses.changes_from(state.poses[generation.parents]) / state.elapsed
@@ -506,8 +541,10 @@ class GFlow:
             poses=poses,
             log_weights=log_weights,
             texture=texture.after(looks, seen, self.noise),
-            trusted=state.trusted if doubts else poses,
+            trusted=state.trusted[parents] if doubts else poses,
+            background=background,
             elapsed=0.0,
+            covariance=generation.covariance,
             motion=motion,
             looks=state.looks + 1,
             log_evidence=generation.log_evidence,
@@ -521,16 +558,28 @@ class GFlow:
         return state.poses.mean(state.weights)
 
     def vertices(self, state: GFlowState) -> tuple[Array, Array]:
-        """Mean `(n_vertices, 3)` and covariance `(n_vertices, 3, 3)` px of vertices, depth included."""
-        positions = self.model.positions(state.poses)
+        """Mean `(n_vertices, 3)` px and covariance `(n_vertices, 3, 3)` px squared of vertices, with depth.
+
+        The covariance is the experts' spread, and what each of them leaves open (nothing in the first picture).
+        """
+        positions, rows = self.model.positions(state.poses), self.model.jacobian_with_depth(state.poses)
         mean = np.einsum("n,nva->va", state.weights, positions)
         off = positions - mean
-        return mean, np.einsum("n,nva,nvb->vab", state.weights, off, off)
+        spread = np.einsum("n,nva,nvb->vab", state.weights, off, off)
+        weighted = rows @ (state.weights[:, None, None] * state.covariance)[:, None]
+        return mean, spread + (weighted @ np.swapaxes(rows, -1, -2)).sum(axis=0)
 
     def points(self, state: GFlowState, points: SurfacePoints) -> Array:
         """`(n, 2)` px: where points of the surface are in the mean pose."""
         projected: Array = points.project(self.model, self.mean_pose(state))[0]
         return projected
+
+
+def _pixels_of(incoming: Incoming) -> PixelMessage:
+    told = next((told for told in incoming.values() if isinstance(told, PixelMessage)), None)
+    if told is None:
+        raise ValueError(f"G-flow: got the features {', '.join(incoming)}, expected a PixelLabels among them")
+    return told
 
 
 def _points_of(incoming: Incoming) -> PointMessage | None:

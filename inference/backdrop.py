@@ -153,9 +153,15 @@ def _integral(
     return sums
 
 
+def grey_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """`(height, width)` uint8 of a grey or BGR picture."""
+    grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+    return np.ascontiguousarray(grey)
+
+
 def units(image: NDArray[np.uint8], size: float, *, local_mean: bool) -> Map:
     """`(height, width)` float32: log of 256 dy'/dy, by which a density of y' exceeds the uniform one of y."""
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    grey = grey_of(image)
     if not local_mean:
         return np.full(grey.shape, np.log(N_GREYS), np.float32)
     mean = blurred(grey.astype(np.float32), FINE_LIGHT_REACH * size)
@@ -218,7 +224,7 @@ def tones(image: NDArray[np.uint8], object_: NDArray[np.bool_], box: Box) -> Map
 
     From the histogram of the grey values in `object_`, of the box, which need not be complete.
     """
-    grey = image[box.window] if image.ndim == 2 else cv2.cvtColor(image[box.window], cv2.COLOR_BGR2GRAY)
+    grey = grey_of(image[box.window])
     counts = np.bincount(grey[object_], minlength=256).astype(np.float32)
     density = cv2.GaussianBlur(counts[None], (0, 0), TONE_WIDTH, borderType=cv2.BORDER_REFLECT)[0]
     share = N_GREYS * density / max(float(density.sum()), 1e-9)

@@ -52,6 +52,10 @@ class ExpertBackground:
         shape = (n_experts, *size)
         return cls(np.zeros(shape, np.float32), np.full(shape, UNKNOWN_VARIANCE, np.float32))
 
+    def of(self, parents: NDArray[np.int64]) -> Self:
+        """Backgrounds of the children of `parents`."""
+        return replace(self, mean=self.mean[parents], variance=self.variance[parents])
+
     def backdrop(self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map) -> Backdrop:
         """As poses within the box are judged by it.
 

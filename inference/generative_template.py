@@ -283,6 +283,7 @@ class _Frame:
         warp_kernels.sample_with_slopes(
             level.image.reshape(-1), width, height, places, n, value, across, down, area
         )
+        area = np.maximum(area, 0)  # off the picture
         corners = surface.groups[texels.group_of_texel]
         shapes = rows[0][..., RIGID : RIGID + len(covariance)].astype(np.float64)
         moves = sum(texels.weights[:, corner, None, None] * shapes[corners[:, corner]] for corner in range(3))

@@ -39,6 +39,11 @@ class PoseDynamics:
     size_range: float = 0.15
     morph_range: float = 1.0
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not value > 0:
+                raise ValueError(f"{name}: got {value}, expected more than 0")
+
     def walk(self, size: float, dimension: int, elapsed: float) -> Array:
         """`(dimension,)` variances of a change of pose in `elapsed` seconds, for an object of `size` px."""
         deviations = np.full(dimension, self.morphs * size)

@@ -29,12 +29,15 @@ class Generation:
         `(n,)`: the expert of the frame before whose history and texture each has.
     log_evidence
         nats: log p(y_t | y_1:t-1) of the effective pixels.
+    covariance
+        `(n, dimension, dimension)`: Laplace's, of what each one's parent believed.
     """
 
     poses: Poses
     log_weights: Array
     parents: NDArray[np.int64]
     log_evidence: float
+    covariance: Array
 
 
 def log_likelihood(
@@ -51,21 +54,22 @@ def log_likelihood(
     cover few. With what is `behind` foreground less background is summed over the covered pixels, eq. (18),
     relative to anything, and a common factor turns areas into effective pixels. Covered pixels whose
     background is not known count as if it explained them as well as the texture does on average: they must
-    favour neither large nor small poses.
+    favour neither large nor small poses. A pose of which nothing faces the viewer is impossible.
     """
     squares, logs, areas, units = likelihood.sums(
         poses, owner, NO_MAP if behind is None else behind.backdrop.unit
     ).T
     own = -0.5 * (squares + logs + np.log(2 * np.pi) * areas)
+    nothing_seen = areas <= 0
     areas = np.maximum(areas, 1e-9)
     if behind is None:
         alone: Array = effective_pixels * own / areas
-        return alone
+        return np.where(nothing_seen, -np.inf, alone)
     own += units
     usual, area = float(np.median(own / areas)), float(np.median(areas))
     unknown = usual * (areas - area - behind.trusted_area(likelihood, poses, owner))
     total: Array = own - unknown - behind.hidden_contrast(poses, owner) + behind.everywhere(owner)
-    return effective_pixels * total / area
+    return np.where(nothing_seen, -np.inf, effective_pixels * total / area)
 
 
 def continued(log_weights: Array, peaks: Peaks, prior: PosePrior, log_likelihoods: Array) -> Generation:
@@ -83,7 +87,9 @@ def continued(log_weights: Array, peaks: Peaks, prior: PosePrior, log_likelihood
         + 0.5 * peaks.poses.dimension * np.log(2 * np.pi)
         - half_log_determinant
     )
-    return Generation(peaks.poses, normalised(weights), every, float(log_sum(weights)))
+    return Generation(
+        peaks.poses, normalised(weights), every, float(log_sum(weights)), np.linalg.inv(peaks.precision)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +104,14 @@ class Seeds:
         expert of each.
     log_proposal
         log pi of each, in the tangent coordinates of its peak.
+    covariance
+        `(n_experts, dimension, dimension)`: Laplace's, before it is widened by alpha.
     """
 
     poses: Poses
     owner: NDArray[np.int64]
     log_proposal: Array
+    covariance: Array
 
 
 def sampled(peaks: Peaks, n_samples: int, spread: float, random: np.random.Generator) -> Seeds:
@@ -116,7 +125,8 @@ def sampled(peaks: Peaks, n_samples: int, spread: float, random: np.random.Gener
     log_determinant = 0.5 * d * np.log(spread) - np.log(np.einsum("nii->ni", lower)).sum(axis=1)
     log_proposal = -0.5 * (z**2).sum(axis=2) - 0.5 * d * np.log(2 * np.pi) - log_determinant[:, None]
     owner = np.repeat(np.arange(n), n_samples)
-    return Seeds(peaks.poses[owner].moved(delta.reshape(n * n_samples, d)), owner, log_proposal.reshape(-1))
+    poses = peaks.poses[owner].moved(delta.reshape(n * n_samples, d))
+    return Seeds(poses, owner, log_proposal.reshape(-1), np.linalg.inv(peaks.precision))
 
 
 def resampled(
@@ -133,5 +143,9 @@ def resampled(
     n = len(log_weights)
     chosen = systematic(weights, n, random)
     return Generation(
-        seeds.poses[chosen], np.full(n, -np.log(n)), seeds.owner[chosen], float(log_sum(weights))
+        seeds.poses[chosen],
+        np.full(n, -np.log(n)),
+        seeds.owner[chosen],
+        float(log_sum(weights)),
+        seeds.covariance[seeds.owner[chosen]],
     )

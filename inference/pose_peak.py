@@ -1,6 +1,6 @@
 """Peak and spread of what experts believe of the pose: Gauss-Newton on several levels, Laplace's covariance.
 
-G-flow paper §3.4.1; its appendix is missing, DESIGN of the derivation: see `find_peaks`.
+G-flow paper §3.4.1; its appendix with the formulas is not public: `find_peaks` states them.
 """
 
 from collections.abc import Sequence
@@ -19,9 +19,12 @@ Array = NDArray[np.float64]
 
 LONGEST_STEP = (2.0, 4.0, 8.0)
 """px of the picture that a vertex may move in one step, by level, for an object of `REFERENCE_SIZE`."""
+RELATIVE_ROUNDING = 1e-6
 SHORTEST_STEP = 0.03
 """px: shorter steps end the search on a level."""
 REFERENCE_SIZE = 40.0
+FIRST_DAMPING = 1e-3
+"""Of Levenberg, on every level: a share of the curvature."""
 MOST_STEPS = (6, 4, 4)
 """Evaluations on each level, fine to coarse, the first at the start included."""
 
@@ -64,13 +67,17 @@ def find_peaks(
     p(u | u_t-1), with beta = effective_pixels / sum a_i: thousands of correlated pixels count for a few
     hundred. Steps are Levenberg-damped, capped in the motion of vertices, and taken only when they pay.
     `more` evidence is added to E, made anew about the poses with which each level begins.
+
+    With a turn w of the object as the camera sees it and p = r h c, dx/dw = -g [p]x, dx/dl = 1 and
+    dx/dc = g r h; with J = (grad y)' dx/du the curvature is beta sum a_i J_i' J_i / tau_i and the prior's.
     """
     n = len(start)
-    climb = _Climb(start, np.full(n, 1e-3))
+    climb = _Climb(start, np.empty(n))
     unit = float(start.sizes.mean()) / REFERENCE_SIZE
     energy = np.empty(n)
     for level in range(coarsest, -1, -1):
         active = np.arange(n)
+        climb.damping[:] = FIRST_DAMPING
         terms = [evidence.around(climb.poses, level) for evidence in more]
         equations = likelihood.equations(level, climb.poses, active)
         energy, gradient, curvature = _system(equations, prior, climb.poses, active, effective_pixels, terms)
@@ -96,7 +103,11 @@ def find_peaks(
             energy[won], gradient[won] = its_energy[better], its_gradient[better]
             curvature[won] = its_curvature[better]
             equations.rows[won] = there.rows[better]
-    return Peaks(climb.poses, curvature)
+    # single precision sums may miss positive definiteness by a rounding
+    diagonal = np.arange(curvature.shape[1])
+    precision = 0.5 * (curvature + np.swapaxes(curvature, 1, 2))
+    precision[:, diagonal, diagonal] *= 1 + RELATIVE_ROUNDING
+    return Peaks(climb.poses, precision)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +134,10 @@ def _system(
     terms: Sequence[PoseTerm],
 ) -> tuple[Array, Array, Array]:
     """Energy, gradient and curvature of minus the log of the belief."""
-    beta = effective_pixels / np.maximum(equations.sums[:, 2], 1e-9)
+    area = equations.sums[:, 2]
+    beta = effective_pixels / np.maximum(area, 1e-9)
     energy, gradient = prior.energy(poses, owner)
+    energy = np.where(area > 0, energy, np.inf)  # of an object of which nothing faces the viewer
     curvature = beta[:, None, None] * equations.matrices
     diagonal = np.arange(curvature.shape[1])
     curvature[:, diagonal, diagonal] += prior.precision

@@ -12,8 +12,8 @@ SIZES = (0.8, 1.0, 1.25)
 TURNS = (-0.35, 0.0, 0.35)
 """rad about the upright axis, against the pose that it was last seen in."""
 
-LEAST_SHARE = 0.6
-"""Least share of the object's area that has to lie in the picture."""
+AT_ONCE = 2000
+"""Poses that are tried at once, which bounds the memory."""
 
 
 def likely_places(likelihood: TextureLikelihood, last: Poses, n: int) -> Poses:
@@ -40,8 +40,10 @@ def likely_places(likelihood: TextureLikelihood, last: Poses, n: int) -> Poses:
         grid[:, :2] - centre * grid[:, 2:3],
         last.morphs * grid[:, 2:3],
     )
-    owner = np.zeros(len(tried), np.int64)
-    squares, _, areas, _ = likelihood.sums(tried, owner, level=coarsest).T
-    whole = areas.max() * grid[:, 2] ** 2 / max(SIZES) ** 2
-    misfit = np.where(areas > LEAST_SHARE * whole, squares / np.maximum(areas, 1e-9), np.inf)
+    sums = [
+        likelihood.sums(part, np.zeros(len(part), np.int64), level=coarsest)
+        for part in (tried[first : first + AT_ONCE] for first in range(0, len(tried), AT_ONCE))
+    ]
+    squares, _, areas, _ = np.concatenate(sums).T
+    misfit = np.where(areas > 0, squares / np.maximum(areas, 1e-9), np.inf)
     return tried[np.argsort(misfit, kind="stable")[:n]]

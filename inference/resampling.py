@@ -23,11 +23,6 @@ def normalised(log_weights: Array) -> Array:
     return log_weights - total
 
 
-def effective_size(log_weights: Array) -> float:
-    """1 / sum w^2 of the normalised weights: how many equal samples they are worth."""
-    return float(np.exp(-log_sum(2 * normalised(log_weights))))
-
-
 def systematic(log_weights: Array, n: int, random: np.random.Generator) -> NDArray[np.int64]:
     """`(n,)` indices drawn by systematic resampling: each sample as often as its weight says, within one."""
     cumulated = np.cumsum(np.exp(normalised(log_weights)))

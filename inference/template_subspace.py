@@ -210,7 +210,7 @@ class SubspaceLikelihood:
         part = -(-counts // 4**level)  # a coarse level takes a first part of each group
         used = np.arange(len(texels)) - texels.first[group] < part[group]
         share = np.where(used, (counts / np.maximum(part, 1))[group], 0.0)
-        return values.astype(np.float64), areas.astype(np.float64) * share
+        return values.astype(np.float64), np.maximum(areas, 0).astype(np.float64) * share
 
 
 def best_pose(

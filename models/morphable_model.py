@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .landmark_fit import LANDMARK_NOISE, fit_points
-from .pose import RIGID, Poses
+from .pose import RIGID, Poses, cross_matrices
 from .surface_points import SurfacePoints
 
 Array = NDArray[np.float64]
@@ -108,12 +108,18 @@ class MorphableModel:
 
     def jacobian(self, poses: Poses) -> Array:
         """d x_i / d u at each pose: `(n, n_vertices, 2, dimension)`, in the order of a change of `Poses`."""
-        n, turned = len(poses), self.turned(poses)
-        rows = np.zeros((n, self.n_vertices, 2, poses.dimension))
-        rows[..., 0, 1], rows[..., 0, 2] = turned[..., 2], -turned[..., 1]
-        rows[..., 1, 0], rows[..., 1, 2] = -turned[..., 2], turned[..., 0]
+        return self._jacobian(poses, 2)
+
+    def jacobian_with_depth(self, poses: Poses) -> Array:
+        """The same of `positions`: `(n, n_vertices, 3, dimension)`."""
+        return self._jacobian(poses, 3)
+
+    def _jacobian(self, poses: Poses, n_axes: int) -> Array:
+        turned = self.turned(poses)
+        rows = np.zeros((len(poses), self.n_vertices, n_axes, poses.dimension))
+        rows[..., :3] = -cross_matrices(turned)[..., :n_axes, :]
         rows[..., 0, 3] = rows[..., 1, 4] = 1
-        rows[..., RIGID:] = np.einsum("nab,kvb->nvak", poses.rotations[:, :2], self.bases)
+        rows[..., RIGID:] = np.einsum("nab,kvb->nvak", poses.rotations[:, :n_axes], self.bases)
         return rows
 
     def of_points(self, points: SurfacePoints) -> "MorphableModel":

@@ -1,6 +1,5 @@
 """A picture prepared for matching textures: light taken out, smoothed to several degrees."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -42,10 +41,18 @@ class Level:
 def picture_levels(image: NDArray[np.uint8], size: float, *, n_levels: int, local_mean: bool) -> list[Level]:
     """Levels of a picture, fine to coarse; each is half as large as the one before.
 
-    `image` is uint8, grey or BGR. With `local_mean` grey values are divided by their mean about them,
-    y <- 128 y / (mean + 5), which takes out light that changes slowly over the object; `size` px is that of
-    the object, by which the mean's reach and the smoothing are set.
+    With `local_mean` grey values are divided by their mean about them, y <- 128 y / (mean + 5), which takes
+    out light that changes slowly over the object; `size` px is that of the object, by which the mean's reach
+    and the smoothing are set. `image` is uint8, grey or BGR.
+
+    Raises
+    ------
+    ValueError
+        if the coarsest level would have less than two px either way.
     """
+    least = 2 * 2 ** (n_levels - 1)
+    if min(image.shape[:2]) < least:
+        raise ValueError(f"image: got {image.shape[:2]}, expected at least {least} px either way")
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     raw = grey.astype(np.float32)
     picture = without_light(raw, FINE_LIGHT_REACH * size) if local_mean else raw
@@ -83,9 +90,3 @@ def blurred(picture: Picture, deviation: float) -> Picture:
     )
     small = cv2.GaussianBlur(small, (0, 0), deviation / factor)
     return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
-
-
-def smallest(levels: Sequence[Level]) -> tuple[int, int]:
-    """Height and width of the coarsest level."""
-    height, width = levels[-1].image.shape
-    return height, width

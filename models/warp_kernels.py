@@ -9,6 +9,10 @@ _f4 = np.float32
 FEW = 8
 """Texels in a group up to which their Jacobians one by one are cheaper than the group's moments."""
 
+OFF_PICTURE = _f4(25)
+"""e^2 / tau that a visible texel off the picture counts for: about that of unlike pictures, so that leaving
+it does not pay."""
+
 
 @compiled
 def vertex_rows(rotations, translations, morphs, bases, positions, rows):
@@ -81,9 +85,9 @@ def texel_places(positions, groups, first, share, weights, offsets, areas, visib
 
 @compiled
 def sample_with_slopes(image, width, height, places, n, value, across, down, area):
-    """Picture and its slopes (of the bilinear interpolant) at `places`; area 0 outside.
+    """Picture and its slopes (of the bilinear interpolant) at `places`; outside no slopes, and area below 0.
 
-    `image` `(height * width,)` float32.
+    `image` `(height * width,)` float32, at least 2 px either way.
     """
     right, bottom = _f4(width - 1), _f4(height - 1)
     for k in range(n):
@@ -98,14 +102,14 @@ def sample_with_slopes(image, width, height, places, n, value, across, down, are
         p10, p11 = image[at + width], image[at + width + 1]
         above, below = p01 - p00, p11 - p10
         value[k] = p00 + fx * above + fy * (p10 - p00 + fx * (below - above))
-        across[k] = above + fy * (below - above)
-        down[k] = p10 - p00 + fx * (below - above)
-        area[k] = area[k] if inside else _f4(0)
+        across[k] = above + fy * (below - above) if inside else _f4(0)
+        down[k] = p10 - p00 + fx * (below - above) if inside else _f4(0)
+        area[k] = area[k] if inside else -abs(area[k])
 
 
 @compiled
 def sample(image, width, height, places, n, value, area):
-    """Picture at `places` by bilinear interpolation; area 0 outside."""
+    """Picture at `places` by bilinear interpolation; outside 0, and minus the area."""
     right, bottom = _f4(width - 1), _f4(height - 1)
     for k in range(n):
         x, y = places[0, k], places[1, k]
@@ -118,8 +122,8 @@ def sample(image, width, height, places, n, value, area):
         p00, p01 = image[at], image[at + 1]
         p10, p11 = image[at + width], image[at + width + 1]
         above = p00 + fx * (p01 - p00)
-        value[k] = above + fy * (p10 + fx * (p11 - p10) - above)
-        area[k] = area[k] if inside else _f4(0)
+        value[k] = above + fy * (p10 + fx * (p11 - p10) - above) if inside else _f4(0)
+        area[k] = area[k] if inside else -abs(area[k])
 
 
 @compiled
@@ -136,7 +140,7 @@ def normal_equations(
     `vectors` `(n, width)` = sum of J_i' e_i, `sums` `(n, 3)` = sums of a_i e_i^2 / tau_i, of a_i log tau_i
     and of a_i. Slopes are per px of the full picture. No Jacobian of a texel is kept: within a group all are
     linear in those of the three vertices, so that 6 x 6 moments are summed first and turned into the pose's
-    once.
+    once. Visible texels off the picture count with `OFF_PICTURE` and have no slope.
     """
     n_texels = len(weights)
     n_rows = rows.shape[3]
@@ -162,12 +166,12 @@ def normal_equations(
             if count <= FEW:
                 for k in range(count):
                     i, at = start + k, n + k
-                    a = area[at]
+                    a = abs(area[at])
                     if a == _f4(0):
                         continue
                     w = a * precision[d, i]
                     e = value[at] - mean[d, i]
-                    squares += w * e * e
+                    squares += w * e * e if area[at] > _f4(0) else a * OFF_PICTURE
                     logs += a * log_temperature[d, i]
                     total += a
                     gx, gy = across[at] * scale, down[at] * scale
@@ -197,10 +201,10 @@ def normal_equations(
             group_squares = group_logs = group_total = _f4(0)
             for k in range(count):
                 i, at = start + k, n + k
-                a = area[at]
+                a = abs(area[at])
                 w = a * precision[d, i]
                 e = value[at] - mean[d, i]
-                group_squares += w * e * e
+                group_squares += w * e * e if area[at] > _f4(0) else a * OFF_PICTURE
                 group_logs += a * log_temperature[d, i]
                 group_total += a
                 gx, gy = across[at] * scale, down[at] * scale
@@ -281,7 +285,8 @@ def texel_densities(
     """Sums of a_i e_i^2 / tau_i, a_i log tau_i, a_i, and a_i times `extra` at x_i, for poses of owners.
 
     Pose m is judged with the texture and the visibility of expert `owner[m]`; `extra` `(height * width,)`
-    is a map of which the sum over the covered pixels is wanted (a background's log density).
+    is a map of which the sum over the covered pixels is wanted (a background's log density). Visible texels
+    off the picture count with `OFF_PICTURE`.
     """
     n_texels = len(weights)
     places = np.empty((2, n_texels), _f4)
@@ -305,9 +310,9 @@ def texel_densities(
             group_squares = group_logs = group_total = group_other = _f4(0)
             for k in range(count):
                 i, at = start + k, n + k
-                a = area[at]
+                a = abs(area[at])
                 e = value[at] - mean[d, i]
-                group_squares += a * e * e * precision[d, i]
+                group_squares += a * e * e * precision[d, i] if area[at] > _f4(0) else a * OFF_PICTURE
                 group_logs += a * log_temperature[d, i]
                 group_total += a
                 group_other += a * behind[at]
@@ -323,7 +328,10 @@ def texel_densities(
 def sample_texels(
     image, width, height, scale, positions, groups, first, weights, offsets, areas, visible, values, seen
 ):
-    """What all texels look like in the picture: `values` and the area `seen` `(n, n_texels)`, 0 if hidden."""
+    """What all texels look like in the picture: `values`, and `seen` `(n, n_texels)`, the area of those seen.
+
+    The area is 0 of hidden ones and not above 0 of those off the picture.
+    """
     n_texels = len(weights)
     places = np.empty((2, n_texels), _f4)
     for d in range(len(positions)):

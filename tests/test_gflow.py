@@ -12,6 +12,7 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.checkpoint import load, save
 from rsmcm.inference.recursive_bp import BEGINNING
 from rsmcm.models import Frame, PixelLabels
+from rsmcm.models.pose import Poses
 from rsmcm.models.surface_points import SurfacePoints
 
 N_FRAMES = 24
@@ -137,11 +138,23 @@ def test_experts_agree_with_their_summary(scene: FaceScene, images: list[NDArray
     mean, covariance = chain.vertices(state)
     positions = scene.model.positions(state.poses)
     np.testing.assert_allclose(mean, np.average(positions, axis=0, weights=state.weights), atol=1e-9)
-    assert (np.linalg.eigvalsh(covariance) > -1e-9).all()
+    assert (np.linalg.eigvalsh(covariance) > 0).all()
+    drawn = scene.model.positions(_drawn(state, 4000))
+    np.testing.assert_allclose(
+        covariance, np.stack([np.cov(v.T) for v in drawn.swapaxes(0, 1)]), atol=0.15 * covariance.max()
+    )
     corners = SurfacePoints.of_vertices(np.arange(5))
     np.testing.assert_allclose(
         chain.points(state, corners), scene.model.project(chain.mean_pose(state))[0, :5], atol=1e-9
     )
+
+
+def _drawn(state: GFlowState, n: int) -> Poses:
+    """Poses from the mixture of what experts believe."""
+    random = np.random.default_rng(0)
+    expert = random.choice(len(state.weights), n, p=state.weights)
+    lower = np.linalg.cholesky(state.covariance)[expert]
+    return state.poses[expert].moved((lower @ random.standard_normal((n, lower.shape[1], 1)))[..., 0])
 
 
 def test_starts_where_a_function_finds_the_face(

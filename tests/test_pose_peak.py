@@ -79,7 +79,8 @@ def test_precision_is_that_of_texture_and_prior_at_the_peak() -> None:
     there = likelihood.equations(0, peaks.poses, every)
     beta = EFFECTIVE / there.sums[:, 2]
     wanted = beta[:, None, None] * there.matrices + np.diag(prior.precision)
-    np.testing.assert_allclose(peaks.precision, wanted, rtol=1e-6)
+    # single precision sums are not quite symmetric, precisions are
+    np.testing.assert_allclose(peaks.precision, wanted, rtol=1e-5, atol=1e-5 * wanted.max())
     gradient = beta[:, None] * there.vectors + prior.energy(peaks.poses, every)[1]
     newton = np.linalg.solve(peaks.precision, gradient[..., None])[..., 0]
     assert np.abs(np.einsum("nvad,nd->nva", there.rows, newton)).max() < 0.1  # px that are left to go

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.inference.resampling import effective_size, log_sum, normalised, systematic
+from rsmcm.inference.resampling import log_sum, normalised, systematic
 from scipy.special import logsumexp
 
 FAR = -1e6
@@ -28,14 +28,6 @@ def test_weights_of_nothing() -> None:
     one = np.array([-np.inf, FAR, -np.inf])
     np.testing.assert_array_equal(np.exp(normalised(one)), [0, 1, 0])
     assert systematic(one, 5, np.random.default_rng(0)).tolist() == [1] * 5
-
-
-@given(st.integers(0, 10**6), st.integers(1, 30))
-def test_effective_size(seed: int, n: int) -> None:
-    weights = np.random.default_rng(seed).uniform(0.01, 1, n)
-    size = effective_size(FAR + np.log(weights))
-    assert size == pytest.approx(weights.sum() ** 2 / (weights**2).sum(), rel=1e-6)
-    assert effective_size(np.full(n, FAR)) == pytest.approx(n)
 
 
 @given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 40))
