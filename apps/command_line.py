@@ -201,7 +201,7 @@ def face(
     experts
         How many hypotheses are tracked.
     gain
-        How fast the texture follows the picture, from near 0 (a template) to near 1 (optic flow); learned: by
+        How fast the texture follows the picture, from 0 (a template) to 1 (optic flow); learned: by
         each texel for itself.
     seed
         Of random numbers; recorded with the results.

@@ -4,13 +4,13 @@ What they have in common with `GFlow` (levels, local mean, texels, dynamics, eff
 there, so that they differ in what the table says alone.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..chains.gflow import GFlow
+from ..chains.gflow import GFlow, GFlowState
 from ..inference.generative_template import ClipTemplate, GenerativeTemplate
 from ..inference.pose_dynamics import PoseDynamics, PosePrior
 from ..inference.protocols import Incoming
@@ -23,16 +23,30 @@ from ..models.pixel_labels import PixelMessage
 from ..models.pose import Poses
 from ..models.surface_texels import SurfaceTexels
 
+Amendment = Callable[[GFlowState, GFlowState], GFlowState]
+"""From the states before and after a frame's picture, the one to go on with."""
 
-def followed(chain: GFlow, frames: Sequence[Frame]) -> Poses:
-    """The mean pose in every frame by a chain that is on its own."""
-    state, poses = chain.initial(frames[0]), []
+
+def states(chain: GFlow, frames: Sequence[Frame], amended: Amendment | None = None) -> Iterator[GFlowState]:
+    """The state after every frame of a chain that is on its own.
+
+    Raises
+    ------
+    ValueError
+        if a frame has no picture.
+    """
+    state = chain.initial(frames[0])
     for number, frame in enumerate(frames):
-        if number:
-            state = chain.predict(state, frame.time - frames[number - 1].time)
-        state = chain.update(state, Incoming({"pixels": PixelMessage(image=_picture(frame))}))
-        poses.append(chain.mean_pose(state))
-    return Poses.concatenated(poses)
+        before = chain.predict(state, frame.time - frames[number - 1].time) if number else state
+        state = chain.update(before, Incoming({"pixels": PixelMessage(image=_picture(frame))}))
+        if amended is not None:
+            state = amended(before, state)
+        yield state
+
+
+def followed(chain: GFlow, frames: Sequence[Frame], amended: Amendment | None = None) -> Poses:
+    """The mean pose in every frame; parameters as of `states`."""
+    return Poses.concatenated([chain.mean_pose(state) for state in states(chain, frames, amended)])
 
 
 def constrained_flow(frames: Sequence[Frame], model: MorphableModel, start: Poses) -> Poses:

@@ -16,14 +16,14 @@ from ..models.pose import Poses
 from .report import (
     MOST_SNAPSHOTS,
     Html,
+    Section,
     cards,
     figure,
-    flat,
     paragraph,
     picture_grid,
     small,
     table,
-    write_page,
+    write_run_page,
 )
 
 Array = NDArray[np.float64]
@@ -205,7 +205,7 @@ def write_face_report(
     OSError
         if the file cannot be written.
     """
-    sections = [("", [_summary(summary), *map(paragraph, summary["notes"])])]
+    sections: list[Section] = []
     columns = [f"frame {number}, {time:.1f} s" for number, time, _ in record.snapshots]
     note = paragraph(
         "Red: vertices of all experts; light blue: the given landmarks, carried on the surface. "
@@ -221,8 +221,7 @@ def write_face_report(
         sections.append(("Expression", [_expression(record, names)]))
     text = paragraph("Of the most credible expert at the end, on the mean shape.")
     sections.append(("Texture", [text, picture_grid([("", list(textures.values()))], list(textures))]))
-    sections.append(("Parameters", [table(("parameter", "value"), flat(summary["parameters"]))]))
-    write_page(path, title, sections)
+    write_run_page(path, title, _summary(summary), summary["notes"], sections, summary["parameters"])
 
 
 def _summary(summary: Mapping[str, Any]) -> Html:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from multiprocessing import get_context
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +15,19 @@ from numpy.typing import NDArray
 from ..chains.gflow import GFlow, GFlowState
 from ..inference.pose_dynamics import PosePrior
 from ..inference.pose_peak import find_peaks
-from ..inference.protocols import Incoming
 from ..inference.texture_filter import UNKNOWN_VARIANCE, Texture
 from ..inference.texture_likelihood import TextureLikelihood
 from ..models.frame import Frame
-from ..models.morphable_model import MorphableModel
 from ..models.picture_levels import Level, picture_levels
-from ..models.pixel_labels import PixelMessage
 from ..models.pose import Poses
 from ..models.threads import set_threads
-from .face_baselines import constrained_flow, generative_template, learned_subspace, template_subspace
+from .face_baselines import (
+    constrained_flow,
+    followed,
+    generative_template,
+    learned_subspace,
+    template_subspace,
+)
 from .progress import Progress
 from .scenes import FaceScene, face
 
@@ -46,8 +49,8 @@ class Trial:
     Parameters
     ----------
     errors
-        `(n_frames,)` px: distance in the picture of the mean pose's vertices from the true ones, mean over
-        all vertices, hidden ones too.
+        `(n_frames,)` px: distance in the picture of the vertices that were found from the true ones, mean
+        over all vertices, hidden ones too.
     errors_3d
         `(n_frames,)` px: the same in space, after the mean offset in depth is taken off, which a weak
         perspective does not show.
@@ -58,6 +61,8 @@ class Trial:
         px: of the face.
     dt
         s from frame to frame.
+    time
+        ms a frame, mean; NaN where it was not measured.
     """
 
     errors: Numbers
@@ -65,6 +70,14 @@ class Trial:
     squared: Numbers
     size: float
     dt: float
+    time: float = np.nan
+
+    @classmethod
+    def of(cls, scene: FaceScene, vertices: Numbers, squared: Numbers | None = None) -> Self:
+        """Of the vertices `(n_frames, n_vertices, 3)` px that were found in a scene."""
+        errors = vertex_errors(vertices, scene.model.positions(scene.poses))
+        squared = np.full(len(scene), np.nan) if squared is None else squared
+        return cls(*errors, squared, float(scene.poses.sizes[0]), scene.dt)
 
     @property
     def error(self) -> float:
@@ -149,25 +162,27 @@ class Tracker:
         else:
             track = constrained_flow(frames, scene.model, scene.poses[0])
             found = generative_template(frames, scene.model, track).poses
-        return _trial(scene, found, np.full(len(scene), np.nan))
+        return Trial.of(scene, scene.model.positions(found))
 
 
 def follow(film: Film, chain: GFlow, texturing: Texturing = "own") -> Trial:
     """Run a chain over a film, by itself."""
-    scene, taught = film.scene, _Taught(chain, film) if texturing == "true" else None
-    state = chain.initial(film.frames[0])
-    means, squared = [], np.full(len(scene), np.nan)
-    for index, frame in enumerate(film.frames):
-        before = chain.predict(state, scene.dt) if index else state
-        state = chain.update(before, Incoming({"pixels": PixelMessage(image=frame.image)}))
-        means.append(chain.mean_pose(state))
-        if taught is not None:
-            if index:
-                covariance = taught.covariance(before, state, means[-1])
-                squared[index] = normalised_square(scene.poses[index], means[-1], covariance)
-            texture = taught.learn(index).of(np.zeros(chain.experts, np.int64))
-            state = replace(state, texture=texture)
-    return _trial(scene, Poses.concatenated(means), squared)
+    scene = film.scene
+    if texturing == "own":
+        return Trial.of(scene, scene.model.positions(followed(chain, film.frames)))
+    taught, squared = _Taught(chain, film), np.full(len(scene), np.nan)
+
+    def with_true_texture(before: GFlowState, after: GFlowState) -> GFlowState:
+        index = taught.learned + 1
+        if index:
+            mean = chain.mean_pose(after)
+            squared[index] = normalised_square(
+                scene.poses[index], mean, taught.covariance(before, after, mean)
+            )
+        return replace(after, texture=taught.learn(index).of(np.zeros(chain.experts, np.int64)))
+
+    found = followed(chain, film.frames, with_true_texture)
+    return Trial.of(scene, scene.model.positions(found), squared)
 
 
 def floor(film: Film, chain: GFlow) -> Trial:
@@ -188,7 +203,7 @@ def floor(film: Film, chain: GFlow) -> Trial:
         )
         found.append(peaks.poses)
         squared[index] = normalised_square(scene.poses[index], peaks.poses, np.linalg.inv(peaks.precision[0]))
-    return _trial(scene, Poses.concatenated(found), squared)
+    return Trial.of(scene, scene.model.positions(Poses.concatenated(found)), squared)
 
 
 def normalised_square(truth: Poses, estimate: Poses, covariance: Numbers) -> float:
@@ -262,15 +277,10 @@ def taught_texture(film: Film, chain: GFlow) -> Texture:
     return replace(texture, variance=np.where(seen, steady, texture.variance))
 
 
-def _trial(scene: FaceScene, found: Poses, squared: Numbers) -> Trial:
-    return Trial(
-        *vertex_errors(scene.model, found, scene.poses), squared, float(scene.poses.sizes[0]), scene.dt
-    )
-
-
-def vertex_errors(model: MorphableModel, found: Poses, truth: Poses) -> tuple[Numbers, Numbers]:
-    """Mean distance of vertices, `(n,)` px: in the picture, and in space without the mean depth offset."""
-    off = model.positions(found) - model.positions(truth)
+def vertex_errors(found: Numbers, truth: Numbers) -> tuple[Numbers, Numbers]:
+    """Mean distance of vertices `(n, n_vertices, 3)`, `(n,)` px: in the picture, and in space without the
+    mean offset in depth."""
+    off = found - truth
     off[..., 2] -= off[..., 2].mean(axis=1, keepdims=True)
     return np.linalg.norm(off[..., :2], axis=2).mean(axis=1), np.linalg.norm(off, axis=2).mean(axis=1)
 

@@ -42,6 +42,10 @@ class Html(str):
     __slots__ = ()
 
 
+Section = tuple[str, Sequence[Html]]
+"""Heading, which may be empty, and parts."""
+
+
 class Located(Protocol):
     """Something with an identity and a box `(x, y, width, height)` px: a track, or the truth."""
 
@@ -260,15 +264,34 @@ def write_report(
     """
     if not record.numbers:
         raise ValueError("record: got no frame, expected one at least")
-    sections = [("", [_summary(record, background)])]
+    sections: list[Section] = []
     if metrics:
         sections.append(("Against the ground truth", [table(("measure", "value"), flat(metrics))]))
     sections.append(("Pictures over time", [_strip(record.snapshots)]))
     text = "Where the feet went, on the background at the end: from the ring to the dot with the number."
     sections.append(("Tracks", [picture(draw_tracks(background, record.tracks), text), _track_table(record)]))
     sections.append(("Over time", [_plots(record)]))
-    sections.append(("Parameters", [table(("parameter", "value"), flat(parameters))]))
-    write_page(path, title, sections)
+    write_run_page(path, title, _summary(record, background), (), sections, parameters)
+
+
+def write_run_page(
+    path: Path,
+    title: str,
+    summary: Html,
+    notes: Iterable[str],
+    sections: Iterable[Section],
+    parameters: Mapping[str, object],
+) -> None:
+    """Write a page about a run: its summary and what is out of the ordinary first, every setting last.
+
+    Raises
+    ------
+    OSError
+        if the file cannot be written; nothing half-written stays behind.
+    """
+    beginning = [summary, *map(paragraph, notes)]
+    settings = table(("parameter", "value"), flat(parameters))
+    write_page(path, title, [("", beginning), *sections, ("Parameters", [settings])])
 
 
 def draw_tracks(background: Image, tracks: Mapping[int, TrackHistory]) -> Image:
@@ -534,8 +557,8 @@ def _plot_style(salt: str) -> AbstractContextManager[None]:
     return matplotlib.rc_context(style | dict.fromkeys(inked, INK))
 
 
-def write_page(path: Path, title: str, sections: Iterable[tuple[str, Sequence[Html]]]) -> None:
-    """Write a page of sections, each a heading (may be empty) and its parts, as one HTML file.
+def write_page(path: Path, title: str, sections: Iterable[Section]) -> None:
+    """Write a page of sections as one HTML file.
 
     Raises
     ------

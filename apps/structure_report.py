@@ -14,14 +14,13 @@ from .reconstruction import Numbers, Reconstruction
 from .report import (
     MOST_SNAPSHOTS,
     Html,
+    Section,
     cards,
     figure,
-    flat,
     paragraph,
     picture_grid,
     small,
-    table,
-    write_page,
+    write_run_page,
 )
 from .results import identity_colour
 from .surface_views import surface_views
@@ -70,14 +69,13 @@ def write_structure_report(
         if the file cannot be written.
     """
     numbers = np.array([frame.number for frame in frames])
-    sections = [("", [_summary(frames, found), *map(paragraph, notes)])]
+    sections: list[Section] = []
     if found.geometry != "none":
         sections.append(("Shape", [shape_pictures(frames, found, colours)]))
     sections.append(("Tracks", [track_pictures(frames, found)]))
     sections.append(("Over time", [_over_time(numbers, found)]))
     sections.append(("Rounds", [_rounds(found)]))
-    sections.append(("Parameters", [table(("parameter", "value"), flat(parameters))]))
-    write_page(path, title, sections)
+    write_run_page(path, title, _summary(frames, found), notes, sections, parameters)
 
 
 def _summary(frames: Sequence[Frame], found: Reconstruction) -> Html:

@@ -211,7 +211,7 @@ class GFlow:
     temperature: float = 36.0
     effective_pixels: float = 150.0
     samples: int = 10
-    spread: float = 1.0
+    spread: float = 0.2
     resample_every: int = 5
     levels: int = N_LEVELS
     local_mean: bool = True
@@ -397,6 +397,11 @@ class GFlow:
         else:
             generation = self._followed(state, levels, self._behind(state, told), points)
         after = self._textured(state, generation, levels)
+        if after.doubts and self.recover and not state.lost:
+            # it may have jumped: looked for as if it were lost, and believed where it is found
+            astray = replace(state, doubts=PATIENCE)
+            elsewhere = self._textured(astray, self._found_again(astray, levels), levels)
+            after = after if elsewhere.lost else elsewhere
         if not len(self.model.triangles) or (after.doubts and self.recover):
             return after
         if self.background == "experts":
@@ -505,7 +510,7 @@ class GFlow:
             normalised(weights),
             best,
             float(log_sum(weights) - np.log(len(weights))),
-            np.linalg.inv(peaks.precision),
+            peaks.covariance,
         )
 
     def _textured(self, state: GFlowState, generation: Generation, levels: list[Level]) -> GFlowState:
@@ -560,7 +565,7 @@ class GFlow:
     def vertices(self, state: GFlowState) -> tuple[Array, Array]:
         """Mean `(n_vertices, 3)` px and covariance `(n_vertices, 3, 3)` px squared of vertices, with depth.
 
-        The covariance is the experts' spread, and what each of them leaves open (nothing in the first picture).
+        The covariance is the experts' spread and what each of them leaves open (nothing in the first one).
         """
         positions, rows = self.model.positions(state.poses), self.model.jacobian_with_depth(state.poses)
         mean = np.einsum("n,nva->va", state.weights, positions)

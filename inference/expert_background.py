@@ -7,14 +7,13 @@ Kalman filter is that of the texels, eq. (10) to (12), with a gain of 0 where th
 from dataclasses import dataclass, replace
 from typing import Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..models.outline import Box
 from ..models.threads import over_bands
 from . import background_map_kernels
-from .backdrop import N_GREYS, Backdrop
+from .backdrop import N_GREYS, Backdrop, grey_of
 
 Map = NDArray[np.float32]
 
@@ -94,9 +93,3 @@ class ExpertBackground:
 
         over_bands(work, n)
         return replace(self, mean=mean, variance=variance)
-
-
-def grey_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """`(height, width)` uint8 of a grey or BGR picture."""
-    grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-    return np.ascontiguousarray(grey)

@@ -87,9 +87,7 @@ def continued(log_weights: Array, peaks: Peaks, prior: PosePrior, log_likelihood
         + 0.5 * peaks.poses.dimension * np.log(2 * np.pi)
         - half_log_determinant
     )
-    return Generation(
-        peaks.poses, normalised(weights), every, float(log_sum(weights)), np.linalg.inv(peaks.precision)
-    )
+    return Generation(peaks.poses, normalised(weights), every, float(log_sum(weights)), peaks.covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +124,7 @@ def sampled(peaks: Peaks, n_samples: int, spread: float, random: np.random.Gener
     log_proposal = -0.5 * (z**2).sum(axis=2) - 0.5 * d * np.log(2 * np.pi) - log_determinant[:, None]
     owner = np.repeat(np.arange(n), n_samples)
     poses = peaks.poses[owner].moved(delta.reshape(n * n_samples, d))
-    return Seeds(poses, owner, log_proposal.reshape(-1), np.linalg.inv(peaks.precision))
+    return Seeds(poses, owner, log_proposal.reshape(-1), peaks.covariance)
 
 
 def resampled(

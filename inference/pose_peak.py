@@ -52,6 +52,12 @@ class Peaks:
     poses: Poses
     precision: Array
 
+    @property
+    def covariance(self) -> Array:
+        """Laplace's, `(n_experts, dimension, dimension)`."""
+        covariance: Array = np.linalg.inv(self.precision)
+        return covariance
+
 
 def find_peaks(
     likelihood: PoseLikelihood,

@@ -9,9 +9,9 @@ _f4 = np.float32
 FEW = 8
 """Texels in a group up to which their Jacobians one by one are cheaper than the group's moments."""
 
-OFF_PICTURE = _f4(25)
-"""e^2 / tau that a visible texel off the picture counts for: about that of unlike pictures, so that leaving
-it does not pay."""
+OFF_PICTURE = _f4(6)
+"""e^2 / tau that a visible texel off the picture counts for: its density is then about that of any grey value
+(-log 256, where tau is 36), so that leaving the picture does not pay."""
 
 
 @compiled

@@ -1,10 +1,17 @@
-"""Fixtures that several test files share."""
+"""Fixtures that several test files share, and commands as a user runs them."""
 
+import json
 import os
+import resource
+import subprocess
+import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+from rsmcm.apps.command_line import main
 
 # A busy machine, or the first call of a compiled loop, says nothing about what is tested.
 settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -19,3 +26,69 @@ def data_folder() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no data in {folder}: set RSMCM_DATA")
     return folder
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of `rsmcm`, as a user runs it.
+
+    Parameters
+    ----------
+    name
+        that stands before all arguments.
+    """
+
+    name: str
+
+    def __call__(self, *arguments: object) -> int:
+        """Run it, for its exit code."""
+        with pytest.raises(SystemExit) as ended:
+            main([self.name, *(str(argument) for argument in arguments)])
+        return int(ended.value.code or 0)
+
+    def complaint(self, capfd: pytest.CaptureFixture[str], *arguments: object) -> str:
+        """The one line that a wrong command leads to."""
+        capfd.readouterr()
+        code = self(*arguments)
+        out, err = capfd.readouterr()
+        assert (code, out) == (2, "")
+        _assert_one_line(err)
+        return err
+
+    def leaves_nothing(self, out: Path, most: int, *arguments: object) -> None:
+        """On a full disk, for which a limit of the size of files stands, `most` bytes."""
+        done = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "rsmcm.apps.command_line",
+                self.name,
+                *map(str, arguments),
+                "--out",
+                str(out),
+            ],
+            capture_output=True,
+            text=True,
+            timeout=120,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)),
+        )
+        assert done.returncode == 2
+        _assert_one_line(done.stderr)
+        assert str(out) in done.stderr
+        assert not out.exists()
+
+
+def _assert_one_line(err: str) -> None:
+    assert err.startswith("rsmcm: ")
+    assert err.count("\n") == 1, err
+
+
+def summary_of(out: Path) -> dict[str, Any]:
+    """What a run says of itself."""
+    content: dict[str, Any] = json.loads((out / "summary.json").read_text())
+    return content
+
+
+def names(folder: Path) -> set[str]:
+    """Of all files."""
+    return {path.name for path in folder.iterdir()}

@@ -1,10 +1,6 @@
 """`rsmcm face`, as a user runs it: on rendered films of a face, and with what can be wrong about them."""
 
-import json
-import resource
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps import face as application
 from rsmcm.apps import face_report, face_start
-from rsmcm.apps.command_line import main
 from rsmcm.apps.face_report import FaceRecord, angles
 from rsmcm.apps.face_start import find_face, start_from_box, start_from_landmarks
 from rsmcm.apps.report import Html
@@ -25,42 +20,20 @@ from rsmcm.models.morphable_files import write_model
 from rsmcm.models.morphable_model import MorphableModel
 from rsmcm.models.pose import Poses, exponential
 
-COMMAND = [sys.executable, "-m", "rsmcm.apps.command_line"]
+from .conftest import Command, names, summary_of
+
+run = Command("face")
+complaint = run.complaint
+
 RESULTS = {"overlay.mp4", "poses.npz", "texture.png", "texture_variance.png", "summary.json", "report.html"}
 N_FRAMES = 16
 SIZE = (200, 160)
 FEW = ("--experts", "4")
 
 
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(["face", *(str(argument) for argument in arguments)])
-    return int(ended.value.code or 0)
-
-
-def complaint(capfd: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The one line that a wrong command leads to."""
-    capfd.readouterr()
-    code = run(*arguments)
-    out, err = capfd.readouterr()
-    assert (code, out) == (2, "")
-    assert err.startswith("rsmcm: ")
-    assert err.count("\n") == 1, err
-    return err
-
-
-def summary_of(out: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((out / "summary.json").read_text())
-    return content
-
-
 def poses_of(out: Path) -> dict[str, NDArray[Any]]:
     with np.load(out / "poses.npz", allow_pickle=False) as content:
         return dict(content)
-
-
-def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
 
 
 def saved(path: Path, array: Any) -> Path:
@@ -172,7 +145,9 @@ def test_poses_say_where_vertices_are(finished: Path) -> None:
         np.testing.assert_allclose(poses["vertices_3d"][frame], mean, atol=1e-3)
         off = places - mean
         spread = np.einsum("n,nva,nvb->vab", poses["weights"][frame], off, off)
-        np.testing.assert_allclose(poses["covariance"][frame], spread, atol=1e-4)
+        left_open = np.linalg.eigvalsh(poses["covariance"][frame] - spread)
+        assert (left_open > -1e-3).all()
+        assert (left_open[:, -1] > 1e-3).all() == (frame > 0)
 
 
 def test_pictures(finished: Path) -> None:
@@ -379,8 +354,8 @@ def test_a_cut(images: list[NDArray[np.uint8]], scene: Any, tmp_path: Path) -> N
 def test_a_face_that_leaves_and_comes_back(
     images: list[NDArray[np.uint8]], scene: Any, tmp_path: Path
 ) -> None:
-    """It is pushed out to the right, frame by frame, and comes back as it left."""
-    shifts = np.array([0, 0, 25, 50, 75, 100, 125, 150, 150, 150, 150, 125, 100, 75, 50, 25])
+    """It is pushed out to the right, frame by frame, and comes back."""
+    shifts = np.array([0, 0, 25, 50, 75, 100, 125, 150, 150, 150, 150, 100, 60, 25, 25, 25])
     shifted = [
         cv2.warpAffine(image, np.array([[1.0, 0, shift], [0, 1, 0]]), SIZE, borderValue=[110])
         for image, shift in zip(images, shifts, strict=True)
@@ -619,19 +594,7 @@ def test_existing_results(film: Path, start: Path, finished: Path, capfd: pytest
 
 
 def test_a_full_disk_leaves_nothing(film: Path, start: Path, tmp_path: Path) -> None:
-    """A limit of the size of files stands for it."""
-    out = tmp_path / "out"
-    done = subprocess.run(
-        [*COMMAND, "face", str(film), "--landmarks", str(start), "--out", str(out), *FEW],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
-    )
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert str(out) in done.stderr
-    assert not out.exists()
+    run.leaves_nothing(tmp_path / "out", 20_000, film, "--landmarks", start, *FEW)
 
 
 @pytest.mark.parametrize("n_frames", [0, 5])

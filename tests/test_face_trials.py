@@ -1,6 +1,9 @@
 """Trials of face trackers: measures on made-up errors, honest covariances, and a short film in earnest."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +20,11 @@ from rsmcm.apps.face_trials import (
     quartiles,
     vertex_errors,
 )
-from rsmcm.apps.reproduce import experts, gain, recovery
+from rsmcm.apps.reproduce import experts, face_background, gain, recovery
 from rsmcm.models.built_in_face import face_model
 from rsmcm.models.pose import Poses
+
+from .conftest import names
 
 SIZE, DT = 40.0, 0.04
 
@@ -54,11 +59,11 @@ def test_depth_offset_is_no_error_and_shift_is() -> None:
     model = face_model(1)
     pose = Poses.upright(np.array([[50.0, 60.0]]), np.array([30.0]), model.n_bases)
     shifted = replace(pose, translations=pose.translations + np.array([3.0, 4.0]))
-    flat, deep = vertex_errors(model, shifted, pose)
+    flat, deep = vertex_errors(model.positions(shifted), model.positions(pose))
     assert flat[0] == pytest.approx(5.0)
     assert deep[0] == pytest.approx(5.0)
     turned = pose.moved(np.eye(pose.dimension)[1:2] * 0.1)
-    flat, deep = vertex_errors(model, turned, pose)
+    flat, deep = vertex_errors(model.positions(turned), model.positions(pose))
     assert deep[0] > flat[0] > 0
 
 
@@ -139,3 +144,54 @@ def test_claims_of_recovery() -> None:
     recovery.draw_experts(canvas, pictures, {recovery.KNOWN: known[0]})
     recovery.draw_errors(Figure(), {recovery.KNOWN: known})
     assert len(canvas.axes) == 3
+
+
+def test_claims_of_face_and_background() -> None:
+    good = {
+        setting.name: made_up({face_background.ALL: 3.0}, 1.0, list(methods))
+        for setting, methods in face_background.COMPARED
+    }
+    weak = face_background.WEAK.name
+    claims = face_background.claims_of(good)
+    assert [claim.verdict for claim in claims] == [*["pass", "short", "pass", "pass"] * 2, "", "", "pass"]
+    assert weak in claims[1].what
+    good[weak] = made_up({face_background.NONE: 2.0}, 1.0, list(good[weak]))
+    assert {claim.verdict for claim in face_background.claims_of(good)} == {"pass", ""}
+    canvas = Figure()
+    face_background.draw(canvas, good)
+    assert [len(axis.lines) for axis in canvas.axes] == [3, 3, 3, 3, 2, 2]
+
+
+@pytest.mark.parametrize("method", [face_background.SHARED, face_background.EXACT, face_background.ALL])
+def test_a_run_with_a_background(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(face_background, "N_FRAMES", 5)
+    monkeypatch.setattr(face_background, "EXPERTS", 2)
+    one = face_background.run(face_background.SETTINGS[-1], method, 1)
+    assert len(one.errors) == 5
+    assert one.error < 2
+    assert one.time > 0
+    assert not one.lost
+
+
+def test_page_of_face_and_background(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every trial stands at its setting, method and seed."""
+    order = [(setting.name, method) for setting, methods in face_background.COMPARED for method in methods]
+
+    def numbered(label: str, work: list[tuple[Any, tuple[Any, ...]]]) -> list[Trial]:
+        return [trial([0.0, 1.0 + order.index((at.name, how)) + seed / 10]) for _, (at, how, seed) in work]
+
+    monkeypatch.setattr(face_background, "in_processes", numbered)
+    face_background.reproduce_face_background(tmp_path / "out")
+    assert names(tmp_path / "out") == {
+        "index.html",
+        "errors.png",
+        "results.json",
+    }
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    for number, (scene, method) in enumerate(order):
+        errors = [1.0 + number + seed / 10 for seed in face_background.SEEDS]
+        assert results[scene][method]["error"] == pytest.approx(errors)
+        assert results[scene][method]["lost"] == [False] * len(errors)
+    assert "the better of these" in capsys.readouterr().out

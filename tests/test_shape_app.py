@@ -5,32 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.command_line import main
 from rsmcm.apps.data import data_folder
 from rsmcm.apps.reproduce import shapes
 from rsmcm.inference.nonrigid_shape import learn_shape
 from rsmcm.models.morphable_files import read_model
 
+from .conftest import Command
 from .test_nonrigid_shape import N_BASES, N_POINTS, deforming, holes
 
+run = Command("shape")
+complaint = run.complaint
+
 Numbers = NDArray[np.float64]
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(["shape", *(str(argument) for argument in arguments)])
-    return int(ended.value.code or 0)
-
-
-def complaint(capfd: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The one line that a wrong command leads to."""
-    capfd.readouterr()
-    code = run(*arguments)
-    out, err = capfd.readouterr()
-    assert (code, out) == (2, "")
-    assert err.startswith("rsmcm: ")
-    assert err.count("\n") == 1, err
-    return err
 
 
 @pytest.fixture

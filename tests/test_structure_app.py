@@ -1,10 +1,7 @@
 """`rsmcm structure`, as a user runs it: on track files, on films, and with what can be wrong about them."""
 
 import json
-import resource
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,33 +11,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps import structure
-from rsmcm.apps.command_line import main
 from rsmcm.apps.scenes import Cylinder, cylinder
 
+from .conftest import Command, names, summary_of
 from .reconstructions import write_film
 
-COMMAND = [sys.executable, "-m", "rsmcm.apps.command_line"]
+run = Command("structure")
+complaint = run.complaint
+
 ALWAYS = {"cameras.json", "tracks.npz", "predictions.npz", "summary.json", "report.html"}
 ALONE = ("--association", "none")  # quicker, where it makes no difference
 PX = 60.0  # per radius
 CENTRE = np.array([100.0, 80.0])
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(["structure", *(str(argument) for argument in arguments)])
-    return int(ended.value.code or 0)
-
-
-def complaint(capfd: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The one line that a wrong command leads to."""
-    capfd.readouterr()
-    code = run(*arguments)
-    out, err = capfd.readouterr()
-    assert (code, out) == (2, "")
-    assert err.startswith("rsmcm: ")
-    assert err.count("\n") == 1, err
-    return err
 
 
 def in_px(positions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -50,15 +32,6 @@ def in_px(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 def track_file(path: Path, tracks: NDArray[np.float64]) -> Path:
     np.savez(path, tracks=tracks)
     return path
-
-
-def summary_of(out: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((out / "summary.json").read_text())
-    return content
-
-
-def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
 
 
 @pytest.fixture(scope="module")
@@ -315,19 +288,7 @@ def test_overwriting_leaves_nothing_of_the_old_run(source: Path, tmp_path: Path)
 
 
 def test_a_full_disk_leaves_nothing(source: Path, tmp_path: Path) -> None:
-    """A limit of the size of files stands for it."""
-    out = tmp_path / "out"
-    done = subprocess.run(
-        [*COMMAND, "structure", str(source), "--out", str(out), *ALONE],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, 4_000)),
-    )
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert str(out) in done.stderr
-    assert not out.exists()
+    run.leaves_nothing(tmp_path / "out", 4_000, source, *ALONE)
 
 
 @pytest.mark.parametrize("n_rounds", [0, 1])

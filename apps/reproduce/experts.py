@@ -21,7 +21,7 @@ ALMOST_FLOW = 0.99
 FLOW_LEVELS = 2
 """Levels on which patches are searched for. The paper tells of the picture only, on which one expert is
 lost at once. On all three it seldom takes a wrong peak and leaves little to others. All are shown."""
-SLOW = 0.01
+SLOW = 0.02
 
 FLOW = "patches, flow, {} experts"
 ONE = "patches, flow, 1 expert"

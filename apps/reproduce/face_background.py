@@ -1,15 +1,13 @@
 """Models of the background (§7.2.3 of its paper) and of self-occlusion in G-flow: errors with and without."""
 
-import os
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
-from multiprocessing import get_context
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ...chains.adaptive_background import AdaptiveBackground
@@ -19,23 +17,21 @@ from ...inference.recursive_bp import RecursiveBP
 from ...models.pixel_labels import PixelLabels
 from .. import report
 from ..claims import HEADER, Claim, print_tables
-from ..progress import Progress
+from ..face_trials import Measured, Trial, as_json, in_processes, median, n_lost, quartiles
+from ..results import write_json
 from ..scenes import FaceScene, face
-
-Array = NDArray[np.float64]
 
 SEEDS = range(10)
 N_FRAMES = 100
 EXPERTS = 8
-LOST = 8.0
-"""px of mean vertex error in the last frame from which a run is lost."""
 NO_WORSE, BETTER, HALF = 1.02, 0.85, 0.5
-MOST_WORKERS = 2
 PAN = 40.0
 """px/s by which the room moves where it does."""
 
 NONE, SHARED, EXACT = "no background", "shared", "a map per expert"
 SEEN, ALL = "self-occlusion handled", "every texel taken for visible"
+COLOURS = {NONE: "#8a8a8a", SHARED: "#1f5fa8", EXACT: "#2a8a4b", SEEN: "#1f5fa8", ALL: "#8a8a8a"}
+LINE = ("scene", "method", "error, px", f"lost of {len(SEEDS)}", "ms a frame")
 
 
 @dataclass(frozen=True)
@@ -73,19 +69,17 @@ TURNING = (
     Setting("turns by 60 degrees", {"max_yaw": 60.0}, {}),
     Setting("parts that stand off", {"shields": True}, {}),
 )
+COMPARED = tuple((setting, (NONE, SHARED, EXACT)) for setting in SETTINGS) + tuple(
+    (setting, (SEEN, ALL)) for setting in TURNING
+)
+"""Every setting with the methods that are compared on it."""
+
+Found = dict[str, Measured]
+"""By setting and method, one trial for each seed."""
 
 
-@dataclass(frozen=True)
-class Run:
-    """Mean vertex error, px, in all frames and in the last one, and ms a frame."""
-
-    error: float
-    last: float
-    time: float
-
-
-def run(setting: Setting, method: str, seed: int) -> Run:
-    """Follow one scene from its true first pose."""
+def run(setting: Setting, method: str, seed: int) -> Trial:
+    """Follow one scene from its true first pose; vertices are the mean over the experts."""
     scene = setting.sequence(seed)
     chain = GFlow(
         scene.model,
@@ -101,66 +95,47 @@ def run(setting: Setting, method: str, seed: int) -> Run:
     if method == SHARED:
         model.connect(AdaptiveBackground(), pixels)
     engine, state = RecursiveBP(model.connect(chain, pixels)), None
-    errors, spent = [], 0.0
-    for frame, truth in zip(scene, scene.vertices, strict=True):
+    vertices, spent = [], 0.0
+    for frame in scene:
         begin = time.perf_counter()
         belief = engine.step(state, frame)
         spent += time.perf_counter() - begin
         state = belief.state
-        places = chain.vertices(belief[chain])[0][:, :2]
-        errors.append(float(np.linalg.norm(places - truth, axis=1).mean()))
-    return Run(float(np.mean(errors[1:])), errors[-1], 1000 * spent / len(errors))
+        vertices.append(chain.vertices(belief[chain])[0])
+    return replace(Trial.of(scene, np.array(vertices)), time=1000 * spent / len(scene))
 
 
-Measured = dict[str, dict[str, list[Run]]]
-"""By setting and method, one for each seed."""
-
-
-def measure(seeds: Sequence[int]) -> Measured:
-    """Run everything, in two processes at most."""
-    cells = [(setting, method) for setting in SETTINGS for method in (NONE, SHARED, EXACT)]
-    cells += [(setting, method) for setting in TURNING for method in (SEEN, ALL)]
-    found: Measured = {}
-    with (
-        ProcessPoolExecutor(min(MOST_WORKERS, os.cpu_count() or 1), get_context("spawn")) as pool,
-        Progress("face and background", len(cells) * len(seeds), unit="runs") as progress,
-    ):
-        futures = {
-            pool.submit(run, setting, method, seed): (setting.name, method, seed)
-            for setting, method in cells
-            for seed in seeds
-        }
-        done = {}
-        try:
-            for future in as_completed(futures):
-                done[futures[future]] = future.result()
-                progress.update()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+def measure(seeds: Sequence[int]) -> Found:
+    """Run everything."""
+    cells = [(setting, method) for setting, methods in COMPARED for method in methods]
+    trials = iter(
+        in_processes(
+            "face and background",
+            [(run, (setting, method, seed)) for setting, method in cells for seed in seeds],
+        )
+    )
+    found: Found = {setting.name: {} for setting, _ in COMPARED}
     for setting, method in cells:
-        found.setdefault(setting.name, {})[method] = [done[setting.name, method, seed] for seed in seeds]
+        found[setting.name][method] = [next(trials) for _ in seeds]
     return found
 
 
-def claims_of(found: Measured) -> list[Claim]:
+def claims_of(found: Found) -> list[Claim]:
     """What is wanted of ratios of medians."""
 
     def ratio(setting: Setting, method: str, other: str) -> float:
-        return float(_errors(found[setting.name][method])[1] / _errors(found[setting.name][other])[1])
+        return median(found[setting.name][method]) / median(found[setting.name][other])
 
-    claims = []
-    for method in (SHARED, EXACT):
-        claims += [
-            Claim(
-                f"{setting.name}: error with {method} over that without",
-                ratio(setting, method, NONE),
-                "<=",
-                most,
-            )
-            for setting in SETTINGS
-            for most in [BETTER if setting is WEAK else NO_WORSE]
-        ]
+    claims = [
+        Claim(
+            f"{setting.name}: error with {method} over that without",
+            ratio(setting, method, NONE),
+            "<=",
+            BETTER if setting is WEAK else NO_WORSE,
+        )
+        for method in (SHARED, EXACT)
+        for setting in SETTINGS
+    ]
     gains = [ratio(setting, SEEN, ALL) for setting in TURNING]
     claims += [
         Claim(f"{setting.name}: error with self-occlusion handled over that without", gain)
@@ -181,31 +156,43 @@ def reproduce_face_background(out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     found = measure(SEEDS)
     claims = claims_of(found)
-    header = ("scene", "method", "error, px", "lost", "ms a frame")
     lines = [
-        [name, method, _in_words(runs), str(sum(each.last > LOST for each in runs)), f"{_time(runs):.0f}"]
-        for name, methods in found.items()
-        for method, runs in methods.items()
+        [scene, method, quartiles(trials), n_lost(trials), f"{median(trials, 'time'):.0f}"]
+        for scene, methods in found.items()
+        for method, trials in methods.items()
     ]
-    print_tables(header, lines, claims)
-    note = f"Mean vertex error: median (quartiles) of {len(SEEDS)} scenes of {N_FRAMES} frames."
+    print_tables(LINE, lines, claims)
+    size = (12.0, 4.5)
+    caption = f"Mean vertex error in each of {len(SEEDS)} scenes of {N_FRAMES} frames, and the median."
+    report.write_figure(out / "errors.png", lambda canvas: draw(canvas, found), size)
+    write_json(out / "results.json", {scene: _as_json(methods) for scene, methods in found.items()})
+    note = "Medians and quartiles over the scenes; time in one thread, with another run beside it."
     sections = [
         ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Errors", [report.table(header, lines, note)]),
+        ("Figure", [report.figure(lambda canvas: draw(canvas, found), size, caption)]),
+        ("Errors", [report.table(LINE, lines, note)]),
     ]
     report.write_page(out / "index.html", "Face and background", sections)
     print(f"\npage: {out / 'index.html'}")
 
 
-def _errors(runs: Sequence[Run]) -> Array:
-    quartiles: Array = np.quantile([each.error for each in runs], (0.25, 0.5, 0.75))
-    return quartiles
+def draw(canvas: Figure, found: Found) -> None:
+    """Error of every run, a plot for each scene."""
+    axes = canvas.subplots(1, len(found), sharey=True, squeeze=False)[0]
+    for axis, (scene, methods) in zip(axes, found.items(), strict=True):
+        for place, (method, trials) in enumerate(methods.items()):
+            errors = [trial.error for trial in trials]
+            aside = place + np.linspace(-0.2, 0.2, len(errors))
+            axis.plot(aside, errors, ".", color=COLOURS[method], alpha=0.6)
+            axis.hlines(median(trials), place - 0.35, place + 0.35, color=COLOURS[method], linewidth=2)
+        axis.set_xticks(range(len(methods)), list(methods), rotation=30, ha="right", fontsize=8)
+        axis.set_title(scene, fontsize=9)
+    axes[0].set_yscale("log")
+    axes[0].set_ylabel("mean error of vertices, px")
 
 
-def _time(runs: Sequence[Run]) -> float:
-    return float(np.median([each.time for each in runs]))
-
-
-def _in_words(runs: Sequence[Run]) -> str:
-    low, middle, high = _errors(runs)
-    return f"{middle:.2f} ({low:.2f}–{high:.2f})"
+def _as_json(methods: Measured) -> dict[str, Any]:
+    return {
+        method: {**errors, "time": [trial.time for trial in methods[method]]}
+        for method, errors in as_json(methods).items()
+    }

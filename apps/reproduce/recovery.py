@@ -10,11 +10,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ...chains.gflow import GFlow
-from ...inference.protocols import Incoming
-from ...models.pixel_labels import PixelMessage
 from ...models.pose import Poses
 from .. import report
 from ..claims import HEADER, Claim, print_tables
+from ..face_baselines import states
 from ..face_trials import Film, in_processes, taught_texture
 from ..results import write_json
 
@@ -145,16 +144,12 @@ def _distances(film: Film, poses: Poses, index: int) -> Numbers:
 
 
 def _followed(film: Film, chain: GFlow) -> Recovery:
-    scene = film.scene
-    state = chain.initial(film.frames[0])
     errors, each, vertices = [], [], []
-    for index, frame in enumerate(film.frames):
-        before = chain.predict(state, scene.dt) if index else state
-        state = chain.update(before, Incoming({"pixels": PixelMessage(image=frame.image)}))
+    for index, state in enumerate(states(chain, film.frames)):
         errors.append(float(_distances(film, chain.mean_pose(state), index)[0]))
         each.append(_distances(film, state.poses, index))
         if index in SHOWN:
-            vertices.append(scene.model.project(state.poses))
+            vertices.append(film.scene.model.project(state.poses))
     return Recovery(np.array(errors), np.array(each), np.array(vertices))
 
 
