@@ -55,8 +55,7 @@ class Peaks:
     @property
     def covariance(self) -> Array:
         """Laplace's, `(n_experts, dimension, dimension)`."""
-        covariance: Array = np.linalg.inv(self.precision)
-        return covariance
+        return np.asarray(np.linalg.inv(self.precision), np.float64)
 
 
 def find_peaks(

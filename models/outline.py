@@ -122,7 +122,7 @@ def covered(positions: NDArray[np.floating], triangles: NDArray[np.int64], box: 
 def outline(
     positions: NDArray[np.floating], edges: MeshEdges, inside: NDArray[np.uint8], box: Box
 ) -> Outline:
-    """Points about every 3 px where a mesh borders on what is behind it.
+    """Points about every 3 px (farther apart on large objects) where a mesh borders on what is behind it.
 
     Parameters
     ----------
@@ -136,13 +136,15 @@ def outline(
         of `inside`.
     """
     n = len(positions)
+    # a large object's outline, which may be longer than its box's by folds, must not end halfway round
+    spacing = max(SPACING, 3 * (box.height + box.width) / MOST_POINTS)
     vertices = np.zeros((n, MOST_POINTS, 2), np.int64)
     weights = np.zeros((n, MOST_POINTS, 3), np.float32)
     normals = np.zeros((n, MOST_POINTS, 2), np.float32)
     count = np.zeros(n, np.int64)
     outline_kernels.trace(
         np.ascontiguousarray(positions, np.float32), edges.triangles, edges.ends, edges.sides, inside,
-        box.top, box.left, np.float32(SPACING), np.float32(DEPTH), vertices, weights, normals, count,
+        box.top, box.left, np.float32(spacing), np.float32(DEPTH), vertices, weights, normals, count,
     )  # fmt: skip
     most = int(count.max(initial=0))
     return Outline(vertices[:, :most], weights[:, :most, :2], weights[:, :most, 2], normals[:, :most])
