@@ -18,6 +18,9 @@ from .results import write_image
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+SUREST = 0.01
+"""Squared grey levels below which variances of texels are not told apart (of a template it is 0)."""
+
 
 class FaceResults:
     """What grows with the frames: `poses.npz`, `overlay.mp4` and the record for summary and report.
@@ -137,11 +140,13 @@ def write_textures(folder: Path, chain: GFlow, state: GFlowState) -> tuple[float
         texture_picture(chain.model, morphs, chain.object.texels, values)
         for values in (state.texture.mean[best, 0], state.texture.variance[best])
     )
-    white = float(np.nanmax(variance))
-    pictures = [_grey(mean, 255.0), _grey(variance, white)]
+    # some texels are thousands of times less sure than others: a scale of logs shows both
+    variance = np.maximum(variance, SUREST)
+    black, white = float(np.nanmin(variance)), float(np.nanmax(variance))
+    pictures = [_grey(mean, 255.0), _grey(np.log(variance / black), float(np.log(white / black)))]
     for name, picture in zip(("texture.png", "texture_variance.png"), pictures, strict=True):
         write_image(folder / name, picture)
-    captions = ("mean", f"variance, 0 to {white:.3g} squared grey levels")
+    captions = ("mean", f"variance, {black:.3g} (black) to {white:.3g} squared grey levels, on a log scale")
     return white, dict(zip(captions, pictures, strict=True))
 
 
