@@ -19,8 +19,9 @@ from ..inference.pose_peak import find_peaks
 from ..inference.protocols import Incoming
 from ..inference.relocation import likely_places
 from ..inference.resampling import log_sum, normalised
+from ..inference.search_starts import apart
 from ..inference.silhouette import Silhouette
-from ..inference.texture_filter import Texture
+from ..inference.texture_filter import Texture, explained
 from ..inference.texture_likelihood import TexturedObject, TextureLikelihood
 from ..models.frame import Frame
 from ..models.memo import LastCall
@@ -43,20 +44,8 @@ LEAST_FIT = 0.5
 RETURN_FIT = 0.7
 """The same for an object that was lost and is found elsewhere: chance has had many places to try."""
 
-LEAST_INSIDE = 0.4
-"""Share of the visible texels that has to lie in the picture."""
-
 COVERING_TEXELS = 1500
 """Of the mesh where it is integrated over what it hides."""
-
-FARTHEST_AHEAD = 1.5
-"""Share of an expert's last motion, up to which experts begin their search ahead."""
-
-ASIDE = 0.5
-"""How far they begin it aside, in standard deviations of the motion."""
-
-STRAIGHT = 0.25
-"""Share of the experts that do not."""
 
 PATIENCE = 3
 """Looks in a row without that share after which the object is lost."""
@@ -466,7 +455,9 @@ class GFlow:
             more.append(known)
         if behind is not None:
             more.append(Silhouette(self.model, self._edges, behind.backdrop, self.effective_pixels))
-        start = self._ahead(state, prior)
+        start = state.poses
+        if self.experts > 1 and state.motion is not None:
+            start = apart(start, state.elapsed * state.motion, prior.walk, state.random)
         peaks = find_peaks(likelihood, prior, start, self.effective_pixels, self.levels - 1, more)
         likelihood = replace(likelihood, visible=self._visible(peaks.poses))
         behind = None if behind is None else behind.around(peaks.poses)
@@ -479,20 +470,6 @@ class GFlow:
         density = log_likelihood(likelihood, seeds.poses, seeds.owner, self.effective_pixels, behind)
         density -= 0.0 if known is None else known.equations(seeds.poses, seeds.owner)[0]
         return resampled(state.log_weights, seeds, prior, density, self.samples, state.random)
-
-    def _ahead(self, state: GFlowState, prior: PosePrior) -> Poses:
-        """Where experts begin to climb: apart, so that not all of them take a wrong peak for the right one.
-
-        They go on by different shares of their last motion, and most of them step aside, too. What they
-        believe is not touched: all climb on the same likelihood and prior.
-        """
-        if self.experts == 1 or state.motion is None:
-            return state.poses
-        n = self.experts
-        share = np.linspace(0.0, FARTHEST_AHEAD, n)[state.random.permutation(n)]
-        aside = ASIDE * np.sqrt(prior.walk) * state.random.standard_normal((n, state.poses.dimension))
-        aside[state.random.random(n) < STRAIGHT] = 0.0
-        return state.poses.moved(share[:, None] * state.elapsed * state.motion + aside)
 
     def _found_again(self, state: GFlowState, levels: list[Level]) -> Generation:
         """Look all over the picture, from the likeliest places, with the best expert's texture."""
@@ -521,7 +498,7 @@ class GFlow:
         fit = 1.0
         if state.looks or self.texture is not None:
             fit = float(
-                np.exp(generation.log_weights) @ _fits(looks[:, 0], texture.mean[:, 0], visible, seen)
+                np.exp(generation.log_weights) @ explained(looks[:, 0], texture.mean[:, 0], visible, seen)
             )
         doubtful = fit < (RETURN_FIT if state.lost and self.recover else LEAST_FIT)
         poses, log_weights, doubts = generation.poses, generation.log_weights, 0
@@ -589,19 +566,3 @@ def _pixels_of(incoming: Incoming) -> PixelMessage:
 
 def _points_of(incoming: Incoming) -> PointMessage | None:
     return next((told for told in incoming.values() if isinstance(told, PointMessage)), None)
-
-
-def _fits(
-    looks: NDArray[np.float32],
-    mean: NDArray[np.float32],
-    visible: NDArray[np.bool_],
-    seen: NDArray[np.bool_],
-) -> Array:
-    """Share of the looks' variance that the mean explains, `(n,)`; 0 with most texels off the picture."""
-    count = np.maximum(seen.sum(axis=1), 1)
-    middle = (looks * seen).sum(axis=1) / count
-    error = ((looks - mean) ** 2 * seen).sum(axis=1)
-    power = ((looks - middle[:, None]) ** 2 * seen).sum(axis=1)
-    inside = count > LEAST_INSIDE * np.maximum(visible.sum(axis=1), 1)
-    fits: Array = np.where(inside, np.maximum(1 - error / np.maximum(power, 1), -1.0), 0.0)
-    return fits

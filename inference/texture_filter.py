@@ -31,6 +31,9 @@ GAIN_LIMITS = (-6.0, 6.0)
 
 FIRST_GAIN = 0.05
 
+LEAST_INSIDE = 0.4
+"""Share of the visible texels that has to lie in the picture, if a texture is to explain it."""
+
 
 @dataclass(frozen=True, eq=False)
 class LearnedGain:
@@ -161,3 +164,21 @@ class Texture:
             return np.float32(noise.rendering), np.float32(noise.process)
         gain, temperature = self.learned.gain, np.float32(noise.temperature)
         return (1 - gain) * temperature, gain**2 * temperature
+
+
+def explained(looks: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArray[np.bool_]) -> Map:
+    """Share of the looks' variance that a predicted texture explains, `(n,)` from -1 to 1.
+
+    Parameters
+    ----------
+    looks, mean
+        `(n, n_texels)` grey levels: as the picture shows the texels, and as they were predicted.
+    visible, seen
+        `(n, n_texels)`: texels that face the viewer, and those of them in the picture; 0 where these are few.
+    """
+    count = np.maximum(seen.sum(axis=1), 1)
+    middle = (looks * seen).sum(axis=1) / count
+    error = ((looks - mean) ** 2 * seen).sum(axis=1)
+    power = ((looks - middle[:, None]) ** 2 * seen).sum(axis=1)
+    inside = count > LEAST_INSIDE * np.maximum(visible.sum(axis=1), 1)
+    return np.where(inside, np.maximum(1 - error / np.maximum(power, 1), -1), 0).astype(np.float32)
