@@ -46,6 +46,8 @@ def complaint(capfd: pytest.CaptureFixture[str], *arguments: object) -> str:
     out, err = capfd.readouterr()
     assert ended.value.code == 2
     assert out == ""
+    *before, err = err.splitlines(keepends=True)
+    assert all(" frames" in line for line in before), "progress, where the machine is slow"
     assert err.startswith("rsmcm: ")
     assert err.endswith("\n")
     assert err.count("\n") == 1, err
