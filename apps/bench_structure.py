@@ -4,7 +4,7 @@ All on one thread: set `OPENBLAS_NUM_THREADS=1` (or that of your BLAS) for the p
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -18,6 +18,7 @@ from ..inference.factor_em import Posterior, expectation_maximisation
 from ..inference.factor_posterior import around_start
 from ..inference.factor_start import mean_filled
 from ..inference.factorisation import factorise
+from .bench_points import in_turns
 from .claims import Claim
 
 Numbers = NDArray[np.float64]
@@ -100,7 +101,7 @@ def iteration_claims() -> list[Claim]:
     for name, start in starts.items():
         for count in (2, 12):
             steps[f"{name} {count}"] = _iterate(observations, start, count)
-    seconds = medians(steps)
+    seconds = in_turns(steps, ROUNDS)
     peer = seconds["svds"]
     claims = [Claim(f"svds(k=3), {2 * N_FRAMES} x {N_POINTS}, ms", 1e3 * peer)]
     for name, bound in (("EM", 0.25), ("EM with coherence", None)):
@@ -119,18 +120,6 @@ def _iterate(observations: Observations, start: Posterior, count: int) -> Callab
     return lambda: expectation_maximisation(observations, start, iterations=count, tolerance=-np.inf)
 
 
-def medians(steps: Mapping[str, Callable[[], object]], rounds: int = ROUNDS) -> dict[str, float]:
-    """Median seconds of things that are done in turns; a first round does not count."""
-    spent: dict[str, list[float]] = {name: [] for name in steps}
-    for turn in range(rounds + 1):
-        for name, step in steps.items():
-            started = time.perf_counter()
-            step()
-            if turn:
-                spent[name].append(time.perf_counter() - started)
-    return {name: float(np.median(values)) for name, values in spent.items()}
-
-
 # --- a converged solve --------------------------------------------------------------------------------------
 
 
@@ -140,7 +129,7 @@ def solve_claims() -> list[Claim]:
     for length, bound in ((N_FRAMES, 10.0), (60, None)):
         positions = turning_points(N_FRAMES, N_POINTS, length)
         found = factorise(positions)
-        ours = medians({"ours": partial(factorise, positions)}, 3)["ours"]
+        ours = in_turns({"ours": partial(factorise, positions)}, 3)["ours"]
         generator = np.random.default_rng(1)
         near = found.cameras + 50 * generator.normal(size=found.cameras.shape)
         shape = found.shape + 0.5 * generator.normal(size=found.shape.shape)
@@ -161,7 +150,7 @@ def solve_claims() -> list[Claim]:
     started = time.perf_counter()
     error = bundle_adjustment(positions, cameras, shape)
     theirs = time.perf_counter() - started
-    ours = medians({"ours": partial(factorise, positions)}, 3)["ours"]
+    ours = in_turns({"ours": partial(factorise, positions)}, 3)["ours"]
     what = f"100 x 600, {SEEN_THROUGH} frames a point: bundle adjustment from the mean-filled SVD"
     claims.append(Claim(f"{what}, over a solve", theirs / ours))
     claims.append(Claim(f"{what}, its error over ours", error / factorise(positions).rmse))
@@ -220,7 +209,7 @@ def linearity_claims(sizes: Sequence[int] = (10**3, 10**4, 10**5, 10**6)) -> lis
         positions = turning_points(n_frames, size // SEEN_THROUGH, SEEN_THROUGH)
         observations = Observations.from_arrays(positions)
         start = _start(observations, coherent=False)
-        spent = medians({str(count): _iterate(observations, start, count) for count in (2, 22)}, 5)
+        spent = in_turns({str(count): _iterate(observations, start, count) for count in (2, 22)}, 5)
         counts.append(observations.count)
         seconds.append((spent["22"] - spent["2"]) / 20)
         claims.append(Claim(f"EM over {counts[-1]} observations: an iteration, ms", 1e3 * seconds[-1]))

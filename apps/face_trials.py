@@ -1,12 +1,8 @@
 """Trials of face trackers on generated faces: errors against the truth, and the floor for any filter."""
 
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from multiprocessing import get_context
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -20,7 +16,6 @@ from ..inference.texture_likelihood import TextureLikelihood
 from ..models.frame import Frame
 from ..models.picture_levels import Level, picture_levels
 from ..models.pose import Poses
-from ..models.threads import set_threads
 from .face_baselines import (
     constrained_flow,
     followed,
@@ -28,7 +23,7 @@ from .face_baselines import (
     learned_subspace,
     template_subspace,
 )
-from .progress import Progress
+from .processes import in_processes
 from .scenes import FaceScene, face
 
 Numbers = NDArray[np.float64]
@@ -39,7 +34,6 @@ LOST_SECONDS = 1.0
 """For how long at a stretch, unless it is so in the last frame."""
 TAUGHT_EVERY, MODES = 10, 8
 """Frames from which a subspace of textures is learned, and its dimension."""
-MOST_WORKERS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,45 +297,6 @@ def measure(
 def _on_one_scene(trackers: Sequence[Tracker], scene: Mapping[str, Any]) -> list[Trial]:
     film = Film.of(**scene)
     return [tracker.run(film) for tracker in trackers]
-
-
-def in_processes(label: str, work: Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]) -> list[Any]:
-    """Results of functions with their arguments, in order, worked out in two processes at most."""
-    found: dict[int, Any] = {}
-    workers = min(MOST_WORKERS, os.cpu_count() or 1)
-    # spawned, since the threads of compiled loops do not survive a fork
-    with (
-        _one_thread_each(),
-        ProcessPoolExecutor(workers, get_context("spawn"), set_threads, (1,)) as pool,
-        Progress(label, len(work), unit="sequences") as progress,
-    ):
-        futures = {
-            pool.submit(function, *arguments): number for number, (function, arguments) in enumerate(work)
-        }
-        try:
-            for future in as_completed(futures):
-                found[futures[future]] = future.result()
-                progress.update()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return [found[number] for number in range(len(work))]
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes that are started do linear algebra in one thread: more would wait for each other."""
-    names = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def median(trials: Sequence[Trial], measure: str = "error") -> float:

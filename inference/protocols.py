@@ -1,5 +1,6 @@
 """What chains, feature nodes and messages promise each other: all that an engine knows of them."""
 
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Protocol, Self, TypeVar, overload, runtime_checkable
 
@@ -126,17 +127,17 @@ class BatchIncoming(Incoming):
 
     frame: Frame
 
+    @abstractmethod
     def told(self, feature: FeatureNode[MessageType] | str, /) -> Any:
         """Product of the other chains' messages at the feature, without the image."""
-        raise NotImplementedError
 
+    @abstractmethod
     def look(self, feature: FeatureNode[MessageType] | str, prior: Any, /) -> Any:
         """Evidence at the feature, worked out anew where `prior` has mass.
 
         A chain that knows better than the others where to look (a tracker knows it from the frame before)
         looks by itself. What it saw stays the evidence for everybody until it looks again.
         """
-        raise NotImplementedError
 
 
 @runtime_checkable

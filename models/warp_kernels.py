@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .compiled import compiled
+from .compiled import compiled, inlined
 
 _f4 = np.float32
 
@@ -83,6 +83,16 @@ def texel_places(positions, groups, first, share, weights, offsets, areas, visib
     return n
 
 
+@inlined
+def _cell(x, y, right, bottom, width):
+    """Whether a place is in the picture; upper left pixel of its (or the nearest) cell, and where in that."""
+    inside = (x >= _f4(0)) & (y >= _f4(0)) & (x <= right) & (y <= bottom)
+    x = min(max(x, _f4(0)), right - _f4(0.001))
+    y = min(max(y, _f4(0)), bottom - _f4(0.001))
+    column, row = np.int32(x), np.int32(y)
+    return inside, row * np.int32(width) + column, x - _f4(column), y - _f4(row)
+
+
 @compiled
 def sample_with_slopes(image, width, height, places, n, value, across, down, area):
     """Picture and its slopes (of the bilinear interpolant) at `places`; outside no slopes, and area below 0.
@@ -91,13 +101,7 @@ def sample_with_slopes(image, width, height, places, n, value, across, down, are
     """
     right, bottom = _f4(width - 1), _f4(height - 1)
     for k in range(n):
-        x, y = places[0, k], places[1, k]
-        inside = (x >= _f4(0)) & (y >= _f4(0)) & (x <= right) & (y <= bottom)
-        x = min(max(x, _f4(0)), right - _f4(0.001))
-        y = min(max(y, _f4(0)), bottom - _f4(0.001))
-        column, row = np.int32(x), np.int32(y)
-        fx, fy = x - _f4(column), y - _f4(row)
-        at = row * np.int32(width) + column
+        inside, at, fx, fy = _cell(places[0, k], places[1, k], right, bottom, width)
         p00, p01 = image[at], image[at + 1]
         p10, p11 = image[at + width], image[at + width + 1]
         above, below = p01 - p00, p11 - p10
@@ -112,13 +116,7 @@ def sample(image, width, height, places, n, value, area):
     """Picture at `places` by bilinear interpolation; outside 0, and minus the area."""
     right, bottom = _f4(width - 1), _f4(height - 1)
     for k in range(n):
-        x, y = places[0, k], places[1, k]
-        inside = (x >= _f4(0)) & (y >= _f4(0)) & (x <= right) & (y <= bottom)
-        x = min(max(x, _f4(0)), right - _f4(0.001))
-        y = min(max(y, _f4(0)), bottom - _f4(0.001))
-        column, row = np.int32(x), np.int32(y)
-        fx, fy = x - _f4(column), y - _f4(row)
-        at = row * np.int32(width) + column
+        inside, at, fx, fy = _cell(places[0, k], places[1, k], right, bottom, width)
         p00, p01 = image[at], image[at + 1]
         p10, p11 = image[at + width], image[at + width + 1]
         above = p00 + fx * (p01 - p00)

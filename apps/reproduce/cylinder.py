@@ -1,11 +1,7 @@
 """Figs. 9 and 10 of the RSMCM paper: a synthetic cylinder whose points are lost, found again and drift."""
 
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +13,7 @@ from ...inference.factorisation import factorise, predicted
 from ...models.affine_camera import affine_alignment
 from .. import report
 from ..claims import HEADER, Claim, print_tables
-from ..progress import Progress
+from ..processes import in_processes
 from ..reconstruction import Coherence, reconstruct
 from ..scenes import Cylinder, cylinder
 from ..structure_metrics import REJECTED, StructureScores, score_structure
@@ -38,7 +34,6 @@ REGAIN = 0.5
 PX = 100.0
 """px per radius of the cylinder: noise is then 1 px, and drift 10 px."""
 EM_ITERATIONS = 300
-MOST_WORKERS = 2
 
 LOSSY = 0.1
 """P(loose) from which single chains are said to fail."""
@@ -212,38 +207,8 @@ def reproduce_cylinder(out: Path) -> None:
 def measure(wanted: Sequence[Cell], seeds: Sequence[int]) -> dict[Cell, Measured]:
     """Run everything, in two processes at most."""
     work = [(cell, seed) for cell in wanted for seed in seeds]
-    found: dict[tuple[Cell, int], dict[str, StructureScores]] = {}
-    # spawned, since the threads of compiled loops do not survive a fork
-    with (
-        _one_thread_each(),
-        ProcessPoolExecutor(min(MOST_WORKERS, os.cpu_count() or 1), get_context("spawn")) as pool,
-        Progress("cylinder", len(work), unit="sequences") as progress,
-    ):
-        futures = {pool.submit(scores, *item): item for item in work}
-        try:
-            for future in as_completed(futures):
-                found[futures[future]] = future.result()
-                progress.update()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    found = dict(zip(work, in_processes("cylinder", [(scores, item) for item in work]), strict=True))
     return {cell: {name: [found[cell, seed][name] for seed in seeds] for name in METHODS} for cell in wanted}
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes that are started do linear algebra in one thread: more would wait for each other."""
-    names = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def claims_of(everything: Mapping[Cell, Measured]) -> list[Claim]:

@@ -17,7 +17,8 @@ from ...inference.recursive_bp import RecursiveBP
 from ...models.pixel_labels import PixelLabels
 from .. import report
 from ..claims import HEADER, Claim, print_tables
-from ..face_trials import Measured, Trial, as_json, in_processes, median, n_lost, quartiles
+from ..face_trials import Measured, Trial, as_json, median, n_lost, quartiles
+from ..processes import in_processes
 from ..results import write_json
 from ..scenes import FaceScene, face
 

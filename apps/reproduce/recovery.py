@@ -14,7 +14,8 @@ from ...models.pose import Poses
 from .. import report
 from ..claims import HEADER, Claim, print_tables
 from ..face_baselines import states
-from ..face_trials import Film, in_processes, taught_texture
+from ..face_trials import Film, taught_texture
+from ..processes import in_processes
 from ..results import write_json
 
 Numbers = NDArray[np.float64]
