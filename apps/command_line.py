@@ -239,6 +239,72 @@ def face(
 
 
 @app.command
+def body(
+    source: str,
+    *,
+    out: Path,
+    detector: Path | None = None,
+    head: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    joints: Path | None = None,
+    samples: int = 1000,
+    seed: int = 0,
+    start: int = 1,
+    stop: int | None = None,
+    step: int = 1,
+    overwrite: Flag = False,
+) -> int:
+    """Track a person's upper body: the pose of head and arms, in depth as well.
+
+    Writes overlay.mp4, poses.npz, summary.json and report.html. The person should face the camera, best in
+    long sleeves: hands are found by the colour of the face. It is one person's body with two hands; other
+    hands and flesh-coloured things compete with them. Parts that are hidden, and frames that are missing,
+    unreadable or blank, are predicted, and it is said which. Ctrl-C ends the run with complete results of
+    what was processed.
+
+    Parameters
+    ----------
+    source
+        A video file, a folder or glob of images, the number of a camera, or an rtsp or http address.
+    out
+        Folder for the results.
+    detector
+        The face is found by a detector: OpenCV's YuNet with this model file (.onnx), or the Haar cascade that
+        OpenCV 4 brings along.
+    head
+        Instead of a detector: x,y,width,height in px of the head in the first frame, from chin to the top of
+        the skull. It is then followed by its colour and edges.
+    joints
+        CSV file with the columns frame,joint,x,y: joints that were clicked in a few frames, from which the
+        lengths of the person's arms are taken. Without it, proportions are usual ones. Joints: head, neck
+        (between the shoulders), left_shoulder, left_elbow, left_hand, and right; left is the person's own.
+    samples
+        How many poses are drawn a frame.
+    seed
+        Of random numbers; recorded with the results.
+    start
+        First frame, counted from 1.
+    stop
+        Last frame, included; the end of the source if not given.
+    step
+        Take every n-th frame.
+    overwrite
+        Replace the results that are in the folder.
+    """
+    from .body import BodyJob, run_body
+
+    outcome = run_body(
+        BodyJob(source, out, detector, head, joints, samples, seed, start, stop, step, overwrite)
+    )
+    summary = outcome.summary
+    shares = ", ".join(f"{name.replace('_', ' ')} {100 * s:.0f} %" for name, s in summary["seen"].items())
+    print(f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, seen: {shares}")
+    for note in summary["notes"]:
+        print(note)
+    print(f"results: {out / 'report.html'}")
+    return _ended(outcome.signal)
+
+
+@app.command
 def shape(tracks: Path, *, bases: int, out: Path, overwrite: Flag = False) -> int:
     """Learn a deformable 3-D model of an object from tracks of its points.
 
@@ -457,6 +523,21 @@ def face_background(*, out: Path = Path("results/face-background")) -> int:
     from .reproduce.face_background import reproduce_face_background
 
     reproduce_face_background(out)
+    return 0
+
+
+@reproduce.command(name="body")
+def body_figure(*, out: Path = Path("results/body")) -> int:
+    """Figure 6 of the RSMCM paper: likelihood sampling with and without feedback, and CONDENSATION.
+
+    Parameters
+    ----------
+    out
+        Folder for the figures.
+    """
+    from .reproduce.body import reproduce_body
+
+    reproduce_body(out)
     return 0
 
 

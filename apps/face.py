@@ -2,11 +2,10 @@
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Never
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +18,7 @@ from ..models.morphable_files import read_correspondences, read_model
 from ..models.morphable_model import MorphableModel
 from ..models.pixel_labels import PixelLabels
 from ..models.threads import thread_count
+from .blank_frames import SeenFrames
 from .face_files import GivenLandmarks, read_landmarks
 from .face_report import FaceRecord, write_face_report
 from .face_results import FaceResults, write_textures
@@ -31,9 +31,6 @@ from .versions import versions
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-
-LEAST_CONTRAST = 8
-"""Grey levels between the darker and the brighter part of a frame, below which nothing is seen in it."""
 
 
 @dataclass(frozen=True)
@@ -98,10 +95,10 @@ def run_face(job: FaceJob) -> Outcome:
         open_source(job.source, job.start, job.stop, job.step) as source,
         write_together(job.out, overwrite=job.overwrite) as folder,
     ):
-        run = _Run(job, model, given, source, folder)
-        summary = run.carry_out(interruption)
-    if run.error is not None:
-        raise run.error
+        frames = SeenFrames(interruption.items(source))
+        summary = _Run(job, model, given, source, frames, folder).carry_out(interruption)
+    if frames.error is not None:
+        raise frames.error
     return Outcome(summary, interruption.signal)
 
 
@@ -133,22 +130,22 @@ class _Run:
         model: MorphableModel,
         given: GivenLandmarks | None,
         source: Source,
+        frames: SeenFrames,
         folder: Path,
     ) -> None:
         self._job = job
         self._model = model
         self._given = given
         self._source = source
+        self._frames = frames
         self._folder = folder
         self._notes: list[str] = []
-        self._blank: list[int] = []
         self._before: list[int] = []  # frames before the one in which the track starts
-        self.error: Exception | None = None  # of the source, in the middle
 
     def carry_out(self, interruption: Interruption) -> dict[str, Any]:
         """Take in all frames and write all results; return the content of `summary.json`."""
         started = time.perf_counter()
-        frames = self._frames(interruption)
+        frames = iter(self._frames)
         for first in frames:
             start = self._start(first)
             if start is not None:
@@ -179,18 +176,6 @@ class _Run:
         write_json(self._folder / "summary.json", summary)
         return summary
 
-    def _frames(self, interruption: Interruption) -> Iterator[Frame]:
-        """The source's frames until it ends, breaks, or somebody interrupts; blank ones as missing."""
-        try:
-            for frame in interruption.items(self._source):
-                if frame.image is not None and is_blank(frame.image):
-                    self._blank.append(frame.number)
-                    yield replace(frame, image=None)
-                else:
-                    yield frame
-        except (ValueError, OSError) as error:
-            self.error = error  # told at the end, when the results until here are complete
-
     def _start(self, frame: Frame) -> FaceStart | None:
         """Where the face is in a frame; `None` if it is not found, or nothing is to be seen."""
         if frame.image is None:
@@ -212,11 +197,11 @@ class _Run:
 
     def _complain(self, interruption: Interruption) -> Never:
         """Say why there is no frame to start with."""
-        if self.error is not None:
-            raise self.error
+        if self._frames.error is not None:
+            raise self._frames.error
         if interruption.signal is not None:
             raise KeyboardInterrupt
-        if self._given is not None or len(self._before) == len(self._blank):
+        if self._given is not None or len(self._before) == len(self._frames.blank):
             raise ValueError(f"{self._source.name}: holds no frame in which anything is to be seen")
         raise ValueError(f"{self._source.name}: no face is found in it, expected one, or --landmarks")
 
@@ -236,9 +221,9 @@ class _Run:
             "before_the_start": self._before,
             "missing_frames": len(record.missing),
             "missing": record.missing,
-            "blank": self._blank,
+            "blank": self._frames.blank,
             "truncated": source.truncated,
-            "ended_early": interruption.signal is not None or self.error is not None,
+            "ended_early": interruption.signal is not None or self._frames.error is not None,
             "start": "face detector" if start.fit_error is None else "landmarks",
             "start_fit_error_px": start.fit_error,
             "landmarks": len(start.present),
@@ -258,14 +243,6 @@ class _Run:
             "parameters": self._job.settings,
             "versions": versions(),
         }
-
-
-def is_blank(image: Image) -> bool:
-    """Whether a frame is black, saturated or otherwise without contrast, so that nothing is seen in it."""
-    sample = image[::4, ::4]
-    grey = cv2.cvtColor(sample, cv2.COLOR_BGR2GRAY) if sample.ndim == 3 else sample
-    darker, brighter = np.percentile(grey, (2, 98))
-    return bool(brighter - darker < LEAST_CONTRAST)
 
 
 def _and_then(first: Frame, frames: Iterator[Frame]) -> Iterator[Frame]:

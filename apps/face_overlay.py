@@ -1,22 +1,18 @@
 """A tracked face as pictures: on its frames, as Fig. 4 of the G-flow paper shows it, and its texture."""
 
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..models.frame import Frame
 from ..models.morphable_model import MorphableModel
 from ..models.pose import Poses, exponential
 from ..models.surface_texels import SurfaceTexels
 from ..models.visibility import visible
-from .results import PLAYABLE, SegmentedVideo, draw_overlay
+from .results import draw_overlay
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -214,56 +210,6 @@ def _draw_axes(canvas: NDArray[Any], rotation: Array) -> None:
         )
         cv2.arrowedLine(canvas, start, end, (0, 0, 0), thickness + 2, cv2.LINE_AA, tipLength=0.2)
         cv2.arrowedLine(canvas, start, end, colour, thickness, cv2.LINE_AA, tipLength=0.2)
-
-
-class FaceVideo:
-    """`overlay.mp4`: all frames with their faces, drawn and encoded in a thread.
-
-    Parameters
-    ----------
-    path
-        of the video.
-    rate
-        pictures per second.
-    overlay
-        that draws.
-    """
-
-    def __init__(self, path: Path, rate: float, overlay: FaceOverlay) -> None:
-        self._video = SegmentedVideo(path, rate, PLAYABLE)
-        self._overlay = overlay
-        self._thread = ThreadPoolExecutor(1, "overlay")
-        self._unfinished: Future[None] | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self._wait()
-        finally:
-            self._thread.shutdown()
-            self._video.close(finished=True)
-
-    def write(self, image: Image, frame: Frame, face: TrackedFace) -> None:
-        """Append a frame; for a missing one, `image` is that of the frame before."""
-        self._wait()  # one frame ahead is enough, and an error of the disk is told at the next frame
-        self._unfinished = self._thread.submit(self._draw, image, frame, face)
-
-    def _wait(self) -> None:
-        if self._unfinished is not None:
-            self._unfinished.result()
-
-    def _draw(self, image: Image, frame: Frame, face: TrackedFace) -> None:
-        self._video.write(self._overlay.draw(image, face, caption(frame)), frame.number, frame.time)
-
-
-def caption(frame: Frame) -> str:
-    """What is written above a frame."""
-    return f"frame {frame.number}" + (" (missing)" if frame.missing else "")
 
 
 def texture_picture(model: MorphableModel, morphs: Array, texels: SurfaceTexels, values: Array) -> Array:

@@ -7,29 +7,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ..models.frame import Frame
 from ..models.pose import Poses
+from .frame_lists import listed, listed_periods, periods
 from .report import (
-    MOST_SNAPSHOTS,
     Html,
     Section,
     cards,
-    figure,
     paragraph,
     picture_grid,
-    small,
     table,
     write_run_page,
 )
+from .snapshots import Snapshots
+from .time_plots import BLUE, GREEN, ORANGE, Line, over_time
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-BLUE, ORANGE, GREEN, RED = "#2f7fc1", "#d9822b", "#3a9a5b", "#d64545"
 ANGLES = ("turned to the left", "tilted down", "leaned clockwise")
 MOST_MORPHS = 10  # curves in a plot
 
@@ -78,8 +76,7 @@ class FaceRecord:
     lost: list[int] = field(default_factory=list)
     missing: list[int] = field(default_factory=list)
     restarted: list[int] = field(default_factory=list)
-    snapshots: list[tuple[int, float, Image]] = field(default_factory=list)
-    stride: int = 1  # frames between snapshots
+    snapshots: Snapshots = field(default_factory=Snapshots)
 
     def add(
         self,
@@ -96,7 +93,6 @@ class FaceRecord:
         overlay: Callable[[], Image],
     ) -> None:
         """Take in a frame; `overlay` is called for the few frames of which a picture is kept."""
-        count = len(self.numbers)
         self.numbers.append(frame.number)
         self.times.append(frame.time)
         self.log_evidence.append(log_evidence)
@@ -109,32 +105,23 @@ class FaceRecord:
         for numbers, so in ((self.lost, lost), (self.missing, frame.missing), (self.restarted, restarted)):
             if so:
                 numbers.append(frame.number)
-        if count % self.stride == 0:
-            self.snapshots.append((frame.number, frame.time, small(overlay())))
-            if len(self.snapshots) > MOST_SNAPSHOTS:
-                del self.snapshots[1::2]
-                self.stride *= 2
+        self.snapshots.add(frame, overlay)
 
     @property
     def lost_periods(self) -> list[tuple[int, int]]:
         """First and last frame of every period in which the face was lost."""
-        was_lost = np.isin(np.array(self.numbers), self.lost)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], was_lost, [False]]).astype(np.int8)))
-        return [
-            (self.numbers[first], self.numbers[after - 1]) for first, after in edges.reshape(-1, 2).tolist()
-        ]
+        return periods(self.numbers, self.lost)
 
     @property
     def notes(self) -> list[str]:
         """What is out of the ordinary, a sentence each."""
         notes = []
         if self.missing:
-            notes.append(f"Missing, unreadable or blank, and only predicted: {_listed(self.missing)}.")
+            notes.append(f"Missing, unreadable or blank, and only predicted: {listed(self.missing)}.")
         if self.lost:
-            periods = [f"{a} to {b}" if b > a else str(a) for a, b in self.lost_periods]
-            notes.append(f"Lost in {_listed(periods)}.")
+            notes.append(f"Lost in {listed_periods(self.lost_periods)}.")
         if self.restarted:
-            notes.append(f"Found again: {_listed(self.restarted)}.")
+            notes.append(f"Found again: {listed(self.restarted)}.")
         return notes
 
     @property
@@ -169,12 +156,6 @@ class FaceRecord:
         }
 
 
-def _listed(numbers: Sequence[object], most: int = 20) -> str:
-    """For instance "frames 3, 4, 7"; long lists are cut short."""
-    listed = ", ".join(map(str, numbers[:most])) + (", …" if len(numbers) > most else "")
-    return f"frame{'s' if len(numbers) > 1 or ' ' in listed else ''} {listed}"
-
-
 def write_face_report(
     path: Path,
     record: FaceRecord,
@@ -206,13 +187,11 @@ def write_face_report(
         if the file cannot be written.
     """
     sections: list[Section] = []
-    columns = [f"frame {number}, {time:.1f} s" for number, time, _ in record.snapshots]
     note = paragraph(
         "Red: vertices of all experts; light blue: the given landmarks, carried on the surface. "
         "Lower left: axes of the mean pose; lower right: the mean shape from the front and from the side."
     )
-    pictures = picture_grid([("overlay", [picture for *_, picture in record.snapshots])], columns)
-    sections.append(("Pictures over time", [note, pictures]))
+    sections.append(("Pictures over time", [note, record.snapshots.row("overlay")]))
     sections.append(("Pose", [_pose(record)]))
     sections.append(("Evidence", [_evidence(record)]))
     if summary["error"]:
@@ -239,47 +218,28 @@ def _summary(summary: Mapping[str, Any]) -> Html:
     return cards(values)
 
 
-def _over_time(
-    record: FaceRecord, curves: Sequence[tuple[str, Sequence[tuple[str, str, Array]]]], caption: str
-) -> Html:
-    """Plots below each other, each of lines (label, colour, values a frame); lost periods are shaded."""
-    times = np.array(record.times)
-    half = 0.5 * float(np.median(np.diff(times))) if len(times) > 1 else 0.5
+def _over_time(record: FaceRecord, plots: Sequence[tuple[str, Sequence[Line]]], caption: str) -> Html:
+    """Plots in which lost periods are shaded and re-initialisations dotted."""
     time_of = dict(zip(record.numbers, record.times, strict=True))
-
-    def draw(canvas: Figure) -> None:
-        axes = canvas.subplots(len(curves), sharex=True, squeeze=False)[:, 0]
-        for axis, (name, lines) in zip(axes, curves, strict=True):
-            for label, colour, values in lines:
-                axis.plot(times, values, color=colour, linewidth=1.2, label=label)
-            for first, last in record.lost_periods:
-                axis.axvspan(time_of[first] - half, time_of[last] + half, color=RED, alpha=0.18, linewidth=0)
-            for number in record.restarted:
-                axis.axvline(time_of[number], color=RED, linewidth=0.8, linestyle=":")
-            axis.set_ylabel(name)
-            axis.margins(x=0.01)
-            if len(lines) > 1:
-                axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9)
-        axes[-1].set_xlabel("time in the video, s")
-        canvas.align_ylabels()
-
-    if record.lost:
+    lost = [(time_of[first], time_of[last]) for first, last in record.lost_periods]
+    restarted = [time_of[number] for number in record.restarted]
+    if lost:
         caption += " Shaded: lost."
-    if record.restarted:
+    if restarted:
         caption += " Dotted: re-initialised."
-    return figure(draw, (11, 1.2 + 1.9 * len(curves)), caption.strip())
+    return over_time(record.times, plots, caption.strip(), lost, restarted)
 
 
 def _pose(record: FaceRecord) -> Html:
     turns = np.array(record.angles)
     lines = [
-        (name, ink, turns[:, k])
+        Line(name, ink, turns[:, k])
         for k, (name, ink) in enumerate(zip(ANGLES, (BLUE, ORANGE, GREEN), strict=True))
     ]
     size = np.array([morphs[0] for morphs in record.morphs])
     return _over_time(
         record,
-        [("angle, degrees", lines), ("size c₁, px", [("size", BLUE, size)])],
+        [("angle, degrees", lines), ("size c₁, px", [Line("size", BLUE, size)])],
         "Of the mean pose; left and clockwise as the viewer sees them.",
     )
 
@@ -288,9 +248,9 @@ def _evidence(record: FaceRecord) -> Html:
     return _over_time(
         record,
         [
-            ("log evidence,\nnats", [("evidence", BLUE, np.array(record.log_evidence))]),
-            ("share of the\npicture explained", [("fit", BLUE, np.array(record.fits))]),
-            ("effective number\nof experts", [("experts", BLUE, np.array(record.experts))]),
+            ("log evidence,\nnats", [Line("evidence", BLUE, np.array(record.log_evidence))]),
+            ("share of the\npicture explained", [Line("fit", BLUE, np.array(record.fits))]),
+            ("effective number\nof experts", [Line("experts", BLUE, np.array(record.experts))]),
         ],
         "Evidence of the effective pixels of a frame under what was predicted for it; share of the variance "
         "under the face that the texture explains, by which it is told to be lost; experts: 1 / Σ weight².",
@@ -301,7 +261,7 @@ def _errors(record: FaceRecord, error: Mapping[str, Any]) -> Html:
     rows = [(name.replace("_", " "), value) for name, value in error.items()]
     plot = _over_time(
         record,
-        [("error, px", [("error", BLUE, np.array(record.errors))])],
+        [("error, px", [Line("error", BLUE, np.array(record.errors))])],
         "Mean distance of the carried landmarks from the given ones.",
     )
     return Html(table(("measure", "value"), rows) + plot)
@@ -312,7 +272,7 @@ def _expression(record: FaceRecord, names: Sequence[str]) -> Html:
     shares = morphs[:, 1:] / morphs[:, :1]
     largest = np.sort(np.argsort(-np.abs(shares).max(axis=0))[:MOST_MORPHS])
     called = [names[k + 1] if k + 1 < len(names) else f"c{k + 2}" for k in range(shares.shape[1])]
-    lines = [(called[k], f"C{place}", shares[:, k]) for place, k in enumerate(largest.tolist())]
+    lines = [Line(called[k], f"C{place}", shares[:, k]) for place, k in enumerate(largest.tolist())]
     left_out = shares.shape[1] - len(largest)
     caption = "Morph coefficients as shares of the size." + (
         f" {left_out} smaller ones left out." if left_out else ""

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from ..chains.gflow import GFlow, GFlowState
 from ..models.frame import Frame
-from .face_files import GivenLandmarks, RowWriter
-from .face_overlay import FaceOverlay, FaceVideo, TrackedFace, caption, texture_picture
+from .face_files import GivenLandmarks
+from .face_overlay import FaceOverlay, TrackedFace, texture_picture
 from .face_report import FaceRecord
 from .face_start import FaceStart
+from .overlay_video import OverlayVideo, caption
 from .results import write_image
+from .row_writer import RowWriter
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -58,7 +60,7 @@ class FaceResults:
         self._overlay = FaceOverlay(start.model)
         self._open = ExitStack()
         self._rows = self._open.enter_context(RowWriter(folder / "poses.npz"))
-        self._video = self._open.enter_context(FaceVideo(folder / "overlay.mp4", rate, self._overlay))
+        self._video = self._open.enter_context(OverlayVideo(folder / "overlay.mp4", rate))
         self._image: Image | None = None  # the last one
         self._relocations = 0
 
@@ -107,7 +109,11 @@ class FaceResults:
         assert image is not None  # the first frame has one
         self._image = image
         face = TrackedFace(state.poses, mean, landmarks, state.lost)
-        self._video.write(image, frame, face)
+
+        def draw() -> Image:
+            return self._overlay.draw(image, face, caption(frame))
+
+        self._video.write(frame, draw)
         self.record.add(
             frame,
             mean,
@@ -118,7 +124,7 @@ class FaceResults:
             seconds,
             lost=state.lost,
             restarted=restarted,
-            overlay=lambda: self._overlay.draw(image, face, caption(frame)),
+            overlay=draw,
         )
 
     def finish(self) -> None:

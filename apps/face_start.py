@@ -1,13 +1,13 @@
 """Where the face is in the first frame: from landmarks, or from a face detector and a generic shape."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..models.face_detectors import HaarFaces, PartDetector, YuNetFaces
+from ..models.frame import Frame
 from ..models.morphable_model import MorphableModel
 from ..models.pose import Poses
 from ..models.surface_points import SurfacePoints
@@ -17,8 +17,6 @@ Image = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
 
 FEWEST_LANDMARKS = 4
-CASCADE = "haarcascade_frontalface_default.xml"
-LEAST_SURE = 0.6  # of a detection
 WIDTH_OF_FACE = 0.85
 """Of a detector's box: what lies between the ears, which a model of a face spans."""
 
@@ -158,36 +156,21 @@ def find_face(image: Image, detector: Path | None = None) -> Box | None:
     FileNotFoundError
         if there is no such file.
     """
-    boxes = _boxes_of_cascade(image) if detector is None else _boxes_of_network(image, detector)
-    return max(boxes, key=lambda box: box[2] * box[3], default=None)
+    boxes = _faces(detector)(Frame(image, 0.0, 1))
+    return max((_box(each) for each in boxes), key=lambda box: box[2] * box[3], default=None)
 
 
-def _boxes_of_network(image: Image, path: Path) -> list[Box]:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    height, width = image.shape[:2]
-    colour = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
+def _faces(path: Path | None) -> PartDetector:
+    if path is not None:
+        return YuNetFaces(path)
     try:
-        network = cv2.FaceDetectorYN.create(str(path), "", (width, height), LEAST_SURE)
-        _, found = network.detect(colour)
-    except cv2.error:
-        raise ValueError(f"{path}: is no model of OpenCV's face detector YuNet") from None
-    return [] if found is None else [_box(each) for each in found]
-
-
-def _boxes_of_cascade(image: Image) -> list[Box]:
-    path = Path(cv2.__file__).parent / "data" / CASCADE
-    if not hasattr(cv2, "CascadeClassifier") or not path.is_file():
+        return HaarFaces()
+    except ValueError as error:
         raise ValueError(
-            f"OpenCV {cv2.__version__} brings no face detector along: give --landmarks of the first frame, "
-            "or a model file of YuNet as --detector"
-        )
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    least = max(24, min(grey.shape) // 8)
-    found = cv2.CascadeClassifier(str(path)).detectMultiScale(grey, 1.1, 5, minSize=(least, least))
-    return [_box(each) for each in found]
+            f"{error}: give --landmarks of the first frame, or a model file of YuNet as --detector"
+        ) from None
 
 
-def _box(numbers: Sequence[float]) -> Box:
-    x, y, width, height = (float(number) for number in numbers[:4])
+def _box(numbers: Array) -> Box:
+    x, y, width, height = (float(number) for number in numbers)
     return x, y, width, height

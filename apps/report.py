@@ -218,12 +218,12 @@ def _decoded(text: str) -> Image:
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8)
 
 
-def small(image: Image) -> Image:
-    """A copy, no wider than a snapshot."""
+def small(image: Image, most: int = SNAPSHOT_WIDTH) -> Image:
+    """A copy that is at most so many px wide."""
     height, width = image.shape[:2]
-    if width <= SNAPSHOT_WIDTH:
+    if width <= most:
         return image.copy()
-    size = (SNAPSHOT_WIDTH, max(1, round(height * SNAPSHOT_WIDTH / width)))
+    size = (most, max(1, round(height * most / width)))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 

@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from .resampling_kernels import systematic_indices
+
 Array = NDArray[np.float64]
 
 
@@ -25,7 +27,5 @@ def normalised(log_weights: Array) -> Array:
 
 def systematic(log_weights: Array, n: int, random: np.random.Generator) -> NDArray[np.int64]:
     """`(n,)` indices drawn by systematic resampling: each sample as often as its weight says, within one."""
-    cumulated = np.cumsum(np.exp(normalised(log_weights)))
-    points = (random.random() + np.arange(n)) / n
-    chosen = np.searchsorted(cumulated / cumulated[-1], points, side="right")
-    return np.minimum(chosen, len(log_weights) - 1)
+    chosen: NDArray[np.int64] = systematic_indices(log_weights, n, random.random())
+    return chosen

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rsmcm.apps import blank_frames, face_start, time_plots
 from rsmcm.apps import face as application
-from rsmcm.apps import face_report, face_start
 from rsmcm.apps.face_report import FaceRecord, angles
 from rsmcm.apps.face_start import find_face, start_from_box, start_from_landmarks
 from rsmcm.apps.report import Html
@@ -51,7 +51,7 @@ def write_pictures(folder: Path, images: list[NDArray[np.uint8]]) -> Path:
 @pytest.fixture(autouse=True)
 def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
     """Most of a short run's time; `finished` is made before, and has them."""
-    monkeypatch.setattr(face_report, "figure", lambda *_: Html(""))
+    monkeypatch.setattr(time_plots, "figure", lambda *_: Html(""))
 
 
 @pytest.fixture(scope="module")
@@ -607,7 +607,7 @@ def test_control_c(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """The run ends after the current frame, with complete results if there are any."""
-    is_blank = application.is_blank
+    is_blank = blank_frames.is_blank
     seen: list[int] = []
 
     def interrupting(image: NDArray[np.uint8]) -> bool:
@@ -616,7 +616,7 @@ def test_control_c(
             signal.raise_signal(signal.SIGINT)
         return is_blank(image) or n_frames == 0
 
-    monkeypatch.setattr(application, "is_blank", interrupting)
+    monkeypatch.setattr(blank_frames, "is_blank", interrupting)
     out = tmp_path / "out"
     assert run(film, "--landmarks", truth, "--out", out, *FEW) == 130
     assert capfd.readouterr().err == ""
@@ -627,12 +627,3 @@ def test_control_c(
         assert summary["ended_early"]
         assert summary["frames"] == n_frames
         assert len(poses_of(out)["landmarks"]) == n_frames
-
-
-def test_frames_without_contrast_are_blank() -> None:
-    random = np.random.default_rng(0)
-    noise = random.integers(0, 4, (120, 160, 3)).astype(np.uint8)
-    assert application.is_blank(noise)
-    assert application.is_blank(255 - noise)
-    assert application.is_blank(np.full((5, 5), 77, np.uint8))
-    assert not application.is_blank(random.integers(0, 30, (120, 160)).astype(np.uint8))

@@ -1,6 +1,5 @@
 """What is drawn of a tracked face."""
 
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,11 +13,9 @@ from rsmcm.apps.face_overlay import (
     MOST_DOTS,
     PROFILE,
     FaceOverlay,
-    FaceVideo,
     TrackedFace,
     texture_picture,
 )
-from rsmcm.models import Frame
 from rsmcm.models.built_in_face import face_model
 from rsmcm.models.morphable_model import MorphableModel
 from rsmcm.models.pose import Poses, exponential
@@ -137,28 +134,6 @@ def test_views_show_the_shape(model: MorphableModel, overlay: FaceOverlay) -> No
         changed = morphs.copy()
         changed[k] = 40.0
         assert np.mean(overlay.view(changed, FRONT, 150)[0] != picture) > 0.02
-
-
-def test_a_video_of_all_frames(model: MorphableModel, overlay: FaceOverlay, tmp_path: Path) -> None:
-    path = tmp_path / "overlay.mp4"
-    with FaceVideo(path, 25.0, overlay) as video:
-        for number in range(1, 6):
-            frame = Frame(None if number == 3 else blank(), number / 25, number)
-            video.write(blank(), frame, tracked(model))
-    assert [each.name for each in tmp_path.iterdir()] == ["overlay.mp4"]
-    film = cv2.VideoCapture(str(path))
-    assert sum(iter(lambda: film.read()[0], False)) == 5
-
-
-def test_an_error_in_the_thread_is_told(overlay: FaceOverlay, model: MorphableModel, tmp_path: Path) -> None:
-
-    def write() -> None:
-        with FaceVideo(tmp_path / "gone" / "overlay.mp4", 25.0, overlay) as video:
-            for number in range(1, 4):
-                video.write(blank(), Frame(None, number / 25, number), tracked(model))
-
-    with pytest.raises(OSError, match=r"overlay\.mp4"):
-        write()
 
 
 # --- texture ------------------------------------------------------------------------------------------------

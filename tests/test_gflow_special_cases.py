@@ -20,6 +20,7 @@ from rsmcm.models.morphable_model import MorphableModel
 from rsmcm.models.picture_levels import picture_levels
 from rsmcm.models.pixel_labels import PixelMessage
 from rsmcm.models.pose import Poses
+from scipy.ndimage import affine_transform
 from scipy.spatial.transform import Rotation
 
 from .surfaces import bilinear, bumpy, poses_near, smooth_picture
@@ -45,7 +46,9 @@ def clip(seed: int, n_frames: int = 6) -> list[NDArray[np.uint8]]:
     for number in range(n_frames):
         turn = cv2.getRotationMatrix2D((120, 100), 0.12 * number, 1 + 0.0006 * number)
         turn[:, 2] += [-40 + 0.83 * number, -40 - 0.52 * number]
-        seen = cv2.warpAffine(texture, turn, (160, 120), flags=cv2.INTER_CUBIC)
+        turn = cv2.invertAffineTransform(turn)  # OpenCV 4 rounds places to 1/32 px when it warps: not exact
+        across = turn[::-1, 1::-1]
+        seen = affine_transform(texture, across, turn[::-1, 2], (120, 160), order=3, mode="nearest")
         pictures.append(np.clip(np.rint(seen), 0, 255).astype(np.uint8))
     return pictures
 
@@ -159,7 +162,7 @@ def test_an_end_of_gflow_is_the_classic_tracker(case: str, seed: int, local_mean
         model, start, [np.asarray(one, np.float64) for one in pictures], case == "flow"
     )
     found = by_chain(chain, frames)
-    assert np.abs(residual).mean() > 0.2  # there was something to settle
+    assert np.abs(residual).mean() > 0.1  # there was something to settle
     assert np.abs(wanted[-1] - wanted[0]).mean() > 2
     for one, other in zip(found, wanted, strict=True):
         assert np.abs(one - other).max() < EQUAL

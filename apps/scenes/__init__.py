@@ -1,7 +1,18 @@
-"""Generated scenes with exact ground truth: a street for background and tracks, a cylinder, a face."""
+"""Generated scenes with exact ground truth: a street for background and tracks, a cylinder, a face, a signer."""
 
+from .signer import SignerScene, signer
 from .street import Scene, TruthBox, sleeping_man
 from .talking_face import FaceScene, face
 from .turning_cylinder import Cylinder, cylinder
 
-__all__ = ["Cylinder", "FaceScene", "Scene", "TruthBox", "cylinder", "face", "sleeping_man"]
+__all__ = [
+    "Cylinder",
+    "FaceScene",
+    "Scene",
+    "SignerScene",
+    "TruthBox",
+    "cylinder",
+    "face",
+    "signer",
+    "sleeping_man",
+]

@@ -1,0 +1,173 @@
+"""Who is to be tracked: size, flesh colour and lengths of a person, from a look at some frames."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models.body_parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
+from ..models.face_detectors import default_faces
+from ..models.flesh_colour import FleshColour
+from ..models.frame import Frame
+from ..models.upper_body import UpperBody
+from .body_files import ClickedJoints
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class MarkedFace:
+    """A face that somebody has marked in one frame, as a detector that finds it there and nowhere else.
+
+    Parameters
+    ----------
+    box
+        `(4,)` px: x, y, width, height.
+    number
+        of the frame.
+    """
+
+    box: Array
+    number: int
+
+    def __call__(self, frame: Frame) -> Array:
+        """Boxes `(1, 4)` px in that frame, `(0, 4)` in all others."""
+        return self.box[None] if frame.number == self.number else np.zeros((0, 4))
+
+
+@dataclass(frozen=True, eq=False)
+class BodyStart:
+    """What is known of a person before the track starts.
+
+    Parameters
+    ----------
+    parts
+        the feature node, with the person's flesh colour and a detector.
+    body
+        lengths of the segments.
+    origin
+        where the lengths come from, in a sentence.
+    """
+
+    parts: BodyParts
+    body: UpperBody
+    origin: str
+
+    @property
+    def notes(self) -> list[str]:
+        """What is out of the ordinary, a sentence each."""
+        if self.parts.flesh is None:
+            return ["The video is grey: there is no flesh colour, and hands are followed by edges only."]
+        return []
+
+
+def read_head(text: str) -> Box:
+    """Read `x,y,width,height` px of a head.
+
+    Raises
+    ------
+    ValueError
+        if it is no such text, or the box is empty.
+    """
+    try:
+        x, y, width, height = (float(number) for number in text.split(","))
+    except ValueError:
+        raise ValueError(f"--head: got {text!r}, expected x,y,width,height in px") from None
+    if not (np.isfinite([x, y]).all() and 0 < width < np.inf and 0 < height < np.inf):
+        raise ValueError(f"--head: got {text!r}, expected a width and height above 0 px")
+    return x, y, width, height
+
+
+def start_from_faces(
+    name: str, images: Sequence[Image], detector: Path | None, clicked: ClickedJoints | None
+) -> BodyStart:
+    """Find faces in some images, and learn size and colour from them.
+
+    Parameters
+    ----------
+    name
+        of the source.
+    images
+        `(height, width[, 3])` uint8 BGR, one at least.
+    detector
+        model file of YuNet; OpenCV's cascade without it.
+    clicked
+        joints from which the lengths are taken.
+
+    Raises
+    ------
+    ValueError
+        if there is no face or no detector, or the joints do not tell lengths that a person has.
+    FileNotFoundError
+        if there is no such model file.
+    """
+    try:
+        faces = default_faces(detector)
+    except ValueError as error:
+        if detector is not None:
+            raise
+        raise ValueError(f"{error} as --detector, or the head in the first frame as --head") from None
+    faces(Frame(images[0], 0.0, 1))  # a file that holds another network shows it now
+    try:
+        parts = BodyParts.learned(images, faces)
+    except ValueError:
+        raise ValueError(
+            f"{name}: no face is found in the {len(images)} frames looked at, expected a person who faces "
+            "the camera: mark the head in the first frame with --head"
+        ) from None
+    origin = "Usual proportions of a person whose head is as high as the detected faces say."
+    return _start(parts, origin, clicked)
+
+
+def start_from_head(image: Image, number: int, head: Box, clicked: ClickedJoints | None) -> BodyStart:
+    """Learn size and colour from the head that somebody has marked in a frame.
+
+    Parameters
+    ----------
+    image
+        `(height, width[, 3])` uint8 BGR.
+    number
+        of the frame.
+    head
+        x, y, width, height px: from chin to the top of the skull, and across.
+    clicked
+        joints from which the lengths are taken.
+
+    Raises
+    ------
+    ValueError
+        if the head is not in the picture, or the joints do not tell lengths that a person has.
+    """
+    x, y, width, height = head
+    rows, columns = image.shape[:2]
+    if not (0 <= x + width / 2 < columns and 0 <= y + height / 2 < rows):
+        raise ValueError(
+            f"--head: got {x:g},{y:g},{width:g},{height:g}, expected the head inside the picture of "
+            f"{columns}x{rows} px"
+        )
+    # the box that a detector would give
+    side = height / HEAD_OF_BOX
+    box = np.array([x + (width - side) / 2, y + height / 2 - CENTRE_OF_BOX * side, side, side])
+    parts = BodyParts(height, FleshColour.learned([image], box[None]), MarkedFace(box, number))
+    return _start(parts, "Usual proportions of a person whose head is as high as the given one.", clicked)
+
+
+def _start(parts: BodyParts, origin: str, clicked: ClickedJoints | None) -> BodyStart:
+    usual = UpperBody.from_head(parts.head_height)
+    if clicked is None:
+        return BodyStart(parts, usual, origin)
+    n_frames = len(clicked.frames)
+    try:
+        body = UpperBody.fit(clicked.places, np.full(n_frames, parts.head_height))
+    except ValueError as error:
+        raise ValueError(f"{clicked.path}: {error}") from None
+    if body == usual:
+        raise ValueError(
+            f"{clicked.path}: tells of no length, expected both ends of an arm's segment in one frame"
+        )
+    origin = f"Fitted to joints that were clicked in {n_frames} frames; what they leave open is as usual."
+    return BodyStart(parts, body, origin)

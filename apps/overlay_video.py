@@ -1,0 +1,68 @@
+"""`overlay.mp4` of a run: what was made of every frame, drawn and encoded in a thread."""
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models.frame import Frame
+from .results import PLAYABLE, SegmentedVideo
+
+Image = NDArray[np.uint8]
+
+
+class OverlayVideo:
+    """A video of pictures that are drawn in a thread.
+
+    Parameters
+    ----------
+    path
+        of the video.
+    rate
+        pictures per second.
+    """
+
+    def __init__(self, path: Path, rate: float) -> None:
+        self._video = SegmentedVideo(path, rate, PLAYABLE)
+        self._thread = ThreadPoolExecutor(1, "overlay")
+        self._unfinished: Future[None] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._wait()
+        finally:
+            self._thread.shutdown()
+            self._video.close(finished=True)
+
+    def write(self, frame: Frame, draw: Callable[[], Image]) -> None:
+        """Append the picture of a frame, which `draw` makes; what it uses must not change any more.
+
+        Raises
+        ------
+        OSError
+            if the video cannot be written; it is told at the next frame.
+        """
+        self._wait()  # one frame ahead is enough
+        self._unfinished = self._thread.submit(self._draw, frame, draw)
+
+    def _wait(self) -> None:
+        if self._unfinished is not None:
+            self._unfinished.result()
+
+    def _draw(self, frame: Frame, draw: Callable[[], Image]) -> None:
+        self._video.write(draw(), frame.number, frame.time)
+
+
+def caption(frame: Frame) -> str:
+    """What is written above a frame."""
+    return f"frame {frame.number}" + (" (missing)" if frame.missing else "")

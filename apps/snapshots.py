@@ -1,0 +1,63 @@
+"""A few pictures of a run of any length."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models.frame import Frame
+from .report import MOST_SNAPSHOTS, SNAPSHOT_WIDTH, Html, picture_grid, small
+
+Image = NDArray[np.uint8]
+
+
+class Snapshot(NamedTuple):
+    """A picture of a frame: its number, its time in seconds, `(height, width[, 3])` uint8 BGR."""
+
+    number: int
+    time: float
+    picture: Image
+
+
+class Snapshots:
+    """At most eight evenly spaced pictures of a run.
+
+    Whenever there are more, every second one goes and the distance doubles.
+
+    Parameters
+    ----------
+    width
+        px: wider pictures are kept smaller.
+    """
+
+    def __init__(self, width: int = SNAPSHOT_WIDTH) -> None:
+        self._width = width
+        self._kept: list[Snapshot] = []
+        self._count = 0  # frames so far
+        self._stride = 1  # frames between snapshots
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def __iter__(self) -> Iterator[Snapshot]:
+        return iter(self._kept)
+
+    def add(self, frame: Frame, draw: Callable[[], Image]) -> None:
+        """Take in a frame; `draw` is called for the few of which a picture is kept."""
+        if self._count % self._stride == 0:
+            self._kept.append(Snapshot(frame.number, frame.time, small(draw(), self._width)))
+            if len(self._kept) > MOST_SNAPSHOTS:
+                del self._kept[1::2]
+                self._stride *= 2
+        self._count += 1
+
+    def row(self, name: str) -> Html:
+        """All pictures beside each other in a row of that name."""
+        columns = [f"frame {each.number}, {each.time:.1f} s" for each in self._kept]
+        return picture_grid([(name, [each.picture for each in self._kept])], columns)
+
+    def column(self) -> Html:
+        """All pictures below each other."""
+        rows = [(f"{each.time:.1f} s", [each.picture]) for each in self._kept]
+        return picture_grid(rows, [""])

@@ -1,0 +1,146 @@
+"""The pose of a person's upper body in 13 degrees of freedom, by likelihood sampling."""
+
+import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..inference.body_dynamics import BodyDynamics
+from ..inference.body_samples import (
+    LEAST_SPREAD,
+    BodySamples,
+    first,
+    part_message,
+    predicted,
+    stationary,
+)
+from ..inference.likelihood_sampling import LikelihoodSampler, Past
+from ..inference.protocols import Incoming
+from ..models.body_likelihood import BodyLikelihood
+from ..models.body_parts import PartMessage
+from ..models.body_poses import BodyPoses
+from ..models.frame import Frame
+from ..models.gaussian_mixtures import GaussianMixtures
+from ..models.upper_body import UpperBody
+
+FIRST = 10
+"""Samples of the first frame, where nothing is known of the arms, over those of the others."""
+
+GROUPS = 4
+"""Gaussians by which each part is predicted."""
+
+
+class ArticulatedPose:
+    """Likelihood sampling of an articulated body (RSMCM paper §4.1).
+
+    In every frame positions of head and hands are drawn from what reaches the feature node - face and flesh
+    in the image, and the other chains' predictions - and completed to poses by inverse kinematics
+    (`LikelihoodSampler`). Importance weights make samples of the posterior of them: likelihood of the image
+    (face, flesh, edges) times the other chains' messages times the temporal prior, the mixture of the
+    dynamics around the poses of the frame before, over the density from which they were drawn.
+
+    It needs few samples, since they are where the image says that the parts are, and it finds a lost body
+    again by itself; but it takes what the detectors say. Together with a tracker of the parts
+    (`FleshTracker`) it survives where they fail.
+
+    When no feature was found in a frame and nobody else says anything, the state is stationary: poses are
+    predicted and nothing is invented. The same goes for a frame in which no pose is possible.
+
+    Parameters
+    ----------
+    body
+        lengths of the segments.
+    samples
+        poses that are drawn in every frame.
+    start
+        poses of which one is about that of the first frame; `None` if nothing is known of it.
+    seed
+        of the random numbers.
+    dynamics, likelihood
+        of this body; the usual ones, unless given.
+    name
+        of the chain.
+
+    Raises
+    ------
+    ValueError
+        if there are fewer than 10 samples.
+    """
+
+    def __init__(
+        self,
+        body: UpperBody,
+        samples: int = 1000,
+        *,
+        start: BodyPoses | None = None,
+        seed: int = 0,
+        dynamics: BodyDynamics | None = None,
+        likelihood: BodyLikelihood | None = None,
+        name: str = "pose",
+    ) -> None:
+        if samples < 10:
+            raise ValueError(f"samples: got {samples}, expected 10 or more")
+        self.body = body
+        self.samples = samples
+        self.start = start
+        self.seed = seed
+        self.dynamics = dynamics or BodyDynamics(body)
+        self.likelihood = likelihood or BodyLikelihood(body)
+        self.name = name
+        self._sampler = LikelihoodSampler(self.dynamics)
+
+    def initial(self, frame: Frame) -> BodySamples:
+        """Poses about the start, or anywhere in the picture."""
+        size = (1, 1) if frame.image is None else frame.image.shape[:2]
+        random = np.random.default_rng(self.seed)
+        return first(self.dynamics, self.samples, size, random, self.start)
+
+    def predict(self, state: BodySamples, dt: float) -> BodySamples:
+        """Draws of the dynamics around the poses of the frame before."""
+        return predicted(self.dynamics, state, self.samples, dt)
+
+    def message(self, state: BodySamples, feature: Any, incoming: Incoming) -> PartMessage:
+        """Where the parts should be (mu_{X -> F}): mixtures with the moments of the predicted poses."""
+        return part_message(self.body, state.poses, state.weights, GROUPS)
+
+    def update(self, state: BodySamples, incoming: Incoming) -> BodySamples:
+        """Samples of the posterior, or of the prediction where there is nothing to sample from."""
+        (message,) = incoming.values()
+        told = message.told
+        if message.image is None or not message.image.mixtures.informative.any():
+            return stationary(state, told.log_values(self.body.parts(state.poses)).sum(axis=1))
+        random = copy.deepcopy(state.random)
+        past = _past(state)
+        n = self.samples if past else FIRST * self.samples
+        proposal = self._sampler.draw(self._proper(message.mixtures, state), past, n, random)
+        poses = proposal.poses
+        if not len(poses):
+            return stationary(state, np.zeros(len(state.poses)))
+        if past is None:
+            prior = self.dynamics.log_density_anywhere(poses, state.size)
+        else:
+            prior = self.dynamics.log_density(poses, past.poses, past.weights, past.elapsed)
+        log_weights = (
+            prior
+            + self.likelihood(message.image, poses)
+            + told.log_values(self.body.parts(poses)).sum(axis=1)
+            - proposal.log_density
+        )
+        evenly = np.full(len(poses), -np.log(len(poses)))
+        after = replace(state, poses=poses, log_weights=evenly, random=random).reweighed(log_weights)
+        return after if past else after.resampled(self.samples)
+
+    def _proper(self, mixtures: GaussianMixtures, state: BodySamples) -> GaussianMixtures:
+        """What was not detected is where it is predicted to be."""
+        places, weights = self.body.parts(state.poses), state.weights
+        means = np.einsum("n,npx->px", weights, places)
+        apart = places - means
+        covariances = np.einsum("n,npx,npy->pxy", weights, apart, apart) + LEAST_SPREAD**2 * np.eye(2)
+        return mixtures.proper(np.log(float(state.size[0]) * state.size[1]), means, covariances)
+
+
+def _past(state: BodySamples) -> Past | None:
+    if state.ancestors is None or state.ancestor_weights is None:
+        return None
+    return Past(state.ancestors, state.ancestor_weights, state.elapsed)

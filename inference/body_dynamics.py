@@ -1,0 +1,213 @@
+"""How a person's upper body moves from frame to frame: p(x_t | x_t-1), to draw from and to evaluate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models.body_poses import BodyPoses
+from ..models.upper_body import UpperBody
+from .body_dynamics_kernels import least_squares_to_rows, mixture_values
+
+Array = NDArray[np.float64]
+
+SPHERE = 4 * np.pi
+
+USUAL_UPPER_ARMS = np.array([[0.2, 0.9, -0.35], [-0.2, 0.9, -0.35]])
+USUAL_UPPER_ARMS /= np.linalg.norm(USUAL_UPPER_ARMS, axis=1, keepdims=True)
+USUAL = np.float64(2.0)
+"""Middle and concentration of a person's upper arms: mostly they hang down."""
+
+LEAST_FLOOR = 1e-15
+"""Of an arm's density by its peak: the product of two is still a number of single precision."""
+
+
+@dataclass(frozen=True)
+class BodyDynamics:
+    """A random walk of the place and of the direction of every segment, in which an arm may also jump.
+
+    The place moves like a Gaussian, the neck's rotations like a Gaussian that returns to rest. An arm with its
+    four rotations is a pair of directions, of upper arm and forearm; each moves like von Mises and Fisher's
+    density on the sphere, so that there is no pole at which a rotation's angles jump, and samples are drawn
+    from exactly the density that is evaluated. Now and then an arm goes anywhere, more often than arms do: that
+    is how often one has to be found again of which the tracker was mistaken. What the joints do not allow has no probability; the mass that is cut off is not made
+    up for.
+
+    Parameters
+    ----------
+    body
+        whose lengths give the scale.
+    place
+        head heights after one second, standard deviation of each coordinate.
+    neck
+        rad, standard deviation of each rotation in the long run.
+    neck_time
+        s, in which a rotation of the neck is forgotten.
+    upper_arm, forearm
+        rad after one second, standard deviation of a direction about each of two axes.
+    jumps
+        of an arm, in one second.
+    """
+
+    body: UpperBody
+    place: float = 0.3
+    neck: float = 0.25
+    neck_time: float = 1.0
+    upper_arm: float = 0.6
+    forearm: float = 1.0
+    jumps: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("place", "neck", "neck_time", "upper_arm", "forearm"):
+            value = getattr(self, name)
+            if not 0 < value < np.inf:
+                raise ValueError(f"{name}: got {value}, expected more than 0")
+        if not 0 <= self.jumps < np.inf:
+            raise ValueError(f"jumps: got {self.jumps} a second, expected 0 or more")
+
+    def draw(self, poses: BodyPoses, dt: float, random: np.random.Generator) -> BodyPoses:
+        """Move every pose by `dt` seconds at random."""
+        n = len(poses)
+        place, neck, kept, concentrations, jump = self._rates(dt)
+        roots = poses.roots + place * random.standard_normal((n, 2))
+        necks = kept * poses.necks + neck * random.standard_normal((n, 3))
+        arms = np.stack(
+            [around(poses.arms[:, :, part], concentrations[part], random) for part in (0, 1)], axis=2
+        )
+        jumping = random.random((n, 2)) < jump
+        arms[jumping] = usual_arms(n, random)[jumping]
+        return BodyPoses(roots, necks, arms)
+
+    def log_density(self, poses: BodyPoses, ancestors: BodyPoses, weights: Array, dt: float) -> Array:
+        """Log of the mixture of p(x | ancestor) over ancestors, for every pose.
+
+        Density in px^2 of the place, rad^3 of the neck's rotations and solid angle of the four directions.
+        The sum is taken relative to its largest place, and an arm's factor has a floor, so that nothing
+        underflows. The cost is the number of poses times that of ancestors.
+
+        Parameters
+        ----------
+        poses
+            n of them.
+        ancestors
+            k of them.
+        weights
+            `(k,)`, with sum 1.
+        dt
+            seconds between them.
+
+        Returns
+        -------
+        ndarray
+            `(n,)` nats.
+        """
+        place, neck, kept, concentrations, jump = self._rates(dt)
+        origin = ancestors.roots.mean(axis=0)
+        here = np.concatenate([(poses.roots - origin) / place, poses.necks / neck], axis=1)
+        there = np.concatenate([(ancestors.roots - origin) / place, kept * ancestors.necks / neck], axis=1)
+        peak = (1 - jump) * _peak(concentrations).prod()
+        jumped = jump * np.exp(_log_usual(poses.arms))
+        floors = np.maximum(jumped / peak, LEAST_FLOOR).astype(np.float32)
+        body, rows = here.astype(np.float32), np.ascontiguousarray(there.T, np.float32)
+        least = np.empty(len(poses), np.float32)
+        least_squares_to_rows(body, rows, least)
+        values = np.empty(len(poses), np.float32)
+        mixture_values(
+            body, rows, least,
+            poses.arms.reshape(-1, 12).astype(np.float32),
+            np.ascontiguousarray(ancestors.arms.reshape(-1, 12).T, np.float32),
+            weights.astype(np.float32), concentrations.astype(np.float32),
+            floors, values,
+        )  # fmt: skip
+        gaussian = -np.log(2 * np.pi * place**2) - 1.5 * np.log(2 * np.pi * neck**2)
+        return gaussian + 2 * np.log(peak) + np.log(values.astype(np.float64)) - 0.5 * least
+
+    def draw_anywhere(self, n: int, size: tuple[int, int], random: np.random.Generator) -> BodyPoses:
+        """`n` poses of somebody of whom only is known that the picture of `size` (height, width) shows them.
+
+        Poses are drawn again until the joints allow them.
+        """
+        height, width = size
+        roots = random.random((n, 2)) * (width, height)
+        poses = BodyPoses(roots, np.zeros((n, 3)), np.empty((n, 2, 2, 3)))
+        wrong = np.arange(n)
+        while len(wrong):
+            poses.necks[wrong] = self.neck * random.standard_normal((len(wrong), 3))
+            poses.arms[wrong] = usual_arms(len(wrong), random)
+            wrong = wrong[~self.body.allowed(poses.take(wrong))]
+        return poses
+
+    def log_density_anywhere(self, poses: BodyPoses, size: tuple[int, int]) -> Array:
+        """`(n,)` log density of `draw_anywhere`, but for the factor that makes up for joints' limits."""
+        height, width = size
+        square = (poses.necks**2).sum(axis=1) / self.neck**2
+        place = -np.log(float(height) * width)
+        neck = -1.5 * np.log(2 * np.pi * self.neck**2) - 0.5 * square
+        return np.asarray(place + neck + _log_usual(poses.arms).sum(axis=1))
+
+    def neck_step(self, dt: float) -> tuple[float, float]:
+        """Share of a neck's rotation that is left after `dt` seconds, and standard deviation of what comes."""
+        kept = float(np.exp(-dt / self.neck_time))
+        return kept, self.neck * float(np.sqrt(-np.expm1(-2 * dt / self.neck_time)))
+
+    def _rates(self, dt: float) -> tuple[float, float, float, Array, float]:
+        """Standard deviations of place (px) and neck, share of the neck kept, concentrations, jumps."""
+        kept, neck = self.neck_step(dt)
+        place = self.place * self.body.head_height * float(np.sqrt(dt))
+        concentrations = 1 / (np.array([self.upper_arm, self.forearm]) ** 2 * dt)
+        return place, neck, kept, concentrations, float(-np.expm1(-self.jumps * dt))
+
+
+def around(directions: Array, concentration: float, random: np.random.Generator) -> Array:
+    """Draw unit vectors from von Mises and Fisher's density about `directions`, `(..., 3)`.
+
+    On the sphere the cosine to the middle has an inverse distribution in closed form.
+    """
+    shape = directions.shape[:-1]
+    share = random.random(shape)
+    cosine = 1 + np.log(share + (1 - share) * np.exp(-2 * concentration)) / concentration
+    angle = 2 * np.pi * random.random(shape)
+    sine = np.sqrt(np.maximum(1 - cosine**2, 0.0))
+    one, other = _across(directions)
+    side = np.cos(angle)[..., None] * one + np.sin(angle)[..., None] * other
+    drawn = cosine[..., None] * directions + sine[..., None] * side
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=-1, keepdims=True))
+
+
+def usual_arms(n: int, random: np.random.Generator) -> Array:
+    """`(n, 2, 2, 3)`: arms of which nothing is known but that upper arms mostly hang down."""
+    arms = np.empty((n, 2, 2, 3))
+    arms[:, :, 0] = around(np.broadcast_to(USUAL_UPPER_ARMS, (n, 2, 3)), USUAL, random)
+    arms[:, :, 1] = anywhere((n, 2), random)
+    return arms
+
+
+def _log_usual(arms: Array) -> Array:
+    """`(n, 2)`: log density of each arm of `usual_arms`."""
+    cosines = (arms[:, :, 0] * USUAL_UPPER_ARMS).sum(axis=2)
+    return np.asarray(USUAL * (cosines - 1) + np.log(_peak(USUAL)) - np.log(SPHERE))
+
+
+def _peak(concentrations: Array) -> Array:
+    """Von Mises and Fisher's density at its middle."""
+    return np.asarray(concentrations / (2 * np.pi * -np.expm1(-2 * concentrations)))
+
+
+def anywhere(shape: tuple[int, ...], random: np.random.Generator) -> Array:
+    """Unit vectors `(*shape, 3)`, evenly over the sphere."""
+    drawn = random.standard_normal((*shape, 3))
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=-1, keepdims=True))
+
+
+def _across(directions: Array) -> tuple[Array, Array]:
+    """Two unit vectors at right angles to each direction and to each other, without a square root.
+
+    Duff et al., "Building an orthonormal basis, revisited", JCGT 2017.
+    """
+    x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
+    sign = np.copysign(1.0, z)
+    a = -1 / (sign + z)
+    b = x * y * a
+    one = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
+    other = np.stack([b, sign + y * y * a, -y], axis=-1)
+    return one, other

@@ -1,0 +1,208 @@
+"""Samples of an upper body's pose with their weights: the state of every chain that tracks one by samples."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models.body_parts import PartMessage
+from ..models.body_poses import BodyPoses
+from ..models.gaussian_mixtures import GaussianMixtures
+from ..models.upper_body import PARTS, UpperBody
+from .body_dynamics import BodyDynamics
+from .resampling import normalised, systematic
+
+Array = NDArray[np.float64]
+
+MOST_ANCESTORS = 500
+"""Poses of the frame before of which the temporal prior is a mixture: the cost of a frame is their number
+times that of the samples, and so in proportion to the latter."""
+
+A_MOMENT = 0.04
+"""s: poses to start from are as uncertain as after so long a time."""
+
+LEAST_SPREAD = 1.0
+"""px: standard deviation that is added to a part's, since samples may coincide."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodySamples:
+    """Weighted poses.
+
+    Parameters
+    ----------
+    poses
+        n of them.
+    log_weights
+        `(n,)`, of weights that sum to 1.
+    ancestors, ancestor_weights
+        of a prediction, the poses of the frame before and their weights `(k,)`, of whose mixture `poses` are
+        draws; `None` in a posterior, and before the first frame.
+    elapsed
+        s, between the ancestors and this prediction.
+    size
+        `(height, width)` px of the picture.
+    log_evidence
+        nats: log of the mean likelihood of the frame, up to a constant; 0 without an image.
+    stationary
+        whether the frame said nothing of any part, so that the poses are only predicted.
+    random
+        generator of the draws to come.
+    """
+
+    poses: BodyPoses
+    log_weights: Array
+    ancestors: BodyPoses | None
+    ancestor_weights: Array | None
+    elapsed: float
+    size: tuple[int, int]
+    log_evidence: float
+    stationary: bool
+    random: np.random.Generator
+
+    @cached_property
+    def weights(self) -> Array:
+        """`(n,)`, with sum 1."""
+        return np.exp(normalised(self.log_weights))
+
+    @property
+    def effective(self) -> float:
+        """Number of equally weighted samples that would say as much."""
+        return float(1 / (self.weights**2).sum())
+
+    def drawn(self, n: int, random: np.random.Generator) -> BodyPoses:
+        """`n` poses of equal weight, drawn systematically."""
+        return self.poses.take(systematic(self.log_weights, n, random))
+
+    def resampled(self, n: int) -> Self:
+        """`n` samples of equal weight."""
+        random = copy.deepcopy(self.random)
+        return replace(
+            self, poses=self.drawn(n, random), log_weights=np.full(n, -np.log(n)), random=random
+        )
+
+    def reweighed(self, log_factors: Array) -> Self:
+        """With weights multiplied by factors, whose mean is the evidence."""
+        log_weights = self.log_weights + log_factors
+        peak = float(log_weights.max())
+        if not np.isfinite(peak):  # nothing fits: the prediction is kept
+            return self
+        evidence = peak + float(np.log(np.exp(log_weights - peak).sum()))
+        return replace(
+            self,
+            log_weights=log_weights - evidence,
+            ancestors=None,
+            ancestor_weights=None,
+            log_evidence=evidence,
+            stationary=False,
+        )
+
+
+def first(
+    dynamics: BodyDynamics,
+    n: int,
+    size: tuple[int, int],
+    random: np.random.Generator,
+    start: BodyPoses | None = None,
+) -> BodySamples:
+    """`n` poses at the first frame: about those of `start`, as if these were from a moment before, or else
+    those of a person of whom only is known that the picture of `size` (height, width) shows them."""
+    even = np.full(n, -np.log(n))
+    if start is None:
+        poses = dynamics.draw_anywhere(n, size, random)
+        return BodySamples(poses, even, None, None, 0.0, size, 0.0, True, random)
+    share = np.full(len(start), 1 / len(start))
+    poses = dynamics.draw(start.take(np.arange(n) % len(start)), A_MOMENT, random)
+    return BodySamples(poses, even, start, share, A_MOMENT, size, 0.0, True, random)
+
+
+def predicted(dynamics: BodyDynamics, state: BodySamples, n: int, dt: float) -> BodySamples:
+    """`n` draws of the dynamics around the poses of `state`, `dt` seconds on (mu_{X(t-1) -> X(t)})."""
+    random = copy.deepcopy(state.random)
+    chosen, counts = np.unique(systematic(state.log_weights, MOST_ANCESTORS, random), return_counts=True)
+    return replace(
+        state,
+        poses=dynamics.draw(state.drawn(n, random), dt, random),
+        log_weights=np.full(n, -np.log(n)),
+        ancestors=state.poses.take(chosen),
+        ancestor_weights=counts / MOST_ANCESTORS,
+        elapsed=dt,
+        random=random,
+    )
+
+
+def stationary(state: BodySamples, log_factors: Array) -> BodySamples:
+    """The prediction as the posterior of a frame that says nothing, weighted by what others tell."""
+    after = state.reweighed(log_factors)
+    return replace(after, ancestors=None, ancestor_weights=None, log_evidence=0.0, stationary=True)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMoments:
+    """Means and covariances of weighted poses.
+
+    Parameters
+    ----------
+    joints, joint_covariances
+        `(8, 3)` px and `(8, 3, 3)` px^2, in the order of `models.upper_body.JOINTS`.
+    angles, angle_covariances
+        `(13,)` and `(13, 13)`, px and rad, of `BodyPoses.angles`.
+    """
+
+    joints: Array
+    joint_covariances: Array
+    angles: Array
+    angle_covariances: Array
+
+
+def moments(body: UpperBody, samples: BodySamples) -> BodyMoments:
+    """Means and covariances of joints and angles."""
+    weights = samples.weights
+    joints = body.joints(samples.poses)
+    mean = np.einsum("n,njx->jx", weights, joints)
+    apart = joints - mean
+    covariance = np.einsum("n,njx,njy->jxy", weights, apart, apart)
+    angles = samples.poses.angles
+    typical = weights @ angles
+    away = angles - typical
+    return BodyMoments(mean, covariance, typical, np.einsum("n,na,nb->ab", weights, away, away))
+
+
+def part_message(body: UpperBody, poses: BodyPoses, weights: Array, groups: int) -> PartMessage:
+    """What weighted poses say of the parts: for each a mixture of a few Gaussians, which integrates to 1.
+
+    Along the direction in which a part is most uncertain the poses are cut into `groups` of equal numbers;
+    each becomes a Gaussian with its moments, so that those of the whole stay what they are.
+    """
+    places = body.parts(poses)
+    log_weights: list[Array] = []
+    means: list[Array] = []
+    covariances: list[Array] = []
+    for part in range(len(PARTS)):
+        found = _grouped(places[:, part], weights, groups)
+        for kept, new in zip((log_weights, means, covariances), found, strict=True):
+            kept.append(new)
+    return PartMessage(GaussianMixtures.of_parts(log_weights, means, covariances))
+
+
+def _grouped(places: Array, weights: Array, groups: int) -> Sequence[Array]:
+    mean = weights @ places
+    apart = places - mean
+    axes = np.linalg.eigh((weights[:, None] * apart).T @ apart)[1]
+    order = np.argsort(apart @ axes[:, 1], kind="stable")
+    n = len(order) // groups * groups
+    # the few that are left over go to the last group
+    numbers = np.minimum(np.arange(len(order)) // max(n // groups, 1), groups - 1)
+    membership = np.zeros((groups, len(order)))
+    membership[numbers, order] = weights[order]
+    mass = membership.sum(axis=1)
+    used = mass > 0
+    share = membership[used] / mass[used, None]
+    means = share @ places
+    steps = places - means[:, None]
+    covariances = np.einsum("gn,gnx,gny->gxy", share, steps, steps) + LEAST_SPREAD**2 * np.eye(2)
+    return np.log(mass[used]), means, covariances
