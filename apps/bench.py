@@ -1,7 +1,7 @@
 """Speed beside peers, and exactness beside enumeration: `python -m rsmcm.apps.bench`.
 
 Background and tracking beside OpenCV's MOG2 here; the others in `bench_points`, `bench_structure`,
-`bench_face`.
+`bench_face`, `bench_body` and `bench_body_tracker`.
 
 All ratios are of times taken in one run, in turns, at equal thread counts.
 """
@@ -25,6 +25,8 @@ from ..models import Categorical, Frame
 from ..models.categorical import CategoricalMessage
 from ..models.threads import set_threads
 from .background import Engine, build_model
+from .bench_body import bootstrap_times, resampling_times
+from .bench_body_tracker import body_claims
 from .bench_face import face_claims
 from .bench_points import point_claims
 from .bench_structure import structure_claims
@@ -42,6 +44,8 @@ N_FRAMES = 240  # preloaded: 320 MB
 TURN = 20  # frames that a method works on before it is another one's turn
 WARM_UP = 40  # frames that do not count
 ROUNDS = 2
+
+STAGE = ("stage", "ms", "share, %")
 
 PX = 100.0  # per radius of the cylinder
 FEEDBACK_ROUNDS = 5
@@ -63,9 +67,13 @@ def main() -> None:
     set_threads(1)
     cv2.setNumThreads(1)
     claims += [*point_claims(), *structure_claims(), feedback_in_rounds(), *face_claims()]
+    of_bodies, stages_of_bodies = body_claims()
+    claims += [*of_bodies, *resampling_times(), *bootstrap_times()]
     print(in_columns(HEADER, [claim.cells for claim in claims]))
     print("\nwhere the time of a frame goes, one thread\n")
-    print(in_columns(("stage", "ms", "share, %"), stages(frames)))
+    print(in_columns(STAGE, stages(frames)))
+    print("\nwhere the time of the body tracker goes, two threads\n")
+    print(in_columns(STAGE, stages_of_bodies))
 
 
 def feedback_in_rounds() -> Claim:

@@ -1,10 +1,9 @@
-"""Trials of body trackers on generated signers, in turns and timed: errors, honesty, recovery."""
+"""Trials of body trackers on generated signers, which they go through in turns and timed."""
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
 import cv2
@@ -14,154 +13,22 @@ from numpy.typing import NDArray
 from ..chains.articulated_pose import ArticulatedPose
 from ..chains.flesh_tracker import FleshTracker
 from ..inference import MultiChain, RecursiveBP
-from ..inference.body_samples import moments
+from ..inference.body_samples import BodySamples, moments
 from ..inference.condensation import Condensation
 from ..inference.recursive_bp import RunState
 from ..models.body_parts import BodyParts
 from ..models.frame import Frame
 from ..models.upper_body import JOINTS, PARTS
-from .body_overlay import REGION_90, TrackedBody
+from .body_measures import HANDS, PLACES, BodyTrial, squared_distances
+from .body_overlay import TrackedBody
 from .scenes import SignerScene, signer
 
 Numbers = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
-MEASURED = ("left_elbow", "left_hand", "right_elbow", "right_hand")
-PLACES = [JOINTS.index(name) for name in MEASURED]
 HEAD_AND_HANDS = [JOINTS.index(name) for name in PARTS]
-ELBOWS, HANDS = (slice(first, None, 2) for first in (0, 1))
-
-OFF, FOUND = 0.5, 0.3
-"""Head heights: error from which a hand is not followed, and below which it is followed again."""
-LEAST_OFF = 2
-"""Frames in a row that make a mis-track."""
-SOON = 10
-"""Frames after which a hand should be followed again, from the first in which it can be seen."""
 
 N_SHOWN = 40
 """Poses that are drawn from a posterior to be shown, as in the paper."""
-
-LEAST_VARIANCE = 0.01
-"""px^2: added to a hand's, since all samples may be one."""
-
-
-@dataclass(frozen=True)
-class MisTrack:
-    """A hand that was not followed for a while.
-
-    Parameters
-    ----------
-    hand
-        0 left, 1 right.
-    start
-        first frame with the error above half a head's height, index from 0.
-    seen
-        first frame from then on in which the hand looks like flesh; `None` if there is none.
-    end
-        first frame from `start` on with the error below 0.3 head heights; `None` if there is none.
-    left
-        frames from `seen` to the end of the scene.
-    """
-
-    hand: int
-    start: int
-    seen: int | None
-    end: int | None
-    left: int
-
-    @property
-    def recovered(self) -> bool | None:
-        """Whether it was followed again soon after it could be seen; `None` where the scene ended before."""
-        if self.end is not None:
-            return self.seen is None or self.end - self.seen <= SOON
-        return False if self.left > SOON else None
-
-
-@dataclass(frozen=True, eq=False)
-class BodyTrial:
-    """How a tracker did on a scene; of the first frame, in which the pose is given, nothing counts.
-
-    Parameters
-    ----------
-    errors
-        `(n_frames, 4)` px: distance in the picture of the posterior mean of the joints `MEASURED` from the
-        truth; NaN of joints that the tracker knows nothing of.
-    errors_3d
-        `(n_frames, 4)` px: the same in space.
-    squares
-        `(n_frames, 2)`: squared Mahalanobis distance of left and right hand in the picture, with the
-        posterior's mean and covariance.
-    effective
-        `(n_frames,)`: effective number of samples; NaN without samples.
-    seconds
-        `(n_frames,)`: of the whole frame, features included.
-    hidden
-        `(n_frames, 2)`: whether left and right hand do not look like flesh.
-    head_height
-        px.
-    shown
-        by frame (index from 0), the posterior in pictures.
-    """
-
-    errors: Numbers
-    errors_3d: Numbers
-    squares: Numbers
-    effective: Numbers
-    seconds: Numbers
-    hidden: Mask
-    head_height: float
-    shown: Mapping[int, TrackedBody] = field(default_factory=dict)
-
-    @property
-    def error(self) -> float:
-        """px: mean over hands and elbows."""
-        return float(self.errors[1:].mean())
-
-    @property
-    def hands(self) -> float:
-        """px: mean over the hands."""
-        return float(self.errors[1:, HANDS].mean())
-
-    @property
-    def off(self) -> float:
-        """Share of frames in which a hand is not followed."""
-        far = self.errors[1:, HANDS] > OFF * self.head_height
-        return float(far.any(axis=1).mean())
-
-    @cached_property
-    def mis_tracks(self) -> list[MisTrack]:
-        """Of both hands, in the order of time for each."""
-        heads = self.errors[:, HANDS] / self.head_height
-        return [one for hand in (0, 1) for one in mis_tracks(hand, heads[:, hand], self.hidden[:, hand])]
-
-
-def mis_tracks(hand: int, errors: Numbers, hidden: Mask) -> list[MisTrack]:
-    """Mis-tracks of a hand, from its errors `(n_frames,)` in head heights after the first frame.
-
-    One ends where the error is below 0.3 head heights, whatever it was in between.
-    """
-    found: list[MisTrack] = []
-    n_frames, index = len(errors), 1
-    while index < n_frames:
-        ahead = errors[index : index + LEAST_OFF]
-        if len(ahead) < LEAST_OFF or not (ahead > OFF).all():
-            index += 1
-            continue
-        end = _first(errors < FOUND, index)
-        seen = _first(~hidden, index)
-        left = 0 if seen is None else n_frames - 1 - seen
-        found.append(MisTrack(hand, index, seen, end, left))
-        index = n_frames if end is None else end
-    return found
-
-
-def _first(holds: Mask, start: int) -> int | None:
-    """First index from `start` on where it holds."""
-    ahead = np.flatnonzero(holds[start:])
-    return start + int(ahead[0]) if len(ahead) else None
-
-
-# Scenes and trackers
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +88,11 @@ class BodyTracker:
 
 
 class _Run:
-    """A tracker on its way through a film, and what was measured so far."""
+    """A tracker on its way through a film, and what was measured so far.
+
+    After the first frame it is told the true pose, which CONDENSATION cannot find by itself. A tracker of
+    flesh keeps what it has found.
+    """
 
     def __init__(self, tracker: BodyTracker, film: SignerFilm, shown: Sequence[int]) -> None:
         model, self._chain = tracker.connected(film)
@@ -234,37 +105,38 @@ class _Run:
         self._pictures: dict[int, TrackedBody] = {}
 
     def step(self, index: int) -> None:
-        """Take in frame `index`; it is given the true pose after the first."""
+        """Take in frame `index`."""
         started = time.perf_counter()
         state = self._engine.step(self._state, self._film.frames[index]).state
         seconds = time.perf_counter() - started
         if index == 0:
             state = self._told(state)
         self._state = state
-        scene, after = self._film.scene, state.states[self._chain]
-        truth = scene.joints[index]
-        means, covariances = np.full((8, 3), np.nan), np.full((8, 3, 3), np.nan)
-        effective = np.nan
-        if hasattr(after, "poses"):
-            found = moments(scene.body, after)
-            means, covariances, effective = found.joints, found.joint_covariances, after.effective
-            if index in self._shown:
-                samples = scene.body.joints(after.drawn(N_SHOWN, self._random))
-                self._pictures[index] = TrackedBody(samples, means, covariances)
-        else:
-            means[HEAD_AND_HANDS, :2], covariances[HEAD_AND_HANDS, :2, :2] = (
-                after.positions,
-                after.position_covariances,
-            )
-        apart = means - truth
-        squares = squared_distances(apart[PLACES[HANDS], :2], covariances[PLACES[HANDS], :2, :2])
+        found = self._belief(index, state.states[self._chain])
+        apart = found.joints - self._film.scene.joints[index]
+        squares = squared_distances(apart[PLACES[HANDS], :2], found.covariances[PLACES[HANDS], :2, :2])
         flat, deep = (np.linalg.norm(apart[PLACES, :axes], axis=1) for axes in (2, 3))
-        self._rows.append((flat, deep, squares, effective, seconds))
+        self._rows.append((flat, deep, squares, self._effective(state), seconds))
+
+    def _belief(self, index: int, after: Any) -> TrackedBody:
+        """Means and covariances of the joints, NaN where they are not known, and poses if they are shown."""
+        if isinstance(after, BodySamples):
+            body = self._film.scene.body
+            found = moments(body, after)
+            samples = body.joints(after.drawn(N_SHOWN, self._random)) if index in self._shown else np.empty(0)
+            believed = TrackedBody(samples, found.joints, found.joint_covariances)
+            if index in self._shown:
+                self._pictures[index] = believed
+            return believed
+        means, covariances = np.full((8, 3), np.nan), np.full((8, 3, 3), np.nan)
+        means[HEAD_AND_HANDS, :2] = after.positions
+        covariances[HEAD_AND_HANDS, :2, :2] = after.position_covariances
+        return TrackedBody(np.empty(0), means, covariances)
 
     def _told(self, state: RunState) -> RunState:
         """The state of those who know the true pose of the first frame."""
         poses = state.states[self._chain]
-        if not hasattr(poses, "poses"):
+        if not isinstance(poses, BodySamples):
             return state
         n = len(poses.poses)
         truth = self._film.scene.poses.take(np.zeros(n, np.int64))
@@ -273,6 +145,10 @@ class _Run:
         )
         return replace(state, states={**state.states, self._chain: known})
 
+    def _effective(self, state: RunState) -> float:
+        after = state.states[self._chain]
+        return after.effective if isinstance(after, BodySamples) else np.nan
+
     def trial(self) -> BodyTrial:
         """What was measured."""
         flat, deep, squares, effective, seconds = (np.array(row) for row in zip(*self._rows, strict=True))
@@ -280,12 +156,6 @@ class _Run:
         hidden = scene.hidden[: len(flat), 1:]
         size = scene.body.head_height
         return BodyTrial(flat, deep, squares, effective, seconds, hidden, size, self._pictures)
-
-
-def squared_distances(errors: Numbers, covariances: Numbers) -> Numbers:
-    """Squared Mahalanobis distances `(n,)` of errors `(n, 2)` px with covariances `(n, 2, 2)` px^2."""
-    widened = covariances + LEAST_VARIANCE * np.eye(2)
-    return np.asarray((errors * np.linalg.solve(widened, errors[..., None])[..., 0]).sum(axis=-1))
 
 
 def in_turns(film: SignerFilm, trackers: Sequence[BodyTracker], shown: Sequence[int] = ()) -> list[BodyTrial]:
@@ -313,22 +183,3 @@ def _opencv_in_one_thread() -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(before)
-
-
-# What is made of trials
-
-
-def pooled(trials: Sequence[BodyTrial], measure: str) -> Numbers:
-    """A measure of every frame after the first, of all scenes: `(n, ...)`."""
-    return np.concatenate([getattr(trial, measure)[1:] for trial in trials])
-
-
-def coverage(trials: Sequence[BodyTrial]) -> float:
-    """Share of the true hands that are within the posterior's 90 % region."""
-    return float((pooled(trials, "squares") < REGION_90).mean())
-
-
-def recoveries(trials: Sequence[BodyTrial]) -> tuple[int, int]:
-    """Mis-tracks after which the hand was followed again soon, and all of which it is known."""
-    known = [one.recovered for trial in trials for one in trial.mis_tracks if one.recovered is not None]
-    return sum(known), len(known)

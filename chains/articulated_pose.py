@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..inference.body_dynamics import BodyDynamics
 from ..inference.body_samples import (
@@ -17,12 +18,15 @@ from ..inference.body_samples import (
 )
 from ..inference.likelihood_sampling import LikelihoodSampler, Past
 from ..inference.protocols import Incoming
+from ..inference.resample_move import temper
 from ..models.body_likelihood import BodyLikelihood
 from ..models.body_parts import PartMessage
 from ..models.body_poses import BodyPoses
 from ..models.frame import Frame
 from ..models.gaussian_mixtures import GaussianMixtures
 from ..models.upper_body import UpperBody
+
+Array = NDArray[np.float64]
 
 FIRST = 10
 """Samples of the first frame, where nothing is known of the arms, over those of the others."""
@@ -107,8 +111,8 @@ class ArticulatedPose:
     def update(self, state: BodySamples, incoming: Incoming) -> BodySamples:
         """Samples of the posterior, or of the prediction where there is nothing to sample from."""
         (message,) = incoming.values()
-        told = message.told
-        if message.image is None or not message.image.mixtures.informative.any():
+        told, image = message.told, message.image
+        if image is None or not image.mixtures.informative.any():
             return stationary(state, told.log_values(self.body.parts(state.poses)).sum(axis=1))
         random = copy.deepcopy(state.random)
         past = _past(state)
@@ -117,19 +121,32 @@ class ArticulatedPose:
         poses = proposal.poses
         if not len(poses):
             return stationary(state, np.zeros(len(state.poses)))
-        if past is None:
-            prior = self.dynamics.log_density_anywhere(poses, state.size)
-        else:
-            prior = self.dynamics.log_density(poses, past.poses, past.weights, past.elapsed)
-        log_weights = (
-            prior
-            + self.likelihood(message.image, poses)
-            + told.log_values(self.body.parts(poses)).sum(axis=1)
-            - proposal.log_density
+
+        def log_prior(poses: BodyPoses) -> Array:
+            parts = self.body.parts(poses)
+            if past is None:
+                prior = self.dynamics.log_density_anywhere(poses, state.size)
+            else:
+                prior = self.dynamics.log_density(poses, past.poses, past.weights, past.elapsed)
+            return np.where(self.body.allowed(poses), prior + told.log_values(parts).sum(axis=1), -np.inf)
+
+        def log_likelihood(poses: BodyPoses) -> Array:
+            return self.likelihood(image, poses)
+
+        prior = log_prior(poses)
+        found = temper(
+            self.dynamics, poses, prior - proposal.log_density, log_prior, log_likelihood, random
         )
-        evenly = np.full(len(poses), -np.log(len(poses)))
-        after = replace(state, poses=poses, log_weights=evenly, random=random).reweighed(log_weights)
-        return after if past else after.resampled(self.samples)
+        return replace(
+            state,
+            poses=found.poses,
+            log_weights=found.log_weights,
+            ancestors=None,
+            ancestor_weights=None,
+            log_evidence=found.log_evidence,
+            stationary=False,
+            random=random,
+        )
 
     def _proper(self, mixtures: GaussianMixtures, state: BodySamples) -> GaussianMixtures:
         """What was not detected is where it is predicted to be."""

@@ -32,6 +32,9 @@ LOWER = 0.25
 UNNOTICED = 60.0
 """s, time constant with which it is forgotten which hand is which: they may be exchanged unnoticed."""
 
+LEAST_EXCHANGED, MOST_TRUST = 0.01, 0.8
+"""Of what the tracker tells others: it may be wrong about itself."""
+
 LEAST = 1e-6
 """Smallest probability that a part is where it should be, or that it is not."""
 
@@ -166,7 +169,11 @@ class FleshTracker:
         Hands that may be exchanged are at both places. It integrates to 1.
         """
         anywhere, other = self._anywhere(state), _exchanged(state)
-        own_share, other_share = state.trust * (1 - state.exchanged), other.trust * state.exchanged
+        # of each hand on its own, so that the pair of them is exchanged with this probability
+        swapped = np.sqrt(max(state.exchanged, LEAST_EXCHANGED))
+        sure, other_sure = MOST_TRUST * state.trust, MOST_TRUST * other.trust
+        own_share, other_share = sure * (1 - swapped), other_sure * swapped
+        own_share[HEAD], other_share[HEAD] = sure[HEAD], 0.0
         shares = np.stack([own_share, other_share, 1 - own_share - other_share], axis=1)
         places = (state.means, other.means, anywhere.means)
         spreads = (state.covariances, other.covariances, anywhere.covariances)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..models.arm_inverse import arm_at
 from ..models.body_poses import BodyPoses
 from ..models.upper_body import UpperBody
 from .body_dynamics_kernels import least_squares_to_rows, mixture_values
@@ -47,6 +48,8 @@ class BodyDynamics:
         rad after one second, standard deviation of a direction about each of two axes.
     jumps
         of an arm, in one second.
+    exchanges
+        in one second, of left and right hand: how often they turn out to have been taken for each other.
     """
 
     body: UpperBody
@@ -56,14 +59,16 @@ class BodyDynamics:
     upper_arm: float = 0.6
     forearm: float = 1.0
     jumps: float = 2.0
+    exchanges: float = 0.05
 
     def __post_init__(self) -> None:
         for name in ("place", "neck", "neck_time", "upper_arm", "forearm"):
             value = getattr(self, name)
             if not 0 < value < np.inf:
                 raise ValueError(f"{name}: got {value}, expected more than 0")
-        if not 0 <= self.jumps < np.inf:
-            raise ValueError(f"jumps: got {self.jumps} a second, expected 0 or more")
+        for name in ("jumps", "exchanges"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name}: got {getattr(self, name)} a second, expected 0 or more")
 
     def draw(self, poses: BodyPoses, dt: float, random: np.random.Generator) -> BodyPoses:
         """Move every pose by `dt` seconds at random."""
@@ -121,6 +126,32 @@ class BodyDynamics:
         )  # fmt: skip
         gaussian = -np.log(2 * np.pi * place**2) - 1.5 * np.log(2 * np.pi * neck**2)
         return gaussian + 2 * np.log(peak) + np.log(values.astype(np.float64)) - 0.5 * least
+
+    def with_exchanged(
+        self, poses: BodyPoses, weights: Array, dt: float, random: np.random.Generator
+    ) -> tuple[BodyPoses, Array]:
+        """Weighted poses, and the same with each hand where the other one was, as far as that is possible.
+
+        An exchanged arm has its elbow anywhere on the circle on which it can be. The weight of a pose is
+        divided between the two.
+        """
+        joints = self.body.joints(poses)
+        arms = np.empty_like(poses.arms)
+        within = np.ones(len(poses), np.bool_)
+        for side in (0, 1):
+            offsets = joints[:, 7 - 3 * side] - joints[:, 2 + 3 * side]
+            arms[:, side], reached = arm_at(self.body, side, offsets, random.uniform(-np.pi, np.pi, len(poses)))
+            within &= reached
+        exchanged = BodyPoses(poses.roots, poses.necks, arms)
+        chosen = np.flatnonzero(within)
+        chosen = chosen[self.body.allowed(exchanged.take(chosen))]
+        share = float(-np.expm1(-self.exchanges * dt))
+        own = weights.copy()
+        own[chosen] *= 1 - share
+        return (
+            BodyPoses.concatenated([poses, exchanged.take(chosen)]),
+            np.concatenate([own, share * weights[chosen]]),
+        )
 
     def draw_anywhere(self, n: int, size: tuple[int, int], random: np.random.Generator) -> BodyPoses:
         """`n` poses of somebody of whom only is known that the picture of `size` (height, width) shows them.

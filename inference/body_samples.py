@@ -22,6 +22,9 @@ MOST_ANCESTORS = 500
 """Poses of the frame before of which the temporal prior is a mixture: the cost of a frame is their number
 times that of the samples, and so in proportion to the latter."""
 
+MISTAKEN = 0.2
+"""Chance that a part is where the samples do not expect it, as others are told."""
+
 A_MOMENT = 0.04
 """s: poses to start from are as uncertain as after so long a time."""
 
@@ -124,12 +127,16 @@ def predicted(dynamics: BodyDynamics, state: BodySamples, n: int, dt: float) -> 
     """`n` draws of the dynamics around the poses of `state`, `dt` seconds on (mu_{X(t-1) -> X(t)})."""
     random = copy.deepcopy(state.random)
     chosen, counts = np.unique(systematic(state.log_weights, MOST_ANCESTORS, random), return_counts=True)
+    ancestors, weights = dynamics.with_exchanged(
+        state.poses.take(chosen), counts / MOST_ANCESTORS, dt, random
+    )
+    drawn = systematic(np.log(weights), n, random)
     return replace(
         state,
-        poses=dynamics.draw(state.drawn(n, random), dt, random),
+        poses=dynamics.draw(ancestors.take(drawn), dt, random),
         log_weights=np.full(n, -np.log(n)),
-        ancestors=state.poses.take(chosen),
-        ancestor_weights=counts / MOST_ANCESTORS,
+        ancestors=ancestors,
+        ancestor_weights=weights,
         elapsed=dt,
         random=random,
     )
@@ -176,16 +183,20 @@ def part_message(body: UpperBody, poses: BodyPoses, weights: Array, groups: int)
     """What weighted poses say of the parts: for each a mixture of a few Gaussians, which integrates to 1.
 
     Along the direction in which a part is most uncertain the poses are cut into `groups` of equal numbers;
-    each becomes a Gaussian with its moments, so that those of the whole stay what they are.
+    each becomes a Gaussian with its moments, so that those of the whole stay what they are. A broad one is
+    added: samples of somebody who is mistaken know nothing of it.
     """
     places = body.parts(poses)
+    reach = 0.5 * (body.upper_arm + body.forearm)
+    broad = np.square([body.head_height, reach, reach])
     log_weights: list[Array] = []
     means: list[Array] = []
     covariances: list[Array] = []
     for part in range(len(PARTS)):
-        found = _grouped(places[:, part], weights, groups)
-        for kept, new in zip((log_weights, means, covariances), found, strict=True):
-            kept.append(new)
+        masses, centres, spreads = _grouped(places[:, part], weights, groups)
+        log_weights.append(np.append(masses + np.log1p(-MISTAKEN), np.log(MISTAKEN)))
+        means.append(np.concatenate([centres, (weights @ places[:, part])[None]]))
+        covariances.append(np.concatenate([spreads, broad[part] * np.eye(2)[None]]))
     return PartMessage(GaussianMixtures.of_parts(log_weights, means, covariances))
 
 

@@ -1,6 +1,5 @@
 """CONDENSATION (Isard and Blake 1998): the bootstrap filter, as a chain over a body's pose."""
 
-import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -98,7 +97,7 @@ class Condensation:
         if frame.image is None:
             raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
         height, width = frame.image.shape[:2]
-        random = np.random.default_rng(self.seed)
+        random = np.random.Generator(np.random.SFC64(self.seed))  # numpy's fastest: most of a step is noise
         if self.start is None:
             poses = self._dynamics.draw_anywhere(self.samples, (height, width), random)
         else:
@@ -117,7 +116,7 @@ class Condensation:
 
     def predict(self, state: BodySamples, dt: float) -> BodySamples:
         """As many draws of each pose as its weight says, each moved at random; none that joints forbid."""
-        random = copy.deepcopy(state.random)
+        random = _copied(state.random)
         chosen = systematic(state.log_weights, self.samples, random)
         poses = self._dynamics.draw(state.poses.take(chosen), dt, random)
         allowed = self.body.allowed(poses)
@@ -150,3 +149,11 @@ class Condensation:
         if told.image is None and not log_factors.any():
             return replace(state, log_evidence=0.0, stationary=True)
         return state.reweighed(log_factors)
+
+
+def _copied(random: np.random.Generator) -> np.random.Generator:
+    """A generator that goes on in the same way; several times faster than `copy.deepcopy`."""
+    bits = random.bit_generator
+    fresh = type(bits)(0)
+    fresh.state = bits.state
+    return np.random.Generator(fresh)

@@ -26,6 +26,8 @@ class BodyImage:
     flesh
         `(height, width)` float32 nats: log odds of the pixel's colour on flesh against anything else, between
         -4 and 4; `None` where there is no colour to tell from.
+    moving
+        the same less what is flesh all the time: for hands.
     edges
         `(height, width)` float32 px: distance to the nearest edge, capped at a sixth of the head's height.
     edge_directions
@@ -48,6 +50,7 @@ class BodyImage:
     """
 
     flesh: NDArray[np.float32] | None
+    moving: NDArray[np.float32] | None
     edges: NDArray[np.float32]
     edge_directions: NDArray[np.float32]
     faces: NDArray[np.float64]

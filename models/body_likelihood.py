@@ -7,7 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .body_image import BodyImage
-from .body_likelihood_kernels import blob_terms, edge_features, edge_terms, hand_terms, over_density
+from .body_likelihood_kernels import (
+    blob_terms,
+    edge_features,
+    edge_terms,
+    hand_terms,
+    head_terms,
+    over_density,
+)
 from .body_outline import silhouettes
 from .body_poses import BodyPoses
 from .memo import LastCall
@@ -34,10 +41,16 @@ LEVELS = 256
 MOST_FLESH = 4.0
 """Nats: greatest log odds of flesh."""
 
-NECK_RADIUS = 0.2
-"""Head heights: of bare flesh between head and shoulders."""
+HEAD_WINDOWS = (0.5, 1.2)
+"""Half widths and heights of the head: standard deviations of the windows for its flesh."""
 
-BLOB_COST = 1.0
+HEAD_SCORES = (5.0, 0.2)
+"""Nats of a place with all the flesh of a head, where no face is detected; probability of a head without."""
+
+NECK_RADIUS, NO_NECK = 0.28, -9.0
+"""Head heights: of bare flesh between head and shoulders; of none, since it is left out with all that rests."""
+
+BLOB_COST = 4.0
 """Nats: of what looks like a hand and is neither hand nor head."""
 
 BLOB_REACH = (0.6, 0.35, 0.35)
@@ -61,15 +74,16 @@ EDGE_SHARPNESS = 4.0
 NO_EDGE = 0.4
 """Probability that a point of the outline shows no edge of its own."""
 
-EDGE_POINTS = 50.0
+EDGE_POINTS = 20.0
 """Independent points of a whole outline: neighbours on it err together."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Maps:
-    """What is looked up for every pose: flesh in two windows, and edges."""
+    """What is looked up for every pose: flesh of hands, flesh of the head if it is not detected, edges."""
 
     flesh: tuple[Map, Map] | None
+    head: Map | None
     ratios: Map
 
 
@@ -99,13 +113,16 @@ class BodyLikelihood:
     def terms(self, image: BodyImage, poses: BodyPoses) -> Array:
         """`(3, n)` nats: what face, flesh and edges say, each up to a constant.
 
-        The face's is the image's mixture at the pose's head. Hands count with `hand_terms`, flesh that looks
-        like one more hand with `blob_terms`, the outline with `edge_terms`.
+        The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of flesh
+        stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,
+        flesh that looks like one more hand with `blob_terms`, the outline with `edge_terms`.
         """
         maps = self._last(self._maps, image)
         parts = self.body.parts(poses)
         terms = np.zeros((3, len(poses)))
         terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
+        if maps.head is not None:
+            head_terms(parts[:, 0], maps.head, _scales(maps.head, image), np.array(HEAD_SCORES), terms[0])
         if maps.flesh is not None:
             self._add_flesh(terms[1], image, maps.flesh, parts, poses.roots)
         outlines = silhouettes(self.body, poses)
@@ -119,21 +136,22 @@ class BodyLikelihood:
         self, term: Array, image: BodyImage, flesh: tuple[Map, Map], parts: Array, roots: Array
     ) -> None:
         body = self.body
-        height, width = image.size
-        rows, columns = flesh[0].shape
         hand_terms(
-            parts, roots, *flesh, np.array([columns / width, rows / height]),
+            parts, roots, *flesh, _scales(flesh[0], image),
             body.hand, body.hand * np.array(WINDOWS), 0.5 * np.array([body.head_width, body.head_height]),
-            NECK_RADIUS * body.head_height, np.array(FLESH_SCORES), term,
+            body.head_height * (NECK_RADIUS if image.moving is image.flesh else NO_NECK), np.array(FLESH_SCORES), term,
         )  # fmt: skip
         # the odds that a blob is a hand; what is hardly one need not be explained
         costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
         blob_terms(parts, image.blobs, costs, body.head_height * np.array(BLOB_REACH), term)
 
     def _maps(self, image: BodyImage) -> _Maps:
-        flesh = None if image.flesh is None else flesh_maps(image.flesh, self.body.hand)
-        unit = self.body.head_height
-        return _Maps(flesh, edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit))
+        unit, flesh, head = self.body.head_height, None, None
+        if image.flesh is not None and image.moving is not None:
+            flesh = flesh_maps(image.moving, self.body.hand)
+            if not image.mixtures.informative[0]:
+                head = head_map(image.flesh, self.body)
+        return _Maps(flesh, head, edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit))
 
 
 def flesh_maps(flesh: Map, hand: float) -> tuple[Map, Map]:
@@ -150,13 +168,43 @@ def flesh_maps(flesh: Map, hand: float) -> tuple[Map, Map]:
         px: radius. The maps have an entry each fifth of it, or each px.
     """
     shrink = min(CELLS / hand, 1.0)
-    height, width = (max(round(shrink * length), 2) for length in flesh.shape)
-    coarse = cv2.resize(flesh, (width, height), interpolation=cv2.INTER_AREA)
-    share = np.maximum(coarse, np.float32(0)) * np.float32(1 / MOST_FLESH)
+    share = _share(flesh, shrink)
     centre, surround = (
         np.asarray(cv2.GaussianBlur(share, (0, 0), window * shrink * hand), np.float32) for window in WINDOWS
     )
     return centre, surround
+
+
+def head_map(flesh: Map, body: UpperBody) -> Map:
+    """How much more flesh there is in a head's place than around it, 1 for an ellipse of nothing else.
+
+    Parameters
+    ----------
+    flesh
+        `(height, width)` float32 nats: log odds.
+    body
+        of the head.
+    """
+    shrink = min(CELLS / body.hand, 1.0)
+    share = _share(flesh, shrink)
+    across, down = 0.5 * shrink * body.head_width, 0.5 * shrink * body.head_height
+    inner, outer = (
+        cv2.GaussianBlur(share, (0, 0), window * across, sigmaY=window * down) for window in HEAD_WINDOWS
+    )
+    ideal = np.exp(-0.5 / HEAD_WINDOWS[1] ** 2) - np.exp(-0.5 / HEAD_WINDOWS[0] ** 2)
+    return np.asarray((inner - outer) / np.float32(ideal), np.float32)
+
+
+def _share(flesh: Map, shrink: float) -> Map:
+    """Flesh from 0 to 1, in a picture that is `shrink` times as large."""
+    height, width = (max(round(shrink * length), 2) for length in flesh.shape)
+    coarse = cv2.resize(flesh, (width, height), interpolation=cv2.INTER_AREA)
+    return np.maximum(coarse, np.float32(0)) * np.float32(1 / MOST_FLESH)
+
+
+def _scales(coarse: Map, image: BodyImage) -> Array:
+    """`(2,)`: entries of a coarse map a px of the image, along x and y."""
+    return np.divide(coarse.shape[::-1], image.size[::-1])
 
 
 def edge_ratios(image: BodyImage, spread: float, around: float) -> Map:

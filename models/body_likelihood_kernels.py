@@ -95,8 +95,23 @@ def hand_terms(parts, roots, centre, surround, scales, hand, windows, head, neck
         apart = np.sqrt(squared) / (_f4(2.0) * radius)
         if apart < _f4(1.0):  # share of a disc that the other one covers: they see the same flesh once
             shared = (np.arccos(apart) - apart * np.sqrt(_f4(1.0) - apart * apart)) * _f4(2.0 / np.pi)
-            total -= shared * max(least, _f4(0.0))
+            total -= min(_f4(2.0) * shared, _f4(1.0)) * max(least, _f4(0.0))
         out[k] += total
+
+
+@compiled
+def head_terms(heads, contrast, scales, scores, out):
+    """Log likelihood ratios of flesh where the head is to be, added to `out` `(n,)`.
+
+    `heads` are `(n, 2)` px; `contrast`, up to 1, is how much more flesh there is in a head's place than
+    around it, `scales` `(2,)` its entries a px; `scores` `(2,)`: nats of a full one, probability of none.
+    """
+    full, hidden = _f4(scores[0]), _f4(scores[1])
+    for k in range(len(heads)):
+        column = (_f4(heads[k, 0]) + _f4(0.5)) * _f4(scales[0]) - _f4(0.5)
+        row = (_f4(heads[k, 1]) + _f4(0.5)) * _f4(scales[1]) - _f4(0.5)
+        response = min(max(_at(contrast, column, row), _f4(0.0)), _f4(1.0))
+        out[k] += _seen_or_not(full * response, hidden)
 
 
 @compiled

@@ -4,15 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from .body_image import BodyImage, edge_distances
 from .face_detectors import HaarFaces, PartDetector
 from .flesh_blobs import FleshBlobs, flesh_blobs
-from .flesh_colour import FleshColour
+from .flesh_colour import HIGHEST, FleshColour
 from .frame import Frame
 from .gaussian_mixtures import GaussianMixtures
+from .still_flesh import still_flesh
 from .upper_body import PARTS
 
 Array = NDArray[np.float64]
@@ -99,11 +101,14 @@ class BodyParts:
         the person's flesh colour; without it (grey video), the image says nothing of the hands but edges.
     detector
         of faces; without it, the head is where a head's size of flesh is.
+    still
+        `(height, width)` nats: `still_flesh` of the clip, which hands are told from.
     """
 
     head_height: float
     flesh: FleshColour | None = None
     detector: PartDetector | None = None
+    still: NDArray[np.float32] | None = None
     name: str = "parts"
 
     def __post_init__(self) -> None:
@@ -133,7 +138,9 @@ class BodyParts:
         height = float(np.median([box[3] for box in boxes]))
         if isinstance(detector, HaarFaces):
             detector = replace(detector, height=height)
-        return cls(HEAD_OF_BOX * height, FleshColour.learned(seen, np.array(boxes)), detector)
+        flesh = FleshColour.learned(seen, np.array(boxes))
+        still = None if flesh is None else still_flesh(flesh, [images[number] for number in chosen])
+        return cls(HEAD_OF_BOX * height, flesh, detector, still)
 
     def uniform(self) -> PartMessage:
         """The message that says nothing."""
@@ -166,13 +173,14 @@ class BodyParts:
         spread = np.diag(np.square(np.array(HEAD_SPREAD) * height))
         covariances = np.broadcast_to(spread, (len(faces), 2, 2)).copy()
         heads = FleshBlobs(centres, covariances, np.zeros(len(faces)))
-        hands = FleshBlobs.none()
+        hands, moving = FleshBlobs.none(), None
         found, false = FACE_FOUND, FALSE_FACES
         if flesh is not None:
             known = centres if len(faces) else self._known_head(prior, image.shape)
-            bare = height * np.array([HEAD_ELLIPSE, NECK_ELLIPSE])
-            ellipses = np.concatenate([np.hstack([known, np.zeros_like(known)]) + each for each in bare])
-            hands = flesh_blobs(flesh, HAND_RADIUS * height, ellipses)
+            faces_there = _ellipses(known, HEAD_ELLIPSE, height)
+            moving = self._moving(flesh, faces_there)
+            bare = [faces_there] if moving is not flesh else [faces_there, _ellipses(known, NECK_ELLIPSE, height)]
+            hands = flesh_blobs(moving, HAND_RADIUS * height, np.concatenate(bare))
             if not len(faces):
                 heads, found, false = flesh_blobs(flesh, HEAD_BLOB * height), HEAD_FLESH, FALSE_HEADS
         area = image.shape[0] * image.shape[1]
@@ -190,6 +198,7 @@ class BodyParts:
         edges, directions = edge_distances(image, EDGE_REACH * height)
         seen = BodyImage(
             flesh,
+            moving,
             edges,
             directions,
             faces,
@@ -202,11 +211,25 @@ class BodyParts:
         )
         return PartMessage(self.uniform().told, seen)
 
+    def _moving(self, flesh: NDArray[np.float32], faces: Array) -> NDArray[np.float32]:
+        """Flesh less what is there all the time; but faces are told from hands otherwise, since heads move."""
+        if self.still is None or self.still.shape != flesh.shape:
+            return flesh
+        still = self.still.copy()
+        for x, y, across, down in faces:
+            cv2.ellipse(still, ((x, y), (2 * across, 2 * down), 0.0), 0.0, cv2.FILLED)
+        return np.maximum(flesh - still, np.float32(-HIGHEST))
+
     def _known_head(self, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: the head's centre, k = 1, if the chains know it."""
         means, covariances = prior.told.moments(float(shape[0] * shape[1]), (shape[1] / 2, shape[0] / 2))
         known = np.linalg.eigvalsh(covariances[0])[-1] < (KNOWN * self.head_height) ** 2
         return means[:1] if known else np.zeros((0, 2))
+
+
+def _ellipses(heads: Array, shape: tuple[float, ...], height: float) -> Array:
+    """`(k, 4)` px: an ellipse each of heads `(k, 2)`."""
+    return np.hstack([heads, np.zeros_like(heads)]) + height * np.array(shape)
 
 
 def _recentred(centres: Array, flesh: NDArray[np.float32], height: float) -> Array:

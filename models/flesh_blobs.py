@@ -30,7 +30,7 @@ level. On 16 frames of a real signer, hands had 0.6 and clutter -0.6 on average,
 OF_HEAD = 0.3
 """As much does the head's flesh count when a hand's middle is worked out."""
 
-HIDDEN_BY_HEAD = 2.0
+HIDDEN_BY_HEAD = 6.0
 """Nats: the face has such places of its own, and a hand in front of it adds no flesh."""
 
 ONE_HAND = 0.9

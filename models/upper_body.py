@@ -183,7 +183,7 @@ class UpperBody:
         share = np.clip(y / self.torso_height, 0, 1)
         half = 0.5 * (self.shoulder_width + share * (self.torso_width - self.shoulder_width))
         inside: Mask = (np.abs(x) < 0.8 * half) & (y > 0) & (y < self.torso_height)
-        return inside & (z > -0.25 * self.head_height)
+        return inside & (z > -0.45 * self.head_height)
 
 
 def _down(vectors: Array) -> Array:
@@ -202,7 +202,7 @@ def _down(vectors: Array) -> Array:
 PROPORTIONS = {
     "head_width": 0.72,
     "neck": 0.89,
-    "shoulder_width": 1.7,
+    "shoulder_width": 1.45,
     "upper_arm": 1.4,
     "forearm": 1.5,
     "hand": 0.3,
@@ -210,6 +210,6 @@ PROPORTIONS = {
     "forearm_width": 0.36,
     "wrist_width": 0.25,
     "torso_height": 2.0,
-    "torso_width": 1.4,
+    "torso_width": 1.25,
 }
 """Lengths of a usual body over the height of its head."""

@@ -16,6 +16,7 @@ from rsmcm.models.body_likelihood import (
     EDGE_SPREAD,
     EDGE_WINDOW,
     FLESH_SCORES,
+    HEAD_SCORES,
     NECK_RADIUS,
     NO_EDGE,
     WINDOWS,
@@ -304,12 +305,18 @@ def test_without_colour_hands_are_known_by_edges_alone() -> None:
     assert np.ptp(terms[EDGES]) > 1
 
 
-def test_without_a_face_the_head_is_known_by_edges_alone() -> None:
-    poses = scattered(20, np.random.default_rng(3))
-    image = replace(seen(signing()), mixtures=GaussianMixtures.uniform(3))
-    terms = BodyLikelihood(BODY).terms(image, poses)
-    np.testing.assert_allclose(terms[HEAD], 0, atol=1e-12)
-    assert np.isfinite(terms).all()
+def test_without_a_face_the_head_is_where_its_flesh_is() -> None:
+    poses = scattered(200, np.random.default_rng(3), 0.8)
+    missed = replace(seen(signing()), mixtures=GaussianMixtures.uniform(3))
+    term = BodyLikelihood(BODY).terms(missed, poses)[HEAD]
+    off = np.linalg.norm(BODY.parts(poses)[:, 0] - BODY.parts(signing())[:, 0], axis=1) / BODY.head_height
+    assert term[off.argmin()] > 0.9 * HEAD_SCORES[0] + np.log(1 - HEAD_SCORES[1])
+    assert term[off < 0.2].min() > term[off > 0.6].max() + 1
+    far = replace(signing(), roots=np.array([[80.0, 300.0]]))
+    assert BodyLikelihood(BODY).terms(missed, far)[HEAD] == pytest.approx(0, abs=0.01)
+    grey = BodyLikelihood(BODY).terms(replace(missed, flesh=None), poses)
+    assert not grey[HEAD].any()
+    assert np.isfinite(grey).all()
 
 
 def test_an_empty_picture_says_next_to_nothing() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from rsmcm.apps.body_measures import BodyTrial
 from rsmcm.apps.body_overlay import TrackedBody
-from rsmcm.apps.body_trials import BodyTrial
 from rsmcm.apps.reproduce import body
 
 from .conftest import names
