@@ -527,7 +527,7 @@ def face_background(*, out: Path = Path("results/face-background")) -> int:
 
 
 @reproduce.command(name="body")
-def body_figure(*, out: Path = Path("results/body")) -> int:
+def body_figure(*, out: Path = Path("results/body-comparison")) -> int:
     """Figure 6 of the RSMCM paper: likelihood sampling with and without feedback, and CONDENSATION.
 
     Parameters

@@ -61,6 +61,10 @@ SEQUENCES = {
         ("sfm_shape_3448.bin", "expression_blendshapes_3448.bin", "sfm_reference.obj", "ibug_to_sfm.txt"),
         "https://github.com/patrikhuber/eos/tree/master/share",
     ),
+    "signer": Sequence(
+        ("signseg_demo_video.mp4",),
+        "https://github.com/RenzKa/sign-segmentation (demo/sample_data/demo_video.mp4)",
+    ),
     "candide3": Sequence(("candide3.wfm",), "http://www.icg.isy.liu.se/candide"),
 }
 

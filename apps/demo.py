@@ -1,22 +1,34 @@
 """The main job on a generated scene: write it to disk, run on it as on any other source, compare.
 
-Tracks of a turning cylinder and a film of a talking face are written beside it, for the other applications.
+Tracks of a turning cylinder and films of a talking face and of a signer are written beside it, for the other
+applications.
 """
 
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..models.upper_body import JOINTS
 from .background import Job, run_background
+from .body_files import COLUMNS
 from .claims import in_columns
 from .compare import run_compare
 from .progress import Progress
-from .results import write_atomically, write_image
-from .scenes import FaceScene, Scene, cylinder, face, sleeping_man
+from .results import write_atomically, write_image, write_text
+from .scenes import FaceScene, Scene, SignerScene, cylinder, face, signer, sleeping_man
 
 N_FRAMES = 400
 FACE_FRAMES = 100
+BODY_FRAMES = 100
+
+SIGNER = 2
+"""Seed of the signer."""
+
+CLICKED_FRAMES = 5
+"""Of the signer, in which joints are given."""
 
 P_LOOSE = 0.1
 PX, MIDDLE = 100.0, (320.0, 240.0)
@@ -29,7 +41,8 @@ def run_demo(out: Path) -> int | None:
     Parameters
     ----------
     out
-        folder; holds the scene (in CDnet's layout), `cylinder.npz`, `face` and the results afterwards.
+        folder; holds the scene (in CDnet's layout), `cylinder.npz`, `face`, `body` and the results
+        afterwards.
 
     Returns
     -------
@@ -45,6 +58,7 @@ def run_demo(out: Path) -> int | None:
     write_scene(sleeping_man(N_FRAMES), scene)
     write_cylinder(out / "cylinder.npz")
     write_face(face(FACE_FRAMES, light=0.5), out / "face")
+    write_body(signer(BODY_FRAMES, SIGNER, detector_dropout=0.05, clutter=0.5), out / "body")
     job = Job(str(scene / "input"), out, overwrite=True, ground_truth=scene)
     outcome = run_background(job)
     if outcome.signal is None:
@@ -100,12 +114,37 @@ def write_face(scene: FaceScene, folder: Path) -> None:
     OSError
         if the folder cannot be written to.
     """
-    if (folder / "input").exists():
-        shutil.rmtree(folder / "input")
-    (folder / "input").mkdir(parents=True)
-    with Progress("face", len(scene)) as progress:
-        for number, image in enumerate(scene.images(), start=1):
-            write_image(folder / "input" / f"in{number:06d}.png", image)
-            progress.update()
+    _write_film("face", scene.images(), len(scene), folder / "input")
     with write_atomically(folder / "landmarks.npy") as unfinished:
         np.save(unfinished, scene.vertices)
+
+
+def write_body(scene: SignerScene, folder: Path) -> None:
+    """Write a film of a signer as images, and the joints in a few frames as if clicked (`joints.csv`).
+
+    An earlier film in the folder is replaced.
+
+    Raises
+    ------
+    OSError
+        if the folder cannot be written to.
+    """
+    _write_film("signer", scene.images(), len(scene), folder / "input")
+    clicked = np.unique(np.linspace(0, len(scene) - 1, CLICKED_FRAMES).astype(int))
+    lines = [
+        f"{index + 1},{name},{x:.1f},{y:.1f}"
+        for index in clicked
+        for name, (x, y) in zip(JOINTS, scene.joints[index, :, :2], strict=True)
+    ]
+    write_text(folder / "joints.csv", "\n".join([",".join(COLUMNS), *lines, ""]))
+
+
+def _write_film(name: str, images: Iterator[NDArray[np.uint8]], count: int, folder: Path) -> None:
+    """Write `count` images, numbered from 1; an earlier film in the folder is replaced."""
+    if folder.exists():
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True)
+    with Progress(name, count) as progress:
+        for number, image in enumerate(images, start=1):
+            write_image(folder / f"in{number:06d}.png", image)
+            progress.update()

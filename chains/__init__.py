@@ -1,8 +1,10 @@
 """Pluggable chains, one a file."""
 
 from .adaptive_background import AdaptiveBackground
+from .articulated_pose import ArticulatedPose
 from .blob_tracker import BlobTracker
 from .factor_structure import FactorStructure
+from .flesh_tracker import FleshTracker
 from .gflow import GFlow
 from .ground_plane import GroundPlane
 from .mixture_background import MixtureBackground
@@ -11,8 +13,10 @@ from .recursive_structure import RecursiveStructure
 
 __all__ = [
     "AdaptiveBackground",
+    "ArticulatedPose",
     "BlobTracker",
     "FactorStructure",
+    "FleshTracker",
     "GFlow",
     "GroundPlane",
     "MixtureBackground",

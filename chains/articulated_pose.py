@@ -28,8 +28,14 @@ from ..models.upper_body import UpperBody
 
 Array = NDArray[np.float64]
 
+CANDIDATES = 2
+"""Poses that are drawn at first, over those that are kept."""
+
 FIRST = 10
 """Samples of the first frame, where nothing is known of the arms, over those of the others."""
+
+IMAGE_ONLY = 0.4
+"""Share of a part's draws for which other chains are not asked."""
 
 GROUPS = 4
 """Gaussians by which each part is predicted."""
@@ -116,8 +122,8 @@ class ArticulatedPose:
             return stationary(state, told.log_values(self.body.parts(state.poses)).sum(axis=1))
         random = copy.deepcopy(state.random)
         past = _past(state)
-        n = self.samples if past else FIRST * self.samples
-        proposal = self._sampler.draw(self._proper(message.mixtures, state), past, n, random)
+        n = (CANDIDATES if past else FIRST) * self.samples
+        proposal = self._sampler.draw(self._mixtures(message, image.mixtures, state), past, n, random)
         poses = proposal.poses
         if not len(poses):
             return stationary(state, np.zeros(len(state.poses)))
@@ -135,7 +141,7 @@ class ArticulatedPose:
 
         prior = log_prior(poses)
         found = temper(
-            self.dynamics, poses, prior - proposal.log_density, log_prior, log_likelihood, random
+            self.dynamics, poses, prior - proposal.log_density, log_prior, log_likelihood, self.samples, random
         )
         return replace(
             state,
@@ -148,13 +154,21 @@ class ArticulatedPose:
             random=random,
         )
 
-    def _proper(self, mixtures: GaussianMixtures, state: BodySamples) -> GaussianMixtures:
-        """What was not detected is where it is predicted to be."""
+    def _mixtures(
+        self, message: PartMessage, seen: GaussianMixtures, state: BodySamples
+    ) -> GaussianMixtures:
+        """What parts are drawn from: all that is said, and now and then only what the image says.
+
+        Other chains may be mistaken; a part that they do not expect where it is must be drawn to be found.
+        What was not detected is where it is predicted to be.
+        """
         places, weights = self.body.parts(state.poses), state.weights
         means = np.einsum("n,npx->px", weights, places)
         apart = places - means
         covariances = np.einsum("n,npx,npy->pxy", weights, apart, apart) + LEAST_SPREAD**2 * np.eye(2)
-        return mixtures.proper(np.log(float(state.size[0]) * state.size[1]), means, covariances)
+        area = np.log(float(state.size[0]) * state.size[1])
+        all_said, image_only = (each.proper(area, means, covariances) for each in (message.mixtures, seen))
+        return all_said.blended(image_only, IMAGE_ONLY)
 
 
 def _past(state: BodySamples) -> Past | None:

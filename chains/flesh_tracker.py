@@ -33,7 +33,7 @@ UNNOTICED = 60.0
 """s, time constant with which it is forgotten which hand is which: they may be exchanged unnoticed."""
 
 LEAST_EXCHANGED, MOST_TRUST = 0.01, 0.8
-"""Of what the tracker tells others: it may be wrong about itself."""
+"""However long it goes well, the tracker may be wrong about a part, or about which hand is which."""
 
 LEAST = 1e-6
 """Smallest probability that a part is where it should be, or that it is not."""
@@ -171,7 +171,7 @@ class FleshTracker:
         anywhere, other = self._anywhere(state), _exchanged(state)
         # of each hand on its own, so that the pair of them is exchanged with this probability
         swapped = np.sqrt(max(state.exchanged, LEAST_EXCHANGED))
-        sure, other_sure = MOST_TRUST * state.trust, MOST_TRUST * other.trust
+        sure, other_sure = state.trust, other.trust
         own_share, other_share = sure * (1 - swapped), other_sure * swapped
         own_share[HEAD], other_share[HEAD] = sure[HEAD], 0.0
         shares = np.stack([own_share, other_share, 1 - own_share - other_share], axis=1)
@@ -278,7 +278,7 @@ class _Look:
             state,
             means=np.where(heard[:, None], parts.means, state.means),
             covariances=np.where(heard[:, None, None], covariances, state.covariances),
-            trust=np.where(heard, located * best.shares, state.trust),
+            trust=np.where(heard, np.minimum(located * best.shares, MOST_TRUST), state.trust),
             exchanged=min(exchanged, 0.5),
             unseen=np.where(taken, 0.0, state.unseen),
             labels=labels,

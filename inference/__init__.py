@@ -1,5 +1,6 @@
 """How beliefs move: what chains and features promise, the graph of them, and the engines."""
 
+from .condensation import Condensation
 from .coordinate_ascent import CoordinateAscent, Solution
 from .graph import MultiChain
 from .protocols import BatchChain, Chain, FeatureNode, Incoming, Message
@@ -9,6 +10,7 @@ __all__ = [
     "BatchChain",
     "Belief",
     "Chain",
+    "Condensation",
     "CoordinateAscent",
     "FeatureNode",
     "Incoming",

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models.arm_inverse import arm_at
+from ..models.body_kernels import lean
 from ..models.body_poses import BodyPoses
 from ..models.upper_body import UpperBody
 from .body_dynamics_kernels import least_squares_to_rows, mixture_values
@@ -18,6 +19,9 @@ USUAL_UPPER_ARMS = np.array([[0.2, 0.9, -0.35], [-0.2, 0.9, -0.35]])
 USUAL_UPPER_ARMS /= np.linalg.norm(USUAL_UPPER_ARMS, axis=1, keepdims=True)
 USUAL = np.float64(2.0)
 """Middle and concentration of a person's upper arms: mostly they hang down."""
+
+CROSSED = 1.5
+"""Nats by which it is less probable in a frame that hands are on the other's side by a head's height."""
 
 LEAST_FLOOR = 1e-15
 """Of an arm's density by its peak: the product of two is still a number of single precision."""
@@ -84,7 +88,7 @@ class BodyDynamics:
         return BodyPoses(roots, necks, arms)
 
     def log_density(self, poses: BodyPoses, ancestors: BodyPoses, weights: Array, dt: float) -> Array:
-        """Log of the mixture of p(x | ancestor) over ancestors, for every pose.
+        """Log of the mixture of p(x | ancestor) over ancestors, for every pose, with `log_posture`.
 
         Density in px^2 of the place, rad^3 of the neck's rotations and solid angle of the four directions.
         The sum is taken relative to its largest place, and an arm's factor has a floor, so that nothing
@@ -125,7 +129,17 @@ class BodyDynamics:
             floors, values,
         )  # fmt: skip
         gaussian = -np.log(2 * np.pi * place**2) - 1.5 * np.log(2 * np.pi * neck**2)
-        return gaussian + 2 * np.log(peak) + np.log(values.astype(np.float64)) - 0.5 * least
+        walk = gaussian + 2 * np.log(peak) + np.log(values.astype(np.float64)) - 0.5 * least
+        return np.asarray(walk + self.log_posture(poses))
+
+    def log_posture(self, poses: BodyPoses) -> Array:
+        """`(n,)` nats, at most 0: how much less usual a posture is than one with each hand on its own side.
+
+        Hands change places seldom and not for long; where they cannot be told apart, this decides.
+        """
+        hands = self.body.parts(poses)[:, 1:, 0]
+        across = (hands[:, 1] - hands[:, 0]) / self.body.head_height
+        return np.asarray(-CROSSED * np.clip(across, 0, 1))
 
     def with_exchanged(
         self, poses: BodyPoses, weights: Array, dt: float, random: np.random.Generator
@@ -169,12 +183,12 @@ class BodyDynamics:
         return poses
 
     def log_density_anywhere(self, poses: BodyPoses, size: tuple[int, int]) -> Array:
-        """`(n,)` log density of `draw_anywhere`, but for the factor that makes up for joints' limits."""
+        """`(n,)` log density of `draw_anywhere` times that of the posture, but for a constant factor."""
         height, width = size
         square = (poses.necks**2).sum(axis=1) / self.neck**2
         place = -np.log(float(height) * width)
         neck = -1.5 * np.log(2 * np.pi * self.neck**2) - 0.5 * square
-        return np.asarray(place + neck + _log_usual(poses.arms).sum(axis=1))
+        return np.asarray(place + neck + _log_usual(poses.arms).sum(axis=1) + self.log_posture(poses))
 
     def neck_step(self, dt: float) -> tuple[float, float]:
         """Share of a neck's rotation that is left after `dt` seconds, and standard deviation of what comes."""
@@ -197,12 +211,10 @@ def around(directions: Array, concentration: float, random: np.random.Generator)
     shape = directions.shape[:-1]
     share = random.random(shape)
     cosine = 1 + np.log(share + (1 - share) * np.exp(-2 * concentration)) / concentration
-    angle = 2 * np.pi * random.random(shape)
-    sine = np.sqrt(np.maximum(1 - cosine**2, 0.0))
-    one, other = _across(directions)
-    side = np.cos(angle)[..., None] * one + np.sin(angle)[..., None] * other
-    drawn = cosine[..., None] * directions + sine[..., None] * side
-    return np.asarray(drawn / np.linalg.norm(drawn, axis=-1, keepdims=True))
+    turns = 2 * np.pi * random.random(shape)
+    drawn = np.empty((*shape, 3))
+    lean(directions.reshape(-1, 3), cosine.reshape(-1), turns.reshape(-1), drawn.reshape(-1, 3))
+    return drawn
 
 
 def usual_arms(n: int, random: np.random.Generator) -> Array:
@@ -227,18 +239,5 @@ def _peak(concentrations: Array) -> Array:
 def anywhere(shape: tuple[int, ...], random: np.random.Generator) -> Array:
     """Unit vectors `(*shape, 3)`, evenly over the sphere."""
     drawn = random.standard_normal((*shape, 3))
-    return np.asarray(drawn / np.linalg.norm(drawn, axis=-1, keepdims=True))
-
-
-def _across(directions: Array) -> tuple[Array, Array]:
-    """Two unit vectors at right angles to each direction and to each other, without a square root.
-
-    Duff et al., "Building an orthonormal basis, revisited", JCGT 2017.
-    """
-    x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
-    sign = np.copysign(1.0, z)
-    a = -1 / (sign + z)
-    b = x * y * a
-    one = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
-    other = np.stack([b, sign + y * y * a, -y], axis=-1)
-    return one, other
+    drawn /= np.sqrt(np.einsum("...x,...x->...", drawn, drawn))[..., None]
+    return drawn

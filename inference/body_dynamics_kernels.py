@@ -8,18 +8,25 @@ _f4 = np.float32
 
 
 @compiled
+def _squares_to_rows(point, rows, squares):
+    """Squared distances `(k,)` of a point `(d,)` to rows `(d, k)`, axis after axis so that vectors are used."""
+    squares[:] = _f4(0.0)
+    for axis in range(len(rows)):
+        place, row = point[axis], rows[axis]
+        for j in range(len(squares)):
+            step = place - row[j]
+            squares[j] += step * step
+
+
+@compiled
 def least_squares_to_rows(points, rows, least):
     """For each point `(n, d)` the least squared distance to any row `(d, k)`; float32, filled into `least`."""
-    n, d = points.shape
-    k = rows.shape[1]
-    for i in range(n):
+    squares = np.empty(rows.shape[1], np.float32)
+    for i in range(len(points)):
+        _squares_to_rows(points[i], rows, squares)
         best = _f4(3e38)
-        for j in range(k):
-            square = _f4(0.0)
-            for axis in range(d):
-                step = points[i, axis] - rows[axis, j]
-                square += step * step
-            best = min(best, square)
+        for j in range(len(squares)):
+            best = min(best, squares[j])
         least[i] = best
 
 
@@ -47,10 +54,11 @@ def mixture_values(
     values
         `(n,)` filled in.
     """
-    n, d = body.shape
     k = ancestors.shape[1]
     upper, fore = concentrations[0], concentrations[1]
-    for i in range(n):
+    squares = np.empty(k, np.float32)
+    for i in range(len(body)):
+        _squares_to_rows(body[i], ancestors, squares)
         total = _f4(0.0)
         a0, a1, a2 = arms[i, 0], arms[i, 1], arms[i, 2]
         a3, a4, a5 = arms[i, 3], arms[i, 4], arms[i, 5]
@@ -58,11 +66,7 @@ def mixture_values(
         b3, b4, b5 = arms[i, 9], arms[i, 10], arms[i, 11]
         nearest, floor, floor_2 = least[i], floors[i, 0], floors[i, 1]
         for j in range(k):
-            square = _f4(0.0)
-            for axis in range(d):
-                step = body[i, axis] - ancestors[axis, j]
-                square += step * step
-            place = exponential(_f4(-0.5) * (square - nearest))
+            place = exponential(_f4(-0.5) * (squares[j] - nearest))
             left = upper * (
                 a0 * ancestor_arms[0, j] + a1 * ancestor_arms[1, j] + a2 * ancestor_arms[2, j] - _f4(1.0)
             ) + fore * (

@@ -16,7 +16,7 @@ from ..models.upper_body import UpperBody
 from .body_dynamics import BodyDynamics
 from .body_samples import BodySamples, part_message
 from .protocols import Incoming
-from .resampling import systematic
+from .resampling import normalised, systematic
 
 Array = NDArray[np.float64]
 
@@ -37,6 +37,10 @@ class Dynamics(Protocol):
 
     def draw(self, poses: BodyPoses, dt: float, random: np.random.Generator, /) -> BodyPoses:
         """Move every pose by `dt` seconds at random."""
+        ...
+
+    def log_posture(self, poses: BodyPoses, /) -> Array:
+        """`(n,)` nats: how usual poses are at any time."""
         ...
 
     def draw_anywhere(self, n: int, size: tuple[int, int], random: np.random.Generator, /) -> BodyPoses:
@@ -124,6 +128,7 @@ class Condensation:
         log_weights = np.full(self.samples, -np.log(some))
         if 0 < some < self.samples:
             log_weights[~allowed] = -np.inf
+        log_weights = normalised(log_weights + self._dynamics.log_posture(poses))
         return replace(
             state,
             poses=poses,

@@ -81,7 +81,7 @@ class LikelihoodSampler:
     """
 
     dynamics: BodyDynamics
-    anywhere: float = 0.1
+    anywhere: float = 0.3
     breadth: float = 1.0
 
     @property

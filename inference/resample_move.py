@@ -66,6 +66,7 @@ def temper(
     log_weights: Array,
     log_prior: LogDensity,
     log_likelihood: LogDensity,
+    n: int,
     random: np.random.Generator,
 ) -> Tempered:
     """Bring samples from the prior to the posterior in a few steps.
@@ -76,13 +77,14 @@ def temper(
     Parameters
     ----------
     poses, log_weights
-        n samples, and what makes them samples of the prior.
+        samples, n or more, and what makes them samples of the prior.
     log_prior
         of the poses, up to a constant; minus infinity where a pose is impossible.
     log_likelihood
         likewise.
+    n
+        samples that are wanted.
     """
-    n = len(poses)
     likelihood, prior = log_likelihood(poses), log_prior(poses)
     power, evidence, moves, accepted = 0.0, 0.0, 0, 0
     for step in range(MOST_STEPS):
@@ -92,7 +94,7 @@ def temper(
         log_weights = log_weights + rise * likelihood
         peak = float(log_weights.max())
         evidence += peak + float(np.log(np.exp(log_weights - peak).mean()))
-        if power >= 1 and _effective(log_weights) > KEPT * n:
+        if power >= 1 and len(poses) == n and _effective(log_weights) > KEPT * n:
             return Tempered(poses, normalised(log_weights), evidence, accepted / max(moves, 1))
         chosen = systematic(log_weights, n, random)
         poses, likelihood, prior = poses.take(chosen), likelihood[chosen], prior[chosen]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .body_poses import cross
+from .body_kernels import elbows, reach
 
 if TYPE_CHECKING:
     from .upper_body import UpperBody
@@ -41,25 +41,20 @@ def arm_at(body: "UpperBody", side: int, offsets: Array, swivels: Array) -> tupl
     reachable
         `(n,)`: whether hands can be there; the other arms are stretched, or folded, along the line to it.
     """
-    upper, fore = body.upper_arm, body.forearm
-    along, distance = _direction(offsets)
-    reachable = (distance <= upper + fore) & (distance >= abs(upper - fore)) & (distance > 0)
-    safe = np.where(distance > 0, distance, 1.0)
-    cosine = np.clip((upper**2 + distance**2 - fore**2) / (2 * upper * safe), -1, 1)
-    sine = np.sqrt(1 - cosine**2)
-    outwards, sideways = _circle(side, along)
-    across = np.cos(swivels)[:, None] * outwards + np.sin(swivels)[:, None] * sideways
-    arms = np.empty((len(offsets), 2, 3))
-    arms[:, 0] = cosine[:, None] * along + sine[:, None] * across
-    arms[:, 1], _ = _direction(offsets - upper * arms[:, 0])
+    arms, reachable = np.empty((len(offsets), 2, 3)), np.empty(len(offsets), np.bool_)
+    reach(
+        np.ascontiguousarray(offsets), np.ascontiguousarray(swivels),
+        body.upper_arm, body.forearm, 1.0 - 2.0 * side, REFERENCE, arms, reachable,
+    )  # fmt: skip
     return arms, reachable
 
 
 def swivels(side: int, arms: Array, body: "UpperBody") -> Array:
     """`(n,)` rad from -pi to pi: swivels, as `arm_at` takes them, of `arms` `(n, 2, 3)`."""
-    along, _ = _direction(body.upper_arm * arms[:, 0] + body.forearm * arms[:, 1])
-    outwards, sideways = _circle(side, along)
-    angles: Array = np.arctan2((arms[:, 0] * sideways).sum(-1), (arms[:, 0] * outwards).sum(-1))
+    upright, level = np.empty((2, len(arms)))
+    sign = 1.0 - 2.0 * side
+    elbows(np.ascontiguousarray(arms), body.upper_arm, body.forearm, sign, REFERENCE, upright, level)
+    angles: Array = np.arctan2(upright, level)
     return angles
 
 
@@ -69,34 +64,6 @@ def log_volume(body: "UpperBody", offsets: Array) -> Array:
     d(hand x, y, z) d(swivel) = r L1 L2 d(upper arm) d(forearm), where the directions have areas on unit
     spheres and L1, L2 are the lengths: a density over directions is that over places times r L1 L2.
     """
-    squares = np.maximum((offsets**2).sum(-1), np.finfo(np.float64).tiny)
+    squares = np.maximum(np.einsum("nx,nx->n", offsets, offsets), np.finfo(np.float64).tiny)
     volume: Array = 0.5 * np.log(squares) + np.log(body.upper_arm * body.forearm)
     return volume
-
-
-def _direction(offsets: Array) -> tuple[Array, Array]:
-    """Unit vectors along `offsets` `(n, 3)`, any where they are 0, and their lengths `(n,)`."""
-    length = np.sqrt((offsets**2).sum(-1))
-    nowhere = length == 0
-    along: Array = offsets / np.where(nowhere, 1.0, length)[:, None]
-    along[nowhere] = [0.0, 1.0, 0.0]
-    return along, length
-
-
-def _circle(side: int, along: Array) -> tuple[Array, Array]:
-    """Unit vectors across `along` `(n, 3)`: to the elbow at swivel 0 and at swivel pi/2."""
-    sign = 1.0 if side == 0 else -1.0
-    outwards = _across(REFERENCE * [sign, 1.0, 1.0], along)
-    length = np.sqrt((outwards**2).sum(-1))
-    lost = length < 1e-9
-    if lost.any():
-        outwards[lost] = _across(np.array([0.0, 0.0, -1.0]), along[lost])
-        length = np.sqrt((outwards**2).sum(-1))
-    outwards /= length[:, None]
-    return outwards, sign * cross(along, outwards)
-
-
-def _across(reference: Array, along: Array) -> Array:
-    """What of `reference` `(3,)` is perpendicular to `along` `(n, 3)`."""
-    perpendicular: Array = reference - (along @ reference)[:, None] * along
-    return perpendicular

@@ -26,7 +26,8 @@ def _at(picture, x, y):
 @inlined
 def _inside(distance, radius, spread):
     """Share of a Gaussian window that a large disc covers whose centre is so far from the window's."""
-    return _f4(1.0) / (_f4(1.0) + exponential(_f4(1.7) * (distance - radius) / spread))
+    steep = min(_f4(1.7) * (distance - radius) / spread, _f4(60.0))  # `exponential` ends at 80
+    return _f4(1.0) / (_f4(1.0) + exponential(steep))
 
 
 @inlined

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from .body_outline_kernels import outlines, paint
 from .body_poses import BodyPoses
+from .threads import over_bands
 
 if TYPE_CHECKING:
     from .upper_body import UpperBody
@@ -30,6 +31,9 @@ _HEAD_DEPTH = 0.85
 
 _RIM = np.float32(0.06)
 """Share of a part's squared radius that hides nothing, so that ends that touch do not hide each other."""
+
+_WORTH_THREADS = 500
+"""Poses from which several threads are faster than one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +69,20 @@ def silhouettes(body: "UpperBody", poses: BodyPoses) -> Silhouettes:
     m = len(part)
     points, normals = np.empty((n, m, 2), np.float32), np.empty((n, m, 2), np.float32)
     visible, backed = np.empty((n, m), np.bool_), np.empty((n, m), np.bool_)
-    outlines(
-        poses.roots, poses.necks, poses.arms, solid.lengths, solid.torso, solid.torso_points,
-        solid.torso_normals, circles, firsts, np.float32(0.02 * body.head_height),
-        _RIM,
-        points, normals, visible, backed,
-    )  # fmt: skip
+
+    def trace(first: int, end: int) -> None:
+        rows = slice(first, end)
+        outlines(
+            poses.roots[rows], poses.necks[rows], poses.arms[rows], solid.lengths, solid.torso,
+            solid.torso_points, solid.torso_normals, circles, firsts,
+            np.float32(0.02 * body.head_height), _RIM,
+            points[rows], normals[rows], visible[rows], backed[rows],
+        )  # fmt: skip
+
+    if n < _WORTH_THREADS:
+        trace(0, n)
+    else:
+        over_bands(trace, n)
     return Silhouettes(points, normals, visible, backed, part)
 
 

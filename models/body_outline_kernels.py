@@ -307,10 +307,12 @@ def outlines(
                 fronts[k] = _FAR
             for k in range(count):
                 least[k] = min(least[k], fronts[k])
+        at, shown, before = points[pose], visible[pose], backed[pose]
         for k in range(count):
-            points[pose, k, 0], points[pose, k, 1] = xs[k], ys[k]
+            at[k, 0], at[k, 1] = xs[k], ys[k]
+        for k in range(count):
             seen = least[k] >= depths[k] - tolerance
-            visible[pose, k], backed[pose, k] = seen, seen and least[k] < _FAR
+            shown[k], before[k] = seen, seen & (least[k] < _FAR)
 
 
 @compiled

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
+from .part_mixture_kernels import products, sums_of_densities
+
 Array = NDArray[np.float64]
 
 MOST_COMPONENTS = 32
@@ -16,6 +18,9 @@ MOST_COMPONENTS = 32
 
 NO_LABEL = -1
 LOG_TWO_PI = float(np.log(2 * np.pi))
+
+NO_WEIGHT = -1e30
+"""Log weight of a filler in kernels, where nothing is infinite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,27 +115,15 @@ class GaussianMixtures:
 
     def __mul__(self, other: Self) -> Self:
         a, b = self, other
-        left, right = a.covariances[:, :, None], b.covariances[:, None]
-        both = ~a.flat[:, :, None] & ~b.flat[:, None]
-        total = left + right
-        share = left @ np.linalg.inv(total)
-        step = b.means[:, None] - a.means[:, :, None]
-        mean = a.means[:, :, None] + np.einsum("pijxy,pijy->pijx", share, step)
-        covariance = share @ right
-        overlap = _log_density(step, total)
-        only = a.flat[:, :, None] & ~b.flat[:, None]  # the other's component stays as it is
-        mean = np.where(both[..., None], mean, np.where(only[..., None], b.means[:, None], a.means[:, :, None]))
-        covariance = np.where(both[..., None, None], covariance, np.where(only[..., None, None], right, left))
-        weights = a.log_weights[:, :, None] + b.log_weights[:, None] + np.where(both, overlap, 0.0)
+        n_parts, n, m = *a.log_weights.shape, b.log_weights.shape[1]
+        means, covariances = np.empty((n_parts, n * m, 2)), np.empty((n_parts, n * m, 2, 2))
+        overlaps = np.empty((n_parts, n * m))
+        products(a.means, a.covariances, a.flat, b.means, b.covariances, b.flat, means, covariances, overlaps)
+        weights = (a.log_weights[:, :, None] + b.log_weights[:, None]).reshape(n_parts, -1) + overlaps
         labels = np.where(a.labels[:, :, None] == NO_LABEL, b.labels[:, None], a.labels[:, :, None])
         flat = a.flat[:, :, None] & b.flat[:, None]
-        n = weights.shape[1] * weights.shape[2]
         return type(self)(
-            weights.reshape(-1, n),
-            mean.reshape(-1, n, 2),
-            (0.5 * (covariance + covariance.swapaxes(-1, -2))).reshape(-1, n, 2, 2),
-            flat.reshape(-1, n),
-            labels.reshape(-1, n),
+            weights, means, covariances, flat.reshape(n_parts, -1), labels.reshape(n_parts, -1)
         )._pruned()
 
     def take(self, parts: Sequence[int]) -> Self:
@@ -164,6 +157,17 @@ class GaussianMixtures:
             self.labels,
         )
 
+    def blended(self, other: Self, share: float) -> Self:
+        """Densities: this one, or with probability `share` the other one; both proper, each counted as 1."""
+        own, more = (each.log_weights - each.log_masses[:, None] for each in (self, other))
+        return type(self)(
+            np.concatenate([own + np.log1p(-share), more + np.log(share)], axis=1),
+            np.concatenate([self.means, other.means], axis=1),
+            np.concatenate([self.covariances, other.covariances], axis=1),
+            np.concatenate([self.flat, other.flat], axis=1),
+            np.concatenate([self.labels, other.labels], axis=1),
+        )
+
     @property
     def informative(self) -> NDArray[np.bool_]:
         """`(n_parts,)`: whether a part has any component that is not flat."""
@@ -181,9 +185,24 @@ class GaussianMixtures:
 
     def log_values(self, points: Array) -> Array:
         """`(n, n_parts)` logs of the functions at `points`, `(n, n_parts, 2)` px."""
-        step = points[:, :, None] - self.means
-        density = np.where(self.flat, 0.0, _log_density(step, self.covariances))
-        return np.asarray(logsumexp(self.log_weights + density, axis=2))
+        peaks, sums = np.empty((2, len(points), self.n_parts))
+        sums_of_densities(points, *self._middles, peaks, sums)
+        values = peaks + np.log(sums)
+        values[peaks < 0.5 * NO_WEIGHT] = -np.inf
+        return values
+
+    @cached_property
+    def _middles(self) -> tuple[Array, Array, Array]:
+        """Log heights, means and half precisions as `sums_of_densities` takes them."""
+        a, b, d = self.covariances[..., 0, 0], self.covariances[..., 0, 1], self.covariances[..., 1, 1]
+        determinant = np.where(self.flat, 1.0, a * d - b * b)
+        heights = self.log_weights - np.where(self.flat, 0.0, LOG_TWO_PI + 0.5 * np.log(determinant))
+        halves = np.where(self.flat, 0.0, 0.5 / determinant) * np.stack([d, -b, a])
+        return (
+            np.maximum(heights, NO_WEIGHT),
+            np.ascontiguousarray(self.means.swapaxes(1, 2)),
+            np.ascontiguousarray(halves.swapaxes(0, 1)),
+        )
 
     def log_overlaps(self, means: Array, covariances: Array) -> Array:
         """`(n_parts, n)` logs of the integrals of the functions times Gaussian densities.

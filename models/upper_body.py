@@ -1,13 +1,15 @@
 """The upper body of a person: lengths and widths of its segments, where its joints are, how far they turn."""
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import body_outline
-from .body_poses import BodyPoses, twists
+from .body_kernels import place_joints, place_parts, within_limits
+from .body_poses import BodyPoses
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -50,6 +52,14 @@ class JointLimits:
     inwards: float = np.radians(100)
     elbow: float = 2.6
     straight: float = 0.15
+
+    @cached_property
+    def numbers(self) -> Array:
+        """`(9,)`: the limits as `within_limits` takes them."""
+        centre = np.array(self.swing_centre) / np.linalg.norm(self.swing_centre)
+        middle, half = 0.5 * (self.inwards + self.outwards), 0.5 * (self.inwards - self.outwards)
+        bends = np.cos([self.elbow, self.straight])
+        return np.array([self.neck, *centre, np.cos(self.swing), middle, half, *bends])
 
 
 LIMITS = JointLimits()
@@ -137,19 +147,21 @@ class UpperBody:
 
     def joints(self, poses: BodyPoses) -> Array:
         """`(n, 8, 3)` px: where the `JOINTS` are; z is 0 at the root and grows away from the viewer."""
-        joints = np.zeros((len(poses), 8, 3))
-        joints[:, :, :2] = poses.roots[:, None]
-        joints[:, 0] -= self.neck * _down(poses.necks)
-        for side, sign in enumerate((1, -1)):
-            shoulder = 2 + 3 * side
-            joints[:, shoulder, 0] += sign * self.shoulder_width / 2
-            joints[:, shoulder + 1] = joints[:, shoulder] + self.upper_arm * poses.arms[:, side, 0]
-            joints[:, shoulder + 2] = joints[:, shoulder + 1] + self.forearm * poses.arms[:, side, 1]
+        joints = np.empty((len(poses), 8, 3))
+        place_joints(
+            poses.roots, poses.necks, poses.arms,
+            self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, joints,
+        )  # fmt: skip
         return joints
 
     def parts(self, poses: BodyPoses) -> Array:
         """`(n, 3, 2)` px: where head, left hand and right hand are seen."""
-        return self.joints(poses)[:, [0, 4, 7], :2]
+        parts = np.empty((len(poses), 3, 2))
+        place_parts(
+            poses.roots, poses.necks, poses.arms,
+            self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, parts,
+        )  # fmt: skip
+        return parts
 
     def silhouettes(self, poses: BodyPoses) -> body_outline.Silhouettes:
         """Outlines of `poses` in the picture, and which of their points are seen."""
@@ -161,42 +173,13 @@ class UpperBody:
 
     def allowed(self, poses: BodyPoses) -> Mask:
         """`(n,)`: whether every joint is within its limits and no arm goes through or behind the torso."""
-        limits = LIMITS
-        allowed: Mask = (poses.necks**2).sum(-1) <= limits.neck**2
-        upper, forearm = poses.arms[:, :, 0], poses.arms[:, :, 1]
-        bend = (upper * forearm).sum(-1)
-        centre = np.array(limits.swing_centre) / np.linalg.norm(limits.swing_centre)
-        centres = np.stack([centre, centre * [-1, 1, 1]])
-        allowed &= ((upper * centres).sum(-1) >= np.cos(limits.swing)).all(1)
-        allowed &= (bend >= np.cos(limits.elbow)).all(1)
-        inwards = twists(poses.arms) * [1, -1]
-        within = (inwards >= limits.outwards) & (inwards <= limits.inwards)
-        allowed &= (within | (bend > np.cos(limits.straight))).all(1)
-        joints = self.joints(poses)[:, [3, 4, 6, 7]]
-        joints[:, :, :2] -= poses.roots[:, None]
-        return allowed & ~self._in_torso(joints).any(1)
-
-    def _in_torso(self, points: Array) -> Mask:
-        """`(...)`: whether `points` `(..., 3)` px from the root are inside of the torso or behind it."""
-        x, y, z = points[..., 0], points[..., 1], points[..., 2]
-        # clothes are soft and bodies differ: what is near the border counts as outside
-        share = np.clip(y / self.torso_height, 0, 1)
-        half = 0.5 * (self.shoulder_width + share * (self.torso_width - self.shoulder_width))
-        inside: Mask = (np.abs(x) < 0.8 * half) & (y > 0) & (y < self.torso_height)
-        return inside & (z > -0.45 * self.head_height)
-
-
-def _down(vectors: Array) -> Array:
-    """`(n, 3)`: where (0, 1, 0) is turned by the rotation vectors `(n, 3)` rad (Rodrigues)."""
-    angle = np.sqrt((vectors**2).sum(-1))
-    sine = np.sinc(angle / np.pi)
-    versine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2  # (1 - cos) / angle^2 without its cancellation
-    x, y, z = vectors.T
-    turned: Array = (versine * y)[:, None] * vectors
-    turned[:, 0] -= sine * z
-    turned[:, 1] += np.cos(angle)
-    turned[:, 2] += sine * x
-    return turned
+        allowed = np.empty(len(poses), np.bool_)
+        torso = np.array([self.shoulder_width, self.torso_width, self.torso_height, 0.45 * self.head_height])
+        within_limits(
+            poses.necks, poses.arms, self.shoulder_width / 2, self.upper_arm, self.forearm,
+            LIMITS.numbers, torso, allowed,
+        )  # fmt: skip
+        return allowed
 
 
 PROPORTIONS = {

@@ -28,7 +28,12 @@ def plain_log_density(dynamics, poses, ancestors, weights, dt):
         for part, rate in enumerate((dynamics.upper_arm, dynamics.forearm)):
             kappa = 1 / (rate**2 * dt)
             cosine = poses.arms[:, side, part] @ ancestors.arms[:, side, part].T
-            smooth = smooth + kappa * cosine + np.log(kappa / (4 * np.pi)) - (kappa + np.log(-np.expm1(-2 * kappa) / 2))
+            smooth = (
+                smooth
+                + kappa * cosine
+                + np.log(kappa / (4 * np.pi))
+                - (kappa + np.log(-np.expm1(-2 * kappa) / 2))
+            )
         usual = 2 * poses.arms[:, side, 0] @ USUAL_UPPER_ARMS[side] + np.log(2 / (4 * np.pi * np.sinh(2)))
         jumped = np.log(jump) + usual - np.log(4 * np.pi)
         total += np.logaddexp(np.log1p(-jump) + smooth, jumped[:, None])
@@ -43,7 +48,7 @@ def test_mixture_is_that_of_the_plain_formula():
     near = dynamics.draw(ancestors.take(random.integers(60, size=150)), DT, random)
     far = some_poses(50, random)
     for poses in (near, far):
-        found = dynamics.log_density(poses, ancestors, weights, DT)
+        found = dynamics.log_density(poses, ancestors, weights, DT) - dynamics.log_posture(poses)
         assert found == pytest.approx(plain_log_density(dynamics, poses, ancestors, weights, DT), abs=2e-3)
 
 

@@ -70,7 +70,7 @@ def seen(poses: BodyPoses, *, without: tuple[int, ...] = (), discs: Array | None
     )
     blobs = np.concatenate([parts[[1 + side for side in (0, 1) if side not in without]], more])
     return BodyImage(
-        flesh, edges, directions, np.array([[*(heads[0] - 30), 60, 60]]), heads, spread,
+        flesh, flesh, edges, directions, np.array([[*(heads[0] - 30), 60, 60]]), heads, spread,
         blobs, np.tile(25 * np.eye(2), (len(blobs), 1, 1)), np.full(len(blobs), 1.5), mixtures,
     )  # fmt: skip
 
@@ -139,7 +139,7 @@ def plain_hands(image: BodyImage, parts: Array, roots: Array) -> Array:
         gains.append(np.log((1 - hidden) * np.exp(nats) + hidden))
     t = np.minimum(apart / (2 * r), 1)
     shared = 2 / np.pi * (np.arccos(t) - t * np.sqrt(1 - t**2))
-    total: Array = gains[0] + gains[1] - shared * np.maximum(np.minimum(*gains), 0)
+    total: Array = gains[0] + gains[1] - np.minimum(2 * shared, 1) * np.maximum(np.minimum(*gains), 0)
     return total
 
 
@@ -299,7 +299,7 @@ def test_flesh_that_nobody_explains_costs_a_little() -> None:
 
 def test_without_colour_hands_are_known_by_edges_alone() -> None:
     poses = scattered(20, np.random.default_rng(2))
-    grey = replace(seen(signing()), flesh=None)
+    grey = replace(seen(signing()), flesh=None, moving=None)
     terms = BodyLikelihood(BODY).terms(grey, poses)
     assert not terms[FLESH].any()
     assert np.ptp(terms[EDGES]) > 1
@@ -314,7 +314,7 @@ def test_without_a_face_the_head_is_where_its_flesh_is() -> None:
     assert term[off < 0.2].min() > term[off > 0.6].max() + 1
     far = replace(signing(), roots=np.array([[80.0, 300.0]]))
     assert BodyLikelihood(BODY).terms(missed, far)[HEAD] == pytest.approx(0, abs=0.01)
-    grey = BodyLikelihood(BODY).terms(replace(missed, flesh=None), poses)
+    grey = BodyLikelihood(BODY).terms(replace(missed, flesh=None, moving=None), poses)
     assert not grey[HEAD].any()
     assert np.isfinite(grey).all()
 
@@ -324,6 +324,7 @@ def test_an_empty_picture_says_next_to_nothing() -> None:
     image = replace(
         seen(signing()),
         flesh=np.full(SIZE, -4, np.float32),
+        moving=np.full(SIZE, -4, np.float32),
         edges=edges,
         edge_directions=directions,
         mixtures=GaussianMixtures.uniform(3),

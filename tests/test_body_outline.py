@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.body_outline import OUTLINE_PARTS, Silhouettes
 from rsmcm.models.body_poses import BodyPoses
+from rsmcm.models.threads import set_threads, thread_count
 from rsmcm.models.upper_body import UpperBody
 from scipy.spatial.transform import Rotation
 
@@ -275,3 +276,19 @@ def test_bodies_out_of_the_picture_leave_it_empty() -> None:
     far = BodyPoses.resting(np.array([[-5000.0, 100.0], [100.0, 1e5]]))
     assert not BODY.masks(far, (60, 80)).any()
     assert np.isfinite(BODY.silhouettes(far).points).all()
+
+
+def test_outlines_do_not_depend_on_threads() -> None:
+    random = np.random.default_rng(0)
+    arms = random.normal(size=(601, 2, 2, 3))
+    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+    poses = BodyPoses(random.normal(250, 50, (601, 2)), 0.25 * random.normal(size=(601, 3)), arms)
+    before, found = thread_count(), []
+    try:
+        for threads in (1, 2):
+            set_threads(threads)
+            found.append(BODY.silhouettes(poses))
+    finally:
+        set_threads(before)
+    for name in ("points", "normals", "visible", "backed"):
+        np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))

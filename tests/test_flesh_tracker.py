@@ -11,10 +11,12 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
+from rsmcm.chains import flesh_tracker
 from rsmcm.chains.flesh_tracker import HEAD, LEFT, RIGHT, FleshTracker, FleshTracks
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.inference.part_assignment import Assignment, PartChoices
 from rsmcm.inference.part_filter import MovingParts, PartPosterior
+from rsmcm.models.body_image import BodyImage
 from rsmcm.models.body_parts import PartMessage
 from rsmcm.models.frame import Frame
 from rsmcm.models.gaussian_mixtures import NO_LABEL, GaussianMixtures
@@ -43,6 +45,14 @@ def at(*heads: Sequence[float]) -> Array:
     return CENTRE + HEIGHT * np.asarray(heads, np.float64).reshape(-1, 2)
 
 
+def picture(mixtures: GaussianMixtures) -> PartMessage:
+    """An image that says this of parts, and nothing else that the tracker asks for."""
+    none = np.zeros((0, 2)), np.zeros((0, 2, 2))
+    flat = np.zeros(IMAGE.shape[:2], np.float32)
+    image = BodyImage(None, None, flat, flat, np.zeros((0, 4)), *none, *none, np.zeros(0), mixtures)
+    return PartMessage(GaussianMixtures.uniform(3), image)
+
+
 def seen(
     places: ArrayLike, noise: float = NOISE, flat: bool = True, faces: Sequence[int] = ()
 ) -> PartMessage:
@@ -56,7 +66,7 @@ def seen(
     ratio = np.log(FOUND * IMAGE[..., 0].size / CLUTTER)
     weights = [ratio + np.where(is_face, 2.0, -2.0), *[ratio - 2.0 * is_face] * 2]
     lost = np.log(1 - FOUND) if flat else -np.inf
-    return PartMessage(
+    return picture(
         GaussianMixtures.of_parts(
             weights,
             [blobs] * 3,
@@ -176,8 +186,9 @@ def test_without_doubt_it_is_filterpys_filter() -> None:
             np.testing.assert_allclose(parts.covariances[part], oracle.P, rtol=1e-9, atol=1e-9)
 
 
-def test_clean_single_detections_are_filterpys_up_to_the_doubt() -> None:
+def test_clean_single_detections_are_filterpys_up_to_the_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
     """What remains is the least doubt of the tracker, 1e-6, which pulls by less than a thousandth of a px."""
+    monkeypatch.setattr(flesh_tracker, "MOST_TRUST", 1.0)
     sure = FleshTracker(BODY, patience=1e9)
     state = replace(standing(), trust=np.ones(3), exchanged=0.0)
     speeds = HEIGHT * np.array([sure.head_speed, sure.hand_speed, sure.hand_speed])
@@ -346,7 +357,7 @@ def test_a_lost_part_is_anywhere_in_reach_and_found_again() -> None:
     np.testing.assert_array_equal(state.lost, [False, True, False])
     reach = 0.5 * (BODY.upper_arm + BODY.forearm)
     deviations = np.sqrt(np.diagonal(state.position_covariances[LEFT]))
-    np.testing.assert_allclose(deviations, reach, rtol=0.1)
+    assert ((deviations > reach) & (deviations < 1.4 * reach)).all()  # the head may be elsewhere, too
     back = np.stack([CENTRE, *at((0.6, -0.6), (-0.8, 1.6))])
     after = followed([seen(back, faces=[0])] * 2, state)
     assert off(after[-1], back).max() < 0.1
@@ -374,7 +385,7 @@ def test_at_first_left_is_left() -> None:
 def test_nothing_said_leaves_the_prediction(seed: int) -> None:
     state = TRACKER.predict(standing(), DT)
     random = np.random.default_rng(seed)
-    nothing = PartMessage(GaussianMixtures.of_parts([[]] * 3, [[]] * 3, [[]] * 3, random.normal(0, 1, 3)))
+    nothing = picture(GaussianMixtures.of_parts([[]] * 3, [[]] * 3, [[]] * 3, random.normal(0, 1, 3)))
     after = updated(state, nothing)
     for name in ("means", "covariances", "unseen"):
         np.testing.assert_array_equal(getattr(after, name), getattr(state, name))
@@ -382,14 +393,27 @@ def test_nothing_said_leaves_the_prediction(seed: int) -> None:
     assert after.exchanged == pytest.approx(state.exchanged, abs=1e-12)
 
 
-def test_what_others_say_counts_but_confirms_nothing() -> None:
+def test_what_others_say_is_not_followed_itself() -> None:
+    """Without anything in the picture parts coast, or others' echo of the same pictures made them surer."""
     state = standing()
     coasting = followed([seen(np.zeros((0, 2)))] * 10, state)[-1]
     place = [(0.1, 0.0), (1.1, 1.5), (-0.8, 1.7)]
     hearing = followed([seen(np.zeros((0, 2))) * told(*place)] * 10, state)[-1]
-    assert off(hearing, at(*place)).max() < 0.1
-    assert (np.linalg.det(hearing.covariances) < np.linalg.det(coasting.covariances)).all()
+    for name in ("means", "covariances", "trust"):
+        np.testing.assert_array_equal(getattr(hearing, name), getattr(coasting, name))
     np.testing.assert_allclose(hearing.unseen, 10 * DT)
+
+
+@pytest.mark.parametrize("right_one", [2, 3])
+def test_others_decide_what_is_taken_for_a_hand(right_one: int) -> None:
+    """Of two things on either side of where it was."""
+    sides = at((0.8, 1.35), (0.8, 1.85))
+    look = seen([CENTRE, REST[RIGHT], *sides], faces=[0])
+    place = sides[right_one - 2]
+    others = told((0, 0), *((place - CENTRE) / HEIGHT)[None], (-0.8, 1.6), spread=0.15)
+    helped = followed([look * others] * 4, standing())[-1]
+    assert helped.labels[LEFT] == right_one
+    assert off(helped, REST[[HEAD, LEFT, RIGHT]] + [[0, 0], place - REST[LEFT], [0, 0]]).max() < 0.1
 
 
 # --- what any filter must keep ---
@@ -401,7 +425,7 @@ def random_look(random: np.random.Generator) -> PartMessage:
     roots = random.normal(0, 1, (count, 2, 2)) * 10.0 ** random.uniform(-2, 2, (count, 1, 1))
     covariances = roots @ roots.swapaxes(1, 2) + 1e-4 * np.eye(2)
     blobs = random.uniform((-50, -50), (700, 400), (count, 2))
-    return PartMessage(
+    return picture(
         GaussianMixtures.of_parts(
             random.normal(5, 5, (3, count)),
             [blobs] * 3,
@@ -434,9 +458,9 @@ def test_numbers_and_order_of_blobs_do_not_matter(seed: int) -> None:
     state = TRACKER.predict(standing(), DT)
     blobs = np.concatenate([REST + random.normal(0, 20, (3, 2)), random.uniform(0, 300, (3, 2))])
     order = random.permutation(6)
-    ordered, shuffled = seen(blobs).told, seen(blobs[order]).told
+    ordered, shuffled = seen(blobs).mixtures, seen(blobs[order]).mixtures
     renamed = replace(shuffled, labels=np.where(shuffled.labels == NO_LABEL, NO_LABEL, 40 - shuffled.labels))
-    first, *others = (updated(state, PartMessage(each)) for each in (ordered, shuffled, renamed))
+    first, *others = (updated(state, picture(each)) for each in (ordered, shuffled, renamed))
     for other in others:
         np.testing.assert_allclose(other.means, first.means, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(other.covariances, first.covariances, rtol=1e-9, atol=1e-9)

@@ -1,5 +1,7 @@
 """Mixtures of Gaussians and flat components against their values at points, on grids and in samples."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -130,6 +132,72 @@ def test_moments_are_those_on_a_grid() -> None:
     np.testing.assert_allclose(
         covariance, np.einsum("np,npx,npy->pxy", weights, off, off), rtol=1e-3, atol=0.1
     )
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_overlaps_are_integrals_of_products(seed: int) -> None:
+    """Of a product with one Gaussian, whose mass is known otherwise; and of only a flat component."""
+    one = mixtures(seed)
+    random = np.random.default_rng(seed + 7)
+    means = random.normal(0, 20, (2, 5, 2))
+    roots = random.normal(0, 5, (2, 5, 2, 2))
+    covariances = roots @ roots.swapaxes(2, 3) + np.eye(2)
+    overlaps = one.log_overlaps(means, covariances)
+    assert overlaps.shape == (2, 5)
+    for number in range(5):
+        density = GaussianMixtures.of_parts(
+            np.zeros((2, 1)), means[:, number, None], covariances[:, number, None]
+        )
+        np.testing.assert_allclose(overlaps[:, number], (one * density).log_masses, rtol=1e-9, atol=1e-9)
+    flat = GaussianMixtures.of_parts([[], []], [[], []], [[], []], [0.5, -2.0])
+    np.testing.assert_allclose(flat.log_overlaps(means, covariances), [[0.5] * 5, [-2.0] * 5])
+
+
+def test_an_overlap_is_the_sum_over_a_grid() -> None:
+    one = mixtures(4, spread=10.0)
+    mean, covariance = np.array([4.0, -6.0]), np.array([[30.0, 8.0], [8.0, 20.0]])
+    places, area = grid(100, 1.0)
+    density = multivariate_normal(mean, covariance).pdf(places[:, 0])
+    expected = np.log((np.exp(one.log_values(places)) * density[:, None]).sum(axis=0) * area)
+    found = one.log_overlaps(np.tile(mean, (2, 1, 1)), np.tile(covariance, (2, 1, 1, 1)))
+    np.testing.assert_allclose(found[:, 0], expected, atol=1e-6)
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_a_gaussian_stands_for_what_was_flat(seed: int) -> None:
+    """As much of it as counts in the given area; nothing else changes."""
+    one, at = mixtures(seed), points(seed)
+    log_area = 11.0
+    means, covariances = (
+        np.array([[3.0, 1.0], [-9.0, 4.0]]),
+        np.array([60.0, 90.0])[:, None, None] * np.eye(2),
+    )
+    proper = one.proper(log_area, means, covariances)
+    assert not proper.flat.any()
+    assert np.isfinite(proper.log_masses).all()
+    flat = np.where(one.flat, one.log_weights, -np.inf)
+    rest = replace(one, log_weights=np.where(one.flat, -np.inf, one.log_weights))
+    for part in range(2):
+        stand_in = multivariate_normal(means[part], covariances[part]).logpdf(at[:, part])
+        expected = np.logaddexp(rest.log_values(at)[:, part], logsumexp(flat[part]) + log_area + stand_in)
+        np.testing.assert_allclose(proper.log_values(at)[:, part], expected, rtol=1e-9)
+        np.testing.assert_allclose(proper.log_masses[part], one.log_masses_within(np.exp(log_area))[part])
+    np.testing.assert_array_equal(proper.labels, one.labels)
+
+
+@given(SEEDS, st.floats(0.01, 0.99))
+@settings(max_examples=30, deadline=None)
+def test_blended_densities_are_the_mixture_of_both(seed: int, share: float) -> None:
+    """Whatever their masses were."""
+    a, b, at = mixtures(seed, flat=False), mixtures(seed + 1, flat=False), points(seed)
+    blended = a.blended(b, share)
+    np.testing.assert_allclose(blended.log_masses, 0.0, atol=1e-9)
+    own, other = (each.log_values(at) - each.log_masses for each in (a, b))
+    expected = np.logaddexp(np.log1p(-share) + own, np.log(share) + other)
+    np.testing.assert_allclose(blended.log_values(at), expected, rtol=1e-9, atol=1e-9)
+    assert blended.labels.shape == blended.log_weights.shape
 
 
 def test_labels_survive_products() -> None:

@@ -1,5 +1,6 @@
 """What README tells people to type works."""
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -7,8 +8,8 @@ from typing import Any
 
 import pytest
 from rsmcm.apps.command_line import app, main
-from rsmcm.apps.demo import write_cylinder, write_face, write_scene
-from rsmcm.apps.scenes import face, sleeping_man
+from rsmcm.apps.demo import SIGNER, write_body, write_cylinder, write_face, write_scene
+from rsmcm.apps.scenes import face, signer, sleeping_man
 
 ROOT = Path(__file__).parents[1]
 LONG = ("rsmcm demo", "rsmcm reproduce")  # only read, not run; tests of their own run them
@@ -35,6 +36,7 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest
     write_scene(sleeping_man(12, enter=0), Path("results/demo/scene"))
     write_cylinder(Path("results/demo/cylinder.npz"))
     write_face(face(24), Path("results/demo/face"))
+    write_body(signer(8, SIGNER), Path("results/demo/body"))
     (settings,) = blocks("toml")
     Path("settings.toml").write_text(settings)
     assert len(commands("rsmcm")) > 8
@@ -48,12 +50,14 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest
         assert ended.value.code == 0, capfd.readouterr().err
     text = (ROOT / "README.md").read_text()
     street, rest = text.split("## Structure from motion")
-    shape, talking = rest.split("## Faces")
-    for folder, text in (("street", street), ("shape", shape), ("face", talking)):
+    shape, rest = rest.split("## Faces")
+    talking, signing = rest.split("## Articulated bodies")
+    for folder, text in (("street", street), ("shape", shape), ("face", talking), ("body", signing)):
         for name in re.findall(r"^\| `([^`]+)`", text, re.MULTILINE):
             if not name.endswith("/"):
                 assert (Path("results") / folder / name).stat().st_size > 0
     assert len(list(Path("results/part/foreground").iterdir())) == 4
+    assert json.loads(Path("results/body/summary.json").read_text())["seen"]["head"] > 0.8
 
 
 def test_make_targets() -> None:
@@ -87,3 +91,7 @@ def test_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0 < names["height"][0] < names["height"][1] < 240
     assert names["belief"].frame.number == 30
     assert "<svg" in Path("model.svg").read_text()
+    assert names["joints"].shape == (8, 3)
+    off = names["joints"][0, :2] - names["signing"].joints[-1, 0, :2]
+    assert (abs(off) < 0.3 * names["body"].head_height).all()
+    assert names["usual"]["condensation"].effective > 1

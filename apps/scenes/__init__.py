@@ -1,4 +1,4 @@
-"""Generated scenes with exact ground truth: a street for background and tracks, a cylinder, a face, a signer."""
+"""Generated scenes with exact ground truth: a street for background and tracks, cylinder, face, signer."""
 
 from .signer import SignerScene, signer
 from .street import Scene, TruthBox, sleeping_man
