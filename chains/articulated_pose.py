@@ -141,7 +141,13 @@ class ArticulatedPose:
 
         prior = log_prior(poses)
         found = temper(
-            self.dynamics, poses, prior - proposal.log_density, log_prior, log_likelihood, self.samples, random
+            self.dynamics,
+            poses,
+            prior - proposal.log_density,
+            log_prior,
+            log_likelihood,
+            self.samples,
+            random,
         )
         return replace(
             state,
@@ -154,9 +160,7 @@ class ArticulatedPose:
             random=random,
         )
 
-    def _mixtures(
-        self, message: PartMessage, seen: GaussianMixtures, state: BodySamples
-    ) -> GaussianMixtures:
+    def _mixtures(self, message: PartMessage, seen: GaussianMixtures, state: BodySamples) -> GaussianMixtures:
         """What parts are drawn from: all that is said, and now and then only what the image says.
 
         Other chains may be mistaken; a part that they do not expect where it is must be drawn to be found.

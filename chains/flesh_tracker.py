@@ -198,10 +198,8 @@ class FleshTracker:
         )
         return looks[int(log_odds > 0)].followed(float(expit(-abs(log_odds))))
 
-    def posterior(
-        self, state: FleshTracks, seen: GaussianMixtures, told: GaussianMixtures
-    ) -> PartPosterior:
-        """What is known of parts: where they should be, or anywhere, times what is seen; weighed by others."""
+    def posterior(self, state: FleshTracks, seen: GaussianMixtures, told: GaussianMixtures) -> PartPosterior:
+        """What is known of parts: where they should be, or anywhere, times what is seen; others weigh it."""
         own = MovingParts(state.means, state.covariances)
         return PartPosterior.of((own, self._anywhere(state)), _log_shares(state), seen).weighed(told)
 

@@ -17,7 +17,7 @@ SPHERE = 4 * np.pi
 
 USUAL_UPPER_ARMS = np.array([[0.2, 0.9, -0.35], [-0.2, 0.9, -0.35]])
 USUAL_UPPER_ARMS /= np.linalg.norm(USUAL_UPPER_ARMS, axis=1, keepdims=True)
-USUAL = np.float64(2.0)
+USUAL = 2.0
 """Middle and concentration of a person's upper arms: mostly they hang down."""
 
 CROSSED = 1.5
@@ -31,12 +31,13 @@ LEAST_FLOOR = 1e-15
 class BodyDynamics:
     """A random walk of the place and of the direction of every segment, in which an arm may also jump.
 
-    The place moves like a Gaussian, the neck's rotations like a Gaussian that returns to rest. An arm with its
-    four rotations is a pair of directions, of upper arm and forearm; each moves like von Mises and Fisher's
-    density on the sphere, so that there is no pole at which a rotation's angles jump, and samples are drawn
-    from exactly the density that is evaluated. Now and then an arm goes anywhere, more often than arms do: that
-    is how often one has to be found again of which the tracker was mistaken. What the joints do not allow has no probability; the mass that is cut off is not made
-    up for.
+    The place moves like a Gaussian, the neck's rotations like a Gaussian that returns to rest. An arm with
+    its four rotations is a pair of directions, of upper arm and forearm; each moves like von Mises and
+    Fisher's density on the sphere, so that there is no pole at which a rotation's angles jump, and samples
+    are drawn from exactly the density that is evaluated. Now and then an arm goes anywhere, more often than
+    arms do: that is how often one has to be found again of which the tracker was mistaken. What the joints
+    do not allow has no probability; the mass that is cut off is not made up for, nor is that of unusual
+    postures (`log_posture`).
 
     Parameters
     ----------
@@ -149,12 +150,16 @@ class BodyDynamics:
         An exchanged arm has its elbow anywhere on the circle on which it can be. The weight of a pose is
         divided between the two.
         """
+        if not self.exchanges:
+            return poses, weights
         joints = self.body.joints(poses)
         arms = np.empty_like(poses.arms)
         within = np.ones(len(poses), np.bool_)
         for side in (0, 1):
             offsets = joints[:, 7 - 3 * side] - joints[:, 2 + 3 * side]
-            arms[:, side], reached = arm_at(self.body, side, offsets, random.uniform(-np.pi, np.pi, len(poses)))
+            arms[:, side], reached = arm_at(
+                self.body, side, offsets, random.uniform(-np.pi, np.pi, len(poses))
+            )
             within &= reached
         exchanged = BodyPoses(poses.roots, poses.necks, arms)
         chosen = np.flatnonzero(within)
@@ -191,7 +196,7 @@ class BodyDynamics:
         return np.asarray(place + neck + _log_usual(poses.arms).sum(axis=1) + self.log_posture(poses))
 
     def neck_step(self, dt: float) -> tuple[float, float]:
-        """Share of a neck's rotation that is left after `dt` seconds, and standard deviation of what comes."""
+        """Share of a neck's rotation left after `dt` seconds, and standard deviation of what comes."""
         kept = float(np.exp(-dt / self.neck_time))
         return kept, self.neck * float(np.sqrt(-np.expm1(-2 * dt / self.neck_time)))
 
@@ -231,9 +236,9 @@ def _log_usual(arms: Array) -> Array:
     return np.asarray(USUAL * (cosines - 1) + np.log(_peak(USUAL)) - np.log(SPHERE))
 
 
-def _peak(concentrations: Array) -> Array:
+def _peak(concentrations: Array | float) -> Array:
     """Von Mises and Fisher's density at its middle."""
-    return np.asarray(concentrations / (2 * np.pi * -np.expm1(-2 * concentrations)))
+    return np.asarray(concentrations / (2 * np.pi * -np.expm1(-2 * np.asarray(concentrations))))
 
 
 def anywhere(shape: tuple[int, ...], random: np.random.Generator) -> Array:

@@ -9,7 +9,7 @@ _f4 = np.float32
 
 @compiled
 def _squares_to_rows(point, rows, squares):
-    """Squared distances `(k,)` of a point `(d,)` to rows `(d, k)`, axis after axis so that vectors are used."""
+    """Squared distances `(k,)` of a point `(d,)` to rows `(d, k)`, axis after axis for vector units."""
     squares[:] = _f4(0.0)
     for axis in range(len(rows)):
         place, row = point[axis], rows[axis]
@@ -20,7 +20,7 @@ def _squares_to_rows(point, rows, squares):
 
 @compiled
 def least_squares_to_rows(points, rows, least):
-    """For each point `(n, d)` the least squared distance to any row `(d, k)`; float32, filled into `least`."""
+    """For each point `(n, d)` the least squared distance to any row `(d, k)`, filled into `least`."""
     squares = np.empty(rows.shape[1], np.float32)
     for i in range(len(points)):
         _squares_to_rows(points[i], rows, squares)
@@ -31,9 +31,7 @@ def least_squares_to_rows(points, rows, least):
 
 
 @compiled
-def mixture_values(
-    body, ancestors, least, arms, ancestor_arms, weights, concentrations, floors, values
-):
+def mixture_values(body, ancestors, least, arms, ancestor_arms, weights, concentrations, floors, values):
     """Sum over ancestors of weight, Gaussian of the body's place and the kernels of both arms.
 
     Parameters

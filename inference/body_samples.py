@@ -84,9 +84,7 @@ class BodySamples:
     def resampled(self, n: int) -> Self:
         """`n` samples of equal weight."""
         random = copy.deepcopy(self.random)
-        return replace(
-            self, poses=self.drawn(n, random), log_weights=np.full(n, -np.log(n)), random=random
-        )
+        return replace(self, poses=self.drawn(n, random), log_weights=np.full(n, -np.log(n)), random=random)
 
     def reweighed(self, log_factors: Array) -> Self:
         """With weights multiplied by factors, whose mean is the evidence."""

@@ -139,12 +139,12 @@ class LikelihoodSampler:
         return poses.take(body.allowed(poses))
 
     def _shoulders(self, roots: Array, side: int) -> Array:
-        return roots + [(0.5 - side) * self.body.shoulder_width, 0.0]
+        return np.asarray(roots + np.array([(0.5 - side) * self.body.shoulder_width, 0.0]))
 
     def _half_range(self, offsets: Array) -> Array:
         """`(n,)` px: greatest depth of a hand at `offsets` `(n, 2)` from its shoulder, either way."""
         reach = self.body.upper_arm + self.body.forearm
-        return np.sqrt(np.maximum(reach**2 - (offsets**2).sum(axis=1), LEAST_DEPTH**2))
+        return np.asarray(np.sqrt(np.maximum(reach**2 - (offsets**2).sum(axis=1), LEAST_DEPTH**2)))
 
     def _complete(
         self, side: int, offsets: Array, near: "_Hidden | None", random: np.random.Generator
@@ -226,9 +226,7 @@ class _Hidden:
         return float(1 / (normal * 2 * np.pi * i0e(self.concentration)))
 
 
-def draw_mixture(
-    mixtures: GaussianMixtures, part: int, n: int, random: np.random.Generator
-) -> Array:
+def draw_mixture(mixtures: GaussianMixtures, part: int, n: int, random: np.random.Generator) -> Array:
     """`(n, 2)` px: positions of one part, whose components are all proper, in random order."""
     chosen = random.permutation(systematic(mixtures.log_weights[part], n, random))
     roots = np.linalg.cholesky(mixtures.covariances[part])[chosen]

@@ -1,7 +1,8 @@
 """Weighted poses made even by tempering and moving them: samples of a posterior that has narrow peaks.
 
-Del Moral, Doucet and Jasra, "Sequential Monte Carlo samplers" (2006), after Gilks and Berzuini's resample-move
-(2001). The RSMCM paper weighs its samples once; with a sharp likelihood few of a thousand would be left.
+Del Moral, Doucet and Jasra, "Sequential Monte Carlo samplers" (2006), after Gilks and Berzuini's
+resample-move (2001). The RSMCM paper weighs its samples once; with a sharp likelihood few of a thousand would
+be left.
 """
 
 from collections.abc import Callable
@@ -35,7 +36,7 @@ A_FRAME = 0.04
 """s"""
 
 BLOCKS = 5
-"""What moves at a time: place and neck; left or right arm; left or right arm, while its hand stays in view."""
+"""What moves at a time: place and neck; left or right arm; either arm while its hand stays in view."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,7 +48,7 @@ HEAD_SCORES = (5.0, 0.2)
 """Nats of a place with all the flesh of a head, where no face is detected; probability of a head without."""
 
 NECK_RADIUS, NO_NECK = 0.28, -9.0
-"""Head heights: of bare flesh between head and shoulders; of none, since it is left out with all that rests."""
+"""Head heights: of bare flesh between head and shoulders; of none, since all that rests is left out."""
 
 BLOB_COST = 4.0
 """Nats: of what looks like a hand and is neither hand nor head."""
@@ -136,10 +136,11 @@ class BodyLikelihood:
         self, term: Array, image: BodyImage, flesh: tuple[Map, Map], parts: Array, roots: Array
     ) -> None:
         body = self.body
+        neck = NECK_RADIUS if image.moving is image.flesh else NO_NECK
         hand_terms(
             parts, roots, *flesh, _scales(flesh[0], image),
             body.hand, body.hand * np.array(WINDOWS), 0.5 * np.array([body.head_width, body.head_height]),
-            body.head_height * (NECK_RADIUS if image.moving is image.flesh else NO_NECK), np.array(FLESH_SCORES), term,
+            neck * body.head_height, np.array(FLESH_SCORES), term,
         )  # fmt: skip
         # the odds that a blob is a hand; what is hardly one need not be explained
         costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))

@@ -159,7 +159,7 @@ class BodyParts:
         frame
             of a missing one, nothing is said.
         prior
-            shows where the head is when no face is detected, so that hands are told from flesh of face and throat.
+            shows where the head is when no face is detected, so that hands are told from its flesh.
         """
         image = frame.image
         if image is None:
@@ -179,7 +179,11 @@ class BodyParts:
             known = centres if len(faces) else self._known_head(prior, image.shape)
             faces_there = _ellipses(known, HEAD_ELLIPSE, height)
             moving = self._moving(flesh, faces_there)
-            bare = [faces_there] if moving is not flesh else [faces_there, _ellipses(known, NECK_ELLIPSE, height)]
+            bare = (
+                [faces_there]
+                if moving is not flesh
+                else [faces_there, _ellipses(known, NECK_ELLIPSE, height)]
+            )
             hands = flesh_blobs(moving, HAND_RADIUS * height, np.concatenate(bare))
             if not len(faces):
                 heads, found, false = flesh_blobs(flesh, HEAD_BLOB * height), HEAD_FLESH, FALSE_HEADS
@@ -212,13 +216,13 @@ class BodyParts:
         return PartMessage(self.uniform().told, seen)
 
     def _moving(self, flesh: NDArray[np.float32], faces: Array) -> NDArray[np.float32]:
-        """Flesh less what is there all the time; but faces are told from hands otherwise, since heads move."""
+        """Flesh less what is there all the time; but of faces none is lost, since heads move."""
         if self.still is None or self.still.shape != flesh.shape:
             return flesh
         still = self.still.copy()
         for x, y, across, down in faces:
             cv2.ellipse(still, ((x, y), (2 * across, 2 * down), 0.0), 0.0, cv2.FILLED)
-        return np.maximum(flesh - still, np.float32(-HIGHEST))
+        return np.asarray(np.maximum(flesh - still, np.float32(-HIGHEST)))
 
     def _known_head(self, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: the head's centre, k = 1, if the chains know it."""

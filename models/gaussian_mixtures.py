@@ -137,20 +137,20 @@ class GaussianMixtures:
             self.labels[chosen],
         )
 
-    def proper(self, log_masses: ArrayLike, means: Array, covariances: Array) -> Self:
+    def proper(self, log_mass: float, means: Array, covariances: Array) -> Self:
         """Mixtures in which a Gaussian stands for every flat component.
 
         Parameters
         ----------
-        log_masses
-            by how much a Gaussian's log weight is more than that of its flat component: log of the area, px^2,
-            over which that one counts.
+        log_mass
+            by how much a Gaussian's log weight is more than that of its flat component: log of the area,
+            px^2, over which that one counts; one number for all parts.
         means, covariances
             `(n_parts, 2)` px and `(n_parts, 2, 2)` px^2 of these Gaussians.
         """
         flat = self.flat[..., None]
         return type(self)(
-            self.log_weights + np.where(self.flat, log_masses, 0.0),
+            self.log_weights + np.where(self.flat, log_mass, 0.0),
             np.where(flat, means[:, None], self.means),
             np.where(flat[..., None], covariances[:, None], self.covariances),
             np.zeros_like(self.flat),

@@ -42,4 +42,4 @@ def still_flesh(colour: FleshColour, images: Sequence[NDArray[np.uint8]]) -> Map
     looks = np.stack([np.rint(LEVELS * colour.log_odds(image)).astype(np.int8) for image in images])
     rank = int(SELDOM * len(images))
     looks.partition(rank, axis=0)
-    return np.maximum(looks[rank], 0).astype(np.float32) / np.float32(LEVELS)
+    return np.asarray(np.maximum(looks[rank], 0) / LEVELS, np.float32)
