@@ -148,7 +148,7 @@ class _Run:
         """Who is tracked, and the frames from the first one in which anything is to be seen."""
         frames = iter(self._frames)
         job, images = self._job, None
-        if job.head is None and self._source.kind in ("camera", "stream"):  # cannot be read twice
+        if self._source.kind in ("camera", "stream"):  # cannot be read twice
             beginning = list(islice(frames, CALIBRATION_FRAMES))
             frames = chain(beginning, frames)
             images = [frame.image for frame in beginning if frame.image is not None]
@@ -162,11 +162,11 @@ class _Run:
             if self._interruption.signal is not None:
                 raise KeyboardInterrupt
             raise ValueError(f"{self._source.name}: holds no frame in which anything is to be seen")
+        if images is None:
+            images = self._looked_at() or [first.image]
         if job.head is not None:
-            start = start_from_head(first.image, first.number, read_head(job.head), clicked)
+            start = start_from_head(first, read_head(job.head), images, clicked)
         else:
-            if images is None:
-                images = self._looked_at() or [first.image]
             start = start_from_faces(self._source.name, images, job.detector, clicked)
         return start, chain([first], frames)
 

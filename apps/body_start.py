@@ -11,6 +11,7 @@ from ..models.body_parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
 from ..models.face_detectors import default_faces
 from ..models.flesh_colour import FleshColour
 from ..models.frame import Frame
+from ..models.still_flesh import still_flesh
 from ..models.upper_body import UpperBody
 from .body_files import ClickedJoints
 
@@ -123,17 +124,19 @@ def start_from_faces(
     return _start(parts, origin, clicked)
 
 
-def start_from_head(image: Image, number: int, head: Box, clicked: ClickedJoints | None) -> BodyStart:
+def start_from_head(
+    first: Frame, head: Box, images: Sequence[Image], clicked: ClickedJoints | None
+) -> BodyStart:
     """Learn size and colour from the head that somebody has marked in a frame.
 
     Parameters
     ----------
-    image
-        `(height, width[, 3])` uint8 BGR.
-    number
-        of the frame.
+    first
+        the frame, which has an image.
     head
         x, y, width, height px: from chin to the top of the skull, and across.
+    images
+        of the same size, from all over the clip.
     clicked
         joints from which the lengths are taken.
 
@@ -142,6 +145,9 @@ def start_from_head(image: Image, number: int, head: Box, clicked: ClickedJoints
     ValueError
         if the head is not in the picture, or the joints do not tell lengths that a person has.
     """
+    image = first.image
+    if image is None:
+        raise ValueError(f"frame {first.number}: got no image, expected one with the head")
     x, y, width, height = head
     rows, columns = image.shape[:2]
     if not (0 <= x + width / 2 < columns and 0 <= y + height / 2 < rows):
@@ -152,7 +158,9 @@ def start_from_head(image: Image, number: int, head: Box, clicked: ClickedJoints
     # the box that a detector would give
     side = height / HEAD_OF_BOX
     box = np.array([x + (width - side) / 2, y + height / 2 - CENTRE_OF_BOX * side, side, side])
-    parts = BodyParts(height, FleshColour.learned([image], box[None]), MarkedFace(box, number))
+    flesh = FleshColour.learned([image], box[None])
+    still = None if flesh is None else still_flesh(flesh, images)
+    parts = BodyParts(height, flesh, MarkedFace(box, first.number), still)
     return _start(parts, "Usual proportions of a person whose head is as high as the given one.", clicked)
 
 

@@ -31,8 +31,8 @@ Array = NDArray[np.float64]
 CANDIDATES = 2
 """Poses that are drawn at first, over those that are kept."""
 
-FIRST = 10
-"""Samples of the first frame, where nothing is known of the arms, over those of the others."""
+FIRST = 10_000
+"""Poses that are drawn in the first frame, at least: nothing is known of the arms."""
 
 IMAGE_ONLY = 0.4
 """Share of a part's draws for which other chains are not asked."""
@@ -122,7 +122,7 @@ class ArticulatedPose:
             return stationary(state, told.log_values(self.body.parts(state.poses)).sum(axis=1))
         random = copy.deepcopy(state.random)
         past = _past(state)
-        n = (CANDIDATES if past else FIRST) * self.samples
+        n = CANDIDATES * self.samples if past else max(FIRST, CANDIDATES * self.samples)
         proposal = self._sampler.draw(self._mixtures(message, image.mixtures, state), past, n, random)
         poses = proposal.poses
         if not len(poses):

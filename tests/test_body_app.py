@@ -241,7 +241,7 @@ def test_clicked_joints(film: Path, head: tuple[str, str], scene: SignerScene, t
 
 def test_a_given_head_is_a_detected_one(images: list[Image]) -> None:
     """Size and colour come from it; a grey image has no colour."""
-    start = start_from_head(images[0], 1, (120.0, 27.0, 28.0, 39.0), None)
+    start = start_from_head(Frame(images[0], 0.0, 1), (120.0, 27.0, 28.0, 39.0), images[:1], None)
     assert start.parts.head_height == start.body.head_height == 39
     assert start.parts.flesh is not None
     assert start.notes == []
@@ -249,7 +249,7 @@ def test_a_given_head_is_a_detected_one(images: list[Image]) -> None:
     assert [len(start.parts.detector(Frame(images[0], 0.0, number))) for number in (1, 2)] == [1, 0]
     odds = start.parts.flesh.log_odds(images[0])
     assert odds[45:60, 130:150].mean() > odds[:, 200:].mean() + 1
-    grey = start_from_head(images[0][..., 1], 1, (120.0, 27.0, 28.0, 39.0), None)
+    grey = start_from_head(Frame(images[0][..., 1], 0.0, 1), (120.0, 27.0, 28.0, 39.0), images[:1], None)
     assert grey.parts.flesh is None
     assert "grey" in grey.notes[0]
 
@@ -456,7 +456,7 @@ def test_control_c(
 
     def interrupting(image: Image) -> bool:
         seen.append(1)
-        if len(seen) == max(n_frames, 1):
+        if len(seen) == (n_frames + N_FRAMES if n_frames else 1):  # all are looked at once before
             signal.raise_signal(signal.SIGINT)
         return is_blank(image) or n_frames == 0
 
