@@ -104,6 +104,9 @@ class _Walk:
         steps += vectors.values
         return _Vectors(steps)
 
+    def log_posture(self, vectors: _Vectors) -> float:
+        return 0.0
+
 
 def _likelihood(look: Numbers, vectors: _Vectors) -> Numbers:
     off = vectors.values - look

@@ -163,7 +163,8 @@ class _Run:
                 raise KeyboardInterrupt
             raise ValueError(f"{self._source.name}: holds no frame in which anything is to be seen")
         if images is None:
-            images = self._looked_at() or [first.image]
+            images = self._looked_at()
+        images = images or [first.image]  # where nothing else is to be seen in what was looked at
         if job.head is not None:
             start = start_from_head(first, read_head(job.head), images, clicked)
         else:

@@ -62,7 +62,10 @@ class BodyStart:
     def notes(self) -> list[str]:
         """What is out of the ordinary, a sentence each."""
         if self.parts.flesh is None:
-            return ["The video is grey: there is no flesh colour, and hands are followed by edges only."]
+            return [
+                "The video is grey: there is no flesh colour. Hands are followed by edges only, and in "
+                "frames without a detected face everything is only predicted."
+            ]
         return []
 
 
@@ -150,7 +153,8 @@ def start_from_head(
         raise ValueError(f"frame {first.number}: got no image, expected one with the head")
     x, y, width, height = head
     rows, columns = image.shape[:2]
-    if not (0 <= x + width / 2 < columns and 0 <= y + height / 2 < rows):
+    inside = 0 <= x + width / 2 < columns and 0 <= y + height / 2 < rows
+    if not (inside and width <= columns and height <= rows):
         raise ValueError(
             f"--head: got {x:g},{y:g},{width:g},{height:g}, expected the head inside the picture of "
             f"{columns}x{rows} px"

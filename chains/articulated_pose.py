@@ -46,23 +46,29 @@ class ArticulatedPose:
 
     In every frame positions of head and hands are drawn from what reaches the feature node - face and flesh
     in the image, and the other chains' predictions - and completed to poses by inverse kinematics
-    (`LikelihoodSampler`). Importance weights make samples of the posterior of them: likelihood of the image
-    (face, flesh, edges) times the other chains' messages times the temporal prior, the mixture of the
-    dynamics around the poses of the frame before, over the density from which they were drawn.
+    (`LikelihoodSampler`). The posterior is the likelihood of the image (face, flesh, edges) times the other
+    chains' messages times the temporal prior: the mixture of the dynamics around the poses of the frame
+    before, and around the same with their hands exchanged, in which unusual postures count less
+    (`BodyDynamics`).
+
+    The paper weighs its samples once, with the posterior over the density from which they were drawn. Here
+    they are only made samples of the prior in this way; the likelihood then comes in by tempering, with
+    Metropolis moves after each step (`temper`).
 
     It needs few samples, since they are where the image says that the parts are, and it finds a lost body
     again by itself; but it takes what the detectors say. Together with a tracker of the parts
     (`FleshTracker`) it survives where they fail.
 
-    When no feature was found in a frame and nobody else says anything, the state is stationary: poses are
-    predicted and nothing is invented. The same goes for a frame in which no pose is possible.
+    When no feature was found in a frame, the state is stationary: poses are predicted, weighted by what the
+    other chains say, and nothing is invented. Where no pose is possible that fits the features, they are
+    predicted as well.
 
     Parameters
     ----------
     body
         lengths of the segments.
     samples
-        poses that are drawn in every frame.
+        poses that are kept in every frame.
     start
         poses of which one is about that of the first frame; `None` if nothing is known of it.
     seed
@@ -75,7 +81,7 @@ class ArticulatedPose:
     Raises
     ------
     ValueError
-        if there are fewer than 10 samples.
+        if there are fewer than 10 samples, or no poses to start from.
     """
 
     def __init__(
@@ -91,6 +97,8 @@ class ArticulatedPose:
     ) -> None:
         if samples < 10:
             raise ValueError(f"samples: got {samples}, expected 10 or more")
+        if start is not None and not len(start):
+            raise ValueError("start: got no poses, expected one or more")
         self.body = body
         self.samples = samples
         self.start = start
@@ -102,7 +110,9 @@ class ArticulatedPose:
 
     def initial(self, frame: Frame) -> BodySamples:
         """Poses about the start, or anywhere in the picture."""
-        size = (1, 1) if frame.image is None else frame.image.shape[:2]
+        if frame.image is None:
+            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
+        size = frame.image.shape[:2]
         random = np.random.default_rng(self.seed)
         return first(self.dynamics, self.samples, size, random, self.start)
 

@@ -35,9 +35,11 @@ class BodyDynamics:
     its four rotations is a pair of directions, of upper arm and forearm; each moves like von Mises and
     Fisher's density on the sphere, so that there is no pole at which a rotation's angles jump, and samples
     are drawn from exactly the density that is evaluated. Now and then an arm goes anywhere, more often than
-    arms do: that is how often one has to be found again of which the tracker was mistaken. What the joints
-    do not allow has no probability; the mass that is cut off is not made up for, nor is that of unusual
-    postures (`log_posture`).
+    arms do: that is how often one has to be found again of which the tracker was mistaken.
+
+    Densities count unusual postures for less (`log_posture`), which draws do not. What the joints do not
+    allow is drawn and has a density all the same: who asks has to leave it out (`UpperBody.allowed`). What is
+    lost in both ways is not made up for.
 
     Parameters
     ----------

@@ -19,8 +19,8 @@ from .resampling import normalised, systematic
 Array = NDArray[np.float64]
 
 MOST_ANCESTORS = 500
-"""Poses of the frame before of which the temporal prior is a mixture: the cost of a frame is their number
-times that of the samples, and so in proportion to the latter."""
+"""Poses of the frame before of which the temporal prior is a mixture, beside at most as many with exchanged
+hands: the cost of a frame is their number times that of the samples, and so in proportion to the latter."""
 
 MISTAKEN = 0.2
 """Chance that a part is where the samples do not expect it, as others are told."""
@@ -43,8 +43,9 @@ class BodySamples:
     log_weights
         `(n,)`, of weights that sum to 1.
     ancestors, ancestor_weights
-        of a prediction, the poses of the frame before and their weights `(k,)`, of whose mixture `poses` are
-        draws; `None` in a posterior, and before the first frame.
+        of a prediction, poses of the frame before, and some of them with exchanged hands, and their weights
+        `(k,)`; `poses` are draws of their mixture. `None` in a posterior, before the first frame, and where
+        they are not kept.
     elapsed
         s, between the ancestors and this prediction.
     size
@@ -80,11 +81,6 @@ class BodySamples:
     def drawn(self, n: int, random: np.random.Generator) -> BodyPoses:
         """`n` poses of equal weight, drawn systematically."""
         return self.poses.take(systematic(self.log_weights, n, random))
-
-    def resampled(self, n: int) -> Self:
-        """`n` samples of equal weight."""
-        random = copy.deepcopy(self.random)
-        return replace(self, poses=self.drawn(n, random), log_weights=np.full(n, -np.log(n)), random=random)
 
     def reweighed(self, log_factors: Array) -> Self:
         """With weights multiplied by factors, whose mean is the evidence."""
@@ -122,17 +118,23 @@ def first(
 
 
 def predicted(dynamics: BodyDynamics, state: BodySamples, n: int, dt: float) -> BodySamples:
-    """`n` draws of the dynamics around the poses of `state`, `dt` seconds on (mu_{X(t-1) -> X(t)})."""
+    """`n` draws of the dynamics around the poses of `state`, `dt` seconds on (mu_{X(t-1) -> X(t)}).
+
+    Hands may be exchanged before (`with_exchanged`). What joints do not allow has no weight, and unusual
+    postures have little.
+    """
     random = copy.deepcopy(state.random)
     chosen, counts = np.unique(systematic(state.log_weights, MOST_ANCESTORS, random), return_counts=True)
     ancestors, weights = dynamics.with_exchanged(
         state.poses.take(chosen), counts / MOST_ANCESTORS, dt, random
     )
     drawn = systematic(np.log(weights), n, random)
+    poses = dynamics.draw(ancestors.take(drawn), dt, random)
+    possible = np.where(dynamics.body.allowed(poses), dynamics.log_posture(poses), -np.inf)
     return replace(
         state,
-        poses=dynamics.draw(ancestors.take(drawn), dt, random),
-        log_weights=np.full(n, -np.log(n)),
+        poses=poses,
+        log_weights=normalised(possible),
         ancestors=ancestors,
         ancestor_weights=weights,
         elapsed=dt,

@@ -126,7 +126,7 @@ class Condensation:
         allowed = self.body.allowed(poses)
         some = np.count_nonzero(allowed) or self.samples
         log_weights = np.full(self.samples, -np.log(some))
-        if 0 < some < self.samples:
+        if some < self.samples:
             log_weights[~allowed] = -np.inf
         log_weights = normalised(log_weights + self._dynamics.log_posture(poses))
         return replace(

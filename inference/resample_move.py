@@ -36,7 +36,7 @@ A_FRAME = 0.04
 """s"""
 
 BLOCKS = 5
-"""What moves at a time: place and neck; left or right arm; either arm while its hand stays in view."""
+"""What moves at a time: place and neck; left or right arm; either arm while its hand is seen where it was."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +78,13 @@ def temper(
     Parameters
     ----------
     poses, log_weights
-        samples, n or more, and what makes them samples of the prior.
+        any number of samples, and what makes them samples of the prior.
     log_prior
         of the poses, up to a constant; minus infinity where a pose is impossible.
     log_likelihood
         likewise.
     n
-        samples that are wanted.
+        samples that are left.
     """
     likelihood, prior = log_likelihood(poses), log_prior(poses)
     power, evidence, moves, accepted = 0.0, 0.0, 0, 0
@@ -155,10 +155,10 @@ def _moved(dynamics: BodyDynamics, poses: BodyPoses, random: np.random.Generator
     pace = np.sqrt(A_FRAME)
     roots, necks, arms = poses.roots.copy(), poses.necks.copy(), poses.arms.copy()
     correction = np.zeros(n)
-    still = np.flatnonzero(block == 0)
-    size = scale[still, None]
-    roots[still] += size * dynamics.place * body.head_height * pace * random.standard_normal((len(still), 2))
-    necks[still] += size * dynamics.neck * pace * random.standard_normal((len(still), 3))
+    whole = np.flatnonzero(block == 0)
+    size = scale[whole, None]
+    roots[whole] += size * dynamics.place * body.head_height * pace * random.standard_normal((len(whole), 2))
+    necks[whole] += size * dynamics.neck * pace * random.standard_normal((len(whole), 3))
     for side in (0, 1):
         free = np.flatnonzero(block == 1 + side)
         for part, rate in enumerate((dynamics.upper_arm, dynamics.forearm)):

@@ -94,7 +94,7 @@ class BodyLikelihood:
     The image speaks through a face detector for the head, through flesh colour for the hands and through
     edges for the outline, as in the paper, which gives no formulas. Here each term is the log ratio of how
     likely the cue is under the pose to how likely it is anywhere in the picture, with a chance that the cue
-    fails: a hand without flesh, which happens in every fifth frame, loses a few nats and no more.
+    fails: a hand without flesh, as is expected in every fifth frame, loses a few nats and no more.
 
     Parameters
     ----------

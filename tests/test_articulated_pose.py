@@ -121,7 +121,7 @@ def test_a_stationary_chain_still_hears_the_others():
     chain = a_chain()
     state, _ = started(chain)
     prediction = chain.predict(state, 0.2)
-    aside = BODY.parts(prediction.poses).mean(axis=0) + np.array([15.0, 0.0])
+    aside = np.einsum("n,npx->px", prediction.weights, BODY.parts(prediction.poses)) + np.array([15.0, 0.0])
     told = GaussianMixtures.of_parts([np.zeros(1)] * 3, list(aside[:, None]), [400.0 * np.eye(2)[None]] * 3)
     after = chain.update(prediction, Incoming({"parts": PartMessage(told)}))
     moved = moments(BODY, after).joints[4, 0] - moments(BODY, prediction).joints[4, 0]
@@ -147,7 +147,8 @@ def test_message_is_a_density_about_the_prediction():
     assert message.image is None
     assert message.log_mass == pytest.approx(0.0, abs=1e-9)
     mean, _ = message.told.moments(1.0, (0, 0))
-    assert mean == pytest.approx(BODY.parts(prediction.poses).mean(axis=0), abs=1e-6)
+    wanted = np.einsum("n,npx->px", prediction.weights, BODY.parts(prediction.poses))
+    assert mean == pytest.approx(wanted, abs=1e-6)
     expected = part_message(BODY, prediction.poses, prediction.weights, GROUPS).told
     assert np.array_equal(message.told.means, expected.means)
 

@@ -138,9 +138,6 @@ def test_draws_are_as_frequent_as_their_weights() -> None:
     drawn = state.drawn(3000, np.random.default_rng(2))
     counts = (drawn.roots[:, None, 0] == state.poses.roots[None, :, 0]).sum(axis=0)
     assert (np.abs(counts - 3000 * state.weights) <= 1 + 1e-9).all()
-    again = state.resampled(100)
-    assert len(again.poses) == 100
-    np.testing.assert_allclose(again.weights, 0.01)
 
 
 # --- first frame, next frame ---
@@ -178,7 +175,8 @@ def test_predictions_are_draws_of_the_mixture_around_their_ancestors() -> None:
     assert after.ancestor_weights is not None
     assert after.elapsed == DT
     assert after.ancestor_weights.sum() == pytest.approx(1.0, abs=1e-12)
-    np.testing.assert_allclose(after.weights, 1 / 20_000)
+    usual = np.where(BODY.allowed(after.poses), np.exp(DYNAMICS.log_posture(after.poses)), 0.0)
+    np.testing.assert_allclose(after.weights, usual / usual.sum(), atol=1e-12)
     spread = DYNAMICS.place * BODY.head_height * np.sqrt(DT)
     mean = after.ancestor_weights @ after.ancestors.roots
     covariance = np.cov(after.ancestors.roots.T, aweights=after.ancestor_weights, ddof=0)
@@ -189,14 +187,12 @@ def test_predictions_are_draws_of_the_mixture_around_their_ancestors() -> None:
 
 
 def test_ancestors_stand_for_all_poses_of_the_frame_before() -> None:
-    """There are never more than the constant says, and as many exchanged ones."""
+    """There are never more than the constant says, where none are exchanged."""
     state = samples(some(3000))
     after = predicted(replace(DYNAMICS, exchanges=0.0), state, 100, DT)
     assert after.ancestors is not None
     assert after.ancestor_weights is not None
-    assert len(after.ancestors) <= 2 * MOST_ANCESTORS
-    own = after.ancestor_weights > 0
-    assert np.count_nonzero(own) <= MOST_ANCESTORS
+    assert len(after.ancestors) <= MOST_ANCESTORS
     roots, weights = state.poses.roots, state.weights
     error = np.sqrt(np.cov(roots.T, aweights=weights, ddof=0).diagonal() / MOST_ANCESTORS)
     assert (np.abs(after.ancestor_weights @ after.ancestors.roots - weights @ roots) < 5 * error).all()

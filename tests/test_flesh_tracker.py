@@ -575,9 +575,7 @@ def wave(random: np.random.Generator, frames: int) -> Array:
     return np.asarray(REST + reach * np.sin(pace * time + phase))
 
 
-def bursts(
-    random: np.random.Generator, shape: tuple[int, ...], share: float = 0.2, length: float = 5
-) -> NDArray[np.bool_]:
+def bursts(random: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """A fifth of the frames, in which a part is not seen, in runs of about 5; none of the first five."""
     share, length = 0.2, 5.0
     hidden = np.zeros(shape, np.bool_)
