@@ -34,7 +34,7 @@ from .claims import HEADER, Claim, in_columns
 from .data import data_folder
 from .methods import Model
 from .progress import Progress
-from .reconstruction import solve
+from .reconstruction import engine_for
 from .scenes import cylinder, sleeping_man
 from .sources import open_source
 from .track_files import frames_of_tracks
@@ -82,7 +82,7 @@ def feedback_in_rounds() -> Claim:
     spent: dict[bool, list[float]] = {False: [], True: []}
     for _ in range(FEEDBACK_ROUNDS):
         before = time.perf_counter()
-        for number, _ in enumerate(solve(frames, "second-order", "dual-chain")):
+        for number, _ in enumerate(engine_for(frames, "second-order", "dual-chain").rounds(frames)):
             now = time.perf_counter()
             spent[number > 0].append(now - before)
             before = now

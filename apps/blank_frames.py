@@ -28,6 +28,8 @@ class SeenFrames:
     ----------
     frames
         of the source.
+    blank_is_missing
+        if not, blank frames come as they are.
 
     Attributes
     ----------
@@ -37,15 +39,16 @@ class SeenFrames:
         by which the source broke in the middle, if it did: told when the results until there are complete.
     """
 
-    def __init__(self, frames: Iterator[Frame]) -> None:
+    def __init__(self, frames: Iterator[Frame], *, blank_is_missing: bool = True) -> None:
         self._frames = frames
+        self._blank_is_missing = blank_is_missing
         self.blank: list[int] = []
         self.error: Exception | None = None
 
     def __iter__(self) -> Iterator[Frame]:
         try:
             for frame in self._frames:
-                if frame.image is not None and is_blank(frame.image):
+                if self._blank_is_missing and frame.image is not None and is_blank(frame.image):
                     self.blank.append(frame.number)
                     yield replace(frame, image=None)
                 else:

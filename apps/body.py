@@ -1,32 +1,29 @@
 """The body application: from a film of a person to the pose of the upper body in every frame."""
 
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..chains.articulated_pose import ArticulatedPose
 from ..chains.flesh_tracker import FleshTracker
-from ..inference import MultiChain, RecursiveBP
-from ..inference.recursive_bp import BEGINNING
+from ..inference import Belief, MultiChain, RecursiveBP
 from ..models.body_parts import CALIBRATION_FRAMES
 from ..models.frame import Frame
-from ..models.threads import thread_count
 from .blank_frames import SeenFrames
 from .body_files import ClickedJoints, read_joints
 from .body_report import BodyRecord, write_body_report
-from .body_results import BodyResults, lengths
-from .body_start import BodyStart, read_head, start_from_faces, start_from_head
-from .interruption import Interruption, Outcome
-from .progress import Progress
-from .results import check_output, write_json, write_together
-from .sources import Source, open_source
-from .versions import versions
+from .body_results import BodyWriter, lengths
+from .body_start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
+from .film_run import FilmJob, FilmRun, Writer
+from .interruption import Interrupted, Outcome
+from .results import segment_pattern
+from .saved_run import SavedRun
+from .sources import open_source
 
 Image = NDArray[np.uint8]
 
@@ -37,22 +34,27 @@ FEWEST_SAMPLES = 10
 
 
 @dataclass(frozen=True)
-class BodyJob:
+class BodyJob(FilmJob):
     """What to do; `rsmcm body --help` explains each field."""
 
-    source: str
-    out: Path
     detector: Path | None = None
     head: str | None = None
     joints: Path | None = None
     samples: int = 1000
-    seed: int = 0
-    start: int = 1
-    stop: int | None = None
-    step: int = 1
-    overwrite: bool = False
 
-    @property
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.samples < FEWEST_SAMPLES:
+            raise ValueError(f"--samples: got {self.samples}, expected {FEWEST_SAMPLES} or more")
+        if self.head is not None:
+            if self.detector is not None:
+                raise ValueError("--head: got --detector as well, expected one of them")
+            read_head(self.head)
+        if self.learned is not None:
+            for name in ("head", "joints"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"--{name}: got it beside --from, which says what the person is like")
+
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source."""
         files = {name: getattr(self, name) for name in ("detector", "joints")}
@@ -60,95 +62,52 @@ class BodyJob:
             **{name: None if path is None else str(path) for name, path in files.items()},
             "head": self.head,
             "samples": self.samples,
-            "seed": self.seed,
-            "start": self.start,
-            "stop": self.stop,
-            "step": self.step,
+            **super().settings(),
         }
 
 
 def run_body(job: BodyJob) -> Outcome:
-    """Run the body application; all results are in `job.out` afterwards.
+    """Run the body application; see `FilmRun.carry_out`.
 
-    SIGINT (Ctrl-C) and SIGTERM end the run after the current frame, with complete results of the frames so
-    far. Nothing is in the folder before the end. Frames that are missing, unreadable or blank (black,
-    saturated) are predicted.
-
-    Raises
-    ------
-    ValueError, OSError
-        in one line, whatever is wrong with the job, its files, its source or its output. A source that breaks
-        in the middle leaves the results of the frames before.
-    KeyboardInterrupt
-        if a signal came before there was any result.
+    Frames that are missing, unreadable or blank (black, saturated) are predicted.
     """
-    check_output(job.out, overwrite=job.overwrite)
-    if job.samples < FEWEST_SAMPLES:
-        raise ValueError(f"--samples: got {job.samples}, expected {FEWEST_SAMPLES} or more")
-    if job.head is not None:
-        if job.detector is not None:
-            raise ValueError("--head: got --detector as well, expected one of them")
-        read_head(job.head)
-    clicked = None if job.joints is None else read_joints(job.joints)
-    with (
-        Interruption() as interruption,
-        open_source(job.source, job.start, job.stop, job.step) as source,
-    ):
-        run = _Run(job, source, interruption)
-        start, frames = run.begin(clicked)
-        with write_together(job.out, overwrite=job.overwrite) as folder:
-            summary = run.carry_out(start, frames, folder)
-    if run.error is not None:
-        raise run.error
-    return Outcome(summary, interruption.signal)
+    return BodyRun(job, None if job.joints is None else read_joints(job.joints)).carry_out()
 
 
-class _Run:
-    """One run: who is tracked, the frames, and what is said of it in the end."""
+class BodyRun(FilmRun):
+    """One run: who is tracked, the poses, and the record for the report."""
 
-    def __init__(self, job: BodyJob, source: Source, interruption: Interruption) -> None:
+    application = "body"
+    files = ("poses.npz", segment_pattern("poses.npz"))
+    kinds: ClassVar[dict[str, Any]] = {
+        "person": SavedPerson,
+        "record": BodyRecord.kinds(),
+        "before": list[int],
+        "draws": np.random.Generator,
+    }
+    chains: ClassVar[dict[str, Any]] = {"flesh": FleshTracker, "pose": ArticulatedPose}
+
+    def __init__(self, job: BodyJob, clicked: ClickedJoints | None) -> None:
+        super().__init__(job, job.settings())
         self._job = job
-        self._source = source
-        self._interruption = interruption
-        self._frames = SeenFrames(interruption.items(source))
+        self._clicked = clicked
         self._before: list[int] = []  # frames before the one in which the track starts
-        self._started = time.perf_counter()
+        self._draws = np.random.default_rng(job.seed)  # of the poses that are shown
+        self.record = BodyRecord()
 
-    @property
-    def error(self) -> Exception | None:
-        """By which the source broke in the middle, if it did."""
-        return self._frames.error
+    def memory(self) -> dict[str, Any]:
+        """Who is tracked, and the record."""
+        return {
+            "person": SavedPerson.of(self._start),
+            "record": self.record.saved(),
+            "before": self._before,
+            "draws": self._draws,
+        }
 
-    def carry_out(self, start: BodyStart, frames: Iterator[Frame], folder: Path) -> dict[str, Any]:
-        """Take in all frames and write all results; return the content of `summary.json`."""
-        job = self._job
-        pose = ArticulatedPose(start.body, job.samples, seed=job.seed)
-        flesh = FleshTracker(start.body)
-        engine = RecursiveBP(MultiChain().connect(flesh, start.parts).connect(pose, start.parts))
-        rate = self._source.rate / job.step
-        run = BEGINNING
-        with (
-            Progress("body", self._source.n_frames) as progress,
-            BodyResults(folder, rate, start.body, job.seed) as results,
-        ):
-            for frame in frames:
-                before = time.perf_counter()
-                run = engine.step(run, frame).state
-                detected = run.states[flesh.name].unseen == 0
-                results.add(frame, run.states[pose.name], detected, time.perf_counter() - before)
-                progress.update()
-            results.finish()
-        summary = self._summary(start, results.record)
-        title = f"{Path(self._source.name).name}: upper body"
-        write_body_report(folder / "report.html", results.record, summary, title)
-        write_json(folder / "summary.json", summary)
-        return summary
-
-    def begin(self, clicked: ClickedJoints | None) -> tuple[BodyStart, Iterator[Frame]]:
-        """Who is tracked, and the frames from the first one in which anything is to be seen."""
-        frames = iter(self._frames)
+    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """Find the person in the first frame in which anything is to be seen, and in others."""
         job, images = self._job, None
-        if self._source.kind in ("camera", "stream"):  # cannot be read twice
+        if self.source.kind in ("camera", "stream"):  # cannot be read twice
             beginning = list(islice(frames, CALIBRATION_FRAMES))
             frames = chain(beginning, frames)
             images = [frame.image for frame in beginning if frame.image is not None]
@@ -157,59 +116,73 @@ class _Run:
                 break
             self._before.append(first.number)
         else:
-            if self.error is not None:
-                raise self.error
-            if self._interruption.signal is not None:
-                raise KeyboardInterrupt
-            raise ValueError(f"{self._source.name}: holds no frame in which anything is to be seen")
+            raise self.no_frame("holds no frame in which anything is to be seen")
         if images is None:
             images = self._looked_at()
         images = images or [first.image]  # where nothing else is to be seen in what was looked at
         if job.head is not None:
-            start = start_from_head(first, read_head(job.head), images, clicked)
+            start = start_from_head(first, read_head(job.head), images, self._clicked)
         else:
-            start = start_from_faces(self._source.name, images, job.detector, clicked)
-        return start, chain([first], frames)
+            start = start_from_faces(self.source.name, images, job.detector, self._clicked)
+        self._begin_with(start)
+        return chain([first], frames)
+
+    def go_on(self, memory: Mapping[str, Any]) -> None:
+        """Take up the person, and the record."""
+        self._before, self._draws = memory["before"], memory["draws"]
+        self.record = BodyRecord.restored(memory["record"])
+        self._begin_with(memory["person"].start(self._job.detector))
+
+    def learn_from(self, saved: SavedRun) -> None:
+        """Take the person's lengths, colour and pose."""
+        self._begin_with(saved.memory["person"].elsewhere().start(self._job.detector))
+
+    def _begin_with(self, start: BodyStart) -> None:
+        self._start = start
+        self._flesh = FleshTracker(start.body)
+        self._pose = ArticulatedPose(start.body, self._job.samples, seed=self._job.seed)
+        model = MultiChain().connect(self._flesh, start.parts).connect(self._pose, start.parts)
+        self.engine = RecursiveBP(model)
 
     def _looked_at(self) -> list[Image]:
         """Images from all over the source, which is read a second time for it."""
-        job, total = self._job, self._source.n_frames
-        if total is not None and self._source.kind == "video":
+        job, total = self._job, self.source.n_frames
+        if total is not None and self.source.kind == "video":
             total = min(total, SPREAD_OVER)
         stride = 1 if total is None else -(-total // CALIBRATION_FRAMES)
         with open_source(job.source, job.start, job.stop, job.step * stride) as source:
-            frames = islice(SeenFrames(self._interruption.items(source)), CALIBRATION_FRAMES)
+            frames = islice(SeenFrames(self.interruption.items(source)), CALIBRATION_FRAMES)
             images = [frame.image for frame in frames if frame.image is not None]
-        if self._interruption.signal is not None:
-            raise KeyboardInterrupt
+        if self.interruption.signal is not None:
+            raise Interrupted(self.interruption.signal)
         return images
 
-    def _summary(self, start: BodyStart, record: BodyRecord) -> dict[str, Any]:
-        source = self._source
-        count = len(record.numbers)
-        seconds = time.perf_counter() - self._started
+    def writers(self, rate: float, after: int) -> list[Writer]:
+        """Poses and overlay."""
+        self._writer = BodyWriter(
+            self._job.out, self.source.size, rate, after, self._start.body, self._draws, self.record
+        )
+        return [self._writer]
+
+    def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
+        """Write the frame's poses."""
+        detected = belief[self._flesh].unseen == 0
+        self._writer.add(belief.frame, belief[self._pose], detected, seconds)
+
+    def facts(self) -> dict[str, Any]:
+        """What was seen, and what is assumed of the person."""
+        start = self._start
         return {
-            "source": source.name,
-            "size": list(source.size),
-            "rate": source.rate,
-            "frames": count,
-            "first_frame": record.numbers[0],
-            "last_frame": record.numbers[-1],
             "before_the_start": self._before,
-            "missing_frames": len(record.missing),
-            "missing": record.missing,
-            "blank": self._frames.blank,
-            "truncated": source.truncated,
-            "ended_early": self._interruption.signal is not None or self.error is not None,
-            "seen": record.shares_seen,
-            "stationary": record.stationary_periods,
+            "blank": self.blank,
+            "seen": self.record.shares_seen,
+            "stationary": self.record.stationary_periods,
             "flesh_colour": start.parts.flesh is not None,
             "body": {"origin": start.origin, "lengths": lengths(start.body)},
-            "seconds": seconds,
-            "frames_per_second": count / seconds,
-            "frames_per_second_of_tracker": count / sum(record.seconds),
-            "threads": thread_count(),
-            "notes": [*start.notes, *record.notes],
-            "parameters": self._job.settings,
-            "versions": versions(),
+            "notes": [*start.notes, *self.record.notes],
         }
+
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Write the report."""
+        title = f"{Path(self.source.name).name}: upper body"
+        write_body_report(self._job.out / "report.html", self.record, summary, title)

@@ -14,6 +14,7 @@ from ..inference.body_samples import BodyMoments, BodySamples
 from ..models.frame import Frame
 from ..models.upper_body import JOINTS, PARTS
 from .frame_lists import listed, listed_periods, periods
+from .frame_record import FrameRecord
 from .report import Html, Section, cards, figure, paragraph, table, write_run_page
 from .snapshots import Snapshots
 from .time_plots import BLUE, GREEN, ORANGE, Line, over_time
@@ -35,37 +36,29 @@ RARELY_SEEN = 0.5
 """Share of the frames below which a part's position is mostly a guess, and said to be one."""
 
 
-@dataclass(eq=False)
-class BodyRecord:
+@dataclass(eq=False, kw_only=True)
+class BodyRecord(FrameRecord):
     """What summary and report need of a run, gathered frame by frame: a few numbers each, and some pictures.
 
     Parameters
     ----------
-    numbers, times
-        of the frames, 1-based and seconds.
     log_evidence
         nats, up to a constant; NaN where nothing was to be seen.
     effective
         effective number of samples, 1 / sum of squared weights.
-    seconds
-        that the tracker took.
     places, spreads
         a frame each: means `(3, 3)` px of head and hands, and their standard deviations.
     seen
         a frame each: `(3,)`, whether the image has shown them.
-    missing, stationary
-        numbers of the frames without an image, and of those whose image has shown nothing of the body.
+    stationary
+        numbers of the frames whose image has shown nothing of the body.
     """
 
-    numbers: "array[int]" = field(default_factory=lambda: array("q"))
-    times: "array[float]" = field(default_factory=lambda: array("d"))
     log_evidence: "array[float]" = field(default_factory=lambda: array("d"))
     effective: "array[float]" = field(default_factory=lambda: array("d"))
-    seconds: "array[float]" = field(default_factory=lambda: array("d"))
     places: list[Array] = field(default_factory=list)
     spreads: list[Array] = field(default_factory=list)
     seen: list[Mask] = field(default_factory=list)
-    missing: list[int] = field(default_factory=list)
     stationary: list[int] = field(default_factory=list)
     snapshots: Snapshots = field(default_factory=lambda: Snapshots(PICTURE_WIDTH))
 
@@ -169,7 +162,7 @@ def _summary(summary: Mapping[str, Any]) -> Html:
     values = {
         "frames": f"{summary['frames']}",
         "frames a second": f"{summary['frames_per_second']:.1f}",
-        "frames a second, tracker": f"{summary['frames_per_second_of_tracker']:.1f}",
+        "frames a second, tracker": f"{summary['frames_per_second_of_engine']:.1f}",
         **shares,
         "missing": f"{summary['missing_frames']}",
         "samples": f"{summary['parameters']['samples']}",

@@ -35,7 +35,7 @@ FACE_AND_NECK = (0.45, 0.62)
 """Of the head's height: half axes of the ellipse about its centre in which flesh need not be a hand's."""
 
 
-class BodyResults:
+class BodyWriter:
     """What grows with the frames: `poses.npz`, `overlay.mp4` and the record for summary and report.
 
     `poses.npz` holds, a row a frame: `frames` (their numbers) and `times` s; posterior means and covariances:
@@ -51,29 +51,59 @@ class BodyResults:
     ----------
     folder
         of the results.
+    size
+        `(width, height)` px of the frames.
     rate
         frames per second.
+    after
+        number of the frame after which this run goes on; 0 for a new one.
     body
         that is tracked.
-    seed
-        of the draws that are shown.
+    random
+        source of the draws that are shown.
+    record
+        to add to.
     """
 
-    def __init__(self, folder: Path, rate: float, body: UpperBody, seed: int) -> None:
-        self.record = BodyRecord()
+    def __init__(
+        self,
+        folder: Path,
+        size: tuple[int, int],
+        rate: float,
+        after: int,
+        body: UpperBody,
+        random: np.random.Generator,
+        record: BodyRecord,
+    ) -> None:
         self._body = body
-        self._random = np.random.default_rng(seed)
+        self._random = random
+        self._record = record
         self._overlay = BodyOverlay(body.upper_arm + body.forearm)
+        known = lengths(body)
+        constants = {
+            "joint_names": np.array(JOINTS),
+            "part_names": np.array(PARTS),
+            "angle_names": np.array(ANGLE_NAMES),
+            "length_names": np.array(list(known)),
+            "lengths": np.array(list(known.values())),
+        }
+        self._rows = RowWriter(folder / "poses.npz", constants, after)
+        self._video = OverlayVideo(folder / "overlay.mp4", rate, after)
         self._open = ExitStack()
-        self._rows = self._open.enter_context(RowWriter(folder / "poses.npz"))
-        self._video = self._open.enter_context(OverlayVideo(folder / "overlay.mp4", rate))
-        self._image: Image | None = None  # the last one
+        self._image: Image = np.zeros((size[1], size[0], 3), np.uint8)  # the last one
 
     def __enter__(self) -> Self:
+        self._open.enter_context(self._rows)
+        self._open.enter_context(self._video)
         return self
 
     def __exit__(self, *error: Any) -> None:
         self._open.__exit__(*error)
+
+    def checkpoint(self) -> None:
+        """Return when everything is on disk and readable."""
+        self._rows.checkpoint()
+        self._video.checkpoint()
 
     def add(self, frame: Frame, samples: BodySamples, detected: Mask, seconds: float) -> None:
         """Take in a frame.
@@ -94,6 +124,7 @@ class BodyResults:
         before_face = _before_face(found.joints[PART_JOINTS, :2], self._body.head_height)
         seen = detected & ~before_face
         self._rows.append(
+            frame.number,
             {
                 "frames": np.int64(frame.number),
                 "times": np.float64(frame.time),
@@ -107,11 +138,11 @@ class BodyResults:
                 "seen": seen,
                 "stationary": np.bool_(samples.stationary),
                 "missing": np.bool_(frame.missing),
-            }
+            },
         )
-        image = self._image if frame.image is None else frame.image
-        assert image is not None  # the first frame has one
-        self._image = image
+        if frame.image is not None:
+            self._image = frame.image
+        image = self._image
         shown = TrackedBody(
             drawn, found.joints, found.joint_covariances, _state(frame, samples, detected, before_face)
         )
@@ -120,20 +151,7 @@ class BodyResults:
             return self._overlay.draw(image, shown, caption(frame))
 
         self._video.write(frame, draw)
-        self.record.add(frame, found, seen, samples, seconds, overlay=draw)
-
-    def finish(self) -> None:
-        """Complete the file of poses, with what its numbers refer to."""
-        known = lengths(self._body)
-        self._rows.finish(
-            {
-                "joint_names": np.array(JOINTS),
-                "part_names": np.array(PARTS),
-                "angle_names": np.array(ANGLE_NAMES),
-                "length_names": np.array(list(known)),
-                "lengths": np.array(list(known.values())),
-            }
-        )
+        self._record.add(frame, found, seen, samples, seconds, overlay=draw)
 
 
 def lengths(body: UpperBody) -> dict[str, float]:

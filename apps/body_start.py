@@ -1,14 +1,15 @@
 """Who is to be tracked: size, flesh colour and lengths of a person, from a look at some frames."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..models.body_parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
-from ..models.face_detectors import default_faces
+from ..models.face_detectors import HaarFaces, PartDetector, default_faces
 from ..models.flesh_colour import FleshColour
 from ..models.frame import Frame
 from ..models.still_flesh import still_flesh
@@ -67,6 +68,63 @@ class BodyStart:
                 "frames without a detected face everything is only predicted."
             ]
         return []
+
+
+@dataclass(frozen=True, eq=False)
+class SavedPerson:
+    """A `BodyStart` as it is saved: detectors of faces are made anew from what they are told.
+
+    Parameters
+    ----------
+    head_height
+        px.
+    flesh, still
+        as of `BodyParts`.
+    face_height
+        px, to which a detector of faces is told to look; `None` if it is not.
+    marked
+        the face that somebody has marked in place of a detector.
+    body, origin
+        as of `BodyStart`.
+    """
+
+    head_height: float
+    flesh: FleshColour | None
+    still: NDArray[np.float32] | None
+    face_height: float | None
+    marked: MarkedFace | None
+    body: UpperBody
+    origin: str
+
+    @classmethod
+    def of(cls, start: BodyStart) -> Self:
+        """As it can be saved."""
+        parts, detector = start.parts, start.parts.detector
+        return cls(
+            parts.head_height,
+            parts.flesh,
+            parts.still,
+            detector.height if isinstance(detector, HaarFaces) else None,
+            detector if isinstance(detector, MarkedFace) else None,
+            start.body,
+            start.origin,
+        )
+
+    def elsewhere(self) -> Self:
+        """The same person in another film, in which nobody has marked a face."""
+        return self if self.marked is None else replace(self, marked=replace(self.marked, number=0))
+
+    def start(self, detector: Path | None) -> BodyStart:
+        """The start again, with a model file of a detector if there was one."""
+        faces: PartDetector
+        if self.marked is not None and detector is None:
+            faces = self.marked
+        else:
+            faces = default_faces(detector)
+            if isinstance(faces, HaarFaces):
+                faces = replace(faces, height=self.face_height)
+        parts = BodyParts(self.head_height, self.flesh, faces, self.still)
+        return BodyStart(parts, self.body, self.origin)
 
 
 def read_head(text: str) -> Box:

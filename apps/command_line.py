@@ -16,11 +16,13 @@ app = App(
     name="rsmcm",
     help="Multi-chain tracking: dynamic models of a scene share latent features and correct each other.",
     version=version("rsmcm"),
+    suppress_keyboard_interrupt=False,
 )
 reproduce = App(name="reproduce", help="Reproduce figures of the papers, wanted values beside measured ones.")
 app.command(reproduce)
 
 Flag = Annotated[bool, Parameter(negative="")]
+From = Annotated[Path | None, Parameter(name="--from")]
 
 
 @app.command
@@ -37,6 +39,7 @@ def background(
     resume: Flag = False,
     overwrite: Flag = False,
     every: int = 500,
+    from_: From = None,
     masks: Literal["none", "png", "video"] = "png",
     ground_truth: Path | None = None,
     compare: Flag = False,
@@ -74,6 +77,9 @@ def background(
         Remove the results that are in the folder.
     every
         Save the state each time that so many frames are done.
+    from_
+        Begin with what a run over another film of the scene has learned, its background, tracks and
+        identities: the state.npz of its results. A recording is taken to go on where that one ended.
     masks
         Foreground masks as foreground/bin000001.png and so on, as one lossless foreground.mkv, or none.
     ground_truth
@@ -88,8 +94,8 @@ def background(
     from . import background as application
 
     job = application.Job(
-        source, out, engine, config, roi, start, stop, step, resume, overwrite, every, masks, ground_truth,
-        seed, threads,
+        source, out, engine, config, roi, masks, ground_truth, start=start, stop=stop, step=step,
+        resume=resume, overwrite=overwrite, every=every, learned=from_, seed=seed, threads=threads,
     )  # fmt: skip
     outcome = application.run_background(job)
     print(_in_words(outcome.summary))
@@ -112,7 +118,9 @@ def structure(
     start: int = 1,
     stop: int | None = None,
     step: int = 1,
+    resume: Flag = False,
     overwrite: Flag = False,
+    threads: int | None = None,
 ) -> int:
     """Track points, and find their shape and the motion of the camera.
 
@@ -139,12 +147,18 @@ def structure(
         Last frame, included; the end of the source if not given.
     step
         Take every n-th frame.
+    resume
+        Go on with the run whose results are in the folder, from its last saved round.
     overwrite
-        Replace the results that are in the folder.
+        Remove the results that are in the folder.
+    threads
+        How many threads the loops over pixels use.
     """
     from .structure import StructureJob, run_structure
 
-    outcome = run_structure(StructureJob(source, out, coherence, association, start, stop, step, overwrite))
+    outcome = run_structure(
+        StructureJob(source, out, coherence, association, start, stop, step, resume, overwrite, threads)
+    )
     summary = outcome.summary
     print(
         f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks, "
@@ -171,7 +185,11 @@ def face(
     start: int = 1,
     stop: int | None = None,
     step: int = 1,
+    resume: Flag = False,
     overwrite: Flag = False,
+    every: int = 500,
+    from_: From = None,
+    threads: int | None = None,
 ) -> int:
     """Track a face: its pose, deformation and texture.
 
@@ -211,15 +229,25 @@ def face(
         Last frame, included; the end of the source if not given.
     step
         Take every n-th frame.
+    resume
+        Go on with the run whose results are in the folder, from its last saved state.
     overwrite
-        Replace the results that are in the folder.
+        Remove the results that are in the folder.
+    every
+        Save the state each time that so many frames are done.
+    from_
+        Begin with what a run over another film of the face has learned, its shape and texture: the
+        state.npz of its results. A recording is taken to go on where that one ended.
+    threads
+        How many threads the loops over pixels use.
     """
     from .face import FaceJob, run_face
 
     outcome = run_face(
         FaceJob(
-            source, out, model, landmarks, correspondences, detector, experts, gain, seed, start, stop, step,
-            overwrite,
+            source, out, model, landmarks, correspondences, detector, experts, gain, start=start, stop=stop,
+            step=step, resume=resume, overwrite=overwrite, every=every, learned=from_, seed=seed,
+            threads=threads,
         )
     )  # fmt: skip
     summary = outcome.summary
@@ -251,7 +279,11 @@ def body(
     start: int = 1,
     stop: int | None = None,
     step: int = 1,
+    resume: Flag = False,
     overwrite: Flag = False,
+    every: int = 500,
+    from_: From = None,
+    threads: int | None = None,
 ) -> int:
     """Track a person's upper body: the pose of head and arms, in depth as well.
 
@@ -287,14 +319,26 @@ def body(
         Last frame, included; the end of the source if not given.
     step
         Take every n-th frame.
+    resume
+        Go on with the run whose results are in the folder, from its last saved state.
     overwrite
-        Replace the results that are in the folder.
+        Remove the results that are in the folder.
+    every
+        Save the state each time that so many frames are done.
+    from_
+        Begin with what a run over another film of the person has learned, lengths, colour and pose: the
+        state.npz of its results. A recording is taken to go on where that one ended.
+    threads
+        How many threads the loops over pixels use.
     """
     from .body import BodyJob, run_body
 
     outcome = run_body(
-        BodyJob(source, out, detector, head, joints, samples, seed, start, stop, step, overwrite)
-    )
+        BodyJob(
+            source, out, detector, head, joints, samples, start=start, stop=stop, step=step, resume=resume,
+            overwrite=overwrite, every=every, learned=from_, seed=seed, threads=threads,
+        )
+    )  # fmt: skip
     summary = outcome.summary
     shares = ", ".join(f"{name.replace('_', ' ')} {100 * s:.0f} %" for name, s in summary["seen"].items())
     print(f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, seen: {shares}")
@@ -577,8 +621,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (CycloptsError, ValueError, OSError) as error:
         print(f"rsmcm: {_one_line(error)}", file=sys.stderr)
         code = USAGE_ERROR
-    except KeyboardInterrupt:
-        code = SIGNALLED + INTERRUPT
+    except KeyboardInterrupt as stop:
+        print(f"rsmcm: {stop or 'interrupted'}", file=sys.stderr)
+        code = SIGNALLED + getattr(stop, "signal", INTERRUPT)
     sys.exit(code or 0)
 
 

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from ..models.frame import Frame
 from . import report
-from .background import Found, Job, read_truth
+from .background import APPLICATION, Found, Job, read_truth
 from .baselines import CleanUp, OpenCVSubtractor
 from .interruption import Interruption, Outcome
 from .methods import Method, Model, Usual
 from .mosaic import mosaic
+from .output_folder import output_folder
 from .parameters import Parameters, read_parameters
 from .progress import Progress
 from .region import inside, read_region
@@ -31,6 +32,7 @@ Image = NDArray[np.uint8]
 
 PRIORS = (0.5, 0.7, 0.9, 0.99)  # P(B) of the stand-alone background, as in Fig. 8
 SHOWN_PRIOR = 0.9  # which of them Fig. 11's picture shows
+FILES = ("compare.json", "compare.csv", "compare-pictures.png", "compare-errors.png", "compare.html")
 COLUMNS = 5  # of Fig. 11's picture
 MOST_PICTURES = 2 * COLUMNS
 PICTURE_WIDTH = 480  # px
@@ -196,7 +198,9 @@ def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
                 progress.update()
     lines = [tally.values(n_frames) for tally in tallies.values()] if n_frames else []
     if lines:
-        write_comparison(job.out, source.name, lines, gallery)
+        with output_folder(job.out, APPLICATION, add=True) as folder:
+            folder.add(FILES)
+            write_comparison(job.out, source.name, lines, gallery)
     return Outcome({"frames": n_frames}, interruption.signal), lines
 
 

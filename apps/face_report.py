@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from ..models.frame import Frame
 from ..models.pose import Poses
 from .frame_lists import listed, listed_periods, periods
+from .frame_record import FrameRecord
 from .report import (
     Html,
     Section,
@@ -22,7 +23,6 @@ from .report import (
     table,
     write_run_page,
 )
-from .snapshots import Snapshots
 from .time_plots import BLUE, GREEN, ORANGE, Line, over_time
 
 Array = NDArray[np.float64]
@@ -42,14 +42,12 @@ def angles(rotation: Array) -> Array:
     return np.array([turned, tilted, leaned])
 
 
-@dataclass(eq=False)
-class FaceRecord:
+@dataclass(eq=False, kw_only=True)
+class FaceRecord(FrameRecord):
     """What summary and report need of a run, gathered frame by frame: a few numbers each, and some pictures.
 
     Parameters
     ----------
-    numbers, times
-        of the frames, 1-based and seconds.
     log_evidence
         nats; NaN in the first frame, and where nothing was to be seen.
     fits
@@ -58,25 +56,20 @@ class FaceRecord:
         px: mean distance of the landmarks from the given ones; NaN where none is given.
     experts
         effective number of experts, 1 / sum of squared weights.
-    seconds
-        that the tracker took.
-    lost, missing, restarted
+    angles, morphs
+        a frame each: `(3,)` degrees, see `angles`, and `(n_bases,)` px.
+    lost, restarted
         numbers of the frames in which that was so.
     """
 
-    numbers: "array[int]" = field(default_factory=lambda: array("q"))
-    times: "array[float]" = field(default_factory=lambda: array("d"))
     log_evidence: "array[float]" = field(default_factory=lambda: array("d"))
     fits: "array[float]" = field(default_factory=lambda: array("d"))
     errors: "array[float]" = field(default_factory=lambda: array("d"))
     experts: "array[float]" = field(default_factory=lambda: array("d"))
-    seconds: "array[float]" = field(default_factory=lambda: array("d"))
     angles: list[Array] = field(default_factory=list)
     morphs: list[Array] = field(default_factory=list)
     lost: list[int] = field(default_factory=list)
-    missing: list[int] = field(default_factory=list)
     restarted: list[int] = field(default_factory=list)
-    snapshots: Snapshots = field(default_factory=Snapshots)
 
     def add(
         self,
@@ -207,7 +200,7 @@ def _summary(summary: Mapping[str, Any]) -> Html:
     values = {
         "frames": f"{summary['frames']}",
         "frames a second": f"{summary['frames_per_second']:.1f}",
-        "frames a second, tracker": f"{summary['frames_per_second_of_tracker']:.1f}",
+        "frames a second, tracker": f"{summary['frames_per_second_of_engine']:.1f}",
         "frames lost": f"{summary['lost_frames']}",
         "re-initialisations": f"{len(summary['reinitialised'])}",
         "missing": f"{summary['missing_frames']}",

@@ -24,7 +24,7 @@ SUREST = 0.01
 """Squared grey levels below which variances of texels are not told apart (of a template it is 0)."""
 
 
-class FaceResults:
+class FaceWriter:
     """What grows with the frames: `poses.npz`, `overlay.mp4` and the record for summary and report.
 
     `poses.npz` holds, a row a frame: `frame_numbers`, `times` s; of the experts `weights (n_experts,)`,
@@ -40,50 +40,70 @@ class FaceResults:
     ----------
     folder
         of the results.
+    size
+        `(width, height)` px of the frames.
     rate
         frames per second.
+    after
+        number of the frame after which this run goes on; 0 for a new one.
     chain
         that tracks.
     start
         with the points that the landmarks are attached to.
     given
         landmarks to compare with.
+    record
+        to add to.
     """
 
     def __init__(
-        self, folder: Path, rate: float, chain: GFlow, start: FaceStart, given: GivenLandmarks | None
+        self,
+        folder: Path,
+        size: tuple[int, int],
+        rate: float,
+        after: int,
+        chain: GFlow,
+        start: FaceStart,
+        given: GivenLandmarks | None,
+        record: FaceRecord,
     ) -> None:
-        self.record = FaceRecord()
         self._chain = chain
         self._start = start
         self._given = given
+        self._record = record
         self._overlay = FaceOverlay(start.model)
+        constants = {"bases": start.model.bases, "triangles": start.model.triangles}
+        self._rows = RowWriter(folder / "poses.npz", constants, after)
+        self._video = OverlayVideo(folder / "overlay.mp4", rate, after)
         self._open = ExitStack()
-        self._rows = self._open.enter_context(RowWriter(folder / "poses.npz"))
-        self._video = self._open.enter_context(OverlayVideo(folder / "overlay.mp4", rate))
-        self._image: Image | None = None  # the last one
-        self._relocations = 0
+        self._image: Image = np.zeros((size[1], size[0], 3), np.uint8)  # the last one
 
     def __enter__(self) -> Self:
+        self._open.enter_context(self._rows)
+        self._open.enter_context(self._video)
         return self
 
     def __exit__(self, *error: Any) -> None:
         self._open.__exit__(*error)
 
-    def add(self, frame: Frame, state: GFlowState, seconds: float) -> None:
-        """Take in a frame, which took the tracker so long."""
+    def checkpoint(self) -> None:
+        """Return when everything is on disk and readable."""
+        self._rows.checkpoint()
+        self._video.checkpoint()
+
+    def add(self, frame: Frame, state: GFlowState, seconds: float, *, restarted: bool) -> None:
+        """Take in a frame, which took the tracker so long; it may have found the face again in it."""
         mean = self._chain.mean_pose(state)
         vertices, covariance = self._chain.vertices(state)
         present = self._start.present
         landmarks = np.full((len(present), 2), np.nan)
         if present.any():
             landmarks[present] = self._chain.points(state, self._start.points)
-        restarted = state.relocations > self._relocations
-        self._relocations = state.relocations
-        # the first frame shows the texture, which nothing could predict
-        unpredicted = frame.missing or not self.record.numbers
+        # the first picture shows the texture, which nothing could predict
+        unpredicted = frame.missing or state.looks == 1
         evidence, fit = (np.nan, np.nan) if unpredicted else (state.log_evidence, state.fit)
         self._rows.append(
+            frame.number,
             {
                 "frame_numbers": np.int64(frame.number),
                 "times": np.float64(frame.time),
@@ -103,18 +123,18 @@ class FaceResults:
                 "lost": np.bool_(state.lost),
                 "reinitialised": np.bool_(restarted),
                 "missing": np.bool_(frame.missing),
-            }
+            },
         )
-        image = self._image if frame.image is None else frame.image
-        assert image is not None  # the first frame has one
-        self._image = image
+        if frame.image is not None:
+            self._image = frame.image
+        image = self._image
         face = TrackedFace(state.poses, mean, landmarks, state.lost)
 
         def draw() -> Image:
             return self._overlay.draw(image, face, caption(frame))
 
         self._video.write(frame, draw)
-        self.record.add(
+        self._record.add(
             frame,
             mean,
             state.weights,
@@ -126,10 +146,6 @@ class FaceResults:
             restarted=restarted,
             overlay=draw,
         )
-
-    def finish(self) -> None:
-        """Complete the file of poses, with what its numbers refer to."""
-        self._rows.finish({"bases": self._start.model.bases, "triangles": self._start.model.triangles})
 
 
 def write_textures(folder: Path, chain: GFlow, state: GFlowState) -> tuple[float, dict[str, Image]]:

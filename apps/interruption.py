@@ -26,11 +26,27 @@ class Outcome:
     signal: int | None
 
 
+class Interrupted(KeyboardInterrupt):
+    """A signal has ended a run at once.
+
+    Parameters
+    ----------
+    signal
+        its number.
+    what
+        what there is of the run.
+    """
+
+    def __init__(self, signal: int, what: str = "interrupted before there was any result") -> None:
+        super().__init__(what)
+        self.signal = signal
+
+
 class Interruption:
     """Ctrl-C (SIGINT) and SIGTERM as a question that is asked between frames or rounds.
 
     Inside its block, the first signal only ends `items`; while that waits for the next one, at once. A second
-    signal is a `KeyboardInterrupt` wherever it arrives. Outside the main thread, signals are left alone.
+    signal is an `Interrupted` wherever it arrives. Outside the main thread, signals are left alone.
 
     Attributes
     ----------
@@ -62,9 +78,7 @@ class Interruption:
                 self._waiting = False
             except StopIteration:
                 return
-            except KeyboardInterrupt:
-                if self.signal is None:
-                    raise
+            except Interrupted:
                 return
             finally:
                 self._waiting = False
@@ -75,4 +89,4 @@ class Interruption:
         self.signal = number
         if again or self._waiting:
             self._waiting = False
-            raise KeyboardInterrupt
+            raise Interrupted(number)

@@ -24,10 +24,12 @@ class OverlayVideo:
         of the video.
     rate
         pictures per second.
+    resume_after
+        number of the frame after which this run goes on; 0 for a new one.
     """
 
-    def __init__(self, path: Path, rate: float) -> None:
-        self._video = SegmentedVideo(path, rate, PLAYABLE)
+    def __init__(self, path: Path, rate: float, resume_after: int = 0) -> None:
+        self._video = SegmentedVideo(path, rate, PLAYABLE, resume_after)
         self._thread = ThreadPoolExecutor(1, "overlay")
         self._unfinished: Future[None] | None = None
 
@@ -38,11 +40,15 @@ class OverlayVideo:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if kind is None:
-                self._wait()
+            self._wait()
         finally:
             self._thread.shutdown()
-            self._video.close(finished=True)
+            self._video.close(finished=kind is None)
+
+    def checkpoint(self) -> None:
+        """Return when everything is on disk and readable."""
+        self._wait()
+        self._video.checkpoint()
 
     def write(self, frame: Frame, draw: Callable[[], Image]) -> None:
         """Append the picture of a frame, which `draw` makes; what it uses must not change any more.

@@ -1,6 +1,6 @@
 """What a structure-from-motion run finds: points, cameras, tracks, and how sure it is of them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -115,8 +115,8 @@ class Reconstruction:
         return np.sqrt(variances)
 
 
-def solve(frames: Sequence[Frame], coherence: Coherence, association: Association) -> Iterator[Solution]:
-    """Solutions of the engine, the best so far after each round.
+def engine_for(frames: Sequence[Frame], coherence: Coherence, association: Association) -> CoordinateAscent:
+    """The engine with tracker and shape.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def solve(frames: Sequence[Frame], coherence: Coherence, association: Associatio
     shape = FactorStructure(coherence=coherence == "second-order", associate=dual)
     # what a tracker predicts comes from looks that the shape sees as well, and would count many times over
     model = MultiChain().connect(PointTracker(), points, feedback=False).connect(shape, points, feedback=dual)
-    return CoordinateAscent(model, MOST_ROUNDS).rounds(frames)
+    return CoordinateAscent(model, MOST_ROUNDS)
 
 
 def reconstruction_of(solution: Solution, n_tracks: int | None) -> Reconstruction:
@@ -143,7 +143,7 @@ def reconstruction_of(solution: Solution, n_tracks: int | None) -> Reconstructio
     Parameters
     ----------
     solution
-        as `solve` yields it.
+        of the engine that `engine_for` makes.
     n_tracks
         how many tracks were given, by whose columns points are called; `None` where they were made from
         images.
@@ -223,9 +223,9 @@ def reconstruct(
     n_tracks: int | None = None,
     after_round: Callable[[], None] = lambda: None,
 ) -> Reconstruction:
-    """The best solution of a whole run; parameters as of `solve` and `reconstruction_of`."""
+    """The best solution of a whole run; parameters as of `engine_for` and `reconstruction_of`."""
     best: Any = None
-    for solution in solve(frames, coherence, association):
+    for solution in engine_for(frames, coherence, association).rounds(frames):
         best = solution
         after_round()
     return reconstruction_of(best, n_tracks)

@@ -9,8 +9,6 @@ import json
 import math
 import os
 import queue
-import shutil
-import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -27,27 +25,6 @@ from numpy.typing import NDArray
 
 from ..models.frame import Frame
 
-RESULT_PATTERNS = (
-    "tracks.txt",
-    "background.png",
-    "overlay.mp4",
-    "overlay.part*.mp4",
-    "foreground.mkv",
-    "foreground.part*.mkv",
-    "foreground/bin[0-9]*.png",
-    "summary.json",
-    "report.html",
-    "compare.*",
-    "compare-*.png",
-    "state.npz",
-    "poses.npz",
-    "texture.png",
-    "texture_variance.png",
-    "structure.ply",
-    "cameras.json",
-    "tracks.npz",
-    "predictions.npz",
-)
 UNFINISHED = ".unfinished-"  # how a file is called while it is written
 
 TRACK_FIELDS = np.dtype(
@@ -106,6 +83,12 @@ def write_atomically(path: Path) -> Iterator[Path]:
         raise
 
 
+def sync(path: Path) -> None:
+    """Return when a file has reached the disk, where it outlives a power cut."""
+    with naming(path), path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
 def write_text(path: Path, text: str) -> None:
     """Write UTF-8 text, whole or not at all."""
     with write_atomically(path) as unfinished:
@@ -140,84 +123,24 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
         unfinished.write_bytes(data.tobytes())
 
 
-def check_output(folder: Path, *, overwrite: bool = False, resume: bool | None = None) -> list[Path]:
-    """Refuse a folder that holds results, and change nothing; return those that are to be replaced.
-
-    Parameters
-    ----------
-    folder
-        need not exist.
-    overwrite
-        results there may be replaced.
-    resume
-        results there are gone on with; `None` where an application cannot do that.
-
-    Raises
-    ------
-    FileExistsError
-        if the folder holds results, and neither `overwrite` nor `resume` is given.
-    NotADirectoryError
-        if it is no folder.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(errno.ENOTDIR, "expected a folder", str(folder))
-    present = sorted(path for pattern in RESULT_PATTERNS for path in folder.glob(pattern))
-    if present and not overwrite and not resume:
-        ways = "--overwrite" if resume is None else "--overwrite or --resume"
-        raise FileExistsError(f"{folder}: already holds results: use {ways}")
-    return present if overwrite else []
+# --- segments -----------------------------------------------------------------------------------------------
 
 
-def prepare_output(folder: Path, *, overwrite: bool = False, resume: bool | None = False) -> None:
-    """Make sure that results can be written to `folder`; parameters and errors as of `check_output`.
-
-    With `overwrite`, results of an earlier run are removed, and only those (`RESULT_PATTERNS`).
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be made or written to.
-    """
-    replaced = check_output(folder, overwrite=overwrite, resume=resume)
-    folder.mkdir(parents=True, exist_ok=True)
-    with naming(folder), tempfile.TemporaryFile(dir=folder):
-        pass
-    patterns = (UNFINISHED + "*", f"foreground/{UNFINISHED}*", ".state.npz.*.partial")
-    for path in [*(path for pattern in patterns for path in folder.glob(pattern)), *replaced]:
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink()
+def segment_name(path: Path, last: int) -> Path:
+    """Name of the segment of the file `path` whose last frame has that number."""
+    return path.with_name(f"{path.stem}.part{last:09d}{path.suffix}")
 
 
-@contextmanager
-def write_together(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a folder to write results to, which all appear in `folder` when all went well.
+def segments_of(path: Path, behind: int = 0) -> list[Path]:
+    """The segments of the file `path` in order of time, of those that end behind a frame."""
+    found = sorted(path.parent.glob(segment_pattern(path.name)))
+    return [segment for segment in found if int(segment.stem.rpartition("part")[2]) > behind]
 
-    With `overwrite`, they replace those of an earlier run (`RESULT_PATTERNS`). After an error, `folder` is as
-    it was before.
 
-    Raises
-    ------
-    FileExistsError
-        if the folder holds results, and `overwrite` is not given.
-    OSError
-        if something cannot be written; it names `folder`.
-    """
-    replaced = check_output(folder, overwrite=overwrite)
-    created = not folder.exists()
-    prepare_output(folder, resume=True)  # what a kill left over goes, results stay for now
-    try:
-        with naming(folder), tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=folder) as unfinished:
-            yield Path(unfinished)
-            for path in replaced:
-                path.unlink()
-            for path in Path(unfinished).iterdir():
-                os.replace(path, folder / path.name)
-    except BaseException:
-        if created:
-            folder.rmdir()
-        raise
+def segment_pattern(name: str) -> str:
+    """What the segments of a file are called, as a pattern of `glob`."""
+    path = Path(name)
+    return f"{path.stem}.part[0-9]*{path.suffix}"
 
 
 class _Worker:
@@ -325,9 +248,8 @@ class SegmentedVideo:
         self._segment: _Segment | None = None
         self._unfinished = path.with_name(f"{UNFINISHED}part-{path.name}")
         self._unfinished.unlink(missing_ok=True)
-        for segment in self._segments():
-            if int(segment.stem.rpartition("part")[2]) > resume_after:
-                segment.unlink()
+        for segment in segments_of(path, behind=resume_after):
+            segment.unlink()
 
     def write(self, picture: NDArray[np.uint8], number: int, time: float) -> None:
         """Append a picture, BGR or gray as the form demands, of the frame with this number and time."""
@@ -348,14 +270,14 @@ class SegmentedVideo:
         if self._segment is None:
             return
         segment, self._segment = self._segment, None
-        name = f"{self._path.stem}.part{segment.last_number:09d}{self._path.suffix}"
         try:
             with naming(self._path):
                 try:
                     segment.container.mux(segment.stream.encode(None))
                 finally:
                     segment.container.close()
-                os.replace(self._unfinished, self._path.with_name(name))
+                sync(self._unfinished)
+                os.replace(self._unfinished, segment_name(self._path, segment.last_number))
         except BaseException:
             self._unfinished.unlink(missing_ok=True)
             raise
@@ -363,16 +285,13 @@ class SegmentedVideo:
     def close(self, *, finished: bool) -> None:
         """Write the whole video; when the run is finished, remove the segments."""
         self.checkpoint()
-        segments = self._segments()
+        segments = segments_of(self._path)
         if segments:
             with write_atomically(self._path) as unfinished:
                 _join(segments, unfinished, self._form)
         if finished:
             for segment in segments:
                 segment.unlink()
-
-    def _segments(self) -> list[Path]:
-        return sorted(self._path.parent.glob(f"{self._path.stem}.part[0-9]*{self._path.suffix}"))
 
     def _open(self, picture: NDArray[np.uint8], time: float) -> _Segment:
         height, width = picture.shape[:2]
@@ -457,6 +376,7 @@ class MaskWriter:
         self._mode = mode
         self._video: SegmentedVideo | None = None
         self._worker: _Worker | None = None
+        self._unsynced: list[Path] = []  # written since the last checkpoint
         if mode == "video":
             self._video = SegmentedVideo(folder / "foreground.mkv", rate, LOSSLESS_GRAY, resume_after)
         if mode == "png":
@@ -486,6 +406,10 @@ class MaskWriter:
             self._worker.wait()
         if self._video is not None:
             self._video.checkpoint()
+        # all at once: most have reached the disk by now
+        for path in self._unsynced:
+            sync(path)
+        self._unsynced.clear()
 
     def close(self, *, finished: bool) -> None:
         """Complete the results; `finished` as in `SegmentedVideo.close`."""
@@ -501,6 +425,7 @@ class MaskWriter:
         # OpenCV's default (fastest deflate, run lengths) is quicker and smaller here than level 1.
         path = self._folder / f"bin{number:06d}.png"
         write_image(path, mask)
+        self._unsynced.append(path)
 
 
 # --- overlay ------------------------------------------------------------------------------------------------
@@ -701,9 +626,10 @@ class TrackWriter:
             self._file.write("".join(lines))
 
     def checkpoint(self) -> None:
-        """Hand everything over to the system, where it outlives this process."""
+        """Return when everything is on disk."""
         with naming(self._path):
             self._file.flush()
+            os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Complete the file; when the disk is full, up to the last whole line."""

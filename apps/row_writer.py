@@ -3,45 +3,55 @@
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .results import naming, write_atomically
+from .results import naming, segment_name, segments_of, sync, write_atomically
 
 CHUNK = 1 << 24
 """Bytes that are copied at a time."""
 
 
 class RowWriter:
-    """An `.npz` file whose arrays grow by a row a frame, of which one row at a time is in memory.
+    """An `.npz` file whose arrays grow by a row a frame, and that survives the end of its process.
 
-    Rows are collected in nameless files beside it, which vanish with the process. Nothing is compressed:
-    numbers of a tracker hardly shrink.
+    Like those of `SegmentedVideo`, rows go to segments, `name.partNNNNNNNNN.npz`, that are complete at each
+    checkpoint; closing joins them. One row at a time is in memory: until a checkpoint, rows are in nameless
+    files beside the segments. Nothing is compressed: numbers of a tracker hardly shrink. The same rows make
+    the same bytes.
 
     Parameters
     ----------
     path
-        of the file, which appears when `finish` is called.
+        of the file, which appears at the end.
+    constants
+        other arrays that the file holds.
+    resume_after
+        number of the frame after which this run goes on; 0 for a new one.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, constants: Mapping[str, Any], resume_after: int = 0) -> None:
         self._path = path
+        self._constants = constants
         self._columns: dict[str, tuple[IO[bytes], NDArray[Any]]] = {}
-        self._n_rows = 0
+        self._n_rows = 0  # since the last checkpoint
+        self._last = 0  # number of the last frame
+        for segment in segments_of(path, behind=resume_after):
+            segment.unlink()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        for file, _first in self._columns.values():
-            file.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self.close(finished=kind is None)
 
-    def append(self, row: Mapping[str, Any]) -> None:
-        """Append an entry to every array.
+    def append(self, number: int, row: Mapping[str, Any]) -> None:
+        """Append an entry of the frame with this number to every array.
 
         Raises
         ------
@@ -66,30 +76,86 @@ class RowWriter:
                     )
                 file.write(entry.tobytes())
         self._n_rows += 1
+        self._last = number
 
-    def finish(self, constants: Mapping[str, Any]) -> None:
-        """Write the file, whole or not at all: the arrays that grew, and others that did not.
+    def checkpoint(self) -> None:
+        """Complete what was written so far.
 
         Raises
         ------
         OSError
             if it cannot be written.
         """
-        with (
-            write_atomically(self._path) as unfinished,
-            zipfile.ZipFile(unfinished, "w", zipfile.ZIP_STORED) as archive,
-        ):
-            for name, value in constants.items():
-                with archive.open(f"{name}.npy", "w") as entry:
-                    np.lib.format.write_array(entry, np.asarray(value), allow_pickle=False)
+        if not self._n_rows:
+            return
+        segment = segment_name(self._path, self._last)
+        with write_atomically(segment) as unfinished, zipfile.ZipFile(unfinished, "w") as archive:
             for name, (file, first) in self._columns.items():
-                header = {
-                    "descr": np.lib.format.dtype_to_descr(first.dtype),
-                    "fortran_order": False,
-                    "shape": (self._n_rows, *first.shape),
-                }
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
-                    np.lib.format.write_array_header_1_0(entry, header)
+                with _entry(archive, name) as entry:
+                    _write_header(entry, (self._n_rows, *first.shape), first.dtype)
                     file.seek(0)
                     shutil.copyfileobj(file, entry, CHUNK)
-                file.close()  # gives its space back at once
+                file.seek(0)
+                file.truncate()
+        sync(segment)
+        self._n_rows = 0
+
+    def close(self, *, finished: bool) -> None:
+        """Write the file, whole or not at all; when the run is finished, remove the segments.
+
+        Raises
+        ------
+        OSError
+            if it cannot be written.
+        """
+        try:
+            self.checkpoint()
+        finally:
+            for file, _first in self._columns.values():
+                file.close()
+        segments = segments_of(self._path)
+        if segments:
+            with write_atomically(self._path) as unfinished, zipfile.ZipFile(unfinished, "w") as archive:
+                for name, value in self._constants.items():
+                    with _entry(archive, name) as entry:
+                        np.lib.format.write_array(entry, np.asarray(value), allow_pickle=False)
+                _join(segments, archive)
+        if finished:
+            for segment in segments:
+                segment.unlink()
+
+
+def _entry(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
+    """A member to write to; it bears no date, so that equal arrays make equal files."""
+    return archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True)
+
+
+def _write_header(entry: IO[bytes], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+    header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(entry, header)
+
+
+def _read_header(entry: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of a member, which is read up to its numbers."""
+    np.lib.format.read_magic(entry)
+    shape, _, dtype = np.lib.format.read_array_header_1_0(entry)
+    return shape, dtype
+
+
+def _join(segments: Sequence[Path], archive: zipfile.ZipFile) -> None:
+    """Write all rows of each array, one segment after the other."""
+    with ExitStack() as stack:
+        parts = [stack.enter_context(zipfile.ZipFile(segment)) for segment in segments]
+        for member in parts[0].namelist():
+            headers = []
+            for part in parts:
+                with part.open(member) as file:
+                    headers.append(_read_header(file))
+            (_, *form), dtype = headers[0]
+            rows = sum(shape[0] for shape, _ in headers)
+            with _entry(archive, member.removesuffix(".npy")) as entry:
+                _write_header(entry, (rows, *form), dtype)
+                for part in parts:
+                    with part.open(member) as file:
+                        _read_header(file)
+                        shutil.copyfileobj(file, entry, CHUNK)

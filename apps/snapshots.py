@@ -1,7 +1,8 @@
 """A few pictures of a run of any length."""
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,8 @@ from .report import MOST_SNAPSHOTS, SNAPSHOT_WIDTH, Html, picture_grid, small
 Image = NDArray[np.uint8]
 
 
-class Snapshot(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Snapshot:
     """A picture of a frame: its number, its time in seconds, `(height, width[, 3])` uint8 BGR."""
 
     number: int
@@ -30,6 +32,9 @@ class Snapshots:
     width
         px: wider pictures are kept smaller.
     """
+
+    KINDS: ClassVar[dict[str, Any]] = {"kept": tuple[Snapshot, ...], "count": int, "stride": int}
+    """What `saved` gives, for `rsmcm.inference.checkpoint`."""
 
     def __init__(self, width: int = SNAPSHOT_WIDTH) -> None:
         self._width = width
@@ -51,6 +56,14 @@ class Snapshots:
                 del self._kept[1::2]
                 self._stride *= 2
         self._count += 1
+
+    def saved(self) -> dict[str, Any]:
+        """Everything."""
+        return {"kept": tuple(self._kept), "count": self._count, "stride": self._stride}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Take over what `saved` was."""
+        self._kept, self._count, self._stride = list(saved["kept"]), saved["count"], saved["stride"]
 
     def row(self, name: str) -> Html:
         """All pictures beside each other in a row of that name."""

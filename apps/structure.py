@@ -1,16 +1,22 @@
 """The structure application: from a film or tracks of points to their shape and the motion of the camera."""
 
+import hashlib
+import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..inference import Solution
 from ..models.frame import Frame
-from .interruption import Interruption, Outcome
+from ..models.threads import set_threads
+from .interruption import Interrupted, Interruption, Outcome
+from .output_folder import OutputFolder, output_folder
 from .predictions import write_predictions
 from .progress import Progress
 from .reconstruction import (
@@ -19,10 +25,11 @@ from .reconstruction import (
     Association,
     Coherence,
     Reconstruction,
+    engine_for,
     reconstruction_of,
-    solve,
 )
-from .results import check_output, write_json, write_together
+from .results import naming, write_json
+from .saved_run import STATE, check_source, read_about
 from .sources import DEFAULT_RATE, Selection, open_source
 from .structure_files import point_colours, write_cameras, write_ply, write_tracks
 from .structure_report import write_structure_report
@@ -30,6 +37,17 @@ from .track_files import frames_of_tracks, read_track_file
 from .track_overlay import write_overlay
 from .versions import versions
 
+APPLICATION = "structure"
+FILES = (
+    STATE,
+    "structure.ply",
+    "cameras.json",
+    "tracks.npz",
+    "predictions.npz",
+    "summary.json",
+    "report.html",
+    "overlay.mp4",
+)
 FEWEST_FRAMES = 3
 TRACK_FILE = ".npz"
 
@@ -45,7 +63,13 @@ class StructureJob:
     start: int = 1
     stop: int | None = None
     step: int = 1
+    resume: bool = False
     overwrite: bool = False
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.resume and self.overwrite:
+            raise ValueError("--resume and --overwrite: got both, expected one of them")
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -73,6 +97,8 @@ class Film:
         frames per second, of those that were selected.
     n_tracks
         columns of the track file; `None` where there are images.
+    fingerprint
+        by which the source is known again.
     notes
         what is out of the ordinary, a sentence each.
     """
@@ -81,35 +107,103 @@ class Film:
     frames: Sequence[Frame]
     rate: float
     n_tracks: int | None
+    fingerprint: dict[str, Any]
     notes: tuple[str, ...]
 
 
 def run_structure(job: StructureJob) -> Outcome:
     """Run the structure application; all results are in `job.out` afterwards.
 
-    SIGINT (Ctrl-C) and SIGTERM end the ascent with the results of the last whole round. Nothing is written
-    before the end.
+    The state is saved after every round of the ascent. SIGINT (Ctrl-C) and SIGTERM end it with the results of
+    the last whole round.
 
     Raises
     ------
     ValueError, OSError
         in one line, whatever is wrong with the job, its source or its output.
-    KeyboardInterrupt
+    Interrupted
         if a signal came before there was any result.
     """
-    check_output(job.out, overwrite=job.overwrite)
-    started = time.perf_counter()
-    film = read_film(job)
-    with Interruption() as interruption:
-        found = _solved(job, film, interruption)
+    if job.threads is not None:
+        set_threads(job.threads)
+        cv2.setNumThreads(job.threads)
+    with (
+        Interruption() as interruption,
+        output_folder(job.out, APPLICATION, overwrite=job.overwrite, resume=job.resume) as folder,
+    ):
+        return StructureRun(job, folder, interruption).carry_out()
+
+
+class StructureRun:
+    """One run: the film, and how far the ascent has come."""
+
+    def __init__(self, job: StructureJob, folder: OutputFolder, interruption: Interruption) -> None:
+        self._job = job
+        self._folder = folder
+        self._interruption = interruption
+        self._state = job.out / STATE
+        self._earlier_seconds = 0.0  # of wall time, before the run was resumed
+        self._started = time.perf_counter()
+
+    def carry_out(self) -> Outcome:
+        """Read, ascend, write."""
+        job = self._job
+        about = None
+        if job.resume and self._state.exists():
+            about = read_about(self._state, APPLICATION, job.settings)
+            self._earlier_seconds = about["seconds"]
+        self._film = film = read_film(job)
+        if about is not None:
+            check_source(about, film.fingerprint)
+            if about["finished"]:
+                return Outcome(about["finished"], None)
+        self._engine = engine_for(film.frames, job.coherence, job.association)
+        after = None if about is None else self._engine.load(self._state, film.frames)[0]
+        solution = self._ascended(after)
+        found = reconstruction_of(solution, film.n_tracks)
         n_tracks = len(found.point_of_track)
         if n_tracks < FEWEST_POINTS:
             raise ValueError(
                 f"{film.name}: got {n_tracks} points that can be tracked, expected {FEWEST_POINTS} or more"
             )
-        with write_together(job.out, overwrite=job.overwrite) as folder:
-            summary = _write(folder, job, film, found, interruption, started)
-    return Outcome(summary, interruption.signal)
+        summary = _write(job, film, found, self._interruption, self._seconds())
+        if not summary["ended_early"]:
+            self._save(solution, finished=summary)
+        return Outcome(summary, self._interruption.signal)
+
+    def _ascended(self, after: Solution | None) -> Solution:
+        """The best solution, when the ascent ends or a signal arrives; saved after every round."""
+        best = after
+        done = 0 if after is None else len(after.rounds)
+        rounds = self._engine.rounds(self._film.frames, after=after)
+        try:
+            with Progress(APPLICATION, MOST_ROUNDS, done, unit="rounds") as progress:
+                for solution in self._interruption.items(rounds):
+                    if best is None:
+                        self._folder.begin(FILES, resume=self._job.resume)
+                    best = solution
+                    self._save(best)
+                    progress.update()
+        except ValueError as error:
+            raise ValueError(f"{self._film.name}: {error}") from None
+        if best is None:
+            assert self._interruption.signal is not None  # or there would be a first round
+            raise Interrupted(self._interruption.signal)
+        return best
+
+    def _save(self, solution: Solution, finished: dict[str, Any] | None = None) -> None:
+        about = {
+            "application": APPLICATION,
+            "settings": self._job.settings,
+            "source": self._film.fingerprint,
+            "seconds": self._seconds(),
+            "finished": finished,
+        }
+        with naming(self._state):
+            self._engine.save(self._state, solution, about)
+
+    def _seconds(self) -> float:
+        return self._earlier_seconds + time.perf_counter() - self._started
 
 
 def read_film(job: StructureJob) -> Film:
@@ -144,7 +238,9 @@ def _tracks(job: StructureJob) -> Film:
     if empty:
         notes.append(f"No point is seen in {_listed('frame', empty)}; cameras there are only predicted.")
     frames = frames_of_tracks(tracks, numbers)
-    return Film(job.source, frames, DEFAULT_RATE / job.step, tracks.shape[1], tuple(notes))
+    digest = hashlib.sha256(Path(job.source).read_bytes()).hexdigest()
+    fingerprint = {"kind": "tracks", "name": job.source, "sha256": digest}
+    return Film(job.source, frames, DEFAULT_RATE / job.step, tracks.shape[1], fingerprint, tuple(notes))
 
 
 def _images(job: StructureJob) -> Film:
@@ -161,34 +257,15 @@ def _images(job: StructureJob) -> Film:
             notes.append(f"Missing or unreadable: {_listed('frame', source.skipped)}.")
         if source.truncated:
             notes.append("The source ends before its announced end.")
-        return Film(source.name, frames, source.rate / job.step, None, tuple(notes))
-
-
-def _solved(job: StructureJob, film: Film, interruption: Interruption) -> Reconstruction:
-    """The best solution, when the ascent ends or a signal arrives."""
-    best: Any = None
-    rounds: Iterator[Any] = solve(film.frames, job.coherence, job.association)
-    try:
-        with Progress("structure", MOST_ROUNDS, unit="rounds") as progress:
-            for solution in interruption.items(rounds):
-                best = solution
-                progress.update()
-    except ValueError as error:
-        raise ValueError(f"{film.name}: {error}") from None
-    if best is None:
-        raise KeyboardInterrupt
-    return reconstruction_of(best, film.n_tracks)
+        fingerprint = source.fingerprint()
+        return Film(source.name, frames, source.rate / job.step, None, fingerprint, tuple(notes))
 
 
 def _write(
-    folder: Path,
-    job: StructureJob,
-    film: Film,
-    found: Reconstruction,
-    interruption: Interruption,
-    started: float,
+    job: StructureJob, film: Film, found: Reconstruction, interruption: Interruption, seconds: float
 ) -> dict[str, Any]:
-    frames = film.frames
+    """Write all results; return the content of `summary.json`."""
+    folder, frames = job.out, film.frames
     notes = [*film.notes, *_notes(found, film.n_tracks is not None)]
     colours: NDArray[np.uint8] = point_colours(frames, found)
     if found.geometry != "none":
@@ -209,7 +286,7 @@ def _write(
         "points": found.n_points,
         "observations": found.n_observations,
         "reprojection_rmse_px": found.reprojection_error,
-        "reprojection_rmse_px_per_coordinate": found.reprojection_error / np.sqrt(2),
+        "reprojection_rmse_px_per_coordinate": found.reprojection_error / math.sqrt(2),
         "noise_px": float(np.sqrt(found.noise_variance)),
         "shape": found.geometry,
         "shape_reason": found.reason or None,
@@ -218,7 +295,7 @@ def _write(
         "ended_early": interruption.signal is not None,
         "objective": list(found.objective),
         "notes": notes,
-        "seconds": time.perf_counter() - started,
+        "seconds": seconds,
         "parameters": job.settings,
         "versions": versions(),
     }

@@ -3,7 +3,8 @@
 Arrays are members of their own, named by their place in the tree; the member `skeleton` is JSON with all the
 rest. Values are read by their declared kinds: dataclasses, `NDArray`, `int`, `float`, `bool`, `str`, `None`,
 `X | None`, `tuple[X, ...]`, `tuple[X, Y]`, `list[X]`, `dict[str, X]`, `dict[int, X]`,
-`numpy.random.Generator`, and `Any` or `object` for plain JSON. A nested mapping of names to kinds stands for
+`numpy.random.Generator`, and `Any` or `object` for plain JSON. A field of a dataclass whose metadata say
+`{"saved": False}` is left out, and is at its default when read. A nested mapping of names to kinds stands for
 a record without a class of its own, or `None` where it is not there yet.
 """
 
@@ -51,6 +52,8 @@ def save(path: str | Path, values: Mapping[str, Any], kinds: Mapping[str, Any]) 
     try:
         with open(partial, "wb") as stream:
             np.savez(stream, allow_pickle=False, **{SKELETON: np.array(skeleton), **arrays})
+            stream.flush()
+            os.fsync(stream.fileno())  # a power cut right after the new name leaves no empty file
         os.replace(partial, path)
     except BaseException:
         partial.unlink(missing_ok=True)
@@ -67,22 +70,43 @@ def load(path: str | Path, kinds: Mapping[str, Any]) -> dict[str, Any]:
     OSError
         if the file cannot be opened.
     """
+    values, arrays = _read(path, with_arrays=True)
+    try:
+        return _restore(values, kinds, arrays)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def load_plain(path: str | Path, name: str) -> Any:
+    """Read one value that is plain JSON, whatever the others are; `None` if there is none of that name.
+
+    Raises
+    ------
+    ValueError
+        in one line that names the file, if it is broken or of another format.
+    OSError
+        if the file cannot be opened.
+    """
+    values, _ = _read(path, with_arrays=False)
+    return values.get(name)
+
+
+def _read(path: str | Path, *, with_arrays: bool) -> tuple[dict[str, Any], Arrays]:
+    """The JSON of the values and, if wanted, the arrays that it refers to."""
     with open(path, "rb") as stream:
         try:
             with np.lib.npyio.NpzFile(stream, allow_pickle=False) as members:
-                arrays = {name: members[name] for name in members.files}
+                names = members.files if with_arrays else [SKELETON]
+                arrays = {name: members[name] for name in names}
             content = json.loads(str(arrays.pop(SKELETON)))
-            found, values = content["format"], content["values"]
+            found, values = content["format"], dict(content["values"])
         except Exception as error:  # broken bytes make zip, numpy and JSON raise almost anything
             raise ValueError(
                 f"{path}: got no readable state file, expected one that was saved here"
             ) from error
     if found != FORMAT:
         raise ValueError(f"{path}: got format {found!r}, expected {FORMAT!r}")
-    try:
-        return _restore(values, kinds, arrays)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    return values, arrays
 
 
 def _encode(value: Any, arrays: Arrays, place: str) -> Any:
@@ -96,7 +120,7 @@ def _encode(value: Any, arrays: Arrays, place: str) -> Any:
     if isinstance(value, np.random.Generator):
         return _encode(value.bit_generator.state, arrays, place)
     if is_dataclass(value):
-        value = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
+        value = {name: getattr(value, name) for name in _saved_fields(value)}
     if isinstance(value, Mapping):
         return {key: _encode(item, arrays, _below(place, key)) for key, item in value.items()}
     if isinstance(value, tuple | list):
@@ -156,7 +180,7 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
         record, build = kind, dict
     else:
         hints = get_type_hints(kind)
-        record = {field.name: hints[field.name] for field in fields(kind) if field.init}
+        record = {name: hints[name] for name in _saved_fields(kind)}
         build = kind
     found = data if isinstance(data, dict) else {}
     if found.keys() != record.keys():
@@ -165,6 +189,11 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
     return build(
         **{name: _decode(found[name], part, arrays, _below(place, name)) for name, part in record.items()}
     )
+
+
+def _saved_fields(kind: Any) -> list[str]:
+    """Names of a dataclass's fields that are saved."""
+    return [field.name for field in fields(kind) if field.init and field.metadata.get("saved", True)]
 
 
 def _kind_of(value: Any) -> Any:

@@ -1,17 +1,19 @@
 """Algorithm 2 of the RSMCM paper, coordinate ascent over whole sequences, for any number of chains."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
 from math import inf
 from operator import mul
-from typing import Any
+from pathlib import Path
+from typing import Any, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..models.frame import Frame
+from . import checkpoint
 from .graph import MultiChain
 from .protocols import BatchChain, BatchIncoming, Message, name_of
 
@@ -53,11 +55,14 @@ class Solution:
         whether the ascent ended by itself and not at its wall.
     """
 
-    def __init__(self, slices: "_Slices", rounds: tuple[Round, ...], converged: bool) -> None:
-        self.frames = slices.frames
+    def __init__(
+        self, best: "_Slices", latest: "_Slices", rounds: tuple[Round, ...], converged: bool
+    ) -> None:
+        self.frames = best.frames
         self.rounds = rounds
         self.converged = converged
-        self._slices = slices
+        self._slices = best
+        self._latest = latest  # from which the ascent goes on
 
     @property
     def objective(self) -> float:
@@ -138,16 +143,33 @@ class CoordinateAscent:
         return last
 
     def rounds(
-        self, frames: Iterable[Frame | NDArray[np.uint8] | None], dt: float = 1 / 25
+        self,
+        frames: Iterable[Frame | NDArray[np.uint8] | None],
+        dt: float = 1 / 25,
+        after: Solution | None = None,
     ) -> Iterator[Solution]:
-        """As `run`, with the best solution so far after every round."""
-        best = slices = _Slices(self.model, _as_frames(frames, dt))
-        reports: list[Round] = []
+        """As `run`, with the best solution so far after every round.
+
+        Parameters
+        ----------
+        frames, dt
+            as of `run`.
+        after
+            to go on from, of the same frames (see `load`); what follows is as if it had never been left.
+        """
+        if after is None:
+            best = slices = _Slices(self.model, _as_frames(frames, dt))
+            reports: list[Round] = []
+        else:
+            best, slices, reports = after._slices, after._latest, list(after.rounds)
+            if after.converged or len(reports) >= self.most_rounds:
+                yield after
+                return
         while True:
             slices = slices.copy()
             smoothed = slices.ascend()
             if not smoothed:
-                yield Solution(best, tuple(reports), converged=True)
+                yield Solution(best, slices, tuple(reports), converged=True)
                 return
             objective = slices.objective()
             if not reports or objective > max(report.objective for report in reports):
@@ -155,9 +177,92 @@ class CoordinateAscent:
             reports.append(Round(len(reports) + 1, objective, smoothed))
             before = reports[-2].objective if len(reports) > 1 else -inf
             converged = objective < before + self.tolerance * abs(before)
-            yield Solution(best, tuple(reports), converged)
+            yield Solution(best, slices, tuple(reports), converged)
             if converged or len(reports) == self.most_rounds:
                 return
+
+    def save(self, path: str | Path, solution: Solution, about: Mapping[str, Any] | None = None) -> None:
+        """Write how far the ascent has come to one `.npz` file: all of it, or none.
+
+        Trajectories and evidence are saved; messages follow from them, and frames are not saved.
+
+        Parameters
+        ----------
+        path
+            of the file, which is replaced if it is there.
+        solution
+            as `rounds` gives it.
+        about
+            plain JSON to be kept with it.
+
+        Raises
+        ------
+        TypeError
+            if a trajectory or a message is not what the return annotation of `smooth` or `evidence` says.
+        OSError
+            if the file cannot be written; an older one is then left as it was.
+        """
+        same = solution._latest is solution._slices
+        values = {
+            "best": solution._slices.saved(),
+            "latest": None if same else solution._latest.saved(),
+            "rounds": solution.rounds,
+            "converged": solution.converged,
+            "about": dict(about or {}),
+        }
+        checkpoint.save(path, values, self._kinds())
+
+    def load(
+        self, path: str | Path, frames: Iterable[Frame | NDArray[np.uint8] | None], dt: float = 1 / 25
+    ) -> tuple[Solution, dict[str, Any]]:
+        """Read back what `save` wrote, of the same frames: the solution, and `about`.
+
+        Raises
+        ------
+        ValueError
+            if the file is broken, of another version, of other chains or another number of frames.
+        OSError
+            if the file cannot be opened.
+        """
+        values = checkpoint.load(path, self._kinds())
+        slices = _as_frames(frames, dt)
+        best = _Slices.restored(self.model, slices, values["best"])
+        latest = values["latest"]
+        return (
+            Solution(
+                best,
+                best if latest is None else _Slices.restored(self.model, slices, latest),
+                values["rounds"],
+                values["converged"],
+            ),
+            values["about"],
+        )
+
+    def _kinds(self) -> dict[str, Any]:
+        def returned(method: Any) -> Any:
+            hints = get_type_hints(method)
+            if "return" not in hints:
+                raise TypeError(f"{method.__qualname__}: no return annotation, which says what is saved")
+            return hints["return"]
+
+        slices = {
+            "trajectories": {name: returned(type(chain).smooth) for name, chain in self.model.chains.items()},
+            "evidence": {
+                name: list[returned(type(node).evidence) | None] | None  # type: ignore[misc]
+                for name, node in self.model.features.items()
+            },
+            "looking": dict[str, str],
+            "smoothed": dict[str, int],
+            "seen": dict[str, int],
+            "heard": dict[str, tuple[int, ...]],
+        }
+        return {
+            "best": slices,
+            "latest": slices,
+            "rounds": tuple[Round, ...],
+            "converged": bool,
+            "about": dict[str, Any],
+        }
 
 
 class _Slices:
@@ -173,47 +278,86 @@ class _Slices:
         """Feature: the chain that looks there by itself."""
         self._looked: set[str] = set()
         """Features at which the chain whose turn it is has begun to look."""
-        self._heard: dict[str, tuple[Any, ...]] = {}
+        self._smoothed: dict[str, int] = {}
+        """Chain: how often its trajectory was worked out."""
+        self._seen: dict[str, int] = {}
+        """Feature: how often a chain that looks there by itself has looked."""
+        self._heard: dict[str, tuple[int, ...]] = {}
+        """Chain: numbers of all that its trajectory was worked out from."""
 
     def copy(self) -> "_Slices":
         other = _Slices(self.model, self.frames)
-        other.trajectories, other.spoken = dict(self.trajectories), dict(self.spoken)
-        other._evidence, other._looking = dict(self._evidence), dict(self._looking)
-        other._heard = dict(self._heard)
+        for name in ("trajectories", "spoken", "_evidence", "_looking", "_smoothed", "_seen", "_heard"):
+            setattr(other, name, dict(getattr(self, name)))
         return other
+
+    def saved(self) -> dict[str, Any]:
+        """Everything but the messages, which follow from the trajectories."""
+        return {
+            "trajectories": self.trajectories,
+            "evidence": {name: self._evidence.get(name) for name in self.model.features},
+            "looking": self._looking,
+            "smoothed": self._smoothed,
+            "seen": self._seen,
+            "heard": self._heard,
+        }
+
+    @classmethod
+    def restored(cls, model: MultiChain, frames: Sequence[Frame], saved: Mapping[str, Any]) -> "_Slices":
+        """The slices of which `saved` was kept.
+
+        Raises
+        ------
+        ValueError
+            if they are of another number of frames.
+        """
+        slices = cls(model, frames)
+        slices.trajectories = saved["trajectories"]
+        for name, messages in saved["evidence"].items():
+            if messages is not None:
+                if len(messages) != len(frames):
+                    raise ValueError(f"state: got {len(messages)} frames, expected {len(frames)}")
+                slices._evidence[name] = messages
+        slices._looking, slices._smoothed = saved["looking"], saved["smoothed"]
+        slices._seen, slices._heard = saved["seen"], saved["heard"]
+        for name in slices.trajectories:
+            slices._speak(name)
+        return slices
 
     def ascend(self) -> tuple[str, ...]:
         """One round: every chain to which something new is said or shown gets its best trajectory."""
         smoothed = []
         for name, chain in self.model.chains.items():
-            features = self.model.features_of(name)
-            known, news = self._heard.get(name), self._news(name)
-            if known is not None and all(old is new for old, new in zip(known, news, strict=True)):
+            if self._heard.get(name) == self._news(name):
                 continue
             self._looked.clear()
             incoming = [_BatchIncoming(self, name, time) for time in range(len(self.frames))]
             self.trajectories[name] = chain.smooth(incoming, self.trajectories.get(name))
             self._heard[name] = self._news(name)
-            for feature in features:
-                node = self.model.features[feature]
-                self.spoken[name, feature] = chain.messages(self.trajectories[name], node)
+            self._smoothed[name] = self._smoothed.get(name, 0) + 1
+            self._speak(name)
+            for feature in self.model.features_of(name):
                 if feature not in self._looking and name in self.model.speakers(feature):
                     self._evidence.pop(feature, None)  # there are other places to look at
             smoothed.append(name)
         return tuple(smoothed)
 
-    def _news(self, chain: str) -> tuple[Any, ...]:
-        """All that the chain's trajectory depends on: messages, and evidence that others found, as lists."""
+    def _speak(self, chain: str) -> None:
+        for feature in self.model.features_of(chain):
+            node = self.model.features[feature]
+            self.spoken[chain, feature] = self.model.chains[chain].messages(self.trajectories[chain], node)
+
+    def _news(self, chain: str) -> tuple[int, ...]:
+        """Numbers of all that the chain's trajectory depends on: messages, and evidence that others found."""
         features = self.model.features_of(chain)
         said = [
-            self.spoken.get((other, feature))
+            self._smoothed.get(other, 0)
             for feature in features
             for other in self.model.speakers(feature)
             if other != chain
         ]
         shown = [
-            self._evidence.get(feature) if self._looking.get(feature) not in (None, chain) else None
-            for feature in features
+            0 if self._looking.get(feature) in (None, chain) else self._seen[feature] for feature in features
         ]
         return (*said, *shown)
 
@@ -247,6 +391,7 @@ class _Slices:
         if feature not in self._looked:
             self._looked.add(feature)
             self._looking[feature] = chain
+            self._seen[feature] = self._seen.get(feature, 0) + 1
             self._evidence[feature] = [None] * len(self.frames)
         message = self._evidence[feature][time] = self._see(feature, time, prior)
         return message

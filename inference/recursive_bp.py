@@ -37,6 +37,38 @@ class RunState:
     time: float
     shape: tuple[int, ...] | None
 
+    @staticmethod
+    def kinds(chains: Mapping[str, Any]) -> dict[str, Any]:
+        """What the state of these chains (or classes of chains) by name consists of, for `checkpoint`.
+
+        Raises
+        ------
+        TypeError
+            if a chain does not say what its state is.
+        """
+        states = {}
+        for name, chain in chains.items():
+            kind: Any = chain if isinstance(chain, type) else type(chain)
+            hints = get_type_hints(kind.initial)
+            if "return" not in hints:
+                raise TypeError(f"chain {name!r}: initial has no return annotation, which says what is saved")
+            states[name] = hints["return"]
+        return {"states": states, "number": int, "time": float, "shape": tuple[int, ...] | None}
+
+    def saved(self) -> dict[str, Any]:
+        """Everything, as a record of these kinds."""
+        return {
+            "states": dict(self.states) or None,
+            "number": self.number,
+            "time": self.time,
+            "shape": self.shape,
+        }
+
+    @classmethod
+    def restored(cls, saved: Mapping[str, Any]) -> "RunState":
+        """The state of which `saved` was kept."""
+        return cls(**{**saved, "states": saved["states"] or {}})
+
 
 BEGINNING = RunState({}, 0, -inf, None)
 
@@ -309,14 +341,8 @@ class RecursiveBP:
         OSError
             if the file cannot be written; an older one is then left as it was.
         """
-        values = {
-            "states": dict(state.states) or None,
-            "number": state.number,
-            "time": state.time,
-            "shape": state.shape,
-            "about": dict(about or {}),
-        }
-        checkpoint.save(path, values, self._kinds())
+        values = {**state.saved(), "about": dict(about or {})}
+        checkpoint.save(path, values, {**RunState.kinds(self.model.chains), "about": dict[str, Any]})
 
     def load(self, path: str | Path) -> tuple[RunState, dict[str, Any]]:
         """Read back what `save` wrote: the state of the run, and `about`.
@@ -328,21 +354,6 @@ class RecursiveBP:
         OSError
             if the file cannot be opened.
         """
-        values = checkpoint.load(path, self._kinds())
+        values = checkpoint.load(path, {**RunState.kinds(self.model.chains), "about": dict[str, Any]})
         about = values.pop("about")
-        return RunState(**{**values, "states": values["states"] or {}}), about
-
-    def _kinds(self) -> dict[str, Any]:
-        states = {}
-        for name, chain in self.model.chains.items():
-            hints = get_type_hints(type(chain).initial)
-            if "return" not in hints:
-                raise TypeError(f"chain {name!r}: initial has no return annotation, which says what is saved")
-            states[name] = hints["return"]
-        return {
-            "states": states,
-            "number": int,
-            "time": float,
-            "shape": tuple[int, ...] | None,
-            "about": dict[str, Any],
-        }
+        return RunState.restored(values), about

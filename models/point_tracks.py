@@ -5,7 +5,7 @@ them move together.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import cv2
@@ -81,7 +81,8 @@ class PointMessage:
     patches
         what points look like; also of points of whose position nothing is known.
     view
-        from the evidence: of this frame; from a tracker: of the frame it comes from, to search back there.
+        from the evidence: of this frame; from a tracker: of the frame it comes from, to search back there. It
+        is not saved: who goes on with a saved message has the frame.
     same_as
         `(n,)` int64 beside `positions.identities`: the point that each one is taken for, the smallest of its
         group; `None` where nobody takes two for one.
@@ -89,7 +90,7 @@ class PointMessage:
 
     positions: GaussianMessage
     patches: Patches | None = None
-    view: View | None = None
+    view: View | None = field(default=None, metadata={"saved": False})
     same_as: NDArray[np.int64] | None = None
 
     @classmethod

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from rsmcm.apps.command_line import main
@@ -55,8 +56,11 @@ class Command:
         _assert_one_line(err)
         return err
 
-    def leaves_nothing(self, out: Path, most: int, *arguments: object) -> None:
-        """On a full disk, for which a limit of the size of files stands, `most` bytes."""
+    def on_a_full_disk(self, out: Path, most: int, *arguments: object) -> None:
+        """One line names what cannot be written, and what is left is whole.
+
+        A limit of the size of files stands for the disk, `most` bytes.
+        """
         done = subprocess.run(
             [
                 sys.executable,
@@ -75,7 +79,12 @@ class Command:
         assert done.returncode == 2
         _assert_one_line(done.stderr)
         assert str(out) in done.stderr
-        assert not out.exists()
+        for path in out.rglob("*"):
+            assert "unfinished" not in path.name
+            assert "partial" not in path.name
+            if path.suffix == ".npz":
+                with np.load(path) as content:
+                    assert all(content[name] is not None for name in content.files)
 
 
 def _assert_one_line(err: str) -> None:
@@ -90,5 +99,5 @@ def summary_of(out: Path) -> dict[str, Any]:
 
 
 def names(folder: Path) -> set[str]:
-    """Of all files."""
-    return {path.name for path in folder.iterdir()}
+    """Of all files but the lock, which stays."""
+    return {path.name for path in folder.iterdir()} - {".lock"}

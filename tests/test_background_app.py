@@ -27,6 +27,8 @@ from rsmcm.apps.sources import open_source
 from rsmcm.chains import MixtureBackground
 from rsmcm.models.frame import Frame
 
+from .conftest import names
+
 SIZE = (128, 96)
 N_FRAMES = 60
 
@@ -69,9 +71,8 @@ def whole(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_all_results_are_there_and_readable(whole: Path, scene: Path) -> None:
-    names = {path.name for path in whole.iterdir()}
     expected = {"foreground", "tracks.txt", "background.png", "overlay.mp4", "summary.json", "report.html"}
-    assert names == expected | {"state.npz"}, "and no segments or unfinished files"
+    assert names(whole) == expected | {"state.npz", "manifest.json"}, "and no segments or unfinished files"
     assert list(masks_of(whole)) == [f"bin{number:06d}.png" for number in range(1, N_FRAMES + 1)]
     for path in (whole / "foreground").glob("*.png"):
         mask = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)

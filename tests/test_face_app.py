@@ -25,7 +25,16 @@ from .conftest import Command, names, summary_of
 run = Command("face")
 complaint = run.complaint
 
-RESULTS = {"overlay.mp4", "poses.npz", "texture.png", "texture_variance.png", "summary.json", "report.html"}
+RESULTS = {
+    "overlay.mp4",
+    "poses.npz",
+    "texture.png",
+    "texture_variance.png",
+    "summary.json",
+    "report.html",
+    "state.npz",
+    "manifest.json",
+}
 N_FRAMES = 16
 SIZE = (200, 160)
 FEW = ("--experts", "4")
@@ -435,7 +444,7 @@ def test_a_source_that_breaks(
     folder = write_pictures(tmp_path / "film", [*images[:5], images[5][:100]])
     out = tmp_path / "out"
     assert "frame 6 is" in complaint(capfd, folder, "--landmarks", start, "--out", out, *FEW)
-    assert names(out) == RESULTS
+    assert names(out) == {*RESULTS, "overlay.part000000005.mp4", "poses.part000000005.npz"}
     assert summary_of(out)["frames"] == 5
     assert summary_of(out)["ended_early"]
 
@@ -586,15 +595,15 @@ def test_a_record_of_any_length() -> None:
 
 def test_existing_results(film: Path, start: Path, finished: Path, capfd: pytest.CaptureFixture[str]) -> None:
     before = {path: path.read_bytes() for path in finished.iterdir()}
-    assert "already holds results: use --overwrite\n" in complaint(
+    assert "already holds results: use --overwrite or --resume\n" in complaint(
         capfd, film, "--landmarks", start, "--out", finished
     )
     complaint(capfd, film, "--landmarks", start, "--out", finished, "--overwrite", "--start", 99)
     assert {path: path.read_bytes() for path in finished.iterdir()} == before
 
 
-def test_a_full_disk_leaves_nothing(film: Path, start: Path, tmp_path: Path) -> None:
-    run.leaves_nothing(tmp_path / "out", 20_000, film, "--landmarks", start, *FEW)
+def test_a_full_disk(film: Path, start: Path, tmp_path: Path) -> None:
+    run.on_a_full_disk(tmp_path / "out", 20_000, film, "--landmarks", start, *FEW)
 
 
 @pytest.mark.parametrize("n_frames", [0, 5])
@@ -619,10 +628,11 @@ def test_control_c(
     monkeypatch.setattr(blank_frames, "is_blank", interrupting)
     out = tmp_path / "out"
     assert run(film, "--landmarks", truth, "--out", out, *FEW) == 130
-    assert capfd.readouterr().err == ""
+    line = "" if n_frames else "rsmcm: interrupted before there was any result\n"
+    assert capfd.readouterr().err == line
     assert out.exists() == bool(n_frames)
     if n_frames:
-        assert names(out) == RESULTS
+        assert names(out) == {*RESULTS, "overlay.part000000005.mp4", "poses.part000000005.npz"}
         summary = summary_of(out)
         assert summary["ended_early"]
         assert summary["frames"] == n_frames

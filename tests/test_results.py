@@ -21,6 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps import progress, results
+from rsmcm.apps.output_folder import output_folder
 from rsmcm.apps.results import MaskWriter, OverlayWriter, SegmentedVideo, TrackWriter
 from rsmcm.models.frame import Frame
 
@@ -105,82 +106,6 @@ def test_json_is_strict(tmp_path: Path) -> None:
     results.write_json(tmp_path / "a.json", content)
     expected = {"f": 0.5, "n": 3, "bad": [None, None], "a": [0, 1], "5": str(tmp_path)}
     assert json.loads((tmp_path / "a.json").read_text()) == expected
-
-
-def test_prepare_output(tmp_path: Path) -> None:
-    folder = tmp_path / "new" / "out"
-    results.prepare_output(folder)
-    (folder / "mine.txt").write_text("foreign")
-    (folder / "foreground").mkdir()
-    for name in ("tracks.txt", "overlay.part000000100.mp4", "foreground/bin000001.png"):
-        (folder / name).write_text("ours")
-    (folder / ".unfinished-overlay.mp4").write_text("left by a kill")
-    with pytest.raises(FileExistsError, match="already holds results: use --overwrite or --resume"):
-        results.prepare_output(folder)
-    results.prepare_output(folder, resume=True)
-    assert names(folder) == {
-        "mine.txt",
-        "tracks.txt",
-        "overlay.part000000100.mp4",
-        "foreground/bin000001.png",
-    }
-    results.prepare_output(folder, overwrite=True)
-    assert names(folder) == {"mine.txt"}
-    with pytest.raises(NotADirectoryError, match=r"expected a folder: .*mine\.txt"):
-        results.prepare_output(folder / "mine.txt")
-
-
-def test_results_are_written_together(tmp_path: Path) -> None:
-    folder = tmp_path / "new" / "out"
-    with results.write_together(folder) as unfinished:
-        (unfinished / "structure.ply").write_text("ours")
-        assert not (folder / "structure.ply").exists()
-    assert names(folder) == {"structure.ply"}
-    (folder / "mine.txt").write_text("foreign")
-    with (
-        pytest.raises(FileExistsError, match=r"already holds results: use --overwrite$"),
-        results.write_together(folder),
-    ):
-        raise AssertionError("it does not get here")
-    with results.write_together(folder, overwrite=True) as unfinished:
-        (unfinished / "summary.json").write_text("new")
-        assert (folder / "structure.ply").exists(), "the old ones stay until the new ones are complete"
-    assert names(folder) == {"summary.json", "mine.txt"}
-
-
-@pytest.mark.parametrize("existed", [True, False])
-def test_after_an_error_the_folder_is_as_before(existed: bool, tmp_path: Path) -> None:
-    folder = tmp_path / "out"
-    if existed:
-        folder.mkdir()
-        (folder / "structure.ply").write_text("old")
-
-    def fail_in_the_middle() -> None:
-        with results.write_together(folder, overwrite=True) as unfinished:
-            (unfinished / "summary.json").write_text("new")
-            raise ValueError("in the middle")
-
-    with pytest.raises(ValueError, match="in the middle"):
-        fail_in_the_middle()
-    assert folder.exists() == existed
-    if existed:
-        assert names(folder) == {"structure.ply"}
-
-
-def test_folders_left_by_a_kill_are_removed(tmp_path: Path) -> None:
-    left = tmp_path / ".unfinished-abc"
-    left.mkdir()
-    (left / "summary.json").write_text("half")
-    with results.write_together(tmp_path) as unfinished:
-        (unfinished / "summary.json").write_text("whole")
-    assert names(tmp_path) == {"summary.json"}
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")
-def test_folder_that_is_not_writable(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    with pytest.raises(PermissionError, match=str(tmp_path)):
-        results.prepare_output(tmp_path)
 
 
 # --- video --------------------------------------------------------------------------------------------------
@@ -306,7 +231,8 @@ def test_kill_loses_only_what_follows_the_last_checkpoint(tmp_path: Path) -> Non
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         process.send_signal(signal.SIGKILL)
-    results.prepare_output(tmp_path, resume=True)
+    with output_folder(tmp_path, "background", resume=True) as folder:
+        folder.begin([])
     assert not any(".unfinished" in name for name in names(tmp_path))
     with (
         OverlayWriter(tmp_path / "overlay.mp4", 10, 10) as overlay,

@@ -14,8 +14,11 @@ from rsmcm.apps.row_writer import RowWriter
 @given(
     shapes=st.lists(st.lists(st.integers(0, 3), max_size=3).map(tuple), min_size=1, max_size=3),
     n_rows=st.integers(1, 5),
+    every=st.integers(1, 6),
 )
-def test_what_is_written_is_read(tmp_path_factory: Any, shapes: list[tuple[int, ...]], n_rows: int) -> None:
+def test_what_is_written_is_read(
+    tmp_path_factory: Any, shapes: list[tuple[int, ...]], n_rows: int, every: int
+) -> None:
     path = tmp_path_factory.mktemp("rows") / "rows.npz"
     random = np.random.default_rng(0)
     kinds = (np.float64, np.float32, np.int64, np.bool_)
@@ -23,10 +26,11 @@ def test_what_is_written_is_read(tmp_path_factory: Any, shapes: list[tuple[int, 
         f"array{k}": (9 * random.random((n_rows, *shape))).astype(kinds[k % 4])
         for k, shape in enumerate(shapes)
     }
-    with RowWriter(path) as writer:
+    with RowWriter(path, {"whole": np.arange(4)}) as writer:
         for row in range(n_rows):
-            writer.append({name: array[row] for name, array in arrays.items()})
-        writer.finish({"whole": np.arange(4)})
+            writer.append(row + 1, {name: array[row] for name, array in arrays.items()})
+            if row % every == 0:
+                writer.checkpoint()
     assert [each.name for each in path.parent.iterdir()] == ["rows.npz"]
     with np.load(path, allow_pickle=False) as content:
         assert set(content.files) == {*arrays, "whole"}
@@ -39,40 +43,62 @@ def test_what_is_written_is_read(tmp_path_factory: Any, shapes: list[tuple[int, 
 def test_views_are_written_as_they_are_seen(tmp_path: Path) -> None:
     """Slices and transposes lie otherwise in memory."""
     array = np.arange(24.0).reshape(4, 6)
-    with RowWriter(tmp_path / "rows.npz") as writer:
-        writer.append({"slice": array[:, 1:3], "turned": array.T})
-        writer.finish({})
+    with RowWriter(tmp_path / "rows.npz", {}) as writer:
+        writer.append(1, {"slice": array[:, 1:3], "turned": array.T})
     with np.load(tmp_path / "rows.npz") as content:
         np.testing.assert_array_equal(content["slice"][0], array[:, 1:3])
         np.testing.assert_array_equal(content["turned"][0], array.T)
 
 
 def test_a_row_of_another_form(tmp_path: Path) -> None:
-    with RowWriter(tmp_path / "rows.npz") as writer:
-        writer.append({"a": np.zeros(3), "b": 1})
+    with RowWriter(tmp_path / "rows.npz", {}) as writer:
+        writer.append(1, {"a": np.zeros(3), "b": 1})
         with pytest.raises(ValueError, match=r"a: got \(2,\) float64, expected \(3,\) float64"):
-            writer.append({"a": np.zeros(2), "b": 1})
+            writer.append(1, {"a": np.zeros(2), "b": 1})
         with pytest.raises(ValueError, match="float32"):
-            writer.append({"a": np.zeros(3, np.float32), "b": 1})
+            writer.append(1, {"a": np.zeros(3, np.float32), "b": 1})
         with pytest.raises(ValueError, match="row: got a, expected a, b"):
-            writer.append({"a": np.zeros(3)})
-    assert list(tmp_path.iterdir()) == []
+            writer.append(1, {"a": np.zeros(3)})
+    with np.load(tmp_path / "rows.npz") as content:
+        assert content["a"].shape == (1, 3), "what was whole"
 
 
-def test_nothing_appears_without_an_end(tmp_path: Path) -> None:
-    with RowWriter(tmp_path / "rows.npz") as writer:
-        writer.append({"a": 1.0})
-    assert list(tmp_path.iterdir()) == []
+def interrupted(path: Path, at: int) -> None:
+    with RowWriter(path, {"k": 1}) as writer:
+        for number in range(1, 10):
+            writer.append(number, {"a": float(number)})
+            if number % 3 == 0:
+                writer.checkpoint()
+            if number == at:
+                raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("at", [3, 5, 6])
+def test_interrupted_and_gone_on_with(tmp_path: Path, at: int) -> None:
+    """The same bytes as in one go; after the interruption, what was done is readable."""
+    path, whole = tmp_path / "rows.npz", tmp_path / "whole.npz"
+    with pytest.raises(KeyboardInterrupt):
+        interrupted(path, at)
+    with np.load(path) as content:
+        np.testing.assert_array_equal(content["a"], np.arange(1.0, at + 1))
+    with RowWriter(path, {"k": 1}, resume_after=3) as writer:
+        for number in range(4, 10):
+            writer.append(number, {"a": float(number)})
+    with RowWriter(whole, {"k": 1}) as writer:
+        for number in range(1, 10):
+            writer.append(number, {"a": float(number)})
+    assert path.read_bytes() == whole.read_bytes()
+    assert {each.name for each in tmp_path.iterdir()} == {"rows.npz", "whole.npz"}
 
 
 def test_memory_does_not_grow(tmp_path: Path) -> None:
     """200 rows of 0.8 MB; copying takes 16 MB at a time."""
-    with RowWriter(tmp_path / "rows.npz") as writer:
+    with RowWriter(tmp_path / "rows.npz", {}) as writer:
         row = np.zeros((100_000,))
         tracemalloc.start()
-        for _ in range(200):
-            writer.append({"a": row})
-        writer.finish({})
+        for number in range(200):
+            writer.append(number + 1, {"a": row})
+        writer.close(finished=True)
         highest = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     assert highest < 50e6

@@ -1,6 +1,7 @@
 """`rsmcm structure`, as a user runs it: on track files, on films, and with what can be wrong about them."""
 
 import json
+import shutil
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps import structure
 from rsmcm.apps.scenes import Cylinder, cylinder
+from rsmcm.inference import CoordinateAscent
 
 from .conftest import Command, names, summary_of
 from .reconstructions import write_film
@@ -19,7 +20,10 @@ from .reconstructions import write_film
 run = Command("structure")
 complaint = run.complaint
 
-ALWAYS = {"cameras.json", "tracks.npz", "predictions.npz", "summary.json", "report.html"}
+ALWAYS = {
+    "cameras.json", "tracks.npz", "predictions.npz", "summary.json", "report.html", "state.npz",
+    "manifest.json",
+}  # fmt: skip
 ALONE = ("--association", "none")  # quicker, where it makes no difference
 PX = 60.0  # per radius
 CENTRE = np.array([100.0, 80.0])
@@ -271,7 +275,7 @@ def test_existing_results(
 ) -> None:
     before = {path: path.read_bytes() for path in finished.iterdir()}
     message = complaint(capfd, source, "--out", finished)
-    assert "already holds results: use --overwrite\n" in message
+    assert "already holds results: use --overwrite or --resume\n" in message
     complaint(capfd, source, "--out", finished, "--overwrite", "--start", 99)
     assert {path: path.read_bytes() for path in finished.iterdir()} == before
     file = tmp_path / "file"
@@ -279,16 +283,17 @@ def test_existing_results(
     assert "expected a folder" in complaint(capfd, source, "--out", file)
 
 
-def test_overwriting_leaves_nothing_of_the_old_run(source: Path, tmp_path: Path) -> None:
-    for name in ("overlay.mp4", "structure.ply", "mine.txt"):
+def test_overwriting_leaves_nothing_of_the_old_run(source: Path, finished: Path, tmp_path: Path) -> None:
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
+    for name in ("structure.ply", "mine.txt"):
         (tmp_path / name).write_text("old")
     assert run(source, "--out", tmp_path, "--overwrite", *ALONE) == 0
     assert names(tmp_path) == {*ALWAYS, "structure.ply", "mine.txt"}
     assert (tmp_path / "structure.ply").read_bytes() != b"old"
 
 
-def test_a_full_disk_leaves_nothing(source: Path, tmp_path: Path) -> None:
-    run.leaves_nothing(tmp_path / "out", 4_000, source, *ALONE)
+def test_a_full_disk(source: Path, tmp_path: Path) -> None:
+    run.on_a_full_disk(tmp_path / "out", 4_000, source, *ALONE)
 
 
 @pytest.mark.parametrize("n_rounds", [0, 1])
@@ -300,19 +305,19 @@ def test_control_c(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """A signal in the middle of a round ends the run with the last whole one, if there was any."""
-    solve = structure.solve
+    rounds = CoordinateAscent.rounds
 
-    def interrupted(*arguments: Any) -> Iterator[Any]:
-        for number, solution in enumerate(solve(*arguments)):
+    def interrupted(*arguments: Any, **more: Any) -> Iterator[Any]:
+        for number, solution in enumerate(rounds(*arguments, **more)):
             if number == n_rounds:
                 signal.raise_signal(signal.SIGINT)
             yield solution
 
-    monkeypatch.setattr(structure, "solve", interrupted)
+    monkeypatch.setattr(CoordinateAscent, "rounds", interrupted)
     out = tmp_path / "out"
     assert run(source, "--out", out) == 130
     assert out.exists() == bool(n_rounds)
     if n_rounds:
         assert summary_of(out)["ended_early"]
         assert names(out) >= ALWAYS
-    assert capfd.readouterr().err == ""
+    assert capfd.readouterr().err == ("" if n_rounds else "rsmcm: interrupted before there was any result\n")

@@ -28,7 +28,6 @@ from ..ground_truth import BoxTruth, read_ground_truth
 from ..methods import CHAINS, Model, ModelSubtractor
 from ..metrics import ErrorClasses, TrackScores, error_classes, evaluate_tracks
 from ..progress import Progress
-from ..results import prepare_output
 from ..sources import open_source
 
 Image = NDArray[np.uint8]
@@ -75,7 +74,7 @@ def reproduce_pets(out: Path, long: bool) -> None:
     folder = data_folder("pets2009-s2l1")
     truth = read_ground_truth(folder)
     assert isinstance(truth, BoxTruth)
-    prepare_output(out, overwrite=True)
+    out.mkdir(parents=True, exist_ok=True)
     video = str(folder / "vtest.avi")
     with open_source(video) as source:
         size, rate, n_frames = source.size, source.rate, source.n_frames
