@@ -154,13 +154,12 @@ def output_folder(
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     path.mkdir(parents=True, exist_ok=True)
     lock = FileLock(path / LOCK, timeout=0)
-    with naming(path):
-        try:
-            lock.acquire()
-        except Timeout:
-            raise BlockingIOError(
-                f"{path}: {_holder(path)} writes there: wait for it, or choose another folder"
-            ) from None
+    try:
+        lock.acquire()
+    except Timeout:
+        raise BlockingIOError(
+            f"{path}: {_holder(path)} writes there: wait for it, or choose another folder"
+        ) from None
     try:
         folder = OutputFolder(path, application)
         if folder.holds_results and not (overwrite or resume or add):

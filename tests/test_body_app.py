@@ -491,7 +491,7 @@ def test_control_c_while_faces_are_looked_for(
 
     monkeypatch.setattr(blank_frames, "is_blank", interrupting)
     assert run(film, "--out", tmp_path / "out", *FEW) == 130
-    assert capfd.readouterr().err == ""
+    assert capfd.readouterr().err == "rsmcm: interrupted before there was any result\n"
     assert not (tmp_path / "out").exists()
 
 
