@@ -41,7 +41,6 @@ class OutputFolder:
     def __init__(self, path: Path, application: str) -> None:
         self.path = path
         self._application = application
-        self._names: list[str] = []
 
     @property
     def holds_results(self) -> bool:
@@ -79,8 +78,7 @@ class OutputFolder:
                     with suppress(OSError):  # the user may keep something there
                         path.parent.rmdir()
             earlier = []
-        self._names = list(dict.fromkeys([*earlier, *names]))
-        self._write_manifest(self._names)
+        self._write_manifest(list(dict.fromkeys([*earlier, *names])))
 
     def add(self, names: Sequence[str]) -> None:
         """Make more files known as results of the run that is complete here.
@@ -92,13 +90,14 @@ class OutputFolder:
         """
         earlier = _listed(self.path)
         self._refuse_foreign(names, earlier)
-        self._names = list(dict.fromkeys([*earlier, *names]))
-        self._write_manifest(self._names)
+        self._write_manifest(list(dict.fromkeys([*earlier, *names])))
 
     def end(self) -> None:
         """From here on only files that were really written are known as results."""
-        if self._names:
-            self._write_manifest([name for name in self._names if any(self.path.glob(name))])
+        listed = _listed(self.path)
+        written = [name for name in listed if any(self.path.glob(name))]
+        if written != listed:
+            self._write_manifest(written)
 
     def _refuse_foreign(self, names: Sequence[str], known: Sequence[str]) -> None:
         foreign = self.found(names) - self.found(known)

@@ -26,6 +26,9 @@ Planes = NDArray[np.float32]
 UNSURE_VARIANCE = 4.0
 """Variance of a value that was seen in a few looks only, and gives way easily in the beginning."""
 
+WIDEST_DRIFT = 255.0**2 / 12
+"""Squared grey levels: of a value that may be anything, as far as it can wander however long nobody looks."""
+
 BEGINNING = 60
 """Looks after which nothing that was there from the first is taken for the scene by mistake any more."""
 
@@ -223,7 +226,7 @@ class AdaptiveBackground:
             noise=state.noise,
             light=LightField(light, state.size),
             prior=self.prior,
-            drift=self.drift * state.elapsed,
+            drift=min(self.drift * state.elapsed, WIDEST_DRIFT),
             noise_rate=self.noise_rate,
             pooling=self.pooling,
             candidate=state.candidate,

@@ -28,6 +28,9 @@ MISTAKEN = 0.2
 A_MOMENT = 0.04
 """s: poses to start from are as uncertain as after so long a time."""
 
+LONGEST = 60.0
+"""s: after so long without a frame no more is forgotten of a pose; of its arms nothing is known by then."""
+
 LEAST_SPREAD = 1.0
 """px: standard deviation that is added to a part's, since samples may coincide."""
 
@@ -123,6 +126,7 @@ def predicted(dynamics: BodyDynamics, state: BodySamples, n: int, dt: float) -> 
     Hands may be exchanged before (`with_exchanged`). What joints do not allow has no weight, and unusual
     postures have little.
     """
+    dt = min(dt, LONGEST)
     random = copy.deepcopy(state.random)
     chosen, counts = np.unique(systematic(state.log_weights, MOST_ANCESTORS, random), return_counts=True)
     ancestors, weights = dynamics.with_exchanged(

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps import command_line
+from rsmcm.apps.background import build_model
 from rsmcm.apps.interruption import Interruption
 from rsmcm.apps.results import read_tracks
 from rsmcm.apps.scenes import cylinder, face, signer, sleeping_man
 from rsmcm.apps.scenes.signer import SignerScene
+from rsmcm.chains import ArticulatedPose, FleshTracker
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference.body_samples import moments
+from rsmcm.models import BodyParts, UpperBody
 from rsmcm.models.upper_body import JOINTS
 
 N_FRAMES = 24
@@ -324,3 +329,24 @@ def test_what_cannot_be_learned_from(
     other = Application("background", applications["body"].source, ())
     assert other.run(tmp_path / "out", "--from", str(whole["background"] / "state.npz")) == 2
     assert "is of 200x160 px, but" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("hours", [0.01, 1.0, 1000.0])
+def test_a_camera_that_was_switched_off(hours: float) -> None:
+    """However long nobody looked, an unchanged scene is still background, and a body is still found."""
+    street = list(sleeping_man(40, size=SIZE))
+    engine = RecursiveBP(build_model())
+    *_, belief = engine.run(street[:20])
+    after = street[20]
+    belief = engine.step(belief.state, replace(after, time=belief.state.time + 3600 * hours))
+    assert (belief["pixels"].foreground() > 0).mean() < 0.01
+    scene = signing()
+    parts = BodyParts.learned(list(scene.images()), scene.detector)
+    body = UpperBody.from_head(parts.head_height)
+    flesh, pose = FleshTracker(body), ArticulatedPose(body, samples=100)
+    engine = RecursiveBP(MultiChain().connect(flesh, parts).connect(pose, parts))
+    frames = list(scene)
+    *_, belief = engine.run(frames[:8])
+    belief = engine.step(belief.state, replace(frames[8], time=belief.state.time + 3600 * hours))
+    head = moments(body, belief[pose]).joints[HEAD, :2]
+    assert np.linalg.norm(head - scene.joints[8, HEAD, :2]) < 0.2 * body.head_height
