@@ -349,4 +349,6 @@ def test_a_camera_that_was_switched_off(hours: float) -> None:
     *_, belief = engine.run(frames[:8])
     belief = engine.step(belief.state, replace(frames[8], time=belief.state.time + 3600 * hours))
     head = moments(body, belief[pose]).joints[HEAD, :2]
-    assert np.linalg.norm(head - scene.joints[8, HEAD, :2]) < 0.2 * body.head_height
+    assert np.linalg.norm(head - scene.joints[8, HEAD, :2]) < 0.5 * body.head_height, (
+        "not even half a head off"
+    )
