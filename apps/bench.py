@@ -60,12 +60,10 @@ def main() -> None:
     print(f"{len(frames)} frames of {label}, {SIZE[0]}x{SIZE[1]} colour, preloaded\n")
     claims = [Claim("BP against enumeration, greatest difference", enumeration_error(), "<=", 1e-12)]
     for threads in (1, 2):
-        cv2.setNumThreads(threads)
         set_threads(threads)
         claims += speed_claims(frames, threads)
     claims += [end_to_end(frames), *over_time(frames, 10_000 if "--long" in sys.argv[1:] else 1_500)]
     set_threads(1)
-    cv2.setNumThreads(1)
     claims += [*point_claims(), *structure_claims(), feedback_in_rounds(), *face_claims()]
     of_bodies, stages_of_bodies = body_claims()
     claims += [*of_bodies, *resampling_times(), *bootstrap_times()]

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,14 +50,12 @@ def body_claims() -> tuple[list[Claim], Stages]:
 
 @contextmanager
 def _threads(count: int) -> Iterator[None]:
-    before = thread_count(), cv2.getNumThreads()
+    before = thread_count()
     set_threads(count)
-    cv2.setNumThreads(count)
     try:
         yield
     finally:
-        set_threads(before[0])
-        cv2.setNumThreads(before[1])
+        set_threads(before)
 
 
 @dataclass(frozen=True, eq=False)

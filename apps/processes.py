@@ -17,7 +17,7 @@ def in_processes(label: str, work: Sequence[tuple[Callable[..., Any], tuple[Any,
     """Results of functions with their arguments, in order, worked out in two processes at most."""
     found: dict[int, Any] = {}
     workers = min(MOST_WORKERS, os.cpu_count() or 1)
-    # spawned, since the threads of compiled loops do not survive a fork
+    # spawned: a fork would copy what libraries hold, and not all of their threads outlive it
     with (
         _one_thread_each(),
         ProcessPoolExecutor(workers, get_context("spawn"), set_threads, (1,)) as pool,

@@ -91,7 +91,7 @@ def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.f
     right, down = (cv2.Sobel(smooth, cv2.CV_16S, *order, ksize=3) for order in ((1, 0), (0, 1)))
     some = np.hypot(right[::3, ::3].astype(np.float32), down[::3, ::3].astype(np.float32))
     steep = max(float(np.quantile(some, STEEPEST)), OVER_MEDIAN * float(np.median(some)), LEAST)
-    edges = cv2.Canny(right, down, WEAK * steep, steep, L2gradient=True)
+    edges = cv2.Canny(right, down, _off_ties(WEAK * steep), _off_ties(steep), L2gradient=True)
     if not edges.any():
         return np.full(grey.shape, reach, np.float32), np.zeros(grey.shape, np.float32)
     distances, nearest = cv2.distanceTransformWithLabels(
@@ -101,3 +101,12 @@ def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.f
     angles = np.zeros(len(rows) + 1, np.float32)
     angles[nearest[rows, columns]] = np.arctan2(down[rows, columns], right[rows, columns]) % np.pi
     return np.minimum(distances, np.float32(reach)), angles[nearest]
+
+
+def _off_ties(threshold: float) -> float:
+    """A threshold that no gradient equals: their squares are whole numbers.
+
+    `threshold` comes from the image, so some pixels have just that gradient. OpenCV finds edges with its own
+    code on several threads and with IPP's on one, and these two do not agree about such pixels.
+    """
+    return float(np.sqrt(np.floor(threshold**2) + 0.5))

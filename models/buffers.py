@@ -5,6 +5,7 @@ operating system for fresh pages costs more than the work on a frame, so arrays 
 handed out again.
 """
 
+import os
 import sys
 from threading import Lock
 from typing import Any
@@ -16,6 +17,9 @@ _LONGEST_LIST = 12
 
 _pool: dict[tuple[tuple[int, ...], str], list[NDArray[Any]]] = {}
 _lock = Lock()
+
+if hasattr(os, "register_at_fork"):  # what another thread holds at that moment would stay locked in the child
+    os.register_at_fork(before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release)
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:

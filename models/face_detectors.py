@@ -182,5 +182,7 @@ def _search(cascade: Any, grey: Any, height: float, pixels: float) -> Array:
 
 
 def _largest_first(found: Any) -> Array:
+    """Boxes in an order of their own: OpenCV's is that in which its threads come to an end."""
     boxes = np.asarray(found, np.float64).reshape(-1, 4)
-    return boxes[np.argsort(-boxes[:, 2] * boxes[:, 3], kind="stable")]
+    left, top, width, height = boxes.T
+    return boxes[np.lexsort((left, top, -width * height))]

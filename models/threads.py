@@ -4,12 +4,19 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+import cv2
+
 _settings = {"threads": min(2, os.cpu_count() or 1)}
 _workers: dict[int, ThreadPoolExecutor] = {}
 
+if hasattr(os, "register_at_fork"):  # a forked process has none of its parent's threads
+    os.register_at_fork(after_in_child=_workers.clear)
+
 
 def set_threads(count: int) -> None:
-    """Use `count` threads in the kernels that work on bands of rows; 1 keeps all work in the caller's.
+    """Use `count` threads in the kernels that work on bands of rows and in OpenCV; results do not change.
+
+    With 1, all work stays in the caller's thread.
 
     Raises
     ------
@@ -19,6 +26,7 @@ def set_threads(count: int) -> None:
     if count < 1:
         raise ValueError(f"threads: got {count}, expected 1 or more")
     _settings["threads"] = count
+    cv2.setNumThreads(count)
 
 
 def thread_count() -> int:
