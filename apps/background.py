@@ -131,6 +131,7 @@ class Job:
     ground_truth: Path | None = None
     seed: int = 0
     threads: int | None = None
+    reconnect: float | None = None
 
     def settings(self, parameters: Parameters) -> dict[str, Any]:
         """What the results depend on: a run is resumed only with the same."""
@@ -194,7 +195,9 @@ class _Run:
     def carry_out(self, interruption: Interruption) -> Outcome:
         job = self._job
         saved = self._load() if job.resume else None
-        with open_source(job.source, job.start, job.stop, job.step, after=self._state.number) as source:
+        with open_source(
+            job.source, job.start, job.stop, job.step, after=self._state.number, reconnect=job.reconnect
+        ) as source:
             self._fingerprint = source.fingerprint()
             if job.resume and source.live:
                 raise ValueError(f"--resume: {source.name} is live and cannot be read again")
@@ -249,7 +252,7 @@ class _Run:
                     self._checkpoint(tracks, masks, overlay)
                 progress.update()
             self._checkpoint(tracks, masks, overlay)
-            if interruption.signal is not None or self._error is not None:
+            if interruption.signal is not None or self._error is not None or source.lost is not None:
                 raise _EndedEarlyError
 
     def _frames(self, source: Source, interruption: Interruption) -> Iterator[Frame]:
@@ -318,6 +321,8 @@ class _Run:
             "parameters": self._settings,
             "versions": versions(),
             "metrics": metrics,
+            "stream": source.stream,
+            "notes": source.notes,
         }
 
     def _checkpoint(self, *writers: TrackWriter | MaskWriter | OverlayWriter) -> None:

@@ -51,6 +51,7 @@ class BodyJob:
     stop: int | None = None
     step: int = 1
     overwrite: bool = False
+    reconnect: float | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -92,7 +93,7 @@ def run_body(job: BodyJob) -> Outcome:
     clicked = None if job.joints is None else read_joints(job.joints)
     with (
         Interruption() as interruption,
-        open_source(job.source, job.start, job.stop, job.step) as source,
+        open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source,
     ):
         run = _Run(job, source, interruption)
         start, frames = run.begin(clicked)
@@ -200,7 +201,10 @@ class _Run:
             "missing": record.missing,
             "blank": self._frames.blank,
             "truncated": source.truncated,
-            "ended_early": self._interruption.signal is not None or self.error is not None,
+            "stream": source.stream,
+            "ended_early": self._interruption.signal is not None
+            or self.error is not None
+            or source.lost is not None,
             "seen": record.shares_seen,
             "stationary": record.stationary_periods,
             "flesh_colour": start.parts.flesh is not None,
@@ -209,7 +213,7 @@ class _Run:
             "frames_per_second": count / seconds,
             "frames_per_second_of_tracker": count / sum(record.seconds),
             "threads": thread_count(),
-            "notes": [*start.notes, *record.notes],
+            "notes": [*source.notes, *start.notes, *record.notes],
             "parameters": self._job.settings,
             "versions": versions(),
         }

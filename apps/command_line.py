@@ -8,6 +8,9 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
+from .interruption import Outcome
+
+STREAM_LOST = 1
 USAGE_ERROR = 2
 SIGNALLED = 128  # plus the number of the signal: 130 for Ctrl-C
 INTERRUPT = 2
@@ -42,6 +45,7 @@ def background(
     compare: Flag = False,
     seed: int = 0,
     threads: int | None = None,
+    reconnect: float | None = None,
 ) -> int:
     """Separate moving objects from the background, and track them.
 
@@ -84,22 +88,26 @@ def background(
         Of random numbers; recorded with the results.
     threads
         How many threads the loops over pixels use.
+    reconnect
+        When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
     from . import background as application
 
     job = application.Job(
         source, out, engine, config, roi, start, stop, step, resume, overwrite, every, masks, ground_truth,
-        seed, threads,
+        seed, threads, reconnect,
     )  # fmt: skip
     outcome = application.run_background(job)
     print(_in_words(outcome.summary))
+    for note in outcome.summary["notes"]:
+        print(note)
     print(f"results: {out / 'report.html'}")
-    if compare and outcome.signal is None:
+    if compare and outcome.signal is None and outcome.lost is None:
         from .compare import run_compare
 
         outcome, _ = run_compare(job)
         print(f"comparison: {out / 'compare.html'}")
-    return _ended(outcome.signal)
+    return _ended(outcome)
 
 
 @app.command
@@ -113,6 +121,7 @@ def structure(
     stop: int | None = None,
     step: int = 1,
     overwrite: Flag = False,
+    reconnect: float | None = None,
 ) -> int:
     """Track points, and find their shape and the motion of the camera.
 
@@ -141,10 +150,14 @@ def structure(
         Take every n-th frame.
     overwrite
         Replace the results that are in the folder.
+    reconnect
+        When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
     from .structure import StructureJob, run_structure
 
-    outcome = run_structure(StructureJob(source, out, coherence, association, start, stop, step, overwrite))
+    outcome = run_structure(
+        StructureJob(source, out, coherence, association, start, stop, step, overwrite, reconnect)
+    )
     summary = outcome.summary
     print(
         f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks, "
@@ -153,7 +166,7 @@ def structure(
     for note in summary["notes"]:
         print(note)
     print(f"results: {out / 'report.html'}")
-    return _ended(outcome.signal)
+    return _ended(outcome)
 
 
 @app.command
@@ -172,6 +185,7 @@ def face(
     stop: int | None = None,
     step: int = 1,
     overwrite: Flag = False,
+    reconnect: float | None = None,
 ) -> int:
     """Track a face: its pose, deformation and texture.
 
@@ -213,13 +227,15 @@ def face(
         Take every n-th frame.
     overwrite
         Replace the results that are in the folder.
+    reconnect
+        When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
     from .face import FaceJob, run_face
 
     outcome = run_face(
         FaceJob(
             source, out, model, landmarks, correspondences, detector, experts, gain, seed, start, stop, step,
-            overwrite,
+            overwrite, reconnect,
         )
     )  # fmt: skip
     summary = outcome.summary
@@ -235,7 +251,7 @@ def face(
     for note in summary["notes"]:
         print(note)
     print(f"results: {out / 'report.html'}")
-    return _ended(outcome.signal)
+    return _ended(outcome)
 
 
 @app.command
@@ -252,6 +268,7 @@ def body(
     stop: int | None = None,
     step: int = 1,
     overwrite: Flag = False,
+    reconnect: float | None = None,
 ) -> int:
     """Track a person's upper body: the pose of head and arms, in depth as well.
 
@@ -289,11 +306,13 @@ def body(
         Take every n-th frame.
     overwrite
         Replace the results that are in the folder.
+    reconnect
+        When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
     from .body import BodyJob, run_body
 
     outcome = run_body(
-        BodyJob(source, out, detector, head, joints, samples, seed, start, stop, step, overwrite)
+        BodyJob(source, out, detector, head, joints, samples, seed, start, stop, step, overwrite, reconnect)
     )
     summary = outcome.summary
     shares = ", ".join(f"{name.replace('_', ' ')} {100 * s:.0f} %" for name, s in summary["seen"].items())
@@ -301,7 +320,7 @@ def body(
     for note in summary["notes"]:
         print(note)
     print(f"results: {out / 'report.html'}")
-    return _ended(outcome.signal)
+    return _ended(outcome)
 
 
 @app.command
@@ -541,8 +560,14 @@ def body_figure(*, out: Path = Path("results/body-comparison")) -> int:
     return 0
 
 
-def _ended(signal: int | None) -> int:
-    return 0 if signal is None else SIGNALLED + signal
+def _ended(outcome: Outcome) -> int:
+    """The exit code of a run; a line says when its source was lost."""
+    if outcome.signal is not None:
+        return SIGNALLED + outcome.signal
+    if outcome.lost is not None:
+        print(f"rsmcm: {outcome.summary['source']}: lost for good: {outcome.lost}", file=sys.stderr)
+        return STREAM_LOST
+    return 0
 
 
 def _in_words(summary: Mapping[str, Any]) -> str:
@@ -577,8 +602,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (CycloptsError, ValueError, OSError) as error:
         print(f"rsmcm: {_one_line(error)}", file=sys.stderr)
         code = USAGE_ERROR
-    except KeyboardInterrupt:
-        code = SIGNALLED + INTERRUPT
+    except KeyboardInterrupt as error:
+        code = SIGNALLED + (error.args[0] if error.args else INTERRUPT)
     sys.exit(code or 0)
 
 

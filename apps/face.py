@@ -50,6 +50,7 @@ class FaceJob:
     stop: int | None = None
     step: int = 1
     overwrite: bool = False
+    reconnect: float | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -92,7 +93,7 @@ def run_face(job: FaceJob) -> Outcome:
     given = _given_landmarks(job)
     with (
         Interruption() as interruption,
-        open_source(job.source, job.start, job.stop, job.step) as source,
+        open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source,
         write_together(job.out, overwrite=job.overwrite) as folder,
     ):
         frames = SeenFrames(interruption.items(source))
@@ -223,7 +224,10 @@ class _Run:
             "missing": record.missing,
             "blank": self._frames.blank,
             "truncated": source.truncated,
-            "ended_early": interruption.signal is not None or self._frames.error is not None,
+            "stream": source.stream,
+            "ended_early": interruption.signal is not None
+            or self._frames.error is not None
+            or source.lost is not None,
             "start": "face detector" if start.fit_error is None else "landmarks",
             "start_fit_error_px": start.fit_error,
             "landmarks": len(start.present),
@@ -239,7 +243,7 @@ class _Run:
             "frames_per_second": count / seconds,
             "frames_per_second_of_tracker": count / sum(record.seconds),
             "threads": thread_count(),
-            "notes": [*self._notes, *record.notes],
+            "notes": [*source.notes, *self._notes, *record.notes],
             "parameters": self._job.settings,
             "versions": versions(),
         }

@@ -25,12 +25,19 @@ class Outcome:
     summary: dict[str, Any]
     signal: int | None
 
+    @property
+    def lost(self) -> str | None:
+        """Why its camera or stream was lost for good; `None` if it was not."""
+        stream = self.summary.get("stream")
+        return None if stream is None else stream["lost"]
+
 
 class Interruption:
     """Ctrl-C (SIGINT) and SIGTERM as a question that is asked between frames or rounds.
 
-    Inside its block, the first signal only ends `items`; while that waits for the next one, at once. A second
-    signal is a `KeyboardInterrupt` wherever it arrives. Outside the main thread, signals are left alone.
+    Inside its block, the first signal only ends `items`; while that waits for the next one, at once. Before
+    the first item nothing has been done yet, and a signal is a `KeyboardInterrupt` with its number. So is a
+    second one, wherever it arrives. Outside the main thread, signals are left alone.
 
     Attributes
     ----------
@@ -40,7 +47,7 @@ class Interruption:
 
     def __init__(self) -> None:
         self.signal: int | None = None
-        self._waiting = False
+        self._waiting = True
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
@@ -75,4 +82,4 @@ class Interruption:
         self.signal = number
         if again or self._waiting:
             self._waiting = False
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt(number)

@@ -46,6 +46,7 @@ class StructureJob:
     stop: int | None = None
     step: int = 1
     overwrite: bool = False
+    reconnect: float | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -75,6 +76,8 @@ class Film:
         columns of the track file; `None` where there are images.
     notes
         what is out of the ordinary, a sentence each.
+    stream
+        what became of a camera or stream, as of `Source`.
     """
 
     name: str
@@ -82,6 +85,7 @@ class Film:
     rate: float
     n_tracks: int | None
     notes: tuple[str, ...]
+    stream: dict[str, Any] | None = None
 
 
 def run_structure(job: StructureJob) -> Outcome:
@@ -148,7 +152,7 @@ def _tracks(job: StructureJob) -> Film:
 
 
 def _images(job: StructureJob) -> Film:
-    with open_source(job.source, job.start, job.stop, job.step) as source:
+    with open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source:
         if source.live and job.stop is None:
             raise ValueError(f"{source.name}: has no end, expected one, or --stop")
         frames = []
@@ -156,12 +160,12 @@ def _images(job: StructureJob) -> Film:
             for frame in source:
                 frames.append(frame)
                 progress.update()
-        notes = []
+        notes = source.notes
         if source.skipped:
             notes.append(f"Missing or unreadable: {_listed('frame', source.skipped)}.")
         if source.truncated:
             notes.append("The source ends before its announced end.")
-        return Film(source.name, frames, source.rate / job.step, None, tuple(notes))
+        return Film(source.name, frames, source.rate / job.step, None, tuple(notes), source.stream)
 
 
 def _solved(job: StructureJob, film: Film, interruption: Interruption) -> Reconstruction:
@@ -215,8 +219,10 @@ def _write(
         "shape_reason": found.reason or None,
         "rounds": len(found.objective),
         "converged": found.converged,
-        "ended_early": interruption.signal is not None,
+        "ended_early": interruption.signal is not None
+        or (film.stream is not None and film.stream["lost"] is not None),
         "objective": list(found.objective),
+        "stream": film.stream,
         "notes": notes,
         "seconds": time.perf_counter() - started,
         "parameters": job.settings,

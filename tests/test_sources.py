@@ -3,6 +3,7 @@
 import functools
 import http.server
 import threading
+import time
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -337,10 +338,6 @@ def test_forms_of_images(tmp_path: Path) -> None:
     transparent = tmp_path / "transparent.png"
     cv2.imwrite(str(transparent), np.dstack([picture(1), np.full((HEIGHT, WIDTH), 9, np.uint8)]))
     np.testing.assert_array_equal(read(transparent)[1][0].image, picture(1))
-    deep = tmp_path / "deep.png"
-    cv2.imwrite(str(deep), picture(1).astype(np.uint16) * 256)
-    with pytest.raises(ValueError, match=r"deep\.png: frame 1 has uint16 values, expected 8 bits"):
-        read(deep)
 
 
 def test_images_of_another_size_or_type_are_named(tmp_path: Path) -> None:
@@ -429,15 +426,21 @@ def test_live_source_drops_what_nobody_fetches(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(cv2, "VideoCapture", Camera)
     with open_source("0") as source:
-        numbers = [next(source).number, next(source).number]
-        assert source._thread is not None
-        source._thread.join(2)
+        numbers = [next(source).number]
+        time.sleep(0.5)  # in which all others arrive
         numbers += [frame.number for frame in source]
         assert (source.kind, source.live, source.n_frames, source.rate) == ("camera", True, None, 25.0)
-    assert numbers[0] == 1
+        assert source.stream == {
+            "lost": "no more pictures come",
+            "gaps": [],
+            "dropped_frames": 200 - len(numbers),
+        }
+        assert source.notes == [
+            f"{200 - len(numbers)} frames were dropped, which came faster than they were processed."
+        ]
     assert numbers[-1] == 200
     assert numbers == sorted(numbers)
-    assert len(numbers) <= 12
+    assert len(numbers) <= 6
 
 
 # --- real data ----------------------------------------------------------------------------------------------
