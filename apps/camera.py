@@ -1,6 +1,7 @@
 """A camera of this machine."""
 
 import math
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,6 +20,7 @@ class Camera:
     def __init__(self, index: int) -> None:
         self.name = str(index)
         self.lost: str | None = None
+        self.opened_at = time.perf_counter()
         self._capture = cv2.VideoCapture(index)
         if not self._capture.isOpened():
             raise OSError(f"camera {index}: cannot be opened")
@@ -29,14 +31,14 @@ class Camera:
             int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
         )
 
-    def images(self) -> Iterator[NDArray[np.uint8]]:
-        """Yield images as they arrive, until the camera is gone."""
+    def images(self) -> Iterator[tuple[None, NDArray[np.uint8]]]:
+        """Yield images as they arrive, until the camera is gone; it does not say when it took them."""
         while True:
             arrived, image = self._capture.read()
             if not arrived:
                 self.lost = "no more pictures come"
                 return
-            yield np.asarray(image, dtype=np.uint8)
+            yield None, np.asarray(image, dtype=np.uint8)
 
     def fingerprint(self) -> dict[str, Any]:
         """Return its number."""

@@ -5,6 +5,7 @@ from collections import deque
 
 from ..models.frame import Frame
 
+ROOM = 1 << 25  # bytes of images that may wait in a queue for the newest
 WAKE_EVERY = 0.5  # seconds: on Windows, a wait without a limit is deaf to Ctrl-C
 
 
@@ -14,7 +15,7 @@ class FrameQueue:
     Parameters
     ----------
     size
-        how many images may wait; missing frames hold no memory, and do not count.
+        how many frames may wait that are put; of the newest, as many images at least.
 
     Attributes
     ----------
@@ -36,10 +37,13 @@ class FrameQueue:
             self._append(item)
 
     def put_newest(self, frame: Frame) -> None:
-        """Append a frame at once; where there is no room for its image, the oldest one goes."""
+        """Append a frame at once; where there is no room for its image, the oldest one goes.
+
+        Small images have room for more of them: a stream begins with all that came while it was opened.
+        """
         with self._changed:
             waiting = [item for item in self._items if isinstance(item, Frame) and item.image is not None]
-            if frame.image is not None and len(waiting) >= self._size:
+            if frame.image is not None and len(waiting) >= max(self._size, ROOM // frame.image.nbytes):
                 self._items.remove(waiting[0])
                 self.dropped += 1
             self._append(frame)

@@ -1,5 +1,6 @@
 """Frames of a camera or stream as they arrive, also over losses of the connection."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +19,11 @@ FILLED_SECONDS = 5.0
 they have not seen for three seconds. A longer gap ends in one large step."""
 
 
+MOST_DELAY = 20.0  # seconds from the time that a stream states for a picture to its arrival; HLS takes ten
+LEAST_STEP = 1e-3  # seconds between two pictures, whatever is stated
+STALL = 1.0  # seconds without a picture, in a connection that goes on, that are a gap as well
+
+
 class Feed(Protocol):
     """A connection to a camera or stream.
 
@@ -25,6 +31,8 @@ class Feed(Protocol):
     ----------
     name, kind, rate
         as of a `Reader`.
+    opened_at
+        by `time.perf_counter`, when it began.
     lost
         why there are no more images, once they have ended.
     """
@@ -32,14 +40,19 @@ class Feed(Protocol):
     name: str
     kind: str
     rate: float
+    opened_at: float
     lost: str | None
 
     @property
     def header_size(self) -> tuple[int, int]:
         """`(width, height)` px, 0 where only an image tells."""
 
-    def images(self) -> Iterator[NDArray[np.uint8] | None]:
-        """Yield images as they arrive, until they end; `None` for one that is damaged."""
+    def images(self) -> Iterator[tuple[float | None, NDArray[np.uint8] | None]]:
+        """Yield images as they arrive, until they end.
+
+        With each its time in seconds since the first of this connection, `None` where that is not stated; an
+        image that is damaged is `None`.
+        """
 
     def fingerprint(self) -> dict[str, Any]:
         """Return what identifies the source, as JSON."""
@@ -48,8 +61,35 @@ class Feed(Protocol):
         """Close the connection."""
 
 
+class _Clock:
+    """When pictures were taken, in seconds since the first.
+
+    The time that a stream states is better than that of arrival: FFmpeg has held back a second of pictures when
+    it gives out the first. But it counts within a connection only, and a stream's clock may be wrong.
+    """
+
+    def __init__(self) -> None:
+        self._first: float | None = None
+        self._latest = -math.inf
+        self._began = 0.0  # what a stream counts from; all by `time.perf_counter`, which is monotonic
+
+    def connected(self, opened_at: float) -> None:
+        """A connection was made."""
+        self._began = opened_at
+
+    def time_of(self, stated: float | None) -> float:
+        """Return the time of a picture that has just arrived, later than that of the one before."""
+        now = time.perf_counter()
+        if stated is None or not now - MOST_DELAY < self._began + stated <= now:
+            self._began = now - (stated or 0.0)
+        self._latest = max(self._began + (stated or 0.0), self._latest + LEAST_STEP)
+        if self._first is None:
+            self._first = self._latest
+        return self._latest - self._first
+
+
 class LiveReader:
-    """What a camera or stream sends, with the times at which it arrives.
+    """What a camera or stream sends, with real times.
 
     When the connection is lost, a new one is made as soon as there is somebody to connect to. The gap is
     missing frames: numbers go on in step with time at the source's rate.
@@ -94,23 +134,22 @@ class LiveReader:
 
     def _arriving(self, stopping: threading.Event) -> Iterator[tuple[float, NDArray[np.uint8] | None]]:
         """Yield every image with its time (seconds since the first), `None` for one that is missing."""
-        first: float | None = None
-        last = 0.0  # time of the last image
-        give_up: float | None = None  # time at which trying ends, while there is no picture
+        clock = _Clock()
+        last: float | None = None  # time of the last image
+        give_up: float | None = None  # when trying to connect ends, as long as there is no picture
         while True:
-            for image in self._feed.images():
+            clock.connected(self._feed.opened_at)
+            for stated, image in self._feed.images():
                 if stopping.is_set():
                     return
-                now = time.perf_counter()  # monotonic, and on Windows finer than `time.monotonic`
-                first = now if first is None else first
-                moment = now - first
-                if self.lost is not None:
-                    yield from self._fill(last, moment, self.lost)
+                moment = clock.time_of(stated)
+                if last is not None and (self.lost or moment - last > max(STALL, 5 / self.rate)):
+                    yield from self._fill(last, moment, self.lost or "nothing came")
                 self.lost = give_up = None
                 yield moment, image
                 last = moment
             self.lost = self.lost or self._feed.lost
-            if self._reconnect is None or first is None:
+            if self._reconnect is None or last is None:
                 return
             now = time.perf_counter()
             give_up = now + self._reconnect if give_up is None else give_up

@@ -1,5 +1,6 @@
 """Frames from a video file, or from an address: all of a file's, or those of a stream as they arrive."""
 
+import errno
 import hashlib
 import math
 import os
@@ -57,6 +58,7 @@ class VideoReader:
         self.lost: str | None = None
         self.last_number = 0
         self._path = source
+        self.opened_at = time.perf_counter()
         self._container = self._opened(reconnect) if network else self._opened_file()
         try:
             self._stream = self._pictures_track()
@@ -101,13 +103,12 @@ class VideoReader:
             }
             patience += reconnect
         limits = (NETWORK_TIMEOUT, patience)  # for opening, and for reading
-        began = time.perf_counter()
         try:
             container: av.container.InputContainer = av.open(
                 self._path, timeout=limits, options=options, **_DECODING
             )
         except (av.FFmpegError, OSError) as error:
-            silent = time.perf_counter() - began >= NETWORK_TIMEOUT
+            silent = time.perf_counter() - self.opened_at >= NETWORK_TIMEOUT
             reason = _SILENT.format(NETWORK_TIMEOUT) if silent else _reason(error)
             raise OSError(f"{self.name}: cannot be opened ({reason})") from None
         return container
@@ -154,10 +155,11 @@ class VideoReader:
             if number in selection:
                 yield Frame(None if picture is None else to_bgr(picture), seconds, number)
 
-    def images(self) -> Iterator[NDArray[np.uint8] | None]:
-        """Yield the images of a stream as they arrive until it is `lost`, `None` for one that is damaged."""
-        for _, picture in self._pictures():
-            yield None if picture is None else to_bgr(picture)
+    def images(self) -> Iterator[tuple[float | None, NDArray[np.uint8] | None]]:
+        """Yield the images of a stream as they arrive until it is `lost`, as `Feed` has it."""
+        timed = not self._container.format.flags & av.format.Flags.no_timestamps.value
+        for seconds, picture in self._pictures():
+            yield seconds if timed else None, None if picture is None else to_bgr(picture)
         self.lost = self.lost or "it ended"
 
     def _pictures(self) -> Iterator[tuple[float, av.VideoFrame | None]]:
@@ -262,9 +264,11 @@ class VideoReader:
 
 
 def _reason(error: Exception) -> str:
-    """What an error of FFmpeg says; its "immediate exit" is that of our time limit."""
+    """What an error of FFmpeg says; "immediate exit" is our time limit, "input/output error" an end."""
     if isinstance(error, av.ExitError | TimeoutError):
         return _SILENT.format(NETWORK_TIMEOUT)
+    if getattr(error, "errno", None) == errno.EIO:
+        return "it broke off"
     return getattr(error, "strerror", None) or str(error)
 
 

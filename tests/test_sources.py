@@ -2,6 +2,8 @@
 
 import functools
 import http.server
+import math
+import struct
 import threading
 import time
 from collections.abc import Iterator
@@ -113,13 +115,14 @@ def test_colours_as_opencv_reads_them(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("turn", [90, -90, 180])
 def test_video_of_a_turned_phone_stands_upright(tmp_path: Path, turn: int) -> None:
-    path = tmp_path / "turned.mp4"
-    with av.open(str(path), "w") as file:
-        stream = file.add_stream("libx264", rate=25)
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-        stream.set_display_rotation(turn)
-        file.mux(stream.encode(av.VideoFrame.from_ndarray(picture(40), format="bgr24")))
-        file.mux(stream.encode(None))
+    path = write_video(tmp_path / "turned.mp4", 3)
+    data = bytearray(path.read_bytes())
+    matrix = data.index(b"tkhd") + 44  # a, b, u, c, d, v, x, y, w of the track's header
+    cosine, sine = (
+        round(value) << 16 for value in (math.cos(math.radians(turn)), math.sin(math.radians(turn)))
+    )
+    struct.pack_into(">9i", data, matrix, cosine, sine, 0, -sine, cosine, 0, 0, 0, 1 << 30)
+    path.write_bytes(data)
     source, frames = read(path)
     _, expected = cv2.VideoCapture(str(path)).read()
     assert frames[0].image is not None
