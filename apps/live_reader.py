@@ -64,8 +64,8 @@ class Feed(Protocol):
 class _Clock:
     """When pictures were taken, in seconds since the first.
 
-    The time that a stream states is better than that of arrival: FFmpeg has held back a second of pictures when
-    it gives out the first. But it counts within a connection only, and a stream's clock may be wrong.
+    The time that a stream states is better than that of arrival: FFmpeg has held back a second of pictures
+    when it gives out the first. But it counts within a connection only, and a stream's clock may be wrong.
     """
 
     def __init__(self) -> None:

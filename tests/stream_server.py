@@ -119,7 +119,7 @@ def serving(answer: Callable[[http.server.BaseHTTPRequestHandler], None]) -> Ite
 
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            with suppress(OSError):  # the other side has hung up
+            with suppress(OSError, av.FFmpegError):  # the other side has hung up
                 answer(self)
 
         def log_message(self, *_: object) -> None:
