@@ -3,9 +3,12 @@
 import threading
 from collections import deque
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..models.frame import Frame
 
-ROOM = 1 << 25  # bytes of images that may wait in a queue for the newest
+ROOM, ROOM_BYTES = 50, 1 << 25  # of the newest, so many images may wait if they are small
 WAKE_EVERY = 0.5  # seconds: on Windows, a wait without a limit is deaf to Ctrl-C
 
 
@@ -43,7 +46,7 @@ class FrameQueue:
         """
         with self._changed:
             waiting = [item for item in self._items if isinstance(item, Frame) and item.image is not None]
-            if frame.image is not None and len(waiting) >= max(self._size, ROOM // frame.image.nbytes):
+            if frame.image is not None and len(waiting) >= self._room(frame.image):
                 self._items.remove(waiting[0])
                 self.dropped += 1
             self._append(frame)
@@ -62,6 +65,9 @@ class FrameQueue:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
+
+    def _room(self, image: NDArray[np.uint8]) -> int:
+        return max(self._size, min(ROOM_BYTES // image.nbytes, ROOM))
 
     def _append(self, item: Frame | Exception | None) -> None:
         self._items.append(item)

@@ -19,9 +19,9 @@ IMAGE_SUFFIXES = frozenset(
 _FORMATS = ("BMP", "JPEG", "JPEG2000", "PNG", "PPM", "TIFF", "WEBP")  # Pillow's names of them
 
 # What is damaged is told by what `read_image` returns; OpenCV's own lines on standard error would only tear
-# the progress bar. Pillow warns of pictures that are within our bound.
+# the progress bar, and so would Pillow's warnings.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
+warnings.filterwarnings("ignore", module=r"PIL\.")
 
 
 def read_image(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
