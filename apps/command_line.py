@@ -8,6 +8,9 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
+from .interruption import Outcome
+
+STREAM_LOST = 1
 USAGE_ERROR = 2
 SIGNALLED = 128  # plus the number of the signal: 130 for Ctrl-C
 INTERRUPT = 2
@@ -45,6 +48,7 @@ def background(
     compare: Flag = False,
     seed: int = 0,
     threads: int | None = None,
+    reconnect: float | None = None,
 ) -> int:
     """Separate moving objects from the background, and track them.
 
@@ -90,22 +94,27 @@ def background(
         Of random numbers; recorded with the results.
     threads
         How many threads the loops over pixels use.
+    reconnect
+        When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
     from . import background as application
 
     job = application.Job(
         source, out, engine, config, roi, masks, ground_truth, start=start, stop=stop, step=step,
         resume=resume, overwrite=overwrite, every=every, learned=from_, seed=seed, threads=threads,
+        reconnect=reconnect,
     )  # fmt: skip
     outcome = application.run_background(job)
     print(_in_words(outcome.summary))
+    for note in outcome.summary["notes"]:
+        print(note)
     print(f"results: {out / 'report.html'}")
-    if compare and outcome.signal is None:
+    if compare and outcome.signal is None and outcome.lost is None:
         from .compare import run_compare
 
         outcome, _ = run_compare(job)
         print(f"comparison: {out / 'compare.html'}")
-    return _ended(outcome.signal)
+    return _ended(outcome)
 
 
 @app.command
@@ -121,6 +130,7 @@ def structure(
     resume: Flag = False,
     overwrite: Flag = False,
     threads: int | None = None,
+    reconnect: float | None = None,
 ) -> int:
     """Track points, and find their shape and the motion of the camera.
 
@@ -153,11 +163,15 @@ def structure(
         Remove the results that are in the folder.
     threads
         How many threads the loops over pixels use.
+    reconnect
+        When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
     from .structure import StructureJob, run_structure
 
     outcome = run_structure(
-        StructureJob(source, out, coherence, association, start, stop, step, resume, overwrite, threads)
+        StructureJob(
+            source, out, coherence, association, start, stop, step, resume, overwrite, threads, reconnect
+        )
     )
     summary = outcome.summary
     print(
@@ -167,7 +181,7 @@ def structure(
     for note in summary["notes"]:
         print(note)
     print(f"results: {out / 'report.html'}")
-    return _ended(outcome.signal)
+    return _ended(outcome)
 
 
 @app.command
@@ -190,6 +204,7 @@ def face(
     every: int = 500,
     from_: From = None,
     threads: int | None = None,
+    reconnect: float | None = None,
 ) -> int:
     """Track a face: its pose, deformation and texture.
 
@@ -240,6 +255,8 @@ def face(
         state.npz of its results. A recording is taken to go on where that one ended.
     threads
         How many threads the loops over pixels use.
+    reconnect
+        When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
     from .face import FaceJob, run_face
 
@@ -247,7 +264,7 @@ def face(
         FaceJob(
             source, out, model, landmarks, correspondences, detector, experts, gain, start=start, stop=stop,
             step=step, resume=resume, overwrite=overwrite, every=every, learned=from_, seed=seed,
-            threads=threads,
+            threads=threads, reconnect=reconnect,
         )
     )  # fmt: skip
     summary = outcome.summary
@@ -263,7 +280,7 @@ def face(
     for note in summary["notes"]:
         print(note)
     print(f"results: {out / 'report.html'}")
-    return _ended(outcome.signal)
+    return _ended(outcome)
 
 
 @app.command
@@ -284,6 +301,7 @@ def body(
     every: int = 500,
     from_: From = None,
     threads: int | None = None,
+    reconnect: float | None = None,
 ) -> int:
     """Track a person's upper body: the pose of head and arms, in depth as well.
 
@@ -330,6 +348,8 @@ def body(
         state.npz of its results. A recording is taken to go on where that one ended.
     threads
         How many threads the loops over pixels use.
+    reconnect
+        When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
     from .body import BodyJob, run_body
 
@@ -337,6 +357,7 @@ def body(
         BodyJob(
             source, out, detector, head, joints, samples, start=start, stop=stop, step=step, resume=resume,
             overwrite=overwrite, every=every, learned=from_, seed=seed, threads=threads,
+        reconnect=reconnect,
         )
     )  # fmt: skip
     summary = outcome.summary
@@ -345,7 +366,7 @@ def body(
     for note in summary["notes"]:
         print(note)
     print(f"results: {out / 'report.html'}")
-    return _ended(outcome.signal)
+    return _ended(outcome)
 
 
 @app.command
@@ -585,8 +606,14 @@ def body_figure(*, out: Path = Path("results/body-comparison")) -> int:
     return 0
 
 
-def _ended(signal: int | None) -> int:
-    return 0 if signal is None else SIGNALLED + signal
+def _ended(outcome: Outcome) -> int:
+    """The exit code of a run; a line says when its source was lost."""
+    if outcome.signal is not None:
+        return SIGNALLED + outcome.signal
+    if outcome.lost is not None:
+        print(f"rsmcm: {outcome.summary['source']}: lost for good: {outcome.lost}", file=sys.stderr)
+        return STREAM_LOST
+    return 0
 
 
 def _in_words(summary: Mapping[str, Any]) -> str:

@@ -173,7 +173,7 @@ def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
     parameters = read_parameters(job.config) if job.config else {}
     with (
         Interruption() as interruption,
-        open_source(job.source, job.start, job.stop, job.step) as source,
+        open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source,
     ):
         if source.live:
             raise ValueError(f"--compare: {source.name} is live and cannot be read again")
@@ -201,7 +201,8 @@ def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
         with output_folder(job.out, APPLICATION, add=True) as folder:
             folder.add(FILES)
             write_comparison(job.out, source.name, lines, gallery)
-    return Outcome({"frames": n_frames}, interruption.signal), lines
+    summary = {"source": source.name, "frames": n_frames, "stream": source.stream}
+    return Outcome(summary, interruption.signal), lines
 
 
 def write_comparison(

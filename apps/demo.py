@@ -16,6 +16,7 @@ from .background import Job, run_background
 from .body_files import COLUMNS
 from .claims import in_columns
 from .compare import run_compare
+from .interruption import Outcome
 from .progress import Progress
 from .results import write_atomically, write_image, write_text
 from .scenes import FaceScene, Scene, SignerScene, cylinder, face, signer, sleeping_man
@@ -35,7 +36,7 @@ PX, MIDDLE = 100.0, (320.0, 240.0)
 """px per radius of the cylinder, and where its middle is."""
 
 
-def run_demo(out: Path) -> int | None:
+def run_demo(out: Path) -> Outcome:
     """Track the person who stands still, and compare with and without feedback.
 
     Parameters
@@ -46,8 +47,8 @@ def run_demo(out: Path) -> int | None:
 
     Returns
     -------
-    int | None
-        number of the signal that ended it early.
+    Outcome
+        of what ran last.
 
     Raises
     ------
@@ -68,7 +69,7 @@ def run_demo(out: Path) -> int | None:
     print(f"\nreport:     {out / 'report.html'}")
     print(f"comparison: {out / 'compare.html'}")
     print(f"video:      {out / 'overlay.mp4'}")
-    return outcome.signal
+    return outcome
 
 
 def write_scene(scene: Scene, folder: Path) -> None:

@@ -13,8 +13,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
-import cv2
-
 from ..inference import Belief, RecursiveBP
 from ..inference.recursive_bp import BEGINNING, RunState
 from ..models.frame import Frame
@@ -54,6 +52,7 @@ class FilmJob:
     learned: Path | None = None
     seed: int = 0
     threads: int | None = None
+    reconnect: float | None = None
 
     def __post_init__(self) -> None:
         if self.every < 1:
@@ -117,6 +116,7 @@ class FilmRun(ABC):
         self._earlier_seconds = 0.0  # of wall time, before the run was resumed
         self._started = time.perf_counter()
         self._ended_early = False
+        self._is_saved = False
 
     # --- what an application says ---
 
@@ -188,17 +188,27 @@ class FilmRun(ABC):
         Interrupted
             if a signal came before there was any result, or a second one.
         """
+        try:
+            return self._carried_out()
+        except Interrupted as stop:
+            if self._is_saved:
+                stop = Interrupted(stop.signal, f"interrupted: --resume goes on with {self.job.out}")
+            raise stop from None
+
+    def _carried_out(self) -> Outcome:
         job = self.job
         if job.threads is not None:
             set_threads(job.threads)
-            cv2.setNumThreads(job.threads)
         with (
             self.interruption,
             output_folder(job.out, self.application, overwrite=job.overwrite, resume=job.resume) as folder,
         ):
             saved = self._saved() if job.resume else None
+            self._is_saved = saved is not None
             after = saved.state.number if saved else 0
-            with open_source(job.source, job.start, job.stop, job.step, after=after) as source:
+            with open_source(
+                job.source, job.start, job.stop, job.step, after=after, reconnect=job.reconnect
+            ) as source:
                 self.source = source
                 self._fingerprint = source.fingerprint()
                 if job.resume and source.live:
@@ -213,8 +223,6 @@ class FilmRun(ABC):
                     self._process(frames)
                 except _EndedEarlyError:
                     self._ended_early = True
-                except Interrupted as stop:
-                    raise Interrupted(stop.signal, f"interrupted: --resume goes on with {job.out}") from None
                 summary = self._summary()
                 self.finish(summary)
                 write_json(job.out / "summary.json", summary)
@@ -314,7 +322,7 @@ class FilmRun(ABC):
                     self._checkpoint(writers)
                 progress.update()
             self._checkpoint(writers)
-            if self.interruption.signal is not None or self._frames.error is not None:
+            if self.interruption.signal is not None or self._frames.error or self.source.lost:
                 raise _EndedEarlyError
 
     def _checkpoint(self, writers: Sequence[Writer]) -> None:
@@ -338,6 +346,7 @@ class FilmRun(ABC):
         path = self.job.out / STATE
         with naming(path):
             SavedRun(about, self.state, self.memory()).save(path, self.chains, self.kinds)
+        self._is_saved = True
 
     def _summary(self) -> dict[str, Any]:
         source, record, seconds = self.source, self.record, self._seconds()
@@ -353,6 +362,7 @@ class FilmRun(ABC):
             "missing_frames": len(record.missing),
             "missing": record.missing,
             "truncated": source.truncated,
+            "stream": source.stream,
             "ended_early": self._ended_early,
             **facts,
             "seconds": seconds,
@@ -360,7 +370,7 @@ class FilmRun(ABC):
             "frames_per_second_of_engine": count / sum(record.seconds) if count else None,
             "threads": thread_count(),
             "seed": self.job.seed,
-            "notes": [*self.notes, *facts.get("notes", [])],
+            "notes": [*source.notes, *self.notes, *facts.get("notes", [])],
             "parameters": self.settings,
             "versions": versions(),
         }

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from .images import read_grey
 
 SHADOW, OUTSIDE, UNKNOWN, FOREGROUND = 50, 85, 170, 255
 """CDnet's labels of a pixel; 0 is background."""
@@ -238,9 +239,7 @@ def _read_masks(folder: Path) -> MaskTruth:
 
 
 def _read_grey(path: Path) -> NDArray[np.uint8]:
-    # Decoding from memory keeps OpenCV from writing its own warnings about broken files.
-    data = np.frombuffer(path.read_bytes(), np.uint8)
-    picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    picture = read_grey(path)
     if picture is None:
         raise ValueError(f"{path}: not a readable picture")
-    return picture.astype(np.uint8, copy=False)
+    return picture

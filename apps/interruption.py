@@ -25,6 +25,12 @@ class Outcome:
     summary: dict[str, Any]
     signal: int | None
 
+    @property
+    def lost(self) -> str | None:
+        """Why its camera or stream was lost for good; `None` if it was not."""
+        stream = self.summary.get("stream")
+        return None if stream is None else stream["lost"]
+
 
 class Interrupted(KeyboardInterrupt):
     """A signal has ended a run at once.
@@ -45,8 +51,9 @@ class Interrupted(KeyboardInterrupt):
 class Interruption:
     """Ctrl-C (SIGINT) and SIGTERM as a question that is asked between frames or rounds.
 
-    Inside its block, the first signal only ends `items`; while that waits for the next one, at once. A second
-    signal is an `Interrupted` wherever it arrives. Outside the main thread, signals are left alone.
+    Inside its block, the first signal only ends `items`; while that waits for the next one, at once. Before
+    the first item nothing has been done yet, and a signal is an `Interrupted`; so is a second one, wherever
+    it arrives. Outside the main thread, signals are left alone.
 
     Attributes
     ----------
@@ -56,7 +63,7 @@ class Interruption:
 
     def __init__(self) -> None:
         self.signal: int | None = None
-        self._waiting = False
+        self._waiting = True
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:

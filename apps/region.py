@@ -3,10 +3,10 @@
 import re
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .images import read_grey
 from .results import TrackedObject
 
 Mask = NDArray[np.uint8]
@@ -31,8 +31,8 @@ def read_region(text: str, size: tuple[int, int]) -> Mask:
     Raises
     ------
     ValueError
-        if the rectangle is empty or reaches out of the picture, or the mask is no picture, has another size
-        or nothing inside.
+        if the rectangle is empty or reaches out of the picture, or the mask is no picture, has too many
+        pixels, another size or nothing inside.
     OSError
         if there is no such file.
     """
@@ -52,8 +52,10 @@ def read_region(text: str, size: tuple[int, int]) -> Mask:
     path = Path(text)
     if not path.exists():
         raise FileNotFoundError(f"--roi: got {text!r}, which is neither x,y,width,height nor a file")
-    data = np.frombuffer(path.read_bytes(), np.uint8)
-    picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    try:
+        picture = read_grey(path)
+    except ValueError as error:
+        raise ValueError(f"--roi: {error}") from None
     if picture is None:
         raise ValueError(f"--roi: {text} is not a readable picture")
     if picture.shape != region.shape:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,6 +65,7 @@ class StructureJob:
     resume: bool = False
     overwrite: bool = False
     threads: int | None = None
+    reconnect: float | None = None
 
     def __post_init__(self) -> None:
         if self.resume and self.overwrite:
@@ -101,6 +101,8 @@ class Film:
         by which the source is known again.
     notes
         what is out of the ordinary, a sentence each.
+    stream
+        what became of a camera or stream, as of `Source`.
     """
 
     name: str
@@ -109,6 +111,7 @@ class Film:
     n_tracks: int | None
     fingerprint: dict[str, Any]
     notes: tuple[str, ...]
+    stream: dict[str, Any] | None = None
 
 
 def run_structure(job: StructureJob) -> Outcome:
@@ -126,7 +129,6 @@ def run_structure(job: StructureJob) -> Outcome:
     """
     if job.threads is not None:
         set_threads(job.threads)
-        cv2.setNumThreads(job.threads)
     with (
         Interruption() as interruption,
         output_folder(job.out, APPLICATION, overwrite=job.overwrite, resume=job.resume) as folder,
@@ -244,7 +246,7 @@ def _tracks(job: StructureJob) -> Film:
 
 
 def _images(job: StructureJob) -> Film:
-    with open_source(job.source, job.start, job.stop, job.step) as source:
+    with open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source:
         if source.live and job.stop is None:
             raise ValueError(f"{source.name}: has no end, expected one, or --stop")
         frames = []
@@ -252,13 +254,13 @@ def _images(job: StructureJob) -> Film:
             for frame in source:
                 frames.append(frame)
                 progress.update()
-        notes = []
+        notes = source.notes
         if source.skipped:
             notes.append(f"Missing or unreadable: {_listed('frame', source.skipped)}.")
         if source.truncated:
             notes.append("The source ends before its announced end.")
-        fingerprint = source.fingerprint()
-        return Film(source.name, frames, source.rate / job.step, None, fingerprint, tuple(notes))
+        rate, fingerprint = source.rate / job.step, source.fingerprint()
+        return Film(source.name, frames, rate, None, fingerprint, tuple(notes), source.stream)
 
 
 def _write(
@@ -292,7 +294,9 @@ def _write(
         "shape_reason": found.reason or None,
         "rounds": len(found.objective),
         "converged": found.converged,
-        "ended_early": interruption.signal is not None,
+        "ended_early": interruption.signal is not None
+        or (film.stream is not None and film.stream["lost"] is not None),
+        "stream": film.stream,
         "objective": list(found.objective),
         "notes": notes,
         "seconds": seconds,
