@@ -33,6 +33,8 @@ IMAGE_SUFFIXES = frozenset(
 NETWORK_SCHEMES = frozenset({"http", "https", "rtsp", "rtsps"})
 NETWORK_TIMEOUT = 10.0  # seconds
 DEFAULT_RATE = 25.0  # frames per second, where nothing states one
+# Since av 19 it takes metadata of any encoding by itself, and has no such parameter.
+METADATA: dict[str, Any] = {"metadata_errors": "replace"} if int(av.__version__.split(".")[0]) < 19 else {}
 DECODE_AHEAD = 4  # frames: smooths uneven processing, yet holds little memory at 4K
 
 # What is damaged is told by exceptions, `skipped` and `truncated`; the libraries' own lines on standard error
@@ -455,7 +457,7 @@ class _VideoReader:
             self._container = (
                 av.open(source, timeout=NETWORK_TIMEOUT, options={"rtsp_transport": "tcp"})
                 if network
-                else av.open(source, metadata_errors="replace")
+                else av.open(source, **METADATA)
             )
         except (PermissionError, IsADirectoryError) as error:
             raise type(error)(error.errno, error.strerror, self.name) from None
