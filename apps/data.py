@@ -110,7 +110,7 @@ def _local_folders() -> Iterator[Path]:
     if named:
         yield Path(named)
     yield Path("../shared/data")
-    yield Path(__file__).parents[2] / "shared" / "data"
+    yield Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def _fetch_pets(folder: Path) -> Path:
