@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
+from .opencv_packages import opencv_hint
+
 USAGE_ERROR = 2
 SIGNALLED = 128  # plus the number of the signal: 130 for Ctrl-C
 INTERRUPT = 2
@@ -574,8 +576,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print_error=False,
             result_action="return_value",
         )
-    except (CycloptsError, ValueError, OSError) as error:
-        print(f"rsmcm: {_one_line(error)}", file=sys.stderr)
+    except (CycloptsError, ValueError, OSError, ImportError, AttributeError) as error:
+        hint = opencv_hint(error)
+        if isinstance(error, ImportError | AttributeError) and not hint:
+            raise
+        print(f"rsmcm: {_one_line(error)}{hint}", file=sys.stderr)
         code = USAGE_ERROR
     except KeyboardInterrupt:
         code = SIGNALLED + INTERRUPT
