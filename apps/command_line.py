@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -569,6 +570,8 @@ def _in_words(summary: Mapping[str, Any]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; whatever is wrong with it is one line on standard error and exit code 2."""
+    if isinstance(sys.stdout, TextIOWrapper):  # what its encoding lacks must not end a run
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         code = app(
             sys.argv[1:] if arguments is None else arguments,

@@ -169,9 +169,14 @@ def _cascade(name: str) -> Any:
     try:
         if not path.is_file():
             raise ImportError(f"no file {path}", name="cv2")
-        return cv2.CascadeClassifier(str(path))
+        cascade = cv2.CascadeClassifier()
     except (AttributeError, ImportError) as error:
         raise ValueError(f"OpenCV {cv2.__version__} brings no face detector along") from error
+    # On Windows, OpenCV opens no file in a folder whose name has letters that its code page lacks.
+    mode = cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY
+    content = cv2.FileStorage(path.read_text(encoding="utf-8"), mode)
+    cascade.read(content.getFirstTopLevelNode())
+    return cascade
 
 
 def _search(cascade: Any, grey: Any, height: float, pixels: float) -> Array:

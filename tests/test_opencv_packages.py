@@ -71,6 +71,9 @@ def test_opencv_that_cannot_be_imported(intruder: Path, tmp_path: Path) -> None:
 
 
 def test_other_missing_modules_are_not_hidden(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "rsmcm.apps.background", None)
+    def missing(_: object) -> None:
+        raise ModuleNotFoundError("No module named 'scipy'", name="scipy")
+
+    monkeypatch.setattr("rsmcm.apps.background.run_background", missing)
     with pytest.raises(ModuleNotFoundError):
         main(["background", "0", "--out", str(tmp_path / "out")])
