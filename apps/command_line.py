@@ -3,12 +3,14 @@
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
 from .interruption import Outcome
+from .opencv_packages import opencv_hint
 
 STREAM_LOST = 1
 USAGE_ERROR = 2
@@ -638,6 +640,8 @@ def _in_words(summary: Mapping[str, Any]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; whatever is wrong with it is one line on standard error and exit code 2."""
+    if isinstance(sys.stdout, TextIOWrapper):  # what its encoding lacks must not end a run
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         code = app(
             sys.argv[1:] if arguments is None else arguments,
@@ -645,8 +649,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print_error=False,
             result_action="return_value",
         )
-    except (CycloptsError, ValueError, OSError) as error:
-        print(f"rsmcm: {_one_line(error)}", file=sys.stderr)
+    except (CycloptsError, ValueError, OSError, ImportError, AttributeError) as error:
+        hint = opencv_hint(error)
+        if isinstance(error, ImportError | AttributeError) and not hint:
+            raise
+        print(f"rsmcm: {_one_line(error)}{hint}", file=sys.stderr)
         code = USAGE_ERROR
     except KeyboardInterrupt as stop:
         print(f"rsmcm: {stop or 'interrupted'}", file=sys.stderr)

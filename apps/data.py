@@ -110,7 +110,7 @@ def _local_folders() -> Iterator[Path]:
     if named:
         yield Path(named)
     yield Path("../shared/data")
-    yield Path(__file__).parents[2] / "shared" / "data"
+    yield Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def _fetch_pets(folder: Path) -> Path:
@@ -119,7 +119,9 @@ def _fetch_pets(folder: Path) -> Path:
     # the annotation's own hash is not known to us: what it holds is checked instead
     source = Path(pooch.retrieve(BOXES_ADDRESS, None, fname="PETS2009-S2L1.xml", path=folder))
     unfinished = folder / "gt.txt.part"
-    unfinished.write_text(mot_from_cvml(source.read_text(), frames=795, identities=19, boxes=4650))
+    annotation = source.read_text(encoding="utf-8")
+    truth = mot_from_cvml(annotation, frames=795, identities=19, boxes=4650)
+    unfinished.write_text(truth, encoding="utf-8", newline="\n")
     unfinished.replace(folder / "gt.txt")
     return folder
 

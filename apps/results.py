@@ -297,10 +297,8 @@ class SegmentedVideo:
     def _open(self, picture: NDArray[np.uint8], time: float) -> _Segment:
         height, width = picture.shape[:2]
         container = av.open(str(self._unfinished), "w", format=self._form.container)
-        stream = cast(av.VideoStream, container.add_stream(self._form.codec, None, self._form.options))
+        stream = cast(av.VideoStream, container.add_stream(self._form.codec, self._rate, self._form.options))
         stream.pix_fmt = self._form.pixels
-        stream.codec_context.framerate = self._rate
-        stream.codec_context.time_base = 1 / self._rate
         if self._form.pixels == "gray":
             stream.width, stream.height = width, height
         else:

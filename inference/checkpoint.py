@@ -3,9 +3,10 @@
 Arrays are members of their own, named by their place in the tree; the member `skeleton` is JSON with all the
 rest. Values are read by their declared kinds: dataclasses, `NDArray`, `int`, `float`, `bool`, `str`, `None`,
 `X | None`, `tuple[X, ...]`, `tuple[X, Y]`, `list[X]`, `dict[str, X]`, `dict[int, X]`,
-`numpy.random.Generator`, and `Any` or `object` for plain JSON. A field of a dataclass whose metadata say
-`{"saved": False}` is left out, and is at its default when read. A nested mapping of names to kinds stands for
-a record without a class of its own, or `None` where it is not there yet.
+`numpy.random.Generator`, and `Any` or `object` for plain JSON, or an alias of one of these (`type X = ...`).
+A field of a dataclass whose metadata say `{"saved": False}` is left out, and is at its default when read. A
+nested mapping of names to kinds stands for a record without a class of its own, or `None` where it is not
+there yet.
 """
 
 import json
@@ -139,6 +140,7 @@ def _restore(data: Any, kinds: Mapping[str, Any], arrays: Arrays) -> dict[str, A
 
 def _decode(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
     """The value of a kind from its JSON and the arrays, which are taken out of `arrays`."""
+    kind = _without_aliases(kind)
     origin, inner = get_origin(kind) or kind, get_args(kind)
     is_array = isinstance(data, dict) and isinstance(data.get("array"), str) and data["array"] in arrays
     if origin in (Any, object):
@@ -194,6 +196,16 @@ def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
 def _saved_fields(kind: Any) -> list[str]:
     """Names of a dataclass's fields that are saved."""
     return [field.name for field in fields(kind) if field.init and field.metadata.get("saved", True)]
+
+
+def _without_aliases(kind: Any) -> Any:
+    """What an alias made by a `type` statement stands for (numpy's `NDArray` is one since 2.5)."""
+    while hasattr(kind, "__value__"):
+        given = dict(zip(kind.__type_params__, get_args(kind), strict=False))
+        kind = kind.__value__
+        if given:
+            kind = kind[tuple(given[parameter] for parameter in kind.__parameters__)]
+    return kind
 
 
 def _kind_of(value: Any) -> Any:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..models.frame import Frame
 from . import checkpoint
 from .graph import MultiChain
-from .protocols import BatchChain, BatchIncoming, Message, name_of
+from .protocols import BatchChain, BatchIncoming, Message, name_of, require
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +116,7 @@ class CoordinateAscent:
         if not model.chains:
             raise ValueError("model: got no chain, expected at least one")
         for name, chain in model.chains.items():
-            if not isinstance(chain, BatchChain):
-                raise TypeError(f"chain {name!r}: cannot work on batches, expected smooth and messages")
+            require(f"chain {name!r}", chain, BatchChain)
         if most_rounds < 1:
             raise ValueError(f"most_rounds: got {most_rounds}, expected 1 or more")
         self.model = model.copy()

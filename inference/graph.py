@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import networkx as nx
 
-from .protocols import BatchChain, Chain, FeatureNode, uses_cavity
+from .protocols import BatchChain, Chain, FeatureNode, require, uses_cavity
 
 IMAGE = "image"
 """Name of the observation in the graph."""
@@ -58,13 +58,8 @@ class MultiChain:
         ValueError
             if the two are connected already or a name is taken by another object.
         """
-        if not isinstance(chain, Chain | BatchChain):
-            raise TypeError(
-                f"chain: got {chain!r}, expected a name with initial, predict, message and update, "
-                "or with smooth and messages"
-            )
-        if not isinstance(feature, FeatureNode):
-            raise TypeError(f"feature: got {feature!r}, expected a name, uniform and evidence")
+        require("chain", chain, Chain, BatchChain)
+        require("feature", feature, FeatureNode)
         for node in (chain, feature):
             taken = self.graph.nodes[node.name]["node"] is not node if node.name in self.graph else False
             if taken or chain.name == feature.name:

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol, Self, TypeVar, overload, runtime_checkable
+from typing import Any, Protocol, Self, TypeVar, overload
 
 from ..models.frame import Frame
 
@@ -26,7 +26,6 @@ class Message(Protocol):
     def __mul__(self, other: Self, /) -> Self: ...
 
 
-@runtime_checkable
 class FeatureNode(Protocol[MessageType]):
     """A latent feature of the scene, F, on which chains meet; `MessageType` is what they exchange there."""
 
@@ -70,7 +69,6 @@ class Incoming(Mapping[str, Any]):
         return len(self._messages)
 
 
-@runtime_checkable
 class Chain(Protocol[State]):
     """A hidden state with its own dynamics, which predicts and reads feature nodes.
 
@@ -140,7 +138,6 @@ class BatchIncoming(Incoming):
         """
 
 
-@runtime_checkable
 class BatchChain(Protocol[TrajectoryType]):
     """A hidden state that is estimated at all times at once."""
 
@@ -166,6 +163,28 @@ class BatchChain(Protocol[TrajectoryType]):
 def name_of(key: Any) -> str:
     """Name of a chain or feature node, or the name itself."""
     return key if isinstance(key, str) else str(key.name)
+
+
+def require(what: str, node: object, *protocols: type) -> None:
+    """Make sure that an object has all members of one of the protocols.
+
+    A member counts however the object provides it, `__getattr__` included: a wrapper that hands on what it
+    does not know to a chain is a chain. (`isinstance` looks past `__getattr__` since Python 3.12.)
+
+    Raises
+    ------
+    TypeError
+        if it has not; the message starts with `what` and names the missing members.
+    """
+    missing = {
+        protocol.__name__: [
+            name for name in vars(protocol) if not name.startswith("_") and not hasattr(node, name)
+        ]
+        for protocol in protocols
+    }
+    if all(missing.values()):
+        expected = " or ".join(f"a {name} (it lacks {', '.join(names)})" for name, names in missing.items())
+        raise TypeError(f"{what}: got {type(node).__name__}, expected {expected}")
 
 
 def uses_cavity(chain: Chain[Any]) -> bool:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..models.frame import Frame
 from . import checkpoint
 from .graph import IMAGE, MultiChain
-from .protocols import Chain, FeatureNode, Incoming, Message, MessageType, name_of, uses_cavity
+from .protocols import Chain, FeatureNode, Incoming, Message, MessageType, name_of, require, uses_cavity
 
 State = TypeVar("State")
 
@@ -48,8 +48,7 @@ class RunState:
         """
         states = {}
         for name, chain in chains.items():
-            kind: Any = chain if isinstance(chain, type) else type(chain)
-            hints = get_type_hints(kind.initial)
+            hints = get_type_hints(chain.initial)
             if "return" not in hints:
                 raise TypeError(f"chain {name!r}: initial has no return annotation, which says what is saved")
             states[name] = hints["return"]
@@ -230,10 +229,7 @@ class RecursiveBP:
         if not model.chains:
             raise ValueError("model: got no chain, expected at least one")
         for name, chain in model.chains.items():
-            if not isinstance(chain, Chain):
-                raise TypeError(
-                    f"chain {name!r}: cannot filter, expected initial, predict, message and update"
-                )
+            require(f"chain {name!r}", chain, Chain)
         if sweeps < 1:
             raise ValueError(f"sweeps: got {sweeps}, expected 1 or more")
         self.model = model.copy()

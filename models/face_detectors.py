@@ -166,9 +166,17 @@ def default_faces(path: Path | None = None) -> PartDetector:
 
 def _cascade(name: str) -> Any:
     path = Path(cv2.__file__).parent / "data" / name
-    if not hasattr(cv2, "CascadeClassifier") or not path.is_file():
-        raise ValueError(f"OpenCV {cv2.__version__} brings no face detector along")
-    return cv2.CascadeClassifier(str(path))
+    try:
+        if not path.is_file():
+            raise ImportError(f"no file {path}", name="cv2")
+        cascade = cv2.CascadeClassifier()
+    except (AttributeError, ImportError) as error:
+        raise ValueError(f"OpenCV {cv2.__version__} brings no face detector along") from error
+    # On Windows, OpenCV opens no file in a folder whose name has letters that its code page lacks.
+    mode = cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY
+    content = cv2.FileStorage(path.read_text(encoding="utf-8"), mode)
+    cascade.read(content.getFirstTopLevelNode())
+    return cascade
 
 
 def _search(cascade: Any, grey: Any, height: float, pixels: float) -> Array:

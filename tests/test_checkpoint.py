@@ -3,9 +3,11 @@
 import copy
 import json
 import os
+import sys
+import typing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -151,6 +153,19 @@ def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, value: Any, 
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.skipif(sys.version_info < (3, 12), reason="Python 3.12 brought the `type` statement")
+def test_aliases_stand_for_what_they_name(tmp_path: Path) -> None:
+    first, second = TypeVar("first"), TypeVar("second")
+    swapped = typing.TypeAliasType("swapped", tuple[second, first], type_params=(first, second))
+    several = typing.TypeAliasType("several", list[swapped[int, str]])
+    values: dict[str, Any] = {"one": ("a", 1), "more": [("b", 2)]}
+    kinds = {"one": swapped[int, str], "more": several}
+    checkpoint.save(tmp_path / "x.npz", values, kinds)
+    assert checkpoint.load(tmp_path / "x.npz", kinds) == values
+    with pytest.raises(ValueError, match=r"one/0: got '1', expected str"):
+        checkpoint.save(tmp_path / "x.npz", {**values, "one": (1, "a")}, kinds)
+
+
 @dataclass(frozen=True, eq=False)
 class WalkState:
     weights: NDArray[np.float64]
@@ -287,6 +302,26 @@ def test_a_chain_without_a_declared_state_cannot_be_saved(tmp_path: Path) -> Non
     state = engine.step(None, Frame(image(1), 0.0, 1)).state
     with pytest.raises(TypeError, match="'walk': initial has no return annotation"):
         engine.save(tmp_path / "run.npz", state)
+
+
+class HandsOn:
+    """Has nothing of its own: all is looked up in what it wraps."""
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._node, name)
+
+
+def test_a_wrapper_that_hands_on_to_a_chain_is_one(tmp_path: Path) -> None:
+    path = saved(tmp_path / "run.npz")
+    wrapped: Any = HandsOn(RandomWalk())
+    door: Any = HandsOn(Categorical("door", 3))
+    engine = RecursiveBP(MultiChain().connect(wrapped, door))
+    state, _ = engine.load(path)
+    engine.save(tmp_path / "again.npz", state)
+    assert (tmp_path / "again.npz").read_bytes() == path.read_bytes()
 
 
 def test_a_failed_write_leaves_the_older_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

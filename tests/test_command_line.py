@@ -323,6 +323,18 @@ def test_comparison(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[st
         assert ("ghosts" in lines[0]) == bool(truth)
 
 
+def test_names_that_the_output_cannot_spell(scene: Path, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [*COMMAND, "background", str(scene / "input"), "--out", str(tmp_path / "Straße")],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert r"Stra\xdfe" in done.stdout
+
+
 def test_help_comes_at_once() -> None:
     started = time.perf_counter()
     done = subprocess.run([*COMMAND, "--help"], capture_output=True, text=True, check=True)

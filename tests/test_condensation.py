@@ -12,7 +12,7 @@ from rsmcm.inference.body_dynamics import BodyDynamics
 from rsmcm.inference.body_samples import BodySamples
 from rsmcm.inference.checkpoint import load, save
 from rsmcm.inference.condensation import Condensation
-from rsmcm.inference.protocols import Chain, Incoming
+from rsmcm.inference.protocols import Chain, Incoming, require
 from rsmcm.models.body_image import BodyImage
 from rsmcm.models.body_parts import BodyParts, PartMessage
 from rsmcm.models.body_poses import BodyPoses
@@ -166,7 +166,7 @@ def test_hears_what_other_chains_say() -> None:
 
 
 def test_starts_anywhere_or_from_given_poses() -> None:
-    assert isinstance(chain(), Chain)
+    require("chain", chain(), Chain)
     anywhere = replace(chain(400), start=None).initial(FIRST)
     assert len(anywhere.poses) == 400
     assert (anywhere.poses.roots.std(axis=0) > 40).all()

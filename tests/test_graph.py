@@ -1,6 +1,7 @@
 """The graph of chains and features: what may be connected, and the order of messages."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import networkx as nx
 import numpy as np
@@ -57,10 +58,14 @@ def test_the_two_ends_have_different_names() -> None:
 
 def test_other_objects_are_refused() -> None:
     model = random_model(random(), PAIR)
-    with pytest.raises(TypeError, match=r"chain: got 3"):
+    lacks = r"a Chain \(it lacks name, .*, update\) or a BatchChain \(it lacks name, smooth, messages\)$"
+    with pytest.raises(TypeError, match=f"^chain: got int, expected {lacks}"):
         model.connect(3, model.features["f"])  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match=r"feature: got 'f'"):
+    with pytest.raises(TypeError, match=r"feature: got str, expected a FeatureNode \(it lacks name, "):
         model.connect(model.chains["a"], "f")  # type: ignore[arg-type]
+    feature = SimpleNamespace(name="g", evidence=None)
+    with pytest.raises(TypeError, match=r"feature: got SimpleNamespace, .* \(it lacks uniform\)$"):
+        model.connect(model.chains["a"], feature)  # type: ignore[arg-type]
 
 
 def test_a_loop_is_named_with_its_remedy() -> None:

@@ -119,6 +119,7 @@ def test_colours_as_opencv_reads_them(tmp_path: Path) -> None:
     assert np.abs(frames[0].image.astype(int) - expected).mean() < 2
 
 
+@pytest.mark.skipif(not hasattr(av.VideoStream, "set_display_rotation"), reason="av below 17.1 writes none")
 @pytest.mark.parametrize("turn", [90, -90, 180])
 def test_video_of_a_turned_phone_stands_upright(tmp_path: Path, turn: int) -> None:
     path = write_video(tmp_path / "turned.mp4", 3)
