@@ -19,11 +19,12 @@ from ..models.morphable_model import MorphableModel
 from ..models.pixel_labels import PixelLabels
 from ..models.threads import thread_count
 from .blank_frames import SeenFrames
-from .face_files import GivenLandmarks, read_landmarks
+from .face_files import GivenLandmarks
 from .face_report import FaceRecord, write_face_report
 from .face_results import FaceResults, write_textures
 from .face_start import FaceStart, find_face, start_from_box, start_from_landmarks
 from .interruption import Interruption, Outcome
+from .point_files import read_points
 from .progress import Progress
 from .results import check_output, write_json, write_together
 from .sources import Source, open_source
@@ -112,7 +113,7 @@ def _given_landmarks(job: FaceJob) -> GivenLandmarks | None:
         if job.correspondences is not None:
             raise ValueError("--correspondences: got them without landmarks, expected --landmarks as well")
         return None
-    rows = read_landmarks(job.landmarks)
+    rows = read_points(job.landmarks)
     pairs = None if job.correspondences is None else read_correspondences(job.correspondences)
     if len(rows) > 1 and (job.start, job.step) != (1, 1):
         with open_source(job.source) as whole:

@@ -31,7 +31,7 @@ from .track_overlay import write_overlay
 from .versions import versions
 
 FEWEST_FRAMES = 3
-TRACK_FILE = ".npz"
+TRACK_FILES = (".npy", ".npz")
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def read_film(job: StructureJob) -> Film:
     OSError
         if it cannot be read.
     """
-    film = _tracks(job) if Path(job.source).suffix.lower() == TRACK_FILE else _images(job)
+    film = _tracks(job) if Path(job.source).suffix.lower() in TRACK_FILES else _images(job)
     n_present = sum(not frame.missing for frame in film.frames)
     if n_present < FEWEST_FRAMES:
         raise ValueError(f"{film.name}: got {n_present} frames, expected {FEWEST_FRAMES} or more")
