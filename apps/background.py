@@ -1,7 +1,7 @@
 """The background application: from a source of frames to masks, tracks, pictures and a report."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -407,7 +407,7 @@ def read_truth(job: Job, source: Source, region: NDArray[np.uint8] | None) -> Sc
     if job.ground_truth is None:
         return None
     truth = read_ground_truth(job.ground_truth)
-    numbers = list(truth.frames)
+    numbers: Sequence[int] = truth.frames
     if source.n_frames is not None:
         last = job.start + (source.n_frames - 1) * job.step
         numbers = common_frames(truth, range(job.start, last + 1, job.step))
