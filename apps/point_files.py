@@ -44,7 +44,8 @@ def read_points(path: Path) -> NDArray[np.float64]:
     if array.ndim not in (2, 3) or array.shape[-1] != 2 or array.dtype.kind not in "iuf" or not array.size:
         named = f"{key} " if key != SINGLE else ""
         raise ValueError(f"{path}: got {named[:60]}{array.shape} {array.dtype}, {EXPECTED}")
-    points = array.astype(np.float64).reshape(-1, *array.shape[-2:])
+    with np.errstate(invalid="ignore", over="ignore"):  # damage, which the next lines find
+        points = array.astype(np.float64).reshape(-1, *array.shape[-2:])
     for wrong, what in (
         (np.abs(points) > FARTHEST, f"expected finite px up to {FARTHEST:g}, NaN where missing"),
         (np.isnan(points[..., :1]) != np.isnan(points), "expected both coordinates or none"),

@@ -22,6 +22,9 @@ FILE = "predictions.npz"
 FORMAT = "rsmcm predictions 1"
 EXPECTED = "expected the predictions of a run"
 MOST_ROWS = 50_000
+LARGEST, LEAST_VARIANCE = 1e14, 1e-14
+"""Of what is recorded: squares of px that no picture has."""
+
 NAMES = ("first", "second", "feature", "unit")
 
 
@@ -181,7 +184,12 @@ def _record(arrays: dict[str, NDArray[Any]], number: int, names: dict[str, str])
         else arrays[f"{number}/{part.name}"]
         for part in fields(RecordedPredictions)
     }
+    for name, part in parts.items():
+        if part is not None and (part.dtype.kind not in "iuf" or (np.abs(part) > LARGEST).any()):
+            raise ValueError(f"pair {number}, {name}: got {part.dtype}, expected numbers up to {LARGEST:g}")
     predictions = RecordedPredictions(**parts)  # type: ignore[arg-type]
+    if np.linalg.eigvalsh(predictions.noise).min() < LEAST_VARIANCE:
+        raise ValueError(f"pair {number}, noise: got less than {LEAST_VARIANCE:g}, expected more")
     tracks, frames = arrays[f"{number}/tracks"], arrays[f"{number}/frames"]
     if not tracks.shape == frames.shape == (len(predictions),):
         raise ValueError(

@@ -146,9 +146,10 @@ def read_correspondences(path: str | Path) -> NDArray[np.int64]:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Put the name of the file before what is wrong with it."""
+    """Put the name of the file before what is wrong with it, numbers beyond all sizes included."""
     try:
-        yield
+        with np.errstate(all="ignore"):
+            yield
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -171,7 +172,7 @@ def _read_npz(path: Path) -> MorphableModel:
             tuple(str(name) for name in fields.get("names", np.array([], np.str_)).reshape(-1)),
             _vertex_numbers(fields["landmarks"]) if "landmarks" in fields else None,
         )
-        size = _positive_spread(model.bases[0])
+        size = _positive_spread(model.bases)
     if abs(size - 1) < 1e-9:  # written by us: not a bit is changed
         return model
     return replace(model, bases=model.bases / size)
@@ -351,7 +352,8 @@ class _Archive:
         """float32, column by column after its numbers of rows and columns."""
         rows, columns = (int(number) for number in self.numbers("<i4", 2))
         values = self.numbers("<f4", rows * columns if min(rows, columns) >= 0 else -1)
-        return values.astype(np.float64).reshape(columns, rows).T
+        with np.errstate(invalid="ignore"):  # of damage, which is found not to be finite
+            return values.astype(np.float64).reshape(columns, rows).T
 
     def word(self) -> str:
         (length,) = self.numbers("<u8", 1)
@@ -384,7 +386,7 @@ def _model(
     corners = bases[0][triangles]
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2].sum()
     return MorphableModel(
-        bases / _positive_spread(bases[0]),
+        bases / _positive_spread(bases),
         triangles if facing < 0 else triangles[:, ::-1].copy(),
         identity,
         names,
@@ -392,8 +394,9 @@ def _model(
     )
 
 
-def _positive_spread(shape: Array) -> float:
-    size = spread(shape)
-    if not 1e-9 * max(1e-30, float(np.abs(shape).max())) < size < np.inf:
-        raise ValueError("got a typical shape of no size, or one beyond all numbers")
+def _positive_spread(bases: Array) -> float:
+    """That of the typical shape, to which all bases have to be in some proportion."""
+    size = spread(bases[0])
+    if not 1e-9 * max(1e-30, float(np.abs(bases).max())) < size < np.inf:
+        raise ValueError("got a typical shape of no size, or bases beyond all numbers")
     return size

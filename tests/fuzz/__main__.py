@@ -5,6 +5,7 @@ its kind, and kept in a folder.
 """
 
 import argparse
+import re
 import sys
 from collections import Counter
 from pathlib import Path
@@ -12,7 +13,7 @@ from pathlib import Path
 from rsmcm.apps.claims import in_columns
 from tqdm import tqdm
 
-from .readers import READERS
+from .readers import READERS, SLOW
 from .seeds import made
 from .workers import REFUSED, RESULT, Task, input_of, outcomes, write
 
@@ -26,8 +27,14 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("results/fuzz"), help="for what is found")
     chosen = parser.parse_args()
     seeds = made()
-    each = -(-chosen.inputs // len(chosen.readers))
-    tasks: list[Task] = [(reader, number) for number in range(each) for reader in chosen.readers]
+    shares = {reader: 1 / SLOW.get(reader, 1) for reader in chosen.readers}
+    each = chosen.inputs / sum(shares.values())
+    tasks: list[Task] = [
+        (reader, number)
+        for number in range(round(each))
+        for reader, share in shares.items()
+        if number < round(share * each)
+    ]
     counts = {reader: Counter[str]() for reader in chosen.readers}
     with tqdm(total=len(tasks), unit="inputs") as progress:
         for task, outcome in outcomes(seeds, tasks, chosen.seed):
@@ -51,9 +58,12 @@ def main() -> int:
     sums = (str(sum(int(row[column]) for row in rows)) for column in range(1, 5))
     print(in_columns(("reader", "inputs", "results", "refused", "else"), [*rows, ("all", *sums)]))
     for reader, found in counts.items():
-        for outcome, count in found.most_common():
-            if outcome not in (RESULT, REFUSED):
-                print(f"{reader}: {count} times {outcome}")
+        kinds = Counter[str]()
+        for outcome, count in found.items():
+            kinds[re.sub(r"\d+|0x\w+", "#", outcome)] += count
+        for kind, count in kinds.most_common():
+            if kind not in (RESULT, REFUSED):
+                print(f"{reader}: {count} times {kind}")
     return int(any(int(row[-1]) for row in rows))
 
 

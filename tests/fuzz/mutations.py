@@ -227,6 +227,8 @@ def _other_chunk(content: bytes, random: Random) -> bytes:
         (length,) = struct.unpack(">I", content[place : place + 4])
         chunks.append((content[place + 4 : place + 8], content[place + 8 : place + 8 + length]))
         place += 12 + length
+    if not chunks:
+        return _flipped(content, b"", random)
     chosen = int(random.integers(len(chunks))) if random.random() < 0.5 else 0
     kind, data = chunks[chosen]
     chunks[chosen] = kind, _pick(BYTES, random)(data, content, random)

@@ -138,6 +138,9 @@ def detectors(folder: Path) -> None:
     default_faces(_file(folder))(Frame(IMAGE, 0.0, 1))
 
 
+SLOW = {"detectors": 20}
+"""How many times fewer inputs: each starts a process of its own."""
+
 READERS: dict[str, Callable[[Path], None]] = {
     reader.__name__: reader
     for reader in (
