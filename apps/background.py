@@ -16,6 +16,7 @@ from ..models import Frame, ObjectBoxes, PixelLabels
 from ..models.threads import set_threads, thread_count
 from .ground_truth import MaskTruth, common_frames, read_ground_truth
 from .interruption import Interruption, Outcome
+from .memory import BACKGROUND, check_memory
 from .parameters import SECTIONS, Parameters, build_chain, read_parameters, with_defaults
 from .progress import Progress
 from .region import inside, read_region
@@ -204,6 +205,7 @@ class _Run:
                 return Outcome(saved["finished"], None)
             if self._state.shape is not None:  # perhaps no frame is left to ask
                 source.size = (self._state.shape[1], self._state.shape[0])
+            check_memory(source.name, source.size, BACKGROUND[self._settings["background"]["model"]])
             region = read_region(job.roi, source.size) if job.roi else None
             self._scoring = read_truth(job, source, region)
             if self._scoring is not None and saved is not None:

@@ -23,6 +23,7 @@ from .body_report import BodyRecord, write_body_report
 from .body_results import BodyResults, lengths
 from .body_start import BodyStart, read_head, start_from_faces, start_from_head
 from .interruption import Interruption, Outcome
+from .memory import BODY, SAMPLE, check_memory
 from .progress import Progress
 from .results import check_output, write_json, write_together
 from .sources import Source, open_source
@@ -94,6 +95,7 @@ def run_body(job: BodyJob) -> Outcome:
         Interruption() as interruption,
         open_source(job.source, job.start, job.stop, job.step) as source,
     ):
+        check_memory(source.name, source.size, BODY, job.samples * SAMPLE)
         run = _Run(job, source, interruption)
         start, frames = run.begin(clicked)
         with write_together(job.out, overwrite=job.overwrite) as folder:

@@ -24,6 +24,7 @@ from .face_report import FaceRecord, write_face_report
 from .face_results import FaceResults, write_textures
 from .face_start import FaceStart, find_face, start_from_box, start_from_landmarks
 from .interruption import Interruption, Outcome
+from .memory import EXPERT, FACE, FACE_EXPERT, check_memory
 from .point_files import read_points
 from .progress import Progress
 from .results import check_output, write_json, write_together
@@ -96,6 +97,8 @@ def run_face(job: FaceJob) -> Outcome:
         open_source(job.source, job.start, job.stop, job.step) as source,
         write_together(job.out, overwrite=job.overwrite) as folder,
     ):
+        per_pixel = FACE + job.experts * FACE_EXPERT
+        check_memory(source.name, source.size, per_pixel, job.experts * EXPERT)
         frames = SeenFrames(interruption.items(source))
         summary = _Run(job, model, given, source, frames, folder).carry_out(interruption)
     if frames.error is not None:

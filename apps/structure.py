@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..models.frame import Frame
 from .interruption import Interruption, Outcome
+from .memory import STRUCTURE, STRUCTURE_FRAME, check_memory
 from .predictions import write_predictions
 from .progress import Progress
 from .reconstruction import (
@@ -151,6 +152,8 @@ def _images(job: StructureJob) -> Film:
     with open_source(job.source, job.start, job.stop, job.step) as source:
         if source.live and job.stop is None:
             raise ValueError(f"{source.name}: has no end, expected one, or --stop")
+        n_frames = source.n_frames or job.stop or 1
+        check_memory(source.name, source.size, STRUCTURE + n_frames * STRUCTURE_FRAME)
         frames = []
         with Progress("reading", source.n_frames) as progress:
             for frame in source:
