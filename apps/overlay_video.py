@@ -14,6 +14,8 @@ from .results import PLAYABLE, SegmentedVideo
 
 Image = NDArray[np.uint8]
 
+LONGEST_SIDE = 4096  # px: H.264 takes four times as many
+
 
 class OverlayVideo:
     """A video of pictures that are drawn in a thread.
@@ -61,6 +63,12 @@ class OverlayVideo:
 
     def _draw(self, frame: Frame, draw: Callable[[], Image]) -> None:
         self._video.write(draw(), frame.number, frame.time)
+
+
+def enlargement(image: Image, least: int) -> int:
+    """By which whole number a picture is enlarged to `least` lines; no side goes beyond `LONGEST_SIDE`."""
+    wanted = -(-least // image.shape[0])
+    return max(1, min(wanted, LONGEST_SIDE // max(image.shape[:2])))
 
 
 def caption(frame: Frame) -> str:
