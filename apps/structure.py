@@ -108,6 +108,8 @@ def run_structure(job: StructureJob) -> Outcome:
             raise ValueError(
                 f"{film.name}: got {n_tracks} points that can be tracked, expected {FEWEST_POINTS} or more"
             )
+        if not found.n_points:
+            raise ValueError(f"{film.name}: got {n_tracks} tracks that belong to no point, expected points")
         with write_together(job.out, overwrite=job.overwrite) as folder:
             summary = _write(folder, job, film, found, interruption, started)
     return Outcome(summary, interruption.signal)
@@ -177,7 +179,8 @@ def _solved(job: StructureJob, film: Film, interruption: Interruption) -> Recons
                 best = solution
                 progress.update()
     except ValueError as error:
-        raise ValueError(f"{film.name}: {error}") from None
+        reason = str(error).removeprefix("positions: ")
+        raise ValueError(f"{film.name}: no shape can be found in what is followed: {reason}") from None
     if best is None:
         raise KeyboardInterrupt
     return reconstruction_of(best, film.n_tracks)

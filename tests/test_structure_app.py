@@ -262,6 +262,7 @@ def test_pictures_without_corners(tmp_path: Path, capfd: pytest.CaptureFixture[s
     for number in range(5):
         cv2.imwrite(str(folder / f"{number}.png"), np.full((60, 80, 3), 90, np.uint8))
     message = complaint(capfd, folder, "--out", tmp_path / "out")
+    assert "no shape can be found in what is followed: got" in message
     assert "0 points, expected 3 frames and 4 points or more" in message
     assert not (tmp_path / "out").exists()
 
