@@ -295,7 +295,7 @@ def write_run_page(
 
 
 def draw_tracks(background: Image, tracks: Mapping[int, TrackHistory]) -> Image:
-    """The path of every track's foot on a picture `(height, width, 3)`, whose longer side has 960 px or more."""
+    """Every track's path on a picture, `(height, width, 3)` uint8 with 960 px or more at its longer side."""
     scale = max(1.0, 960 / max(background.shape[:2]))
     size = (round(background.shape[1] * scale), round(background.shape[0] * scale))
     canvas = cv2.resize(_in_colour(background), size, interpolation=cv2.INTER_CUBIC)
