@@ -67,8 +67,8 @@ class OverlayVideo:
 
 def enlargement(image: Image, least: int) -> int:
     """By which whole number a picture is enlarged to `least` lines; no side goes beyond `LONGEST_SIDE`."""
-    wanted = -(-least // image.shape[0])
-    return max(1, min(wanted, LONGEST_SIDE // max(image.shape[:2])))
+    height, width = (int(side) for side in image.shape[:2])
+    return max(1, min(-(-least // height), LONGEST_SIDE // max(height, width)))
 
 
 def caption(frame: Frame) -> str:
