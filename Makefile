@@ -8,7 +8,7 @@ MODULES := $(sort $(shell find $(PACKAGES) -name '*.py'))
 # Shows all that pyenv has, where there is one.
 NOX := PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd :) $(BIN)/nox
 
-.PHONY: help demo test test-all test-versions test-newest check constraints bench clean
+.PHONY: help demo test test-all test-versions test-newest check constraints bench fuzz clean
 .DELETE_ON_ERROR:
 
 help:
@@ -20,6 +20,7 @@ help:
 	@echo "make check          lint, format, types"
 	@echo "make constraints    choose the newest versions to be the tested ones"
 	@echo "make bench          speed and accuracy beside peers"
+	@echo "make fuzz           damaged inputs for every reader: 100,000 in a quarter of an hour"
 	@echo "make clean          remove everything that make made, .venv too"
 
 demo: $(INSTALLED)
@@ -50,6 +51,9 @@ constraints: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(BIN)/python -m rsmcm.apps.bench
+
+fuzz: $(INSTALLED)
+	$(BIN)/python -m tests.fuzz
 
 clean:
 	rm -rf .venv .nox build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,6 +1,6 @@
 """The background application: from a source of frames to masks, tracks, pictures and a report."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -13,6 +13,7 @@ from ..models import Frame, ObjectBoxes, PixelLabels
 from .film_run import FilmJob, FilmRun, Writer
 from .ground_truth import MaskTruth, common_frames, read_ground_truth
 from .interruption import Outcome
+from .memory import BACKGROUND
 from .parameters import SECTIONS, Parameters, build_chain, read_parameters, with_defaults
 from .region import inside, read_region
 from .report import RunRecord, write_report
@@ -164,6 +165,11 @@ class BackgroundRun(FilmRun):
         """Those of the engine."""
         return self.engine.model.chains
 
+    @property
+    def bytes_needed(self) -> tuple[float, float]:
+        """Depends on the model of the background."""
+        return BACKGROUND[self.settings["background"]["model"]], 0.0
+
     def memory(self) -> dict[str, Any]:
         """Record and scores."""
         scores = None if self._scoring is None else self._scoring.saved()
@@ -255,7 +261,7 @@ def read_truth(job: Job, source: Source, region: NDArray[np.uint8] | None) -> Sc
     if job.ground_truth is None:
         return None
     truth = read_ground_truth(job.ground_truth)
-    numbers = list(truth.frames)
+    numbers: Sequence[int] = truth.frames
     if source.n_frames is not None:
         last = job.start + (source.n_frames - 1) * job.step
         numbers = common_frames(truth, range(job.start, last + 1, job.step))

@@ -21,6 +21,7 @@ from .body_results import BodyWriter, lengths
 from .body_start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
 from .film_run import FilmJob, FilmRun, Writer
 from .interruption import Interrupted, Outcome
+from .memory import BODY, SAMPLE
 from .results import segment_pattern
 from .saved_run import SavedRun
 from .sources import open_source
@@ -94,6 +95,11 @@ class BodyRun(FilmRun):
         self._before: list[int] = []  # frames before the one in which the track starts
         self._draws = np.random.default_rng(job.seed)  # of the poses that are shown
         self.record = BodyRecord()
+
+    @property
+    def bytes_needed(self) -> tuple[float, float]:
+        """Depends on the number of samples."""
+        return BODY, self._job.samples * SAMPLE
 
     def memory(self) -> dict[str, Any]:
         """Who is tracked, and the record."""

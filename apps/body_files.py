@@ -1,14 +1,18 @@
 """Joints that somebody has clicked in a few frames, from a CSV file."""
 
 import csv
+import io
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..models.limits import LAST_FRAME, MOST_SETTINGS
+from ..models.text_files import read_text
 from ..models.upper_body import JOINTS
-from .track_files import FARTHEST
+from .point_files import FARTHEST
 
 Array = NDArray[np.float64]
 
@@ -51,20 +55,17 @@ def read_joints(path: Path) -> ClickedJoints:
         if the file cannot be read.
     """
     clicked: dict[int, Array] = {}
+    expected = f"expected a CSV file {','.join(COLUMNS)}"
+    lines = csv.reader(io.StringIO(read_text(path, expected, MOST_SETTINGS), newline=""))
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            lines = csv.reader(file)
-            header = [name.strip().lower() for name in next(lines, [])]
-            if header != COLUMNS:
-                raise ValueError(f"{path}: got the columns {header}, expected {','.join(COLUMNS)}")
-            for line in lines:
-                if any(cell.strip() for cell in line):
-                    try:
-                        _take(clicked, [cell.strip() for cell in line])
-                    except ValueError as error:
-                        raise ValueError(f"{path}, line {lines.line_num}: {error}") from None
-    except (UnicodeDecodeError, csv.Error):
-        raise ValueError(f"{path}: got no text, expected a CSV file {','.join(COLUMNS)}") from None
+        header = [name.strip().lower() for name in next(lines, [])]
+        if header != COLUMNS:
+            raise ValueError(f"got the columns {','.join(header)[:60]!r}, {expected}")
+        for line in lines:
+            if any(cell.strip() for cell in line):
+                _take(clicked, [cell.strip() for cell in line])
+    except (ValueError, csv.Error) as error:
+        raise ValueError(f"{path}, line {lines.line_num}: {error}") from None
     if not clicked:
         raise ValueError(f"{path}: holds no joint, expected some of {', '.join(JOINTS)}")
     frames = sorted(clicked)
@@ -78,15 +79,15 @@ def _take(clicked: dict[int, Array], cells: list[str]) -> None:
         raise ValueError(f"got {len(cells)} values, {expected}")
     frame, joint, x, y = cells
     if joint not in JOINTS:
-        raise ValueError(f"got the joint {joint!r}, expected one of {', '.join(JOINTS)}")
-    if not (frame.isascii() and frame.isdecimal() and int(frame) >= 1):
-        raise ValueError(f"got the frame {frame!r}, expected a number from 1")
+        raise ValueError(f"got the joint {joint[:60]!r}, expected one of {', '.join(JOINTS)}")
+    if not (re.fullmatch("[0-9]{1,10}", frame) and 1 <= int(frame) <= LAST_FRAME):
+        raise ValueError(f"got the frame {frame[:60]!r}, expected a number from 1 to {LAST_FRAME}")
     try:
         place = float(x), float(y)
     except ValueError:
-        raise ValueError(f"got the place {x!r}, {y!r}, expected numbers of px") from None
+        raise ValueError(f"got the place {x[:60]!r}, {y[:60]!r}, expected numbers of px") from None
     if not (np.abs(place) <= FARTHEST).all():
-        raise ValueError(f"got the place {x}, {y}, expected finite px up to {FARTHEST:g}")
+        raise ValueError(f"got the place {x[:60]}, {y[:60]}, expected finite px up to {FARTHEST:g}")
     places = clicked.setdefault(int(frame), np.full((len(JOINTS), 2), np.nan))
     if not np.isnan(places[JOINTS.index(joint), 0]):
         raise ValueError(f"got {joint} of frame {frame} a second time, expected it once")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models.upper_body import JOINTS
+from .overlay_video import enlargement
 from .results import draw_overlay
 
 Array = NDArray[np.float64]
@@ -101,7 +102,7 @@ class BodyOverlay:
         NDArray[np.uint8]
             `(height, wider, 3)` BGR, enlarged by a whole number below 360 lines.
         """
-        scale = -(-LEAST_HEIGHT // image.shape[0])
+        scale = enlargement(image, LEAST_HEIGHT)
         large = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
         if large.ndim == 2:
             large = cv2.cvtColor(large, cv2.COLOR_GRAY2BGR)

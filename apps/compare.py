@@ -8,7 +8,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import cv2
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -110,7 +109,9 @@ class Gallery:
         """Keep a frame and what each system makes of it, if it is one of those to keep."""
         if self.count % self.stride == 0:
             made = [picture for model, found in systems for picture in (model.background(), found.foreground)]
-            self.moments.append(Moment(number, tuple(map(_small, (image, *made)))))
+            self.moments.append(
+                Moment(number, tuple(report.small(picture, PICTURE_WIDTH) for picture in (image, *made)))
+            )
             if len(self.moments) > MOST_PICTURES:
                 del self.moments[1::2]
                 self.stride *= 2
@@ -263,11 +264,3 @@ def _draw_errors(canvas: Figure, lines: Sequence[dict[str, Any]]) -> None:
     axes.set_xlabel("errors")
     if kinds:
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=len(kinds))
-
-
-def _small(image: Image) -> Image:
-    height, width = image.shape[:2]
-    if width <= PICTURE_WIDTH:
-        return image.copy()
-    size = (PICTURE_WIDTH, max(1, round(height * PICTURE_WIDTH / width)))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

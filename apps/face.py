@@ -16,12 +16,14 @@ from ..models.frame import Frame
 from ..models.morphable_files import read_correspondences, read_model
 from ..models.morphable_model import MorphableModel
 from ..models.pixel_labels import PixelLabels
-from .face_files import GivenLandmarks, read_landmarks
+from .face_files import GivenLandmarks
 from .face_report import FaceRecord, write_face_report
 from .face_results import FaceWriter, write_textures
 from .face_start import FaceStart, find_face, start_from_box, start_from_landmarks
 from .film_run import FilmJob, FilmRun, Writer
 from .interruption import Outcome
+from .memory import EXPERT, FACE, FACE_EXPERT
+from .point_files import read_points
 from .results import segment_pattern
 from .saved_run import SavedRun
 from .sources import open_source
@@ -84,7 +86,7 @@ def _given_landmarks(job: FaceJob) -> GivenLandmarks | None:
     """
     if job.landmarks is None:
         return None
-    rows = read_landmarks(job.landmarks)
+    rows = read_points(job.landmarks)
     pairs = None if job.correspondences is None else read_correspondences(job.correspondences)
     if len(rows) > 1 and (job.start, job.step) != (1, 1):
         with open_source(job.source) as whole:
@@ -114,6 +116,11 @@ class FaceRun(FilmRun):
         self._textures: dict[str, Image] = {}
         self._restarts = 0  # relocations until the frame before
         self.record = FaceRecord()
+
+    @property
+    def bytes_needed(self) -> tuple[float, float]:
+        """Depends on the number of experts."""
+        return FACE + self._job.experts * FACE_EXPERT, self._job.experts * EXPERT
 
     def memory(self) -> dict[str, Any]:
         """Who is tracked, and the record."""

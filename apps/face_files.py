@@ -1,61 +1,11 @@
 """Landmarks that are given to the face application."""
 
-import zipfile
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .track_files import FARTHEST
-
 Array = NDArray[np.float64]
-
-EXPECTED = "expected (n_frames, n_landmarks, 2) px, NaN where missing"
-
-
-def read_landmarks(path: Path) -> Array:
-    """Read landmarks of one or more frames from an `.npy` file.
-
-    Parameters
-    ----------
-    path
-        holds `(n_frames, n_landmarks, 2)` or `(n_landmarks, 2)` px, any real type, NaN where a landmark is
-        missing.
-
-    Returns
-    -------
-    NDArray[np.float64]
-        `(n_frames, n_landmarks, 2)` px.
-
-    Raises
-    ------
-    ValueError
-        naming what came and what was expected, if it is no such file or array, holds no landmark, infinities
-        or landmarks of which one coordinate is missing.
-    OSError
-        if the file cannot be read.
-    """
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (zipfile.BadZipFile, EOFError, ValueError) as error:
-        reason = "an array of objects" if "pickle=False" in str(error) else "no readable .npy file"
-        raise ValueError(f"{path}: got {reason}, {EXPECTED}") from None
-    if not isinstance(array, np.ndarray):
-        array.close()
-        raise ValueError(f"{path}: got an .npz file, {EXPECTED} in an .npy file")
-    if array.ndim not in (2, 3) or array.shape[-1] != 2 or array.dtype.kind not in "iuf" or not array.size:
-        raise ValueError(f"{path}: got {array.shape} {array.dtype}, {EXPECTED}")
-    landmarks = array.astype(np.float64).reshape(-1, *array.shape[-2:])
-    for wrong, what in (
-        (np.abs(landmarks) > FARTHEST, f"expected finite px up to {FARTHEST:g}, NaN where missing"),
-        (np.isnan(landmarks[..., :1]) != np.isnan(landmarks), "expected both coordinates or none"),
-    ):
-        if wrong.any():
-            frame, point = np.argwhere(wrong.any(axis=2))[0]
-            place = f"landmark {point} of frame {frame}"
-            raise ValueError(f"{path}: got {landmarks[frame, point].tolist()} at {place} (from 0), {what}")
-    return landmarks
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ from ..models.morphable_model import MorphableModel
 from ..models.pose import Poses, exponential
 from ..models.surface_texels import SurfaceTexels
 from ..models.visibility import visible
+from .overlay_video import enlargement
 from .results import draw_overlay
 
 Array = NDArray[np.float64]
@@ -95,7 +96,7 @@ class FaceOverlay:
         NDArray[np.uint8]
             `(height, width, 3)` BGR, enlarged by a whole number below 480 lines.
         """
-        scale = -(-LEAST_HEIGHT // image.shape[0])
+        scale = enlargement(image, LEAST_HEIGHT)
         large = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
         canvas: NDArray[Any] = draw_overlay(np.asarray(large, np.uint8), None, (), {}, caption)
         unit = canvas.shape[0] / LEAST_HEIGHT

@@ -19,6 +19,7 @@ from ..models.frame import Frame
 from ..models.threads import set_threads, thread_count
 from .blank_frames import SeenFrames
 from .interruption import Interrupted, Interruption, Outcome
+from .memory import check_memory
 from .output_folder import output_folder
 from .progress import Progress
 from .results import naming, segment_pattern, write_json
@@ -135,6 +136,11 @@ class FilmRun(ABC):
     def chains(self) -> Mapping[str, Any]:
         """Its chains, or their classes, by name, whose states are saved."""
 
+    @property
+    @abstractmethod
+    def bytes_needed(self) -> tuple[float, float]:
+        """Of working memory: per pixel, and beside that; see `check_memory`."""
+
     @abstractmethod
     def memory(self) -> dict[str, Any]:
         """What is saved beside the chains' states."""
@@ -217,6 +223,7 @@ class FilmRun(ABC):
                     check_source(saved.about, self._fingerprint)
                     if saved.about["finished"]:
                         return Outcome(saved.about["finished"], None)
+                check_memory(source.name, source.size, *self.bytes_needed)
                 frames = self._beginning(saved)
                 folder.begin([*ALWAYS, *self.files], resume=job.resume)
                 try:

@@ -1,6 +1,8 @@
 """Ground truth: boxes in MOT format, or CDnet's labelled masks."""
 
 import re
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -8,7 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..models.limits import LAST_FRAME, MOST_SETTINGS
+from ..models.text_files import read_text
 from .images import read_grey
+from .point_files import FARTHEST
+
+LAST_IDENTITY = 1 << 53
+"""Whole numbers up to it are exact among those that are read."""
 
 SHADOW, OUTSIDE, UNKNOWN, FOREGROUND = 50, 85, 170, 255
 """CDnet's labels of a pixel; 0 is background."""
@@ -56,6 +64,10 @@ class BoxTruth:
     box: NDArray[np.float64]
     kind: NDArray[np.int64]
 
+    def __contains__(self, number: int) -> bool:
+        """Whether a frame is annotated."""
+        return number in self.frames
+
     @property
     def frames(self) -> range:
         """The annotated frame numbers: first to last with a box; one without boxes in between is empty."""
@@ -81,6 +93,10 @@ class MaskTruth:
 
     files: dict[int, Path]
     region: NDArray[np.bool_] | None
+
+    def __contains__(self, number: int) -> bool:
+        """Whether a frame is annotated."""
+        return number in self.files
 
     @property
     def frames(self) -> list[int]:
@@ -146,8 +162,10 @@ def read_ground_truth(path: str | Path) -> BoxTruth | MaskTruth:
     return _read_boxes(path)
 
 
-def common_frames(truth: BoxTruth | MaskTruth, processed: range | list[int]) -> list[int]:
+def common_frames(truth: BoxTruth | MaskTruth, processed: range) -> Sequence[int]:
     """Return the frame numbers, ascending, that are both annotated and processed.
+
+    Nothing grows with the numbers: true boxes and announced frames may be as many as files say.
 
     Raises
     ------
@@ -155,9 +173,13 @@ def common_frames(truth: BoxTruth | MaskTruth, processed: range | list[int]) -> 
         if there are none.
     """
     annotated = truth.frames
-    common = sorted(set(annotated) & set(processed))
+    common: Sequence[int]
+    if isinstance(annotated, range):
+        common = processed[bisect_left(processed, annotated[0]) : bisect_right(processed, annotated[-1])]
+    else:
+        common = [number for number in annotated if number in processed]
     if not common:
-        span = f"frames {min(processed)} to {max(processed)}" if processed else "no frame"
+        span = f"frames {processed[0]} to {processed[-1]}" if processed else "no frame"
         raise ValueError(
             f"ground truth: annotates frames {annotated[0]} to {annotated[-1]}, but {span} were processed"
         )
@@ -166,11 +188,7 @@ def common_frames(truth: BoxTruth | MaskTruth, processed: range | list[int]) -> 
 
 def _read_boxes(path: Path) -> BoxTruth:
     rows: list[tuple[float, ...]] = []
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: not a text file, expected MOT ground truth") from None
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(read_text(path, "expected MOT ground truth").splitlines(), 1):
         if line.strip():
             rows.append(_parse_line(line, f"{path}, line {number}"))
     if not rows:
@@ -199,13 +217,17 @@ def _parse_line(line: str, where: str) -> tuple[float, ...]:
         raise ValueError(f"{where}: got {line[:60]!r}, {expected}") from None
     if len(values) < 6 or not np.isfinite(values[:6]).all():
         raise ValueError(f"{where}: got {line[:60]!r}, {expected}")
-    frame, identity, _, _, width, height = values[:6]
-    if frame < 1 or frame % 1 or identity % 1:
+    frame, identity, left, top, width, height = values[:6]
+    if not 1 <= frame <= LAST_FRAME or frame % 1 or identity % 1 or abs(identity) > LAST_IDENTITY:
         raise ValueError(
-            f"{where}: got frame {frame:g}, identity {identity:g}, expected whole numbers, frame >= 1"
+            f"{where}: got frame {frame:g}, identity {identity:g}, expected whole numbers, frames from 1 to "
+            f"{LAST_FRAME}"
         )
-    if width <= 0 or height <= 0:
-        raise ValueError(f"{where}: got a box of {width:g} x {height:g} pixels, expected a positive size")
+    if width <= 0 or height <= 0 or np.abs(values[2:6]).max() > FARTHEST:
+        raise ValueError(
+            f"{where}: got a box of {width:g} x {height:g} pixels at {left:g}, {top:g}, expected a positive "
+            f"size and px up to {FARTHEST:g}"
+        )
     kind = Kind.PEDESTRIAN
     # Ten columns are MOT15's, where the eighth is a coordinate and no class.
     if len(values) in (8, 9) and values[7] != -1:
@@ -225,8 +247,9 @@ def _read_masks(folder: Path) -> MaskTruth:
         raise ValueError(f"{folder / 'groundtruth'}: holds no masks, expected gt000001.png and so on")
     temporal = folder / "temporalROI.txt"
     if temporal.exists():
+        text = read_text(temporal, "expected the first and the last frame number", MOST_SETTINGS)
         try:
-            first, last = (int(word) for word in temporal.read_text(encoding="utf-8").split())
+            first, last = (int(word) for word in text.split())
         except ValueError:
             raise ValueError(f"{temporal}, line 1: expected the first and the last frame number") from None
         files = {number: path for number, path in files.items() if first <= number <= last}

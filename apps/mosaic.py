@@ -11,6 +11,14 @@ Image = NDArray[np.uint8]
 GAP = 4  # px
 TEXT = 18  # px, height of a line
 PAPER = 255
+TALLEST = 4
+"""Times as high as wide: the room for a picture."""
+
+
+def fitting(shape: tuple[int, ...], width: int) -> tuple[int, int]:
+    """Width and height, px, of a picture `(height, width[, 3])` at a width; less for a very tall one."""
+    scale = min(width / shape[1], TALLEST * width / shape[0])
+    return max(1, round(scale * shape[1])), max(1, round(scale * shape[0]))
 
 
 def mosaic(rows: Sequence[tuple[str, Sequence[Image]]], columns: Sequence[str], width: int = 240) -> Image:
@@ -23,14 +31,14 @@ def mosaic(rows: Sequence[tuple[str, Sequence[Image]]], columns: Sequence[str], 
     columns
         names above the first row.
     width
-        px to which each picture is scaled.
+        px to which each picture is scaled, where it is no more than four times as high as wide.
 
     Returns
     -------
     NDArray[np.uint8]
         `(height, width, 3)` BGR.
     """
-    height = max(1, round(rows[0][1][0].shape[0] * width / rows[0][1][0].shape[1]))
+    width, height = fitting(rows[0][1][0].shape, width)
     across, down = width + GAP, height + TEXT + GAP
     shape = (TEXT + len(rows) * down + GAP, len(columns) * across + GAP, 3)
     sheet: Image = np.full(shape, PAPER, np.uint8)

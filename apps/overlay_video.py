@@ -14,6 +14,8 @@ from .results import PLAYABLE, SegmentedVideo
 
 Image = NDArray[np.uint8]
 
+LONGEST_SIDE = 4096  # px: H.264 takes four times as many
+
 
 class OverlayVideo:
     """A video of pictures that are drawn in a thread.
@@ -67,6 +69,12 @@ class OverlayVideo:
 
     def _draw(self, frame: Frame, draw: Callable[[], Image]) -> None:
         self._video.write(draw(), frame.number, frame.time)
+
+
+def enlargement(image: Image, least: int) -> int:
+    """By which whole number a picture is enlarged to `least` lines; no side goes beyond `LONGEST_SIDE`."""
+    height, width = (int(side) for side in image.shape[:2])
+    return max(1, min(-(-least // height), LONGEST_SIDE // max(height, width)))
 
 
 def caption(frame: Frame) -> str:

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from ..chains import AdaptiveBackground, BlobTracker, GroundPlane, MixtureBackground
+from ..models.limits import MOST_SETTINGS
+from ..models.text_files import read_text
 
 Parameters = Mapping[str, Mapping[str, Any]]
 """Values by section ("background", "blobs", "ground") and name."""
@@ -33,9 +35,12 @@ def read_parameters(path: Path) -> Parameters:
     OSError
         if the file cannot be read.
     """
+    text = read_text(path, "expected a TOML file of parameters", MOST_SETTINGS)
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        content = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(f"{path}: not a TOML file (brackets in brackets without end)") from None
+    except ValueError as error:
         raise ValueError(f"{path}: not a TOML file ({error})") from None
     for section, values in content.items():
         if section not in SECTIONS or not isinstance(values, dict):

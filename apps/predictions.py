@@ -14,12 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.validity import RecordedPredictions
+from ..models.array_files import read_arrays
 from ..models.gaussian_message import GaussianMessage
 from .results import write_atomically
 
 FILE = "predictions.npz"
 FORMAT = "rsmcm predictions 1"
+EXPECTED = "expected the predictions of a run"
 MOST_ROWS = 50_000
+LARGEST, LEAST_VARIANCE = 1e14, 1e-14
+"""Of what is recorded: squares of px that no picture has."""
+
 NAMES = ("first", "second", "feature", "unit")
 
 
@@ -157,16 +162,14 @@ def read_predictions(folder: Path) -> list[PairRecord]:
         if the file cannot be opened.
     """
     path = folder / FILE
-    with path.open("rb") as stream:
-        try:
-            with np.lib.npyio.NpzFile(stream, allow_pickle=False) as members:
-                arrays = {name: members[name] for name in members.files}
-            about = json.loads(str(arrays.pop("about")))
-            found, names = about["format"], about["pairs"]
-        except Exception as error:  # broken bytes make zip, numpy and JSON raise almost anything
-            raise ValueError(f"{path}: got no readable predictions, expected a file of a run") from error
+    arrays = read_arrays(path, EXPECTED)
+    try:
+        about = json.loads(str(arrays.pop("about")))
+        found, names = about["format"], about["pairs"]
+    except (KeyError, TypeError, ValueError, RecursionError):
+        raise ValueError(f"{path}: got other arrays than predictions, {EXPECTED}") from None
     if found != FORMAT:
-        raise ValueError(f"{path}: got format {found!r}, expected {FORMAT!r}")
+        raise ValueError(f"{path}: got format {str(found)[:60]!r}, expected {FORMAT!r}")
     try:
         return [_record(arrays, number, pair) for number, pair in enumerate(names)]
     except (KeyError, TypeError, ValueError) as error:
@@ -181,7 +184,12 @@ def _record(arrays: dict[str, NDArray[Any]], number: int, names: dict[str, str])
         else arrays[f"{number}/{part.name}"]
         for part in fields(RecordedPredictions)
     }
+    for name, part in parts.items():
+        if part is not None and (part.dtype.kind not in "iuf" or (np.abs(part) > LARGEST).any()):
+            raise ValueError(f"pair {number}, {name}: got {part.dtype}, expected numbers up to {LARGEST:g}")
     predictions = RecordedPredictions(**parts)  # type: ignore[arg-type]
+    if np.linalg.eigvalsh(predictions.noise).min() < LEAST_VARIANCE:
+        raise ValueError(f"pair {number}, noise: got less than {LEAST_VARIANCE:g}, expected more")
     tracks, frames = arrays[f"{number}/tracks"], arrays[f"{number}/frames"]
     if not tracks.shape == frames.shape == (len(predictions),):
         raise ValueError(

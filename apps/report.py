@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ..models.frame import Frame
+from .mosaic import fitting
 from .results import identity_colour, write_atomically
 
 Image = NDArray[np.uint8]
@@ -219,11 +220,10 @@ def _decoded(text: str) -> Image:
 
 
 def small(image: Image, most: int = SNAPSHOT_WIDTH) -> Image:
-    """A copy that is at most so many px wide."""
-    height, width = image.shape[:2]
-    if width <= most:
+    """A copy that is at most so many px wide, and four times as high."""
+    size = fitting(image.shape, most)
+    if size[1] >= image.shape[0]:
         return image.copy()
-    size = (most, max(1, round(height * most / width)))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
@@ -295,8 +295,8 @@ def write_run_page(
 
 
 def draw_tracks(background: Image, tracks: Mapping[int, TrackHistory]) -> Image:
-    """The path of every track's foot on a picture, `(height, width, 3)` uint8, at least 960 px wide."""
-    scale = max(1.0, 960 / background.shape[1])
+    """Every track's path on a picture, `(height, width, 3)` uint8 with 960 px or more at its longer side."""
+    scale = max(1.0, 960 / max(background.shape[:2]))
     size = (round(background.shape[1] * scale), round(background.shape[0] * scale))
     canvas = cv2.resize(_in_colour(background), size, interpolation=cv2.INTER_CUBIC)
     canvas = cv2.addWeighted(canvas, 0.75, np.full_like(canvas, 128), 0.25, 0)  # paler than the paths

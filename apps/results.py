@@ -24,7 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models.frame import Frame
+from ..models.limits import LAST_FRAME
 
+LONGEST_LINE = 10_000  # of a file of boxes: beyond, it is none
 UNFINISHED = ".unfinished-"  # how a file is called while it is written
 
 TRACK_FIELDS = np.dtype(
@@ -669,7 +671,8 @@ def read_tracks(path: Path) -> NDArray[np.void]:
     """
     rows = []
     with path.open(encoding="utf-8", errors="replace") as file:
-        for line_number, line in enumerate(file, start=1):
+        lines = iter(lambda: file.readline(LONGEST_LINE), "")
+        for line_number, line in enumerate(lines, start=1):
             fields = line.replace(",", " ").split()
             if fields:
                 try:
@@ -684,7 +687,8 @@ def read_tracks(path: Path) -> NDArray[np.void]:
 
 def _parse_box(values: list[float]) -> tuple[int, int, tuple[float, float, float, float], float]:
     frame, identity, x, y, w, h, confidence = values if len(values) == 7 else (*values, 1.0)
-    whole = frame.is_integer() and identity.is_integer()
-    if not whole or frame < 1 or w < 0 or h < 0 or not math.isfinite(x + y + w + h + confidence):
+    whole = frame.is_integer() and identity.is_integer() and abs(identity) < 1 << 53  # as floats are exact
+    finite = math.isfinite(x + y + w + h + confidence)
+    if not (whole and finite and 1 <= frame <= LAST_FRAME and w >= 0 and h >= 0):
         raise ValueError
     return int(frame), int(identity), (x - 1, y - 1, w, h), confidence

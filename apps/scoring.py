@@ -38,7 +38,6 @@ class Scoring:
             away = [not stands_inside(region, (x, y, w, h)) for x, y, w, h in truth.box]
             truth = replace(truth, kind=np.where(away, np.int64(Kind.IGNORED), truth.kind))
         self.truth = truth
-        self._annotated = set(truth.frames)
         self.frames: list[int] = []
         self.pixels = PixelScore()
         self.errors = ErrorClasses()
@@ -51,7 +50,7 @@ class Scoring:
         ValueError
             if the true mask has another size or cannot be read.
         """
-        if number not in self._annotated:
+        if number not in self.truth:
             return
         self.frames.append(number)
         if isinstance(self.truth, BoxTruth):

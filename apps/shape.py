@@ -1,19 +1,14 @@
 """`rsmcm shape`: a deformable model of an object, learned from point tracks."""
 
-import zipfile
-import zlib
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..inference.nonrigid_shape import NonrigidShape, learn_shape
 from ..models.morphable_files import write_model
+from .point_files import read_points
 from .progress import Progress
 
-KEY = "tracks"
-EXPECTED = "expected (n_frames, n_points, 2) px, NaN where missing"
 SUFFIX = ".npz"
 ITERATIONS = 300
 
@@ -24,8 +19,7 @@ def run_shape(tracks: Path, bases: int, out: Path, *, overwrite: bool = False) -
     Parameters
     ----------
     tracks
-        `.npy`, or `.npz` with an array `tracks` or a single one: `(n_frames, n_points, 2)` px, NaN where
-        missing.
+        as for `read_points`.
     bases
         how many, with the mean shape.
     out
@@ -45,7 +39,7 @@ def run_shape(tracks: Path, bases: int, out: Path, *, overwrite: bool = False) -
         raise ValueError(f"out: got {out}, expected a name that ends with {SUFFIX}")
     if out.exists() and not overwrite:
         raise FileExistsError(f"{out}: is there already: use --overwrite")
-    positions = read_tracks(tracks)
+    positions = read_points(tracks)
     with Progress("shape", None, unit="iterations") as progress:
         try:
             learned = learn_shape(positions, bases, iterations=ITERATIONS, on_iteration=progress.update)
@@ -73,42 +67,3 @@ def in_words(learned: NonrigidShape) -> list[str]:
         gain = learned.history[-1] - learned.history[-2]
         lines.append(f"after {ITERATIONS} iterations the last one still gained {gain:.2g} nats")
     return lines
-
-
-def read_tracks(path: Path) -> NDArray[np.float64]:
-    """The tracks in a file: `(n_frames, n_points, 2)` px, NaN where missing.
-
-    Raises
-    ------
-    ValueError
-        naming the file and what came, if there are none.
-    OSError
-        if the file cannot be read.
-    """
-    try:
-        content = np.load(path, allow_pickle=False)
-        if isinstance(content, np.lib.npyio.NpzFile):
-            with content:
-                array = content[_key(path, content.files)]
-        else:
-            array = content
-    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-        raise ValueError(f"{path}: got a damaged file, {EXPECTED} ({error})") from None
-    except ValueError as error:
-        if str(error).startswith(str(path)):
-            raise
-        kind = "an array of objects" if "Object arrays" in str(error) else "neither .npy nor .npz"
-        raise ValueError(f"{path}: got {kind}, {EXPECTED}") from None
-    if array.ndim != 3 or array.shape[2] != 2 or array.dtype.kind not in "iuf":
-        raise ValueError(f"{path}: got {array.shape} {array.dtype}, {EXPECTED}")
-    tracks: NDArray[np.float64] = array.astype(np.float64)
-    return tracks
-
-
-def _key(path: Path, names: Sequence[str]) -> str:
-    if KEY in names:
-        return KEY
-    if len(names) == 1:
-        return names[0]
-    listed = ", ".join(map(repr, names)) or "none"
-    raise ValueError(f"{path}: got arrays {listed}, expected {KEY!r} or a single one, {EXPECTED[9:]}")

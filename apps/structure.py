@@ -15,6 +15,7 @@ from ..inference import Solution
 from ..models.frame import Frame
 from ..models.threads import set_threads
 from .interruption import Interrupted, Interruption, Outcome
+from .memory import STRUCTURE, STRUCTURE_FRAME, check_memory
 from .output_folder import OutputFolder, output_folder
 from .predictions import write_predictions
 from .progress import Progress
@@ -48,7 +49,7 @@ FILES = (
     "overlay.mp4",
 )
 FEWEST_FRAMES = 3
-TRACK_FILE = ".npz"
+TRACK_FILES = (".npy", ".npz")
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,8 @@ class StructureRun:
             raise ValueError(
                 f"{film.name}: got {n_tracks} points that can be tracked, expected {FEWEST_POINTS} or more"
             )
+        if not found.n_points:
+            raise ValueError(f"{film.name}: got {n_tracks} tracks that belong to no point, expected points")
         summary = _write(job, film, found, self._interruption, self._seconds())
         if not summary["ended_early"]:
             self._save(solution, finished=summary)
@@ -187,7 +190,10 @@ class StructureRun:
                     self._save(best)
                     progress.update()
         except ValueError as error:
-            raise ValueError(f"{self._film.name}: {error}") from None
+            reason = str(error).removeprefix("positions: ")
+            raise ValueError(
+                f"{self._film.name}: no shape can be found in what is followed: {reason}"
+            ) from None
         if best is None:
             assert self._interruption.signal is not None  # or there would be a first round
             raise Interrupted(self._interruption.signal)
@@ -219,7 +225,7 @@ def read_film(job: StructureJob) -> Film:
     OSError
         if it cannot be read.
     """
-    film = _tracks(job) if Path(job.source).suffix.lower() == TRACK_FILE else _images(job)
+    film = _tracks(job) if Path(job.source).suffix.lower() in TRACK_FILES else _images(job)
     n_present = sum(not frame.missing for frame in film.frames)
     if n_present < FEWEST_FRAMES:
         raise ValueError(f"{film.name}: got {n_present} frames, expected {FEWEST_FRAMES} or more")
@@ -249,6 +255,8 @@ def _images(job: StructureJob) -> Film:
     with open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source:
         if source.live and job.stop is None:
             raise ValueError(f"{source.name}: has no end, expected one, or --stop")
+        n_frames = source.n_frames or job.stop or 1
+        check_memory(source.name, source.size, STRUCTURE + n_frames * STRUCTURE_FRAME)
         frames = []
         with Progress("reading", source.n_frames) as progress:
             for frame in source:

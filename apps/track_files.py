@@ -1,29 +1,22 @@
 """Track files: tracks that somebody else has made, as frames without images."""
 
-import zipfile
-import zlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..models.frame import Frame, GivenPoints
+from .point_files import read_points
 from .sources import DEFAULT_RATE, Selection
-
-KEY = "tracks"
-EXPECTED = f"expected {KEY!r} (n_frames, n_points, 2) px, NaN where missing"
-FARTHEST = 1e7
-"""px: coordinates beyond are taken for damage; their squares would drown everything else."""
 
 
 def read_track_file(path: Path, selection: Selection) -> tuple[NDArray[np.float64], range]:
-    """Read the array `tracks` of an `.npz` file.
+    """Read some frames of a file of tracks.
 
     Parameters
     ----------
     path
-        holds `tracks (n_frames, n_points, 2)` px, any real type, NaN where a point is missing.
+        as for `read_points`.
     selection
         which of its frames.
 
@@ -35,45 +28,15 @@ def read_track_file(path: Path, selection: Selection) -> tuple[NDArray[np.float6
     Raises
     ------
     ValueError
-        naming what came and what was expected, if it is no such file or array, holds infinities or points of
-        which one coordinate is missing, or the selection lies beyond its end.
+        naming what came and what was expected, if it is no such file, or the selection lies beyond its end.
     OSError
         if the file cannot be read.
     """
-    array = _read_array(path)
-    if array.ndim != 3 or array.shape[2] != 2 or array.dtype.kind not in "iuf":
-        raise ValueError(f"{path}: got {KEY} {array.shape} {array.dtype}, {EXPECTED}")
-    numbers = selection.numbers(len(array))
-    if len(array) and not numbers:
-        raise ValueError(f"start: got {selection.start}, but {path} has only {len(array)} frames")
-    tracks = array[[number - 1 for number in numbers]].astype(np.float64)
-    for wrong, what in (
-        (np.abs(tracks) > FARTHEST, f"expected finite px up to {FARTHEST:g}, NaN where missing"),
-        (np.isnan(tracks[..., :1]) != np.isnan(tracks), "expected both coordinates or none"),
-    ):
-        if wrong.any():
-            frame, point = np.argwhere(wrong.any(axis=2))[0]
-            place = f"frame {numbers[frame]}, point {point}"
-            raise ValueError(f"{path}: got {tracks[frame, point].tolist()} at {place}, {what}")
-    return tracks, numbers
-
-
-def _read_array(path: Path) -> NDArray[Any]:
-    names: list[str] | None = None
-    try:
-        content = np.load(path, allow_pickle=False)
-        if isinstance(content, np.lib.npyio.NpzFile):
-            with content:
-                names = content.files
-                if KEY in names:
-                    array: NDArray[Any] = content[KEY]
-                    return array
-    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError) as error:
-        reason = "an array of objects" if "pickle" in str(error) and names else "no readable .npz file"
-        raise ValueError(f"{path}: got {reason}, {EXPECTED}") from None
-    if names is None:
-        raise ValueError(f"{path}: got a single array, {EXPECTED} in an .npz file")
-    raise ValueError(f"{path}: got arrays {', '.join(map(repr, names)) or 'none'}, {EXPECTED}")
+    tracks = read_points(path)
+    numbers = selection.numbers(len(tracks))
+    if not numbers:
+        raise ValueError(f"start: got {selection.start}, but {path} has only {len(tracks)} frames")
+    return tracks[[number - 1 for number in numbers]], numbers
 
 
 def frames_of_tracks(tracks: NDArray[np.float64], numbers: range | None = None) -> list[Frame]:

@@ -1,14 +1,15 @@
 """Trees of dataclasses and arrays in one `.npz` file: never pickled, checked before it is written, atomic.
 
 Arrays are members of their own, named by their place in the tree; the member `skeleton` is JSON with all the
-rest. Values are read by their declared kinds: dataclasses, `NDArray`, `int`, `float`, `bool`, `str`, `None`,
-`X | None`, `tuple[X, ...]`, `tuple[X, Y]`, `list[X]`, `dict[str, X]`, `dict[int, X]`,
-`numpy.random.Generator`, and `Any` or `object` for plain JSON, or an alias of one of these (`type X = ...`).
-A field of a dataclass whose metadata say `{"saved": False}` is left out, and is at its default when read. A
-nested mapping of names to kinds stands for a record without a class of its own, or `None` where it is not
-there yet.
+rest, and `digest` the SHA-256 of both. Values are read by their declared kinds: dataclasses, `NDArray`,
+`int`, `float`, `bool`, `str`, `None`, `X | None`, `tuple[X, ...]`, `tuple[X, Y]`, `list[X]`, `dict[str, X]`,
+`dict[int, X]`, `numpy.random.Generator`, and `Any` or `object` for plain JSON, or an alias of one of these
+(`type X = ...`). A field of a dataclass whose metadata say `{"saved": False}` is left out, and is at its
+default when read. A nested mapping of names to kinds stands for a record without a class of its own, or
+`None` where it is not there yet.
 """
 
+import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -21,8 +22,13 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-FORMAT = "rsmcm state 1"
+from ..models.array_files import read_arrays
+
+FORMAT = "rsmcm state 2"
+EXPECTED = "expected a state that was saved here"
 SKELETON = "skeleton"
+DIGEST = "digest"
+"""Of everything else: loops compiled for speed trust the shapes and numbers of a state."""
 SCALARS = (int, float, bool, str, NoneType)
 GENERATORS = {
     "PCG64": np.random.PCG64,
@@ -52,7 +58,8 @@ def save(path: str | Path, values: Mapping[str, Any], kinds: Mapping[str, Any]) 
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with open(partial, "wb") as stream:
-            np.savez(stream, allow_pickle=False, **{SKELETON: np.array(skeleton), **arrays})
+            whole = {SKELETON: np.array(skeleton), **arrays}
+            np.savez(stream, allow_pickle=False, **whole, **{DIGEST: np.array(_digest(whole))})
             stream.flush()
             os.fsync(stream.fileno())  # a power cut right after the new name leaves no empty file
         os.replace(partial, path)
@@ -71,7 +78,7 @@ def load(path: str | Path, kinds: Mapping[str, Any]) -> dict[str, Any]:
     OSError
         if the file cannot be opened.
     """
-    values, arrays = _read(path, with_arrays=True)
+    values, arrays = _read(path)
     try:
         return _restore(values, kinds, arrays)
     except ValueError as error:
@@ -88,26 +95,35 @@ def load_plain(path: str | Path, name: str) -> Any:
     OSError
         if the file cannot be opened.
     """
-    values, _ = _read(path, with_arrays=False)
-    return values.get(name)
+    return _read(path)[0].get(name)
 
 
-def _read(path: str | Path, *, with_arrays: bool) -> tuple[dict[str, Any], Arrays]:
-    """The JSON of the values and, if wanted, the arrays that it refers to."""
-    with open(path, "rb") as stream:
-        try:
-            with np.lib.npyio.NpzFile(stream, allow_pickle=False) as members:
-                names = members.files if with_arrays else [SKELETON]
-                arrays = {name: members[name] for name in names}
-            content = json.loads(str(arrays.pop(SKELETON)))
-            found, values = content["format"], dict(content["values"])
-        except Exception as error:  # broken bytes make zip, numpy and JSON raise almost anything
-            raise ValueError(
-                f"{path}: got no readable state file, expected one that was saved here"
-            ) from error
-    if found != FORMAT:
-        raise ValueError(f"{path}: got format {found!r}, expected {FORMAT!r}")
+def _read(path: str | Path) -> tuple[dict[str, Any], Arrays]:
+    """The JSON of the values, and the arrays that it refers to."""
+    path = Path(path)
+    size = path.stat().st_size  # nothing is packed, so that a number takes a byte or more
+    arrays = read_arrays(path, EXPECTED, most=size)
+    try:
+        digest = str(arrays.pop(DIGEST, ""))
+        found = _digest(arrays)
+        content = json.loads(str(arrays.pop(SKELETON)))
+        form, values = content["format"], dict(content["values"])
+    except (KeyError, TypeError, ValueError, RecursionError):
+        raise ValueError(f"{path}: got other arrays than a state's, {EXPECTED}") from None
+    if form != FORMAT:
+        raise ValueError(f"{path}: got format {str(form)[:60]!r}, expected {FORMAT!r}")
+    if found != digest:
+        raise ValueError(f"{path}: got a state that was changed since it was saved, {EXPECTED}")
     return values, arrays
+
+
+def _digest(arrays: Arrays) -> str:
+    """SHA-256 of names, types, shapes and contents."""
+    digest = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
 
 
 def _encode(value: Any, arrays: Arrays, place: str) -> Any:

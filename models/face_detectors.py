@@ -1,6 +1,9 @@
 """Where faces are in an image: detectors that tracking programs can be given, and OpenCV's two."""
 
+import subprocess
+import sys
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol, Self
 
@@ -14,6 +17,14 @@ Array = NDArray[np.float64]
 
 FRONTAL, PROFILE = "haarcascade_frontalface_default.xml", "haarcascade_profileface.xml"
 LEAST_SURE = 0.6  # of a detection of YuNet's
+
+MOST_NETWORK = 1 << 26  # bytes of a file; YuNet's has 230,000
+LONGEST_LOOK = 8.0  # seconds
+LOOK = """
+import sys, cv2, numpy
+network = cv2.FaceDetectorYN.create(sys.argv[1], "", (320, 320))
+network.detect(numpy.zeros((320, 320, 3), numpy.uint8))
+"""
 
 FRONTAL_PIXELS, PROFILE_PIXELS = 52.0, 36.0
 """px: height to which a face of known size is scaled. The cascades were trained at 24 and 20, and often miss
@@ -108,6 +119,9 @@ class YuNetFaces:
     def __post_init__(self) -> None:
         if not self.path.is_file():
             raise FileNotFoundError(f"{self.path}: no such file")
+        stat = self.path.stat()
+        if stat.st_size > MOST_NETWORK or not _is_survived(str(self.path), stat.st_mtime_ns):
+            raise self._no_model()
         self._network((320, 320))
 
     def __reduce__(self) -> tuple[type[Self], tuple[Path]]:
@@ -144,6 +158,19 @@ class YuNetFaces:
 
     def _no_model(self) -> ValueError:
         return ValueError(f"{self.path}: is no model of OpenCV's face detector YuNet")
+
+
+@lru_cache
+def _is_survived(path: str, _changed: int) -> bool:
+    """Whether a process lives through looking at a picture with a network; a damaged one may end it."""
+    command = [sys.executable, "-c", LOOK, path]
+    try:
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=LONGEST_LOOK, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    return done.returncode == 0
 
 
 def default_faces(path: Path | None = None) -> PartDetector:

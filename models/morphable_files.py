@@ -8,8 +8,6 @@ Our own is a numpy `.npz` archive of the fields of `MorphableModel`: `bases (n_b
 import os
 import re
 import tempfile
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -20,7 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .array_files import read_arrays
+from .limits import MOST_NUMBERS, MOST_SETTINGS
 from .morphable_model import MorphableModel, spread
+from .text_files import read_text
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,8 @@ SURREY_MESH = "sfm_reference.obj"
 SURREY_LANDMARKS = "ibug_to_sfm.txt"
 
 _MOST_VERTICES = 10**6
+_MOST_TRIANGLES = 2 * _MOST_VERTICES  # a closed surface has no more
+_MOST_CORNERS = 1000  # of a polygon
 
 IBUG = 68
 """Landmarks in the list that `SURREY_LANDMARKS` refers to."""
@@ -122,7 +125,8 @@ def read_correspondences(path: str | Path) -> NDArray[np.int64]:
     """
     path = Path(path)
     pairs: dict[int, int] = {}
-    for line_number, line in enumerate(_text(path).splitlines(), start=1):
+    text = read_text(path, "expected lines like '7 = 9'", MOST_SETTINGS)
+    for line_number, line in enumerate(text.splitlines(), start=1):
         content = line.partition("#")[0].strip()
         if not content:
             continue
@@ -142,23 +146,17 @@ def read_correspondences(path: str | Path) -> NDArray[np.int64]:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Put the name of the file before what is wrong with it."""
+    """Put the name of the file before what is wrong with it, numbers beyond all sizes included."""
     try:
-        yield
+        with np.errstate(all="ignore"):
+            yield
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
 def _read_npz(path: Path) -> MorphableModel:
     expected = "expected an .npz file with bases (n_bases, n_vertices, 3) and triangles (n_triangles, 3)"
-    try:
-        content = np.load(path, allow_pickle=False)
-        if not isinstance(content, np.lib.npyio.NpzFile):
-            raise ValueError
-        with content:
-            fields = {name: content[name] for name in content.files}
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError):
-        raise ValueError(f"{path}: got no readable archive of numbers, {expected}") from None
+    fields = read_arrays(path, expected)
     for name in ("bases", "triangles"):
         if name not in fields or fields[name].dtype.kind not in "iuf":
             found = ", ".join(f"{key} ({fields[key].dtype})" for key in fields) or "nothing"
@@ -174,7 +172,7 @@ def _read_npz(path: Path) -> MorphableModel:
             tuple(str(name) for name in fields.get("names", np.array([], np.str_)).reshape(-1)),
             _vertex_numbers(fields["landmarks"]) if "landmarks" in fields else None,
         )
-        size = _positive_spread(model.bases[0])
+        size = _positive_spread(model.bases)
     if abs(size - 1) < 1e-9:  # written by us: not a bit is changed
         return model
     return replace(model, bases=model.bases / size)
@@ -194,7 +192,7 @@ def _read_obj(path: Path) -> MorphableModel:
 def _obj_mesh(path: Path) -> tuple[Array, NDArray[np.int64]]:
     """Vertices `(n, 3)` as they stand in the file, and triangles."""
     vertices, triangles = [], []
-    for line_number, line in enumerate(_text(path).splitlines(), start=1):
+    for line_number, line in enumerate(read_text(path, "expected an .obj file").splitlines(), start=1):
         kind, *words = line.split() or [""]
         try:
             if kind == "v":
@@ -205,14 +203,19 @@ def _obj_mesh(path: Path) -> tuple[Array, NDArray[np.int64]]:
                 numbers = [int(word.partition("/")[0]) for word in words]
                 corners = [number - 1 if number > 0 else len(vertices) + number for number in numbers]
                 within = all(0 <= corner < _MOST_VERTICES for corner in corners)
-                if 0 in numbers or len(corners) < 3 or not within:
+                if 0 in numbers or not 3 <= len(corners) <= _MOST_CORNERS or not within:
                     raise ValueError
                 triangles += [(corners[0], *pair) for pair in pairwise(corners[1:])]
         except ValueError:
             raise ValueError(
                 f"{path}, line {line_number}: got {line.strip()[:60]!r}, expected v and three numbers, or f "
-                "and three or more vertices"
+                f"and 3 to {_MOST_CORNERS} vertices"
             ) from None
+        if len(vertices) > _MOST_VERTICES or len(triangles) > _MOST_TRIANGLES:
+            raise ValueError(
+                f"{path}: got more than {_MOST_VERTICES} vertices or {_MOST_TRIANGLES} triangles, expected "
+                "fewer"
+            )
     if not vertices or not triangles:
         raise ValueError(
             f"{path}: got {len(vertices)} vertices and {len(triangles)} triangles, expected both"
@@ -221,7 +224,7 @@ def _obj_mesh(path: Path) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _read_candide(path: Path) -> MorphableModel:
-    text = _text(path)
+    text = read_text(path, "expected a Candide-3 .wfm file")
     words = iter([word for line in text.splitlines() for word in line.partition("#")[0].split()])
 
     def numbers(count: int, what: str) -> Array:
@@ -248,7 +251,10 @@ def _read_candide(path: Path) -> MorphableModel:
         triangles = whole(numbers(3 * counted("faces"), "faces"), last, "vertex of face").reshape(-1, 3)
         groups = []
         for what in ("animation unit", "shape unit"):
-            units = [np.zeros_like(typical) for _ in range(counted(f"{what}s"))]
+            count = counted(f"{what}s")
+            if count * typical.size > MOST_NUMBERS:
+                raise ValueError(f"got {count} {what}s of {len(typical)} vertices, expected fewer")
+            units = [np.zeros_like(typical) for _ in range(count)]
             for unit in units:
                 moved = numbers(4 * counted(f"vertices of {what}s"), what).reshape(-1, 4)
                 unit[whole(moved[:, 0], last, f"vertex of {what}")] = moved[:, 1:]
@@ -327,7 +333,9 @@ class _Archive:
     """Numbers of a binary archive of eos (cereal, little endian), one after the other."""
 
     def __init__(self, path: Path) -> None:
-        self._path, self._content, self._at = path, path.read_bytes(), 0
+        self._path, self._at = path, 0
+        with path.open("rb") as file:
+            self._content = file.read(4 * MOST_NUMBERS)  # float32; what is longer ends within its numbers
 
     def numbers(self, kind: str, count: int) -> NDArray[Any]:
         end = self._at + count * np.dtype(kind).itemsize
@@ -344,7 +352,8 @@ class _Archive:
         """float32, column by column after its numbers of rows and columns."""
         rows, columns = (int(number) for number in self.numbers("<i4", 2))
         values = self.numbers("<f4", rows * columns if min(rows, columns) >= 0 else -1)
-        return values.astype(np.float64).reshape(columns, rows).T
+        with np.errstate(invalid="ignore"):  # of damage, which is found not to be finite
+            return values.astype(np.float64).reshape(columns, rows).T
 
     def word(self) -> str:
         (length,) = self.numbers("<u8", 1)
@@ -353,7 +362,8 @@ class _Archive:
 
 def _surrey_landmarks(path: Path, n_vertices: int) -> NDArray[np.int64]:
     landmarks = np.full(IBUG, -1)
-    for number, vertex in re.findall(r"^\s*(\d+)\s*=\s*(\d+)", _text(path), re.MULTILINE):
+    text = read_text(path, "expected lines like '7 = 9'", MOST_SETTINGS)
+    for number, vertex in re.findall(r"^[ \t]*(\d{1,9})[ \t]*=[ \t]*(\d{1,9})\b", text, re.MULTILINE):
         if not 1 <= int(number) <= IBUG or int(vertex) >= n_vertices:
             raise ValueError(
                 f"{path}: got {number} = {vertex}, expected landmark 1 to {IBUG} = vertex below {n_vertices}"
@@ -376,7 +386,7 @@ def _model(
     corners = bases[0][triangles]
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2].sum()
     return MorphableModel(
-        bases / _positive_spread(bases[0]),
+        bases / _positive_spread(bases),
         triangles if facing < 0 else triangles[:, ::-1].copy(),
         identity,
         names,
@@ -384,15 +394,9 @@ def _model(
     )
 
 
-def _positive_spread(shape: Array) -> float:
-    size = spread(shape)
-    if not 1e-9 * max(1e-30, float(np.abs(shape).max())) < size < np.inf:
-        raise ValueError("got a typical shape of no size, or one beyond all numbers")
+def _positive_spread(bases: Array) -> float:
+    """That of the typical shape, to which all bases have to be in some proportion."""
+    size = spread(bases[0])
+    if not 1e-9 * max(1e-30, float(np.abs(bases).max())) < size < np.inf:
+        raise ValueError("got a typical shape of no size, or bases beyond all numbers")
     return size
-
-
-def _text(path: Path) -> str:
-    text = path.read_text(encoding="utf-8", errors="replace")
-    if "\0" in text:
-        raise ValueError(f"{path}: got binary data, expected text")
-    return text

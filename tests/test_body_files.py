@@ -53,14 +53,18 @@ def test_what_is_written_is_read(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "joints.csv: got the columns [], expected frame,joint,x,y"),
-        ("1,head,5,6\n", "got the columns ['1', 'head', '5', '6'], expected frame,joint,x,y"),
+        ("", "joints.csv, line 0: got the columns '', expected a CSV file frame,joint,x,y"),
+        ("1,head,5,6\n", "got the columns '1,head,5,6', expected a CSV file frame,joint,x,y"),
         ("frame,joint,x,y\n", "holds no joint, expected some of head, neck, left_shoulder"),
         ("frame,joint,x,y\n1,head,5\n", "joints.csv, line 2: got 3 values, expected frame,joint,x,y"),
         ("frame,joint,x,y\n1,head,5,6\n1,nose,5,6\n", "line 3: got the joint 'nose', expected one of head"),
         ("frame,joint,x,y\n0,head,5,6\n", "got the frame '0', expected a number from 1"),
         ("frame,joint,x,y\n1.5,head,5,6\n", "got the frame '1.5', expected a number from 1"),
         ("frame,joint,x,y\n-1,head,5,6\n", "got the frame '-1'"),
+        (f"frame,joint,x,y\n{2**63},head,5,6\n", "got the frame '9223372036854775808', expected a number"),
+        (f"frame,joint,x,y\n{'9' * 5000},head,5,6\n", "got the frame '9999"),
+        ("frame,joint,x,y\n1,head,5,6" + "9" * 10**6, "line 2: field larger than"),
+        ("frame,joint,x,y\n" + "1,head,5,6\n" * 10**5, "got more than 1048576 bytes, expected"),
         ("frame,joint,x,y\n1,head,5,\n", "got the place '5', '', expected numbers of px"),
         ("frame,joint,x,y\n1,head,nan,6\n", "got the place nan, 6, expected finite px up to 1e+07"),
         ("frame,joint,x,y\n1,head,5,-inf\n", "got the place 5, -inf, expected finite px"),
@@ -80,6 +84,6 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         read_joints(tmp_path / "nowhere.csv")
     picture = tmp_path / "picture.csv"
-    picture.write_bytes(bytes(range(255, 0, -1)) * 4)
-    with pytest.raises(ValueError, match=r"picture\.csv: got no text, expected a CSV file frame,joint,x,y"):
+    picture.write_bytes(bytes(range(255, -1, -1)) * 4)
+    with pytest.raises(ValueError, match=r"picture\.csv: got binary data, expected a CSV file frame"):
         read_joints(picture)

@@ -15,6 +15,7 @@ from rsmcm.models import face_detectors
 from rsmcm.models.face_detectors import HaarFaces, YuNetFaces, default_faces
 from rsmcm.models.frame import Frame
 
+from .fuzz.networks import tiny_network
 from .signer_clip import signer_clip
 
 Image = NDArray[np.uint8]
@@ -149,6 +150,7 @@ def test_the_surest_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> No
     path = tmp_path / "yunet.onnx"
     path.touch()
     monkeypatch.setattr(cv2, "FaceDetectorYN", Network)
+    monkeypatch.setattr(face_detectors, "_is_survived", lambda *_: True)  # another process has OpenCV's
     faces = YuNetFaces(path)
     for image in (np.ones((90, 120), np.uint8), np.ones((50, 60, 3), np.uint8)):
         np.testing.assert_array_equal(faces(Frame(image, 0.0, 1)), [[5, 6, 20, 30], [1, 2, 30, 40]])
@@ -166,6 +168,19 @@ def test_another_networks_model(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     path = tmp_path / "other.onnx"
     path.touch()
     monkeypatch.setattr(cv2, "FaceDetectorYN", Network)
+    monkeypatch.setattr(face_detectors, "_is_survived", lambda *_: True)  # another process has OpenCV's
     monkeypatch.setattr(Network, "detect", fail)
     with pytest.raises(ValueError, match=r"other.onnx: is no model"):
         default_faces(path)(Frame(np.ones((90, 120), np.uint8), 0.0, 1))
+
+
+def test_a_damaged_network_does_not_end_the_process(tmp_path: Path) -> None:
+    """One wrong letter in the name of a layer is enough for OpenCV 4 to crash."""
+    whole = tiny_network()
+    path = tmp_path / "faces.onnx"
+    path.write_bytes(whole)
+    assert default_faces(path)(Frame(np.full((64, 96, 3), 200, np.uint8), 0.0, 1)).shape[1] == 4
+    damaged = tmp_path / "damaged.onnx"
+    damaged.write_bytes(whole.replace(b"Reshape", b"Resh\xa0pe", 1))
+    with pytest.raises(ValueError, match=r"damaged.onnx: is no model of OpenCV's face detector YuNet"):
+        default_faces(damaged)

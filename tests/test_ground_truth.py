@@ -1,5 +1,6 @@
 """Ground truth is read in every form it comes in, and refused in one line when it is broken."""
 
+import tracemalloc
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,8 @@ from rsmcm.apps.ground_truth import (
     common_frames,
     read_ground_truth,
 )
+from rsmcm.apps.scoring import Scoring
+from rsmcm.models.limits import MOST_TEXT
 
 MOT15 = "2,7,11,21,30,80,1,3,4,0\n1,9,499.2,157.69,31.03,75.17,1,-1,-1,-1\n1,4,5,6,7,8,0,-1,-1,-1\n"
 MOT16 = (
@@ -76,6 +79,10 @@ def test_folder_of_boxes(tmp_path: Path, name: str) -> None:
         ("0,1,1,1,5,5\n", "frame 0"),
         ("1.5,1,1,1,5,5\n", "frame 1.5"),
         ("1,1,1,1,0,5\n", "positive size"),
+        ("1,1,1,1,5,1e300\n", "px up to 1e\\+07"),
+        ("1,1,1,1,5,5\n1e300,1,1,1,5,5\n", "line 2: got frame 1e\\+300, .* frames from 1 to 1000000000"),
+        ("1,1e300,1,1,5,5\n", "identity 1e\\+300"),
+        (f"{2**63},1,1,1,5,5\n", "frame 9.22337e\\+18"),
         ("1,1,1,1,5,5\n1,1,2,2,5,5\n", "identity 1 occurs twice in frame 1"),
     ],
 )
@@ -88,7 +95,7 @@ def test_broken_boxes_are_named(tmp_path: Path, text: str, complaint: str) -> No
 
 def test_binary_file_is_no_ground_truth(tmp_path: Path) -> None:
     (tmp_path / "gt.txt").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(ValueError, match="not a text file"):
+    with pytest.raises(ValueError, match="got binary data, expected MOT"):
         read_ground_truth(tmp_path)
 
 
@@ -153,8 +160,26 @@ def test_folder_without_masks(tmp_path: Path) -> None:
 
 def test_common_frames(tmp_path: Path) -> None:
     truth = boxes(write(tmp_path, "3,1,1,1,9,9\n8,1,2,2,9,9\n"))
-    assert common_frames(truth, range(1, 6)) == [3, 4, 5]
+    assert list(common_frames(truth, range(1, 6))) == [3, 4, 5]
     with pytest.raises(ValueError, match="annotates frames 3 to 8, but frames 10 to 12 were processed"):
         common_frames(truth, range(10, 13))
     with pytest.raises(ValueError, match="no frame"):
-        common_frames(truth, [])
+        common_frames(truth, range(0))
+
+
+def test_nothing_grows_with_the_number_of_a_frame(tmp_path: Path) -> None:
+    """One wrong digit, or a header that announces everything, takes neither memory nor time."""
+    tracemalloc.start()
+    try:
+        truth = boxes(write(tmp_path, "3,1,1,1,9,9\n1000000000,1,2,2,9,9\n"))
+        assert list(common_frames(truth, range(1, 6))) == [3, 4, 5]
+        common = common_frames(truth, range(2, 2**62, 5))
+        assert (common[0], len(common), common[-1]) == (7, 2 * 10**8 - 1, 999_999_997)
+        scoring = Scoring(truth)
+        for number in (1, 3, 10**9):
+            scoring.add(number, np.zeros((9, 9), np.uint8))
+        assert scoring.frames == [3, 10**9]
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 2 * MOST_TEXT

@@ -217,12 +217,15 @@ def test_a_static_camera(
     ("wrong", "words"),
     [
         (lambda t: t[:2], "got 2 frames, expected 3 or more"),
-        (lambda t: t[:0], "got 0 frames, expected 3 or more"),
+        (lambda t: t[:0], "got tracks (0, 37, 2) float64, expected"),
         (lambda t: t[:, :3], "got 3 points with an observation in 24 frames, expected 4 or more"),
         (lambda t: t * np.nan, "got 0 points with an observation in 24 frames, expected 4 or more"),
-        (lambda t: np.where(np.arange(24)[:, None, None] == 4, np.inf, t), "[inf, inf] at frame 5, point 0"),
-        (lambda t: t[..., 0], "float64, expected 'tracks' (n_frames, n_points, 2) px, NaN where missing"),
-        (lambda t: t.astype(str), "expected 'tracks' (n_frames, n_points, 2) px"),
+        (
+            lambda t: np.where(np.arange(24)[:, None, None] == 4, np.inf, t),
+            "[inf, inf] at point 0 of frame 4",
+        ),
+        (lambda t: t[..., 0], "float64, expected (n_frames, n_points, 2) px, NaN where missing"),
+        (lambda t: t.astype(str), "expected (n_frames, n_points, 2) px"),
     ],
 )
 def test_wrong_track_files(
@@ -242,8 +245,8 @@ def test_wrong_sources(film: Path, source: Path, tmp_path: Path, capfd: pytest.C
     for arguments, words in (
         ((tmp_path / "nowhere.npz", *out), "nowhere.npz: No such file"),
         ((tmp_path / "nowhere", *out), "no such file or folder"),
-        ((tmp_path / "text.npz", *out), "no readable .npz file"),
-        ((tmp_path / "other.npz", *out), "got arrays 'points', expected 'tracks'"),
+        ((tmp_path / "text.npz", *out), "got neither .npy nor .npz"),
+        ((tmp_path / "other.npz", *out), "got points (3,) float64, expected"),
         ((film, *out, "--stop", 2), "got 2 frames, expected 3 or more"),
         ((source, *out, "--start", 23), "got 2 frames, expected 3 or more"),
         ((source, *out, "--start", 25), "start: got 25, but"),
@@ -263,6 +266,7 @@ def test_pictures_without_corners(tmp_path: Path, capfd: pytest.CaptureFixture[s
     for number in range(5):
         cv2.imwrite(str(folder / f"{number}.png"), np.full((60, 80, 3), 90, np.uint8))
     message = complaint(capfd, folder, "--out", tmp_path / "out")
+    assert "no shape can be found in what is followed: got" in message
     assert "0 points, expected 3 frames and 4 points or more" in message
     assert not (tmp_path / "out").exists()
 

@@ -553,7 +553,7 @@ def test_command_on_wrong_folders(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "holds no predictions.npz; it is written by: rsmcm structure" in complaint(tmp_path)
     path = tmp_path / FILE
     path.write_bytes(b"PK nonsense")
-    assert "predictions.npz: got no readable predictions" in complaint(tmp_path)
+    assert "predictions.npz: got neither .npy nor .npz" in complaint(tmp_path)
     assert "expected the folder of a finished run" in complaint(path)
     np.savez(path, about=np.array('{"format": "other 3", "pairs": []}'))
     assert "got format 'other 3', expected 'rsmcm predictions 1'" in complaint(tmp_path)

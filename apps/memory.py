@@ -1,0 +1,47 @@
+"""What a run needs in memory beside the program itself, and whether the machine has it.
+
+Measured as growth of the resident memory with size, frames, experts and samples, and rounded up; the tests
+measure it again.
+"""
+
+import psutil
+
+BACKGROUND = {"gaussian": 300, "mixture": 400}
+"""Bytes per pixel, by the model of the background: 10 or 13 GB for 8K."""
+
+STRUCTURE, STRUCTURE_FRAME = 40, 6
+"""Bytes per pixel, and per pixel of each frame, all of which are held."""
+
+FACE, FACE_EXPERT, EXPERT = 60, 1.5, 200_000
+"""Bytes per pixel, per pixel and expert, and per expert."""
+
+BODY, SAMPLE = 180, 5_000
+"""Bytes per pixel, and per sample."""
+
+GIGA = 1e9
+
+
+def check_memory(name: str, size: tuple[int, int], per_pixel: float, beside: float = 0) -> None:
+    """Refuse a run that would need more memory than there is, before it takes any.
+
+    Parameters
+    ----------
+    name
+        of the source.
+    size
+        `(width, height)` px.
+    per_pixel, beside
+        bytes per pixel, and bytes that do not depend on the size.
+
+    Raises
+    ------
+    ValueError
+        saying what is needed and what is available.
+    """
+    width, height = size
+    needed, available = width * height * per_pixel + beside, psutil.virtual_memory().available
+    if needed > available:
+        raise ValueError(
+            f"{name}: a run on {width}x{height} px with these settings needs about {needed / GIGA:.3g} GB of "
+            f"memory, expected no more than the {available / GIGA:.3g} GB that are available"
+        )

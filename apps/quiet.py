@@ -1,0 +1,31 @@
+"""Libraries that write to standard error by themselves, which belongs to the one line of an error."""
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+STANDARD_ERROR = 2
+_one_at_a_time = threading.Lock()
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """Drop what is written to standard error inside the block, also by C (decoders of PNG, JPEG and TIFF).
+
+    It is for a few ms: what other threads write meanwhile is dropped as well.
+    """
+    with _one_at_a_time:
+        try:
+            kept = os.dup(STANDARD_ERROR)
+        except OSError:  # closed: nothing can be written
+            yield
+            return
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(nowhere, STANDARD_ERROR)
+            yield
+        finally:
+            os.dup2(kept, STANDARD_ERROR)
+            os.close(nowhere)
+            os.close(kept)

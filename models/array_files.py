@@ -1,0 +1,112 @@
+"""Files of arrays, `.npy` and `.npz`, from anybody: headers are judged before data, nothing is unpickled."""
+
+import math
+import os
+import warnings
+import zipfile
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .limits import MOST_NUMBERS
+
+SINGLE = ""
+"""The name of the one array of an `.npy` file."""
+
+NUMBER = 8  # bytes: what a number takes at most; longer ones, and texts, count as several
+LONGEST_HEADER = 10_000  # bytes
+KINDS = "biufcSU"  # of numpy's types: numbers and text
+ARCHIVE = (b"PK\x03\x04", b"PK\x05\x06")  # how a zip file begins, and one without members
+PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # as numpy does; other ways unpack without bounds
+ENCRYPTED = 1  # flag of a member
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def read_arrays(path: Path, expected: str, most: int = MOST_NUMBERS) -> Arrays:
+    """Read all arrays of a file.
+
+    Parameters
+    ----------
+    path
+        `.npz`, or `.npy` with one array, which is called `SINGLE`; the content tells which, not the name.
+    expected
+        what the file should hold, for messages: "expected ...".
+    most
+        numbers that it may hold in all.
+
+    Raises
+    ------
+    ValueError
+        in one line that names the file and says what is wrong: it is no such file, it is damaged, or it holds
+        objects or more than `most` numbers.
+    OSError
+        if the file cannot be opened.
+    """
+    with path.open("rb") as file:
+        try:
+            return _arrays(file, most)
+        except _WrongError as error:
+            wrong = str(error)
+        except Exception as error:  # broken bytes make zip and numpy raise almost anything
+            wrong = f"a damaged file ({' '.join(str(error).split())[:80] or type(error).__name__})"
+    raise ValueError(f"{path}: got {wrong}, {expected}")
+
+
+class _WrongError(Exception):
+    """What is wrong with a file, in our own words."""
+
+
+def _arrays(file: IO[bytes], most: int) -> Arrays:
+    beginning = file.read(4)
+    size = file.seek(0, os.SEEK_END)
+    file.seek(0)
+    if np.lib.format.MAGIC_PREFIX.startswith(beginning) and beginning:
+        return {SINGLE: _array(file, "array", size, most)}
+    if beginning not in ARCHIVE:
+        raise _WrongError("neither .npy nor .npz")
+    arrays: Arrays = {}
+    with zipfile.ZipFile(file) as archive:
+        for member in archive.infolist():
+            name = member.filename.removesuffix(".npy")
+            if name in arrays:
+                raise _WrongError(f"array {name[:60]!r} twice")
+            # a comment would be the next member, when a length is damaged
+            if member.compress_type not in PACKED or member.flag_bits & ENCRYPTED or member.comment:
+                raise _WrongError(f"array {name[:60]!r} packed in a way that is not numpy's")
+            with archive.open(member) as stream:
+                arrays[name] = _array(stream, f"array {name[:60]!r}", member.file_size, most)
+            most -= _numbers(arrays[name].shape, arrays[name].dtype)
+    return arrays
+
+
+def _array(stream: IO[bytes], what: str, size: int, most: int) -> NDArray[Any]:
+    """The array of a stream of `size` bytes."""
+    if size > NUMBER * most + LONGEST_HEADER:
+        raise _WrongError(f"{what} of {size} bytes, more than are taken")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about headers of older versions
+        if np.lib.format.read_magic(stream) == (1, 0):
+            shape, _, dtype = np.lib.format.read_array_header_1_0(stream, LONGEST_HEADER)
+        else:
+            shape, _, dtype = np.lib.format.read_array_header_2_0(stream, LONGEST_HEADER)
+        if dtype.hasobject:
+            raise _WrongError(f"{what} of objects")
+        if dtype.kind not in KINDS:
+            raise _WrongError(f"{what} of {dtype}")
+        if min(shape, default=0) < 0:
+            raise _WrongError(f"{what} of shape {shape}")
+        if _numbers(shape, dtype) > most:
+            raise _WrongError(f"{what} {shape} {dtype}, more numbers than are taken")
+        stated, held = math.prod(shape) * dtype.itemsize, size - stream.tell()
+        if stated != held:
+            raise _WrongError(f"{what} {shape} {dtype} with {held} bytes instead of {stated}")
+        stream.seek(0)
+        array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+    return array
+
+
+def _numbers(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
+    return math.prod(shape) * max(1, -(-dtype.itemsize // NUMBER))

@@ -1,0 +1,228 @@
+"""Sound inputs of every reader, small and made by code: files by their names in a folder."""
+
+import io
+import tempfile
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rsmcm.apps.predictions import FILE, PairRecord, write_predictions
+from rsmcm.inference import RecursiveBP
+from rsmcm.inference.validity import RecordedPredictions
+from rsmcm.models.morphable_files import write_model
+from rsmcm.models.morphable_model import MorphableModel, spread
+from rsmcm.models.upper_body import JOINTS
+
+from .mutations import Files
+from .networks import tiny_network
+
+WIDTH, HEIGHT = 64, 48
+FILMS = {
+    "film.mp4": ("libx264", "yuv420p"),
+    "film.mkv": ("libx264", "yuv420p"),
+    "film.avi": ("mjpeg", "yuvj420p"),
+    "film.mjpeg": ("mjpeg", "yuvj420p"),
+    "film.ts": ("mpeg2video", "yuv420p"),
+    "film.mov": ("mpeg4", "yuv420p"),
+    "foreground.mkv": ("ffv1", "gray"),
+}
+PICTURES = ("png", "jpg", "bmp", "tif", "webp", "ppm", "jp2")
+
+
+def seeds(folder: Path) -> dict[str, list[Files]]:
+    """Inputs by reader; `folder` is for what has to be written to be made."""
+    return {name: make(folder) for name, make in MAKERS.items()}
+
+
+def _picture(number: int = 0) -> NDArray[np.uint8]:
+    texture = np.random.default_rng(7).integers(60, 200, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    return np.roll(np.asarray(cv2.GaussianBlur(texture, (9, 9), 0), np.uint8), number, axis=1)
+
+
+def _encoded(suffix: str, image: NDArray[np.uint8]) -> bytes:
+    return bytes(cv2.imencode(f".{suffix}", image)[1])
+
+
+def _npy(array: Any) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
+
+
+def _npz(**arrays: Any) -> bytes:
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def _films(folder: Path) -> list[Files]:
+    made = []
+    for name, (codec, pixels) in FILMS.items():
+        with av.open(str(folder / name), "w") as file:
+            stream = file.add_stream(codec, rate=Fraction(25))
+            assert isinstance(stream, av.VideoStream)
+            stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, pixels
+            for number in range(8):
+                file.mux(stream.encode(av.VideoFrame.from_ndarray(_picture(number), format="bgr24")))
+            file.mux(stream.encode(None))
+        made.append({name: (folder / name).read_bytes()})
+    return made
+
+
+def _pictures(_: Path) -> list[Files]:
+    grey = np.ascontiguousarray(_picture()[:, :, 0])
+    made = [
+        {f"frame{number}.{suffix}": _encoded(suffix, _picture(number)) for number in (1, 2)}
+        for suffix in PICTURES
+    ]
+    clear = np.dstack([_picture(), grey])
+    made += [{"a.png": _encoded("png", image)} for image in (clear, grey)]
+    made += [{"a.pgm": _encoded("pgm", grey)}, {"a.jpg": _encoded("jpg", grey)}]
+    for files in made[:2]:
+        files["seqinfo.ini"] = b"[Sequence]\nname=a\nframeRate=14\nseqLength=2\nimExt=.png\n"
+    return made
+
+
+def _masks(_: Path) -> list[Files]:
+    grey = np.ascontiguousarray(_picture()[:, :, 0])
+    made: Files = {f"groundtruth/gt00000{number}.png": _encoded("png", grey) for number in (1, 2)}
+    return [made | {"ROI.bmp": _encoded("bmp", grey), "temporalROI.txt": b"1 2\n"}]
+
+
+def _regions(_: Path) -> list[Files]:
+    return [{f"roi.{suffix}": _encoded(suffix, _picture())} for suffix in ("png", "jpg", "bmp", "tif")]
+
+
+def _boxes(_: Path) -> list[Files]:
+    rows = [(frame, who, 3 + frame, 5, 10, 20) for frame in range(1, 6) for who in (1, 2)]
+    endings = ("1,-1,-1,-1", "1,3,0.5", "1")
+    return [
+        {"gt.txt": "".join(f"{','.join(map(str, row))},{ending}\n" for row in rows).encode()}
+        for ending in endings
+    ]
+
+
+def _parameters(_: Path) -> list[Files]:
+    return [
+        {"a.toml": b"[background]\nprior = 0.9 # P\nsettle_time = 10.0\n\n[blobs]\nhidden_patience = 5.0\n"},
+        {"a.toml": b'[background]\nmodel = "mixture"\n\n[ground]\n[blobs]\n'},
+    ]
+
+
+def _points(_: Path) -> list[Files]:
+    points = np.random.default_rng(0).uniform(0, 99, (6, 7, 2))
+    whole = points.astype(np.int16)
+    points[1, 2] = np.nan
+    return [
+        {"a.npz": _npz(tracks=points)},
+        {"a.npz": _npz(some=points.astype(np.float32))},
+        {"a.npy": _npy(points)},
+        {"a.npy": _npy(whole)},
+    ]
+
+
+def _models(folder: Path) -> list[Files]:
+    random = np.random.default_rng(0)
+    bases = random.normal(size=(3, 9, 3))
+    model = MorphableModel(
+        bases / spread(bases[0]),
+        random.integers(9, size=(5, 3)),
+        1,
+        ("mean", "wide", "smile"),
+        np.arange(-1, 6),
+    )
+    write_model(model, folder / "a.npz")
+    candide = (
+        "# VERTEX LIST:\n4\n-1 1 0\n1 1 0\n0 -1 0.5\n7 7 7\n# FACE LIST:\n1\n0 2 1\n"
+        "# ANIMATION UNITS LIST:\n1\n"
+        "# Smile\n2\n0 0 0.1 0\n2 0.2 0 0.3\n# SHAPE UNITS LIST:\n1\n# Width\n1\n0 -0.3 0 0\n"
+    )
+    mesh = "# a square\nv -1 1 0\nv 1 1 0 1.0\nv 1 -1 0\nv -1 -1 0\nvt 0 0\nf 4/1 3/1/2 2//3 1\nf -4 -1 -2\n"
+    return [
+        {"a.npz": (folder / "a.npz").read_bytes()},
+        {"a.wfm": candide.encode()},
+        {"a.obj": mesh.encode()},
+        _surrey(),
+    ]
+
+
+def _surrey() -> Files:
+    random = np.random.default_rng(0)
+
+    def matrix(*shape: int) -> bytes:
+        values = np.abs(random.normal(size=shape)).astype("<f4")
+        return np.array(shape, "<i4").tobytes() + values.tobytes("F")
+
+    triangles = np.array([[0, 1, 2], [2, 3, 4], [4, 5, 0]], "<i4")
+    shape = np.array([1], "<i4").tobytes() + matrix(18, 1) + matrix(18, 2) + matrix(2, 1)
+    return {
+        "sfm_shape_3448.bin": shape + np.array([3], "<u8").tobytes() + triangles.tobytes() + b"texture",
+        "expression_blendshapes_3448.bin": np.array([1, 5], "<u8").tobytes() + b"happy" + matrix(18, 1),
+        "sfm_reference.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+        "ibug_to_sfm.txt": b"# words\n[landmark_mappings]\n  2 = 1 # nose\n30 = 5\n",
+    }
+
+
+def _correspondences(_: Path) -> list[Files]:
+    return [{"pairs.txt": b"# index = number\n0 = 1\n1 = 2\n 7=9 # chin\n12 = 3\n"}]
+
+
+def _joints(_: Path) -> list[Files]:
+    places = ((30, 8), (30, 20), (40, 22), (42, 42), (40, 59), (20, 22), (19, 42), (21, 59))
+    rows = [
+        f"{frame},{joint},{x}.5,{y}" for frame in (1, 9) for joint, (x, y) in zip(JOINTS, places, strict=True)
+    ]
+    return [{"joints.csv": ("frame,joint,x,y\n" + "\n".join(rows) + "\n").encode()}]
+
+
+def _states(folder: Path) -> list[Files]:
+    from .readers import background_engine
+
+    engine: RecursiveBP = background_engine()
+    *_, belief = engine.run([_picture(number) for number in range(4)])
+    engine.save(folder / "state.npz", belief.state, {"settings": {"a": 1}})
+    return [{"state.npz": (folder / "state.npz").read_bytes()}]
+
+
+def _predictions(folder: Path) -> list[Files]:
+    random = np.random.default_rng(0)
+    first, second, observed = random.normal(size=(3, 24, 2))
+    noise = np.tile(np.eye(2), (24, 1, 1))
+    predictions = RecordedPredictions(first, second, observed, noise, noise, noise)
+    tracks, frames = np.arange(24) % 6, np.arange(24) // 6 + 1
+    write_predictions(folder, [PairRecord("a", "b", "points", "px", predictions, tracks, frames)])
+    return [{FILE: (folder / FILE).read_bytes()}]
+
+
+def _detectors(_: Path) -> list[Files]:
+    return [{"faces.onnx": tiny_network()}]
+
+
+MAKERS: dict[str, Callable[[Path], list[Files]]] = {
+    "films": _films,
+    "pictures": _pictures,
+    "masks": _masks,
+    "regions": _regions,
+    "boxes": _boxes,
+    "results": _boxes,
+    "parameters": _parameters,
+    "tracks": _points,
+    "landmarks": _points,
+    "models": _models,
+    "correspondences": _correspondences,
+    "joints": _joints,
+    "states": _states,
+    "predictions": _predictions,
+    "detectors": _detectors,
+}
+
+
+def made() -> dict[str, list[Files]]:
+    """The inputs of all readers."""
+    with tempfile.TemporaryDirectory() as folder:
+        return seeds(Path(folder))
