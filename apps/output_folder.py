@@ -96,7 +96,9 @@ class OutputFolder:
         """From here on only files that were really written are known as results."""
         listed = _listed(self.path)
         written = [name for name in listed if any(self.path.glob(name))]
-        if written != listed:
+        if not written:
+            (self.path / MANIFEST).unlink(missing_ok=True)
+        elif written != listed:
             self._write_manifest(written)
 
     def _refuse_foreign(self, names: Sequence[str], known: Sequence[str]) -> None:

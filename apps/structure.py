@@ -164,13 +164,11 @@ class StructureRun:
         after = None if about is None else self._engine.load(self._state, film.frames)[0]
         solution = self._ascended(after)
         found = reconstruction_of(solution, film.n_tracks)
-        n_tracks = len(found.point_of_track)
-        if n_tracks < FEWEST_POINTS:
-            raise ValueError(
-                f"{film.name}: got {n_tracks} points that can be tracked, expected {FEWEST_POINTS} or more"
-            )
-        if not found.n_points:
-            raise ValueError(f"{film.name}: got {n_tracks} tracks that belong to no point, expected points")
+        try:
+            _check_found(film.name, found)
+        except ValueError:
+            self._state.unlink()  # there is nothing to go on with
+            raise
         summary = _write(job, film, found, self._interruption, self._seconds())
         if not summary["ended_early"]:
             self._save(solution, finished=summary)
@@ -269,6 +267,16 @@ def _images(job: StructureJob) -> Film:
             notes.append("The source ends before its announced end.")
         rate, fingerprint = source.rate / job.step, source.fingerprint()
         return Film(source.name, frames, rate, None, fingerprint, tuple(notes), source.stream)
+
+
+def _check_found(name: str, found: Reconstruction) -> None:
+    n_tracks = len(found.point_of_track)
+    if n_tracks < FEWEST_POINTS:
+        raise ValueError(
+            f"{name}: got {n_tracks} points that can be tracked, expected {FEWEST_POINTS} or more"
+        )
+    if not found.n_points:
+        raise ValueError(f"{name}: got {n_tracks} tracks that belong to no point, expected points")
 
 
 def _write(

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from urllib.parse import urlsplit, urlunsplit
 
 import av
@@ -157,7 +157,7 @@ class VideoReader:
 
     def images(self) -> Iterator[tuple[float | None, NDArray[np.uint8] | None]]:
         """Yield the images of a stream as they arrive until it is `lost`, as `Feed` has it."""
-        timed = not self._container.format.flags & av.format.Flags.no_timestamps.value
+        timed = not self._container.format.flags & cast(int, av.format.Flags.no_timestamps.value)
         for seconds, picture in self._pictures():
             yield seconds if timed else None, None if picture is None else to_bgr(picture)
         self.lost = self.lost or "it ended"

@@ -33,10 +33,10 @@ def test_only_what_a_run_wrote_is_removed(tmp_path: Path) -> None:
         (out / name).write_text("the user's")
     with pytest.raises(FileExistsError, match="already holds results: use --overwrite or --resume"):
         run(out)
-    run(out, overwrite=True)
-    assert names(out) == {"mine.txt", "masks", MANIFEST}
+    run(out, "a.txt", overwrite=True)
+    assert names(out) == {"a.txt", "mine.txt", "masks", MANIFEST}
     assert names(out / "masks") == {"bin_mine.png"}
-    assert listed(out) == [], "nothing was written"
+    assert listed(out) == ["a.txt"], "nothing else was written"
 
 
 def test_a_file_of_the_same_name_that_is_no_result(tmp_path: Path) -> None:
@@ -59,7 +59,7 @@ def test_what_was_not_written_is_not_known_afterwards(tmp_path: Path) -> None:
 def test_an_empty_folder_of_results_goes_with_them(tmp_path: Path) -> None:
     run(tmp_path, "masks/bin000001.png")
     run(tmp_path, overwrite=True)
-    assert names(tmp_path) == {MANIFEST}
+    assert names(tmp_path) == set()
 
 
 def test_what_a_kill_left_over_goes(tmp_path: Path) -> None:
@@ -67,7 +67,7 @@ def test_what_a_kill_left_over_goes(tmp_path: Path) -> None:
     for name in (".unfinished-a.txt", "masks/.unfinished-bin000001.png", ".state.npz.123.partial"):
         (tmp_path / name).write_text("half")
     run(tmp_path)
-    assert names(tmp_path) == {"masks", MANIFEST}
+    assert names(tmp_path) == {"masks"}
     assert names(tmp_path / "masks") == set()
 
 
