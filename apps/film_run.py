@@ -24,7 +24,7 @@ from .output_folder import output_folder
 from .progress import Progress
 from .results import naming, segment_pattern, write_json
 from .saved_run import STATE, SavedRun, check_source
-from .sources import Source, open_source
+from .sources import Source, describe, open_source
 from .versions import versions
 
 ALWAYS = (STATE, "summary.json", "report.html", "overlay.mp4", segment_pattern("overlay.mp4"))
@@ -294,13 +294,12 @@ class FilmRun(ABC):
         state, source = learned.state, self.source
         if not state.states or state.shape is None:
             raise ValueError(f"--from: {self.job.learned} has learned nothing yet")
-        height, width = state.shape[:2]
-        if (width, height) != source.size:
+        if first.image is not None and first.image.shape != state.shape:
             raise ValueError(
-                f"--from: {self.job.learned} is of {width}x{height} px, but {source.name} has "
-                f"{source.size[0]}x{source.size[1]}"
+                f"--from: {self.job.learned} is of frames that are {describe(state.shape)}, "
+                f"but {source.name} is {describe(first.image.shape)}"
             )
-        gap = 1 / source.rate
+        gap = self.job.step / source.rate
         if source.live and learned.about["live"]:
             gap = max(gap, time.time() - learned.about["clock"])
         return replace(state, number=0, time=first.time - gap)

@@ -18,7 +18,7 @@ from .live_reader import LiveReader
 from .reader import DEFAULT_RATE, Reader, Selection
 from .video_reader import VideoReader, without_password
 
-__all__ = ["DEFAULT_RATE", "Selection", "Source", "open_source"]
+__all__ = ["DEFAULT_RATE", "Selection", "Source", "describe", "open_source"]
 
 NETWORK_SCHEMES = frozenset({"http", "https", "rtsp", "rtsps"})
 DECODE_AHEAD = 4  # frames: smooths uneven processing, yet holds little memory at 4K
@@ -198,8 +198,8 @@ class Source:
         elif form != self._form:
             self.close()
             raise ValueError(
-                f"{self.name}: frame {frame.number} is {_describe(form)}, "
-                f"expected {_describe(self._form)} like the frames before"
+                f"{self.name}: frame {frame.number} is {describe(form)}, "
+                f"expected {describe(self._form)} like the frames before"
             )
         return frame
 
@@ -303,5 +303,6 @@ def _open_path(source: str, path: Path, image_rate: float | None) -> Reader:
     raise FileNotFoundError(f"{source}: no such file or folder")
 
 
-def _describe(shape: tuple[int, ...]) -> str:
+def describe(shape: tuple[int, ...]) -> str:
+    """Size and kind of images of this shape, in words."""
     return f"{shape[1]}x{shape[0]} {'gray' if len(shape) == 2 else 'colour'}"

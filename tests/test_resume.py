@@ -328,7 +328,7 @@ def test_what_cannot_be_learned_from(
         assert not (tmp_path / "out").exists()
     other = Application("background", applications["body"].source, ())
     assert other.run(tmp_path / "out", "--from", str(whole["background"] / "state.npz")) == 2
-    assert "is of 200x160 px, but" in capfd.readouterr().err
+    assert "is of frames that are 200x160 colour, but" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("hours", [0.01, 1.0, 1000.0])
