@@ -14,7 +14,7 @@ help:
 	@echo "make test-all  quick tests and long experiments"
 	@echo "make check     lint, format, types of the installed package"
 	@echo "make bench     speed and accuracy beside peers"
-	@echo "make fuzz      damaged inputs for every reader: 100,000 in a quarter of an hour"
+	@echo "make fuzz      damaged inputs for every reader: 100,000 in about ten minutes"
 	@echo "make clean     remove everything that make made, .venv too"
 
 demo: $(INSTALLED)
