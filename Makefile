@@ -20,7 +20,7 @@ help:
 	@echo "make check          lint, format, types"
 	@echo "make constraints    choose the newest versions to be the tested ones"
 	@echo "make bench          speed and accuracy beside peers"
-	@echo "make fuzz           damaged inputs for every reader: 100,000 in a quarter of an hour"
+	@echo "make fuzz           damaged inputs for every reader: 100,000 in about ten minutes"
 	@echo "make clean          remove everything that make made, .venv too"
 
 demo: $(INSTALLED)

@@ -1,5 +1,6 @@
 """Ground truth: boxes in MOT format, or CDnet's labelled masks."""
 
+import math
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
@@ -190,7 +191,10 @@ def _read_boxes(path: Path) -> BoxTruth:
     rows: list[tuple[float, ...]] = []
     for number, line in enumerate(read_text(path, "expected MOT ground truth").splitlines(), 1):
         if line.strip():
-            rows.append(_parse_line(line, f"{path}, line {number}"))
+            try:
+                rows.append(_parse_line(line))
+            except ValueError as error:
+                raise ValueError(f"{path}, line {number}: {error}") from None
     if not rows:
         raise ValueError(f"{path}: holds no boxes")
     table = np.array(rows)
@@ -208,30 +212,30 @@ def _read_boxes(path: Path) -> BoxTruth:
     )
 
 
-def _parse_line(line: str, where: str) -> tuple[float, ...]:
+def _parse_line(line: str) -> tuple[float, ...]:
     """Return frame, identity, left, top, width, height, kind."""
     expected = "expected frame,identity,left,top,width,height[,flag[,class,visibility]]"
     try:
         values = [float(field) for field in line.split(",")]
     except ValueError:
-        raise ValueError(f"{where}: got {line[:60]!r}, {expected}") from None
-    if len(values) < 6 or not np.isfinite(values[:6]).all():
-        raise ValueError(f"{where}: got {line[:60]!r}, {expected}")
+        raise ValueError(f"got {line[:60]!r}, {expected}") from None
+    if len(values) < 6 or not math.isfinite(sum(values[:6])):
+        raise ValueError(f"got {line[:60]!r}, {expected}")
     frame, identity, left, top, width, height = values[:6]
     if not 1 <= frame <= LAST_FRAME or frame % 1 or identity % 1 or abs(identity) > LAST_IDENTITY:
         raise ValueError(
-            f"{where}: got frame {frame:g}, identity {identity:g}, expected whole numbers, frames from 1 to "
+            f"got frame {frame:g}, identity {identity:g}, expected whole numbers, frames from 1 to "
             f"{LAST_FRAME}"
         )
-    if width <= 0 or height <= 0 or np.abs(values[2:6]).max() > FARTHEST:
+    if width <= 0 or height <= 0 or max(map(abs, values[2:6])) > FARTHEST:
         raise ValueError(
-            f"{where}: got a box of {width:g} x {height:g} pixels at {left:g}, {top:g}, expected a positive "
+            f"got a box of {width:g} x {height:g} pixels at {left:g}, {top:g}, expected a positive "
             f"size and px up to {FARTHEST:g}"
         )
     kind = Kind.PEDESTRIAN
     # Ten columns are MOT15's, where the eighth is a coordinate and no class.
     if len(values) in (8, 9) and values[7] != -1:
-        kind = _KIND_OF_CLASS.get(int(values[7]), Kind.IGNORED) if np.isfinite(values[7]) else Kind.IGNORED
+        kind = _KIND_OF_CLASS.get(int(values[7]), Kind.IGNORED) if math.isfinite(values[7]) else Kind.IGNORED
     if len(values) > 6 and values[6] == 0:
         kind = Kind.IGNORED
     return (*values[:6], kind)

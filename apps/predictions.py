@@ -188,8 +188,10 @@ def _record(arrays: dict[str, NDArray[Any]], number: int, names: dict[str, str])
         if part is not None and (part.dtype.kind not in "iuf" or (np.abs(part) > LARGEST).any()):
             raise ValueError(f"pair {number}, {name}: got {part.dtype}, expected numbers up to {LARGEST:g}")
     predictions = RecordedPredictions(**parts)  # type: ignore[arg-type]
-    if np.linalg.eigvalsh(predictions.noise).min() < LEAST_VARIANCE:
-        raise ValueError(f"pair {number}, noise: got less than {LEAST_VARIANCE:g}, expected more")
+    for name in ("noise", *optional):
+        stated = getattr(predictions, name)
+        if stated is not None and np.linalg.eigvalsh(stated).min() < LEAST_VARIANCE:
+            raise ValueError(f"pair {number}, {name}: got less than {LEAST_VARIANCE:g}, expected more")
     tracks, frames = arrays[f"{number}/tracks"], arrays[f"{number}/frames"]
     if not tracks.shape == frames.shape == (len(predictions),):
         raise ValueError(

@@ -562,6 +562,12 @@ def test_command_on_wrong_folders(tmp_path: Path, capsys: pytest.CaptureFixture[
         arrays = {name: members[name] for name in members.files}
     np.savez(path, **{**arrays, "0/tracks": arrays["0/tracks"][:-1]})
     assert "pair 0: got (1199,) tracks" in complaint(tmp_path)
+    for name, factor, words in (
+        ("first", 1e200, "pair 0, first: got float64, expected numbers up to 1e+14"),
+        ("noise", 1e-310, "pair 0, noise: got less than 1e-14"),
+    ):
+        np.savez(path, **{**arrays, f"0/{name}": arrays[f"0/{name}"] * factor})
+        assert words in complaint(tmp_path)
     np.savez(path, **{**arrays, "0/first": arrays["0/first"] * np.nan})
     assert "first: got [nan, nan] in row 0" in complaint(tmp_path)
     np.savez(path, **{name: array for name, array in arrays.items() if name != "0/observed"})

@@ -5,6 +5,7 @@ its kind, and kept in a folder.
 """
 
 import argparse
+import math
 import re
 import sys
 from collections import Counter
@@ -31,9 +32,9 @@ def main() -> int:
     each = chosen.inputs / sum(shares.values())
     tasks: list[Task] = [
         (reader, number)
-        for number in range(round(each))
+        for number in range(math.ceil(each))
         for reader, share in shares.items()
-        if number < round(share * each)
+        if number < share * each
     ]
     counts = {reader: Counter[str]() for reader in chosen.readers}
     with tqdm(total=len(tasks), unit="inputs") as progress:
