@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 from urllib.parse import urlsplit, urlunsplit
 
 import av
@@ -24,6 +24,7 @@ from .reader import DEFAULT_RATE, Gap, Selection
 from .video_picture import to_bgr
 
 NETWORK_TIMEOUT = 10.0  # seconds for which a server may be silent
+NO_TIMESTAMPS = 0x80  # FFmpeg's AVFMT_NOTIMESTAMPS: Motion JPEG over http, say
 _SILENT = "nothing came for {:g} s"
 
 # Before version 19, titles and the like that are no UTF-8 are errors, unless this is said.
@@ -157,7 +158,7 @@ class VideoReader:
 
     def images(self) -> Iterator[tuple[float | None, NDArray[np.uint8] | None]]:
         """Yield the images of a stream as they arrive until it is `lost`, as `Feed` has it."""
-        timed = not self._container.format.flags & cast(int, av.format.Flags.no_timestamps.value)
+        timed = not self._container.format.flags & NO_TIMESTAMPS
         for seconds, picture in self._pictures():
             yield seconds if timed else None, None if picture is None else to_bgr(picture)
         self.lost = self.lost or "it ended"

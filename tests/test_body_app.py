@@ -268,8 +268,8 @@ def test_a_stream_is_read_once(
     """Its first frames are looked at, and then tracked."""
     opened = []
 
-    def stream(*arguments: Any) -> Source:
-        source = open_source(*arguments)
+    def stream(*arguments: Any, **options: Any) -> Source:
+        source = open_source(*arguments, **options)
         source.kind = "stream"
         opened.append(source)
         return source
