@@ -1,19 +1,19 @@
 """The background application: from a source of frames to masks, tracks, pictures and a report."""
 
+import logging
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..inference import Belief, MultiChain, RecursiveBP
 from ..inference.recursive_bp import BEGINNING
 from ..models import Frame, ObjectBoxes, PixelLabels
-from ..models.threads import set_threads, thread_count
+from ..models.threads import thread_count
 from .ground_truth import MaskTruth, common_frames, read_ground_truth
 from .interruption import Interruption, Outcome
 from .parameters import SECTIONS, Parameters, build_chain, read_parameters, with_defaults
@@ -36,6 +36,8 @@ from .results import (
 from .scoring import Scoring, track_rows
 from .sources import Source, open_source
 from .versions import versions
+
+_log = logging.getLogger(__name__)
 
 Engine = Literal["recursive-bp", "feed-forward", "stand-alone"]
 ENGINES: tuple[Engine, ...] = ("recursive-bp", "feed-forward", "stand-alone")
@@ -130,7 +132,6 @@ class Job:
     masks: Literal["none", "png", "video"] = "png"
     ground_truth: Path | None = None
     seed: int = 0
-    threads: int | None = None
 
     def settings(self, parameters: Parameters) -> dict[str, Any]:
         """What the results depend on: a run is resumed only with the same."""
@@ -162,9 +163,6 @@ def run_background(job: Job) -> Outcome:
         raise ValueError(f"--every: got {job.every}, expected 1 or more frames")
     if job.resume and job.overwrite:
         raise ValueError("--resume and --overwrite: got both, expected one of them")
-    if job.threads is not None:
-        set_threads(job.threads)
-        cv2.setNumThreads(job.threads)
     parameters = read_parameters(job.config) if job.config else {}
     run = _Run(job, job.settings(parameters), RecursiveBP(build_model(job.engine, parameters)))
     with Interruption() as interruption:
@@ -324,6 +322,7 @@ class _Run:
         for writer in writers:
             writer.checkpoint()
         self._save()
+        _log.info("state saved after frame %d", self._state.number)
 
     def _save(self, finished: dict[str, Any] | None = None) -> None:
         about = {
@@ -415,7 +414,7 @@ def read_truth(job: Job, source: Source, region: NDArray[np.uint8] | None) -> Sc
         height, width = truth.labels(numbers[0]).shape
         if (width, height) != source.size:
             raise ValueError(
-                f"ground truth: {truth.files[numbers[0]]} has {width}x{height} px, "
+                f"--ground-truth: {truth.files[numbers[0]]} has {width}x{height} px, "
                 f"expected {source.size[0]}x{source.size[1]} like {source.name}"
             )
     return Scoring(truth, region)

@@ -1,5 +1,6 @@
 """The body application: from a film of a person to the pose of the upper body in every frame."""
 
+import logging
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,6 +28,8 @@ from .progress import Progress
 from .results import check_output, write_json, write_together
 from .sources import Source, open_source
 from .versions import versions
+
+_log = logging.getLogger(__name__)
 
 Image = NDArray[np.uint8]
 
@@ -169,6 +172,12 @@ class _Run:
             start = start_from_head(first, read_head(job.head), images, clicked)
         else:
             start = start_from_faces(self._source.name, images, job.detector, clicked)
+        found = (
+            "the head as marked"
+            if job.head is not None
+            else str(job.detector or "OpenCV's cascades of faces")
+        )
+        _log.info("start in frame %d, by %s: %s", first.number, found, start.origin)
         return start, chain([first], frames)
 
     def _looked_at(self) -> list[Image]:

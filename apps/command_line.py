@@ -1,12 +1,16 @@
 """The command `rsmcm`. Everything heavy is imported where a subcommand starts, so that help comes at once."""
 
+import logging
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Group, Parameter, Token
+
+from .complaints import about_options, convert_strictly, not_negative, one_line
 
 USAGE_ERROR = 2
 SIGNALLED = 128  # plus the number of the signal: 130 for Ctrl-C
@@ -16,11 +20,15 @@ app = App(
     name="rsmcm",
     help="Multi-chain tracking: dynamic models of a scene share latent features and correct each other.",
     version=version("rsmcm"),
+    default_parameter=Parameter(converter=convert_strictly),
 )
 reproduce = App(name="reproduce", help="Reproduce figures of the papers, wanted values beside measured ones.")
 app.command(reproduce)
+app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
+app.meta.group_parameters = Group("Of every command", sort_key=1)
 
 Flag = Annotated[bool, Parameter(negative="")]
+Seed = Annotated[int, Parameter(validator=not_negative)]
 
 
 @app.command
@@ -40,8 +48,7 @@ def background(
     masks: Literal["none", "png", "video"] = "png",
     ground_truth: Path | None = None,
     compare: Flag = False,
-    seed: int = 0,
-    threads: int | None = None,
+    seed: Seed = 0,
 ) -> int:
     """Separate moving objects from the background, and track them.
 
@@ -82,14 +89,12 @@ def background(
         Also run the background by itself, feed-forward, MOG2 and KNN on the source, and draw the comparison.
     seed
         Of random numbers; recorded with the results.
-    threads
-        How many threads the loops over pixels use.
     """
     from . import background as application
 
     job = application.Job(
         source, out, engine, config, roi, start, stop, step, resume, overwrite, every, masks, ground_truth,
-        seed, threads,
+        seed,
     )  # fmt: skip
     outcome = application.run_background(job)
     print(_in_words(outcome.summary))
@@ -167,7 +172,7 @@ def face(
     detector: Path | None = None,
     experts: int = 20,
     gain: float | Literal["learned"] = 0.1,
-    seed: int = 0,
+    seed: Seed = 0,
     start: int = 1,
     stop: int | None = None,
     step: int = 1,
@@ -247,7 +252,7 @@ def body(
     head: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     joints: Path | None = None,
     samples: int = 1000,
-    seed: int = 0,
+    seed: Seed = 0,
     start: int = 1,
     stop: int | None = None,
     step: int = 1,
@@ -565,28 +570,64 @@ def _in_words(summary: Mapping[str, Any]) -> str:
     return words
 
 
+def _as_typed(_: object, tokens: Sequence[Token]) -> str:
+    return tokens[0].value
+
+
+@app.meta.default
+def launch(
+    *command: Annotated[str, Parameter(show=False, allow_leading_hyphen=True, converter=_as_typed)],
+    threads: int | None = None,
+    quiet: Flag = False,
+    verbose: Flag = False,
+) -> int | None:
+    """Run a command as its options and those of every command say.
+
+    Parameters
+    ----------
+    command
+        Its name and its own options.
+    threads
+        How many threads the loops over pixels use; the results do not depend on it. At most 2 if not given.
+    quiet
+        Print nothing but errors.
+    verbose
+        Also print what is found out and decided on the way.
+    """
+    if quiet and verbose:
+        raise ValueError("--quiet and --verbose: got both, expected one of them")
+    function, bound, _ = app.parse_args(command, exit_on_error=False, print_error=False)
+    from .progress import show_messages
+
+    show_messages(logging.ERROR if quiet else logging.INFO if verbose else logging.WARNING)
+    try:
+        if threads is not None:
+            from ..models.threads import set_threads
+
+            set_threads(threads)
+            logging.getLogger("rsmcm").info("threads: %d", threads)
+        with redirect_stdout(None if quiet else sys.stdout):
+            code: int | None = function(*bound.args, **bound.kwargs)
+    except ValueError as error:
+        raise about_options(error, launch, function) from None
+    return code
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; whatever is wrong with it is one line on standard error and exit code 2."""
     try:
-        code = app(
+        code = app.meta(
             sys.argv[1:] if arguments is None else arguments,
             exit_on_error=False,
             print_error=False,
             result_action="return_value",
         )
     except (CycloptsError, ValueError, OSError) as error:
-        print(f"rsmcm: {_one_line(error)}", file=sys.stderr)
+        print(f"rsmcm: {one_line(error)}", file=sys.stderr)
         code = USAGE_ERROR
     except KeyboardInterrupt:
         code = SIGNALLED + INTERRUPT
     sys.exit(code or 0)
-
-
-def _one_line(error: Exception) -> str:
-    """The error's message without line breaks; system errors as "file: reason"."""
-    if isinstance(error, OSError) and error.strerror and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The face application: from a film of a face to its pose, deformation and texture in every frame."""
 
+import logging
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,6 +29,8 @@ from .progress import Progress
 from .results import check_output, write_json, write_together
 from .sources import Source, open_source
 from .versions import versions
+
+_log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -154,6 +157,8 @@ class _Run:
         else:
             self._complain(interruption)
         job = self._job
+        found = "landmarks" if self._given is not None else str(job.detector or "OpenCV's cascade of faces")
+        _log.info("start in frame %d, by %s", first.number, found)
         chain = GFlow(start.model, start.pose, experts=job.experts, gain=job.gain, seed=job.seed)
         engine = RecursiveBP(MultiChain().connect(chain, PixelLabels()))
         rate = self._source.rate / job.step

@@ -159,8 +159,9 @@ def check_output(folder: Path, *, overwrite: bool = False, resume: bool | None =
     NotADirectoryError
         if it is no folder.
     """
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(errno.ENOTDIR, "expected a folder", str(folder))
+    there = next(each for each in (folder, *folder.parents) if each.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "expected a folder", str(there))
     present = sorted(path for pattern in RESULT_PATTERNS for path in folder.glob(pattern))
     if present and not overwrite and not resume:
         ways = "--overwrite" if resume is None else "--overwrite or --resume"

@@ -4,6 +4,7 @@ import configparser
 import glob
 import hashlib
 import itertools
+import logging
 import math
 import os
 import queue
@@ -26,6 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models.frame import Frame
+
+_log = logging.getLogger(__name__)
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpg", ".jpeg", ".jp2", ".pbm", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
@@ -199,6 +202,7 @@ class Source:
         """Note a missing frame; refuse one of another size or type than the first."""
         if frame.image is None:
             self.skipped.append(frame.number)
+            _log.info("frame %d is missing or unreadable", frame.number)
             return frame
         form = frame.image.shape
         if self._form is None:
