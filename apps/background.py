@@ -269,7 +269,7 @@ def read_truth(job: Job, source: Source, region: NDArray[np.uint8] | None) -> Sc
         height, width = truth.labels(numbers[0]).shape
         if (width, height) != source.size:
             raise ValueError(
-                f"ground truth: {truth.files[numbers[0]]} has {width}x{height} px, "
+                f"--ground-truth: {truth.files[numbers[0]]} has {width}x{height} px, "
                 f"expected {source.size[0]}x{source.size[1]} like {source.name}"
             )
     return Scoring(truth, region)

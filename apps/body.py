@@ -1,5 +1,6 @@
 """The body application: from a film of a person to the pose of the upper body in every frame."""
 
+import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -25,6 +26,8 @@ from .memory import BODY, SAMPLE
 from .results import segment_pattern
 from .saved_run import SavedRun
 from .sources import open_source
+
+_log = logging.getLogger(__name__)
 
 Image = NDArray[np.uint8]
 
@@ -130,6 +133,8 @@ class BodyRun(FilmRun):
             start = start_from_head(first, read_head(job.head), images, self._clicked)
         else:
             start = start_from_faces(self.source.name, images, job.detector, self._clicked)
+        found = "the head as marked" if job.head else str(job.detector or "OpenCV's cascades of faces")
+        _log.info("start in frame %d, by %s: %s", first.number, found, start.origin)
         self._begin_with(start)
         return chain([first], frames)
 

@@ -1,14 +1,17 @@
 """The command `rsmcm`. Everything heavy is imported where a subcommand starts, so that help comes at once."""
 
+import logging
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Group, Parameter, Token
 
+from .complaints import about_options, convert_strictly, not_negative, one_line
 from .interruption import Outcome
 from .opencv_packages import opencv_hint
 
@@ -22,12 +25,16 @@ app = App(
     help="Multi-chain tracking: dynamic models of a scene share latent features and correct each other.",
     version=version("rsmcm"),
     suppress_keyboard_interrupt=False,
+    default_parameter=Parameter(converter=convert_strictly),
 )
 reproduce = App(name="reproduce", help="Reproduce figures of the papers, wanted values beside measured ones.")
 app.command(reproduce)
+app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
+app.meta.group_parameters = Group("Of every command", sort_key=1)
 
 Flag = Annotated[bool, Parameter(negative="")]
 From = Annotated[Path | None, Parameter(name="--from")]
+Seed = Annotated[int, Parameter(validator=not_negative)]
 
 
 @app.command
@@ -48,8 +55,7 @@ def background(
     masks: Literal["none", "png", "video"] = "png",
     ground_truth: Path | None = None,
     compare: Flag = False,
-    seed: int = 0,
-    threads: int | None = None,
+    seed: Seed = 0,
     reconnect: float | None = None,
 ) -> int:
     """Separate moving objects from the background, and track them.
@@ -94,8 +100,6 @@ def background(
         Also run the background by itself, feed-forward, MOG2 and KNN on the source, and draw the comparison.
     seed
         Of random numbers; recorded with the results.
-    threads
-        How many threads the loops over pixels use.
     reconnect
         When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
@@ -103,7 +107,7 @@ def background(
 
     job = application.Job(
         source, out, engine, config, roi, masks, ground_truth, start=start, stop=stop, step=step,
-        resume=resume, overwrite=overwrite, every=every, learned=from_, seed=seed, threads=threads,
+        resume=resume, overwrite=overwrite, every=every, learned=from_, seed=seed,
         reconnect=reconnect,
     )  # fmt: skip
     outcome = application.run_background(job)
@@ -131,7 +135,6 @@ def structure(
     step: int = 1,
     resume: Flag = False,
     overwrite: Flag = False,
-    threads: int | None = None,
     reconnect: float | None = None,
 ) -> int:
     """Track points, and find their shape and the motion of the camera.
@@ -163,17 +166,13 @@ def structure(
         Go on with the run whose results are in the folder, from its last saved round.
     overwrite
         Remove the results that are in the folder.
-    threads
-        How many threads the loops over pixels use.
     reconnect
         When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
     from .structure import StructureJob, run_structure
 
     outcome = run_structure(
-        StructureJob(
-            source, out, coherence, association, start, stop, step, resume, overwrite, threads, reconnect
-        )
+        StructureJob(source, out, coherence, association, start, stop, step, resume, overwrite, reconnect)
     )
     summary = outcome.summary
     print(
@@ -197,7 +196,7 @@ def face(
     detector: Path | None = None,
     experts: int = 20,
     gain: float | Literal["learned"] = 0.1,
-    seed: int = 0,
+    seed: Seed = 0,
     start: int = 1,
     stop: int | None = None,
     step: int = 1,
@@ -205,7 +204,6 @@ def face(
     overwrite: Flag = False,
     every: int = 500,
     from_: From = None,
-    threads: int | None = None,
     reconnect: float | None = None,
 ) -> int:
     """Track a face: its pose, deformation and texture.
@@ -255,8 +253,6 @@ def face(
     from_
         Begin with what a run over another film of the face has learned, its shape and texture: the
         state.npz of its results. A recording is taken to go on where that one ended.
-    threads
-        How many threads the loops over pixels use.
     reconnect
         When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
@@ -266,7 +262,7 @@ def face(
         FaceJob(
             source, out, model, landmarks, correspondences, detector, experts, gain, start=start, stop=stop,
             step=step, resume=resume, overwrite=overwrite, every=every, learned=from_, seed=seed,
-            threads=threads, reconnect=reconnect,
+            reconnect=reconnect,
         )
     )  # fmt: skip
     summary = outcome.summary
@@ -294,7 +290,7 @@ def body(
     head: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     joints: Path | None = None,
     samples: int = 1000,
-    seed: int = 0,
+    seed: Seed = 0,
     start: int = 1,
     stop: int | None = None,
     step: int = 1,
@@ -302,7 +298,6 @@ def body(
     overwrite: Flag = False,
     every: int = 500,
     from_: From = None,
-    threads: int | None = None,
     reconnect: float | None = None,
 ) -> int:
     """Track a person's upper body: the pose of head and arms, in depth as well.
@@ -348,8 +343,6 @@ def body(
     from_
         Begin with what a run over another film of the person has learned, lengths, colour and pose: the
         state.npz of its results. A recording is taken to go on where that one ended.
-    threads
-        How many threads the loops over pixels use.
     reconnect
         When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
@@ -358,7 +351,7 @@ def body(
     outcome = run_body(
         BodyJob(
             source, out, detector, head, joints, samples, start=start, stop=stop, step=step, resume=resume,
-            overwrite=overwrite, every=every, learned=from_, seed=seed, threads=threads,
+            overwrite=overwrite, every=every, learned=from_, seed=seed,
         reconnect=reconnect,
         )
     )  # fmt: skip
@@ -638,12 +631,55 @@ def _in_words(summary: Mapping[str, Any]) -> str:
     return words
 
 
+def _as_typed(_: object, tokens: Sequence[Token]) -> str:
+    return tokens[0].value
+
+
+@app.meta.default
+def launch(
+    *command: Annotated[str, Parameter(show=False, allow_leading_hyphen=True, converter=_as_typed)],
+    threads: int | None = None,
+    quiet: Flag = False,
+    verbose: Flag = False,
+) -> int | None:
+    """Run a command as its options and those of every command say.
+
+    Parameters
+    ----------
+    command
+        Its name and its own options.
+    threads
+        How many threads the loops over pixels use; the results do not depend on it. At most 2 if not given.
+    quiet
+        Print nothing but errors.
+    verbose
+        Also print what is found out and decided on the way.
+    """
+    if quiet and verbose:
+        raise ValueError("--quiet and --verbose: got both, expected one of them")
+    function, bound, _ = app.parse_args(command, exit_on_error=False, print_error=False)
+    from .progress import show_messages
+
+    show_messages(logging.ERROR if quiet else logging.INFO if verbose else logging.WARNING)
+    try:
+        if threads is not None:
+            from ..models.threads import set_threads
+
+            set_threads(threads)
+            logging.getLogger("rsmcm").info("threads: %d", threads)
+        with redirect_stdout(None if quiet else sys.stdout):
+            code: int | None = function(*bound.args, **bound.kwargs)
+    except ValueError as error:
+        raise about_options(error, launch, function) from None
+    return code
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; whatever is wrong with it is one line on standard error and exit code 2."""
     if isinstance(sys.stdout, TextIOWrapper):  # what its encoding lacks must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        code = app(
+        code = app.meta(
             sys.argv[1:] if arguments is None else arguments,
             exit_on_error=False,
             print_error=False,
@@ -653,19 +689,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         hint = opencv_hint(error)
         if isinstance(error, ImportError | AttributeError) and not hint:
             raise
-        print(f"rsmcm: {_one_line(error)}{hint}", file=sys.stderr)
+        print(f"rsmcm: {one_line(error)}{hint}", file=sys.stderr)
         code = USAGE_ERROR
     except KeyboardInterrupt as stop:
         print(f"rsmcm: {stop or 'interrupted'}", file=sys.stderr)
         code = SIGNALLED + getattr(stop, "signal", INTERRUPT)
     sys.exit(code or 0)
-
-
-def _one_line(error: Exception) -> str:
-    """The error's message without line breaks; system errors as "file: reason"."""
-    if isinstance(error, OSError) and error.strerror and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 if __name__ == "__main__":

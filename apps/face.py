@@ -1,5 +1,6 @@
 """The face application: from a film of a face to its pose, deformation and texture in every frame."""
 
+import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
@@ -27,6 +28,8 @@ from .point_files import read_points
 from .results import segment_pattern
 from .saved_run import SavedRun
 from .sources import open_source
+
+_log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -137,6 +140,8 @@ class FaceRun(FilmRun):
             if self._given is not None or len(self._before) == len(self.blank):
                 raise self.no_frame("holds no frame in which anything is to be seen")
             raise self.no_frame("no face is found in it, expected one, or --landmarks")
+        found = "landmarks" if self._given else str(self._job.detector or "OpenCV's cascade of faces")
+        _log.info("start in frame %d, by %s", first.number, found)
         self._begin_with(start)
         return chain([first], frames)
 

@@ -4,6 +4,7 @@ All applications that filter frame after frame run this way. They differ in thei
 known before the first frame, and in what they write.
 """
 
+import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +17,7 @@ from typing import Any, ClassVar, Protocol
 from ..inference import Belief, RecursiveBP
 from ..inference.recursive_bp import BEGINNING, RunState
 from ..models.frame import Frame
-from ..models.threads import set_threads, thread_count
+from ..models.threads import thread_count
 from .blank_frames import SeenFrames
 from .interruption import Interrupted, Interruption, Outcome
 from .memory import check_memory
@@ -26,6 +27,8 @@ from .results import naming, segment_pattern, write_json
 from .saved_run import STATE, SavedRun, check_source
 from .sources import Source, describe, open_source
 from .versions import versions
+
+_log = logging.getLogger(__name__)
 
 ALWAYS = (STATE, "summary.json", "report.html", "overlay.mp4", segment_pattern("overlay.mp4"))
 """Files that every such run leaves."""
@@ -52,7 +55,6 @@ class FilmJob:
     every: int = 500
     learned: Path | None = None
     seed: int = 0
-    threads: int | None = None
     reconnect: float | None = None
 
     def __post_init__(self) -> None:
@@ -203,8 +205,6 @@ class FilmRun(ABC):
 
     def _carried_out(self) -> Outcome:
         job = self.job
-        if job.threads is not None:
-            set_threads(job.threads)
         with (
             self.interruption,
             output_folder(job.out, self.application, overwrite=job.overwrite, resume=job.resume) as folder,
@@ -274,6 +274,7 @@ class FilmRun(ABC):
             if self.state.shape is not None:  # perhaps no frame is left to ask
                 self.source.size = (self.state.shape[1], self.state.shape[0])
             self.go_on(saved.memory)
+            _log.info("goes on after frame %d", self.state.number)
             return frames
         if self.job.learned is None:
             return self.begin(frames)
@@ -282,6 +283,7 @@ class FilmRun(ABC):
         if first is None:
             raise self.no_frame("holds no frame")
         self.state = self._moved(learned, first)
+        _log.info("begins with what %s has learned", self.job.learned)
         self.learn_from(learned)
         return chain([first], frames)
 
@@ -335,6 +337,7 @@ class FilmRun(ABC):
         for writer in writers:
             writer.checkpoint()
         self._save()
+        _log.info("state saved after frame %d", self.state.number)
 
     def _save(self, finished: dict[str, Any] | None = None) -> None:
         source = self.source

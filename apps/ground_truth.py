@@ -157,9 +157,9 @@ def read_ground_truth(path: str | Path) -> BoxTruth | MaskTruth:
                 return _read_boxes(path / name)
         if (path / "groundtruth").is_dir():
             return _read_masks(path)
-        raise FileNotFoundError(f"ground truth: {path} holds no gt/gt.txt, gt.txt or groundtruth folder")
+        raise FileNotFoundError(f"--ground-truth: {path} holds no gt/gt.txt, gt.txt or groundtruth folder")
     if not path.exists():
-        raise FileNotFoundError(f"ground truth: no such file or folder: {path}")
+        raise FileNotFoundError(f"--ground-truth: no such file or folder: {path}")
     return _read_boxes(path)
 
 
@@ -182,7 +182,7 @@ def common_frames(truth: BoxTruth | MaskTruth, processed: range) -> Sequence[int
     if not common:
         span = f"frames {processed[0]} to {processed[-1]}" if processed else "no frame"
         raise ValueError(
-            f"ground truth: annotates frames {annotated[0]} to {annotated[-1]}, but {span} were processed"
+            f"--ground-truth: annotates frames {annotated[0]} to {annotated[-1]}, but {span} were processed"
         )
     return common
 

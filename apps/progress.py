@@ -1,5 +1,6 @@
-"""A progress bar with rate and time left, also where the length is unknown or nobody watches."""
+"""What is said on standard error while a run goes on: progress, with rate and time left, and messages."""
 
+import logging
 import sys
 import time
 from types import TracebackType
@@ -9,9 +10,27 @@ from tqdm import tqdm
 
 SPARSE_SECONDS = 10.0  # between lines where standard error is no terminal
 
+_package = logging.getLogger("rsmcm")
+
+
+def show_messages(level: int) -> None:
+    """Show the package's messages from `level` on; above `logging.WARNING`, no progress is shown either.
+
+    Modules say what they find out and decide as `logging.INFO`, by `logging.getLogger(__name__)`.
+    """
+    _package.handlers = [_BesideProgress()]
+    _package.setLevel(level)
+
+
+class _BesideProgress(logging.Handler):
+    """Writes messages to standard error, above a progress bar."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        tqdm.write(self.format(record), file=sys.stderr)
+
 
 class Progress:
-    """Progress on standard error: a bar in a terminal, elsewhere a line every 10 s at most.
+    """Progress: a bar in a terminal, elsewhere a line every 10 s at most.
 
     Parameters
     ----------
@@ -31,8 +50,9 @@ class Progress:
         self._total = total
         self._first = self._done = done
         self._started = self._printed = time.monotonic()
+        self._shown = _package.isEnabledFor(logging.WARNING)
         self._bar: tqdm[Never] | None = None
-        if sys.stderr.isatty():
+        if self._shown and sys.stderr.isatty():
             self._bar = tqdm(
                 total=total, initial=done, desc=label, unit=f" {unit}", dynamic_ncols=True, file=sys.stderr
             )
@@ -52,7 +72,7 @@ class Progress:
             self._bar.update(n_frames)
             return
         now = time.monotonic()
-        if now - self._printed >= SPARSE_SECONDS:
+        if self._shown and now - self._printed >= SPARSE_SECONDS:
             self._printed = now
             print(self._line(now), file=sys.stderr, flush=True)
 

@@ -1,6 +1,7 @@
 """Where frames come from: video files, folders of images, cameras and network streams."""
 
 import glob
+import logging
 import math
 import threading
 from collections import deque
@@ -19,6 +20,8 @@ from .reader import DEFAULT_RATE, Reader, Selection
 from .video_reader import VideoReader, without_password
 
 __all__ = ["DEFAULT_RATE", "Selection", "Source", "describe", "open_source"]
+
+_log = logging.getLogger(__name__)
 
 NETWORK_SCHEMES = frozenset({"http", "https", "rtsp", "rtsps"})
 DECODE_AHEAD = 4  # frames: smooths uneven processing, yet holds little memory at 4K
@@ -191,6 +194,7 @@ class Source:
         """Note a missing frame; refuse one of another size or type than the first."""
         if frame.image is None:
             self.skipped.append(frame.number)
+            _log.info("frame %d is missing or unreadable", frame.number)
             return frame
         form = frame.image.shape
         if self._form is None:

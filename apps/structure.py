@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from ..inference import Solution
 from ..models.frame import Frame
-from ..models.threads import set_threads
 from .interruption import Interrupted, Interruption, Outcome
 from .memory import STRUCTURE, STRUCTURE_FRAME, check_memory
 from .output_folder import OutputFolder, output_folder
@@ -65,7 +64,6 @@ class StructureJob:
     step: int = 1
     resume: bool = False
     overwrite: bool = False
-    threads: int | None = None
     reconnect: float | None = None
 
     def __post_init__(self) -> None:
@@ -128,8 +126,6 @@ def run_structure(job: StructureJob) -> Outcome:
     Interrupted
         if a signal came before there was any result.
     """
-    if job.threads is not None:
-        set_threads(job.threads)
     with (
         Interruption() as interruption,
         output_folder(job.out, APPLICATION, overwrite=job.overwrite, resume=job.resume) as folder,

@@ -2,16 +2,22 @@
 
 import os
 import resource
+import shlex
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from types import NoneType
+from typing import Any, get_args
 
 import cv2
 import numpy as np
 import pytest
+from cyclopts import App
+from rsmcm.apps import command_line
 from rsmcm.apps.command_line import main
 from rsmcm.apps.demo import write_scene
 from rsmcm.apps.results import PLAYABLE, SegmentedVideo
@@ -62,19 +68,27 @@ def write(path: Path, content: bytes | str) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "--out requires an argument"),
-        (["--out"], "--out"),
-        (["--out", "OUT", "--engine", "magic"], 'Invalid value "magic" for --engine'),
-        (["--out", "OUT", "--start", "x"], 'unable to convert "x" into int'),
-        (["--out", "OUT", "--frobnicate"], "Unknown option: --frobnicate"),
-        (["--out", "OUT", "--masks", "gif"], 'Invalid value "gif" for --masks'),
-        (["--out", "OUT", "another"], "another"),
-        (["--out", "OUT", "--start", "0"], "start: got 0"),
-        (["--out", "OUT", "--start", "13"], "start: got 13, but"),
-        (["--out", "OUT", "--start", "5", "--stop", "4"], "stop: got 4"),
-        (["--out", "OUT", "--step", "0"], "step: got 0"),
+        ([], "--out is needed"),
+        (["--out"], "--out: got no value, expected one"),
+        (["--out="], "--out: got no value, expected one"),
+        (
+            ["--out", "OUT", "--engine", "magic"],
+            "--engine: got 'magic', expected recursive-bp, feed-forward or",
+        ),
+        (["--out", "OUT", "--frobnicate"], "unknown option --frobnicate"),
+        (["--out", "OUT", "--overwrit"], "unknown option --overwrit, did you mean --overwrite?"),
+        (["--out", "OUT", "--overwrite=maybe"], "--overwrite: got 'maybe', expected no value"),
+        (["--out", "OUT", "--masks", "gif"], "--masks: got 'gif', expected none, png or video"),
+        (["--out", "OUT", "another"], "got 'another' as well"),
+        (["--out", "OUT", "--out", "OUT"], "--out: got it twice"),
+        (["--out", "OUT", "--seed", "-1"], "--seed: got -1, expected 0 or more"),
+        (["--out", "OUT", "--quiet", "--verbose"], "--quiet and --verbose: got both"),
+        (["--out", "OUT", "--start", "0"], "--start: got 0"),
+        (["--out", "OUT", "--start", "13"], "--start: got 13, but"),
+        (["--out", "OUT", "--start", "5", "--stop", "4"], "--stop: got 4"),
+        (["--out", "OUT", "--step", "0"], "--step: got 0"),
         (["--out", "OUT", "--every", "0"], "--every: got 0"),
-        (["--out", "OUT", "--threads", "0"], "threads: got 0"),
+        (["--out", "OUT", "--threads", "0"], "--threads: got 0"),
         (["--out", "OUT", "--resume", "--overwrite"], "--resume and --overwrite"),
         (["--out", "OUT", "--roi", "0,0,65,48"], "inside the picture of 64x48"),
         (["--out", "OUT", "--roi", "-1,0,5,5"], "inside the picture of 64x48"),
@@ -82,7 +96,7 @@ def write(path: Path, content: bytes | str) -> Path:
         (["--out", "OUT", "--roi", "1,2,3"], "expected x,y,width,height"),
         (["--out", "OUT", "--roi", "nowhere.png"], "neither x,y,width,height nor a file"),
         (["--out", "OUT", "--config", "nowhere.toml"], "nowhere.toml: No such file"),
-        (["--out", "OUT", "--ground-truth", "nowhere"], "no such file or folder: nowhere"),
+        (["--out", "OUT", "--ground-truth", "nowhere"], "--ground-truth: no such file or folder: nowhere"),
     ],
 )
 def test_wrong_options(
@@ -95,8 +109,113 @@ def test_wrong_options(
 
 
 def test_wrong_subcommands(capfd: pytest.CaptureFixture[str]) -> None:
-    assert 'Unknown command "backgroud"' in complaint(capfd, "backgroud")
-    assert 'Unknown command "nothing"' in complaint(capfd, "reproduce", "nothing")
+    assert "unknown command 'backgroud', did you mean background?" in complaint(capfd, "backgroud")
+    assert "unknown command 'x', expected reproduce, background, " in complaint(capfd, "x")
+    assert "unknown command 'nothing', expected sleeping-man, " in complaint(capfd, "reproduce", "nothing")
+    assert "unknown option --frobnicate" in complaint(capfd, "--frobnicate")
+    assert "SOURCE is needed" in complaint(capfd, "face")
+    assert "SOURCE: got no value" in complaint(capfd, "face", "")
+
+
+def options() -> Iterator[tuple[tuple[str, ...], str, Any]]:
+    """Every option of every command, with the type of its value."""
+
+    def of(app: App, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str, Any]]:
+        if app.default_command is not None:
+            for argument in app.assemble_argument_collection():
+                if argument.field_info.is_keyword_only:
+                    yield path, argument.name, argument.hint
+        for name in app:
+            if not name.startswith("-"):
+                yield from of(app[name], (*path, name))
+
+    yield from of(command_line.app, ())
+    for name, hint in (("--threads", int), ("--quiet", bool), ("--verbose", bool)):
+        yield ("background",), name, hint
+
+
+@pytest.mark.parametrize(
+    ("path", "option", "hint"), [pytest.param(*each, id=" ".join((*each[0], each[1]))) for each in options()]
+)
+def test_every_option_is_named_in_what_is_wrong_with_it(
+    path: tuple[str, ...], option: str, hint: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    wrong: dict[Any, list[str]] = {
+        int: ["1.5", "1e3", "0x10", "True", "nan", "1_0", "x", "9" * 5000],
+        float: ["x", "1,5", "0x10"],
+        bool: ["maybe"],
+        str: [],
+        Path: [],
+    }
+    kinds = [kind for kind in get_args(hint) or [hint] if kind is not NoneType]
+    values = wrong.get(kinds[0], ["no such choice"])
+    needed = [] if path[0] in ("demo", "reproduce") else ["nowhere"]
+    for other, value in (("--out", "x"), ("--bases", "3")):
+        if other != option and (other == "--out" or path == ("shape",)):
+            needed += [other, value]
+    for value in values:
+        line = complaint(capfd, *path, *needed, f"{option}={value}")
+        assert line.startswith(f"rsmcm: {option}: got {value!r}, expected "), line
+    if kinds != [bool]:
+        for nothing in ([option], [f"{option}="]):
+            line = complaint(capfd, *path, *needed, *nothing)
+            assert line.startswith(f"rsmcm: {option}: got no value, expected "), line
+
+
+def test_whole_numbers_keep_their_sign_and_zeros() -> None:
+    for typed, number in (("7", 7), ("007", 7), ("+7", 7), ("-7", -7), ("0", 0)):
+        _, bound, _ = command_line.app.parse_args(["face", "film", "--out", "x", "--start", typed])
+        assert bound.arguments["start"] == number
+
+
+def say(capfd: pytest.CaptureFixture[str], *arguments: object) -> tuple[str, str]:
+    """What a command prints that comes to its end."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    assert ended.value.code == 0
+    out, err = capfd.readouterr()
+    return out, err
+
+
+def test_quiet_and_verbose(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Quiet says nothing at all, verbose what the usual run does and more, and neither lasts."""
+    folder = tmp_path / "input"
+    shutil.copytree(scene / "input", folder)
+    (folder / "in000004.png").write_bytes(b"damaged")
+    start = ("background", folder, "--overwrite", "--every", "5", "--out", tmp_path / "out")
+    assert say(capfd, *start, "--quiet") == ("", "")
+    results = sorted(path.name for path in (tmp_path / "out").iterdir())
+    out, err = say(capfd, *start, "--verbose", "--threads", "1")
+    assert "12 frames" in out
+    for word in ("threads: 1", "frame 4 is missing or unreadable", "state saved after frame 5"):
+        assert f"{word}\n" in err
+    out, err = say(capfd, *start)
+    assert "12 frames" in out
+    assert "missing" not in err
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == results
+    assert "nowhere" in complaint(capfd, "background", "nowhere", "--out", tmp_path / "x", "--quiet")
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+def test_completion_is_installed(tmp_path: Path) -> None:
+    """In bash, which then completes commands and options."""
+    environment = {**os.environ, "HOME": str(tmp_path), "SHELL": "/bin/bash"}
+    done = subprocess.run(
+        ["bash", "-c", f"{' '.join(map(shlex.quote, COMMAND))} --install-completion; echo ended with $?"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.stdout.endswith("ended with 0\n"), done
+    (script,) = (path for path in tmp_path.rglob("*rsmcm*") if path.is_file())
+    for words, expected in (("rsmcm bo", "body"), ("rsmcm face --lan", "--landmarks")):
+        complete = (
+            f"source {shlex.quote(str(script))}; COMP_WORDS=({words}); COMP_CWORD={words.count(' ')}; "
+            f"$(complete -p rsmcm | sed 's/.*-F \\([^ ]*\\) .*/\\1/'); echo ${{COMPREPLY[@]}}"
+        )
+        printed = subprocess.run(["bash", "-c", complete], capture_output=True, text=True, check=True).stdout
+        assert printed.split() == [expected]
 
 
 def test_wrong_sources(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -261,8 +380,9 @@ def test_folder_that_cannot_be_written(
 def test_output_that_is_no_folder(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = write(tmp_path / "file", "")
     assert "expected a folder" in complaint(capfd, "background", scene / "input", "--out", file)
-    below = complaint(capfd, "background", scene / "input", "--out", file / "out")
-    assert "Not a directory" in below
+    for command in ("background", "structure", "face", "body"):
+        below = complaint(capfd, command, scene / "input", "--out", file / "deep" / "out")
+        assert f"{file}: expected a folder" in below
     assert "/proc/nothing" in complaint(capfd, "background", scene / "input", "--out", "/proc/nothing")
 
 

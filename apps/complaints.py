@@ -1,0 +1,135 @@
+"""What is wrong with a command, in one line that names the option as it was typed."""
+
+import inspect
+import re
+from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin
+
+from cyclopts import (
+    Argument,
+    CoercionError,
+    CycloptsError,
+    MissingArgumentError,
+    RepeatArgumentError,
+    Token,
+    UnknownCommandError,
+    UnknownOptionError,
+    UnusedCliTokensError,
+    ValidationError,
+    convert,
+)
+
+EXPECTED = {int: "a whole number", float: "a number", bool: "no value"}
+
+
+def convert_strictly(kind: Any, tokens: Sequence[Token]) -> Any:
+    """Convert what was typed as cyclopts does, but nothing empty, and only digits to a whole number.
+
+    Otherwise an empty path would be the current folder, and 1.5 be rounded.
+
+    Raises
+    ------
+    ValueError
+        if it is not what is expected.
+    """
+    typed = tokens[0].value
+    if not typed or (int in _kinds(kind) and not re.fullmatch(r"[+-]?[0-9]+", typed)):
+        raise ValueError
+    return convert(kind, tokens)
+
+
+def not_negative(_: object, number: int) -> None:
+    """Refuse a number below 0.
+
+    Raises
+    ------
+    ValueError
+        if it is one.
+    """
+    if number < 0:
+        raise ValueError("expected 0 or more")
+
+
+def one_line(error: Exception) -> str:
+    """The error's message without line breaks; system errors as "file: reason"."""
+    if isinstance(error, CycloptsError):
+        message = _of_arguments(error)
+    elif isinstance(error, OSError) and error.strerror and error.filename is not None:
+        message = f"{error.filename}: {error.strerror}"
+    else:
+        message = str(error)
+    return " ".join(message.split()) or type(error).__name__
+
+
+def about_options(error: ValueError, *commands: Callable[..., object]) -> ValueError:
+    """The error of a command, where it is about a parameter, as one about the option of that name."""
+    name, colon, rest = str(error).partition(":")
+    parameters = {
+        key: each for command in commands for key, each in inspect.signature(command).parameters.items()
+    }
+    if not colon or name not in parameters or parameters[name].kind is not inspect.Parameter.KEYWORD_ONLY:
+        return error
+    return ValueError(f"--{name.replace('_', '-')}:{rest}")
+
+
+def _of_arguments(error: CycloptsError) -> str:
+    match error:
+        case UnknownOptionError(token=token, argument_collection=arguments):
+            typed = token.keyword or token.value
+            return (
+                f"unknown option {typed}{_meant(typed, [name for each in arguments for name in each.names])}"
+            )
+        case UnknownCommandError(unused_tokens=[typed, *_]) if typed.startswith("-"):
+            return f"unknown option {typed}"
+        case UnknownCommandError(unused_tokens=[typed, *_], app=app):
+            names = [name for name in app or () if not name.startswith("-")]
+            return f"unknown command {typed!r}{_meant(typed, names) or f', expected {_either(names)}'}"
+        case UnusedCliTokensError(unused_tokens=[typed, *_]):
+            return f"got {typed!r} as well, which belongs to no option"
+        case RepeatArgumentError(token=token):
+            return f"{token.keyword}: got it twice, expected it once"
+        case MissingArgumentError(argument=Argument() as argument):
+            name = _name(argument)
+            given = {each.partition("=")[0] for each in error.root_input_tokens or ()}
+            expected = _expected(argument.hint)
+            return f"{name}: got no value, expected {expected}" if name in given else f"{name} is needed"
+        case CoercionError(argument=Argument() as argument, token=Token() as token):
+            name = token.keyword or _name(argument)
+            got = repr(token.value) if token.value else "no value"
+            return f"{name}: got {got}, expected {_expected(argument.hint)}"
+        case ValidationError(argument=Argument() as argument, exception_message=expected):
+            return f"{_name(argument)}: got {argument.tokens[-1].value}, {expected}"
+        case _:
+            return str(error)
+
+
+def _name(argument: Argument) -> str:
+    """As it was typed, or is in the help."""
+    name = argument.name
+    return name.lstrip("-").upper() if argument.field_info.is_positional else name
+
+
+def _kinds(hint: Any) -> list[Any]:
+    """The types of a union, or the only one; `None` is never typed."""
+    kinds = [hint] if get_origin(hint) is Literal else get_args(hint) or [hint]
+    return [kind for kind in kinds if kind is not NoneType]
+
+
+def _expected(hint: Any) -> str:
+    """For instance "a number or learned"."""
+    expected: list[str] = []
+    for kind in _kinds(hint):
+        expected += map(str, get_args(kind)) if get_origin(kind) is Literal else [EXPECTED.get(kind, "one")]
+    return _either(expected)
+
+
+def _either(names: Sequence[str]) -> str:
+    """For instance "a, b or c"."""
+    return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _meant(typed: str, names: Iterable[str]) -> str:
+    near = get_close_matches(typed, list(names), 1, 0.7)
+    return f", did you mean {near[0]}?" if near else ""
