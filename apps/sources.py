@@ -114,7 +114,7 @@ class Source:
         if item is not None:
             raise item
         self._end()
-        if self.lost is not None:
+        if self.lost is not None and reader.last_number == 0:
             raise OSError(f"{self.name}: no picture came from it ({self.lost})")
         if selection.after >= selection.start:
             return  # the rest of a run that was resumed: nothing, or missing frames

@@ -150,11 +150,13 @@ class VideoReader:
     def frames(self, selection: Selection, stopping: threading.Event) -> Iterator[Frame]:
         """Yield the selected frames; one that is damaged is a missing frame."""
         for number, (seconds, picture) in enumerate(self._pictures(), start=1):
-            if selection.ended(number) or stopping.is_set():
+            if stopping.is_set():
                 return
             self.last_number = number
             if number in selection:
                 yield Frame(None if picture is None else to_bgr(picture), seconds, number)
+            if selection.ended(number + 1):
+                return
 
     def images(self) -> Iterator[tuple[float | None, NDArray[np.uint8] | None]]:
         """Yield the images of a stream as they arrive until it is `lost`, as `Feed` has it."""

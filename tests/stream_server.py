@@ -89,7 +89,10 @@ class StreamServer:
         if self.form == "mjpeg":
             yield lambda image: _write_jpeg(file, image)
             return
-        with av.open(_Pipe(file), "w", format=self.form, options={"flush_packets": "1"}) as container:
+        at_once = {"flush_packets": "1"}
+        if self.form == "matroska":
+            at_once["cluster_time_limit"] = "40"  # ms: otherwise seconds of pictures come together
+        with av.open(_Pipe(file), "w", format=self.form, options=at_once) as container:
             stream = container.add_stream("libx264", rate=RATE, options={"tune": "zerolatency", "g": "5"})
             assert isinstance(stream, av.VideoStream)
             stream.height, stream.width = self.images[0].shape[:2]

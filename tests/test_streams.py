@@ -3,6 +3,7 @@
 import http.server
 import os
 import signal
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -82,11 +83,15 @@ def test_stream_that_drops_and_comes_back(form: Any) -> None:
     assert len(source.skipped) == first["frames"] + second["frames"]
     assert [frame.number for frame in frames] == list(range(1, len(frames) + 1))
     assert (np.diff([frame.time for frame in frames]) > 0).all()
-    # everything that was sent is there, at times that are in step with those at which it was sent
+    # everything that was sent is there, at the times at which it was sent
     sent = server.sent[:55]
     assert indices_of(frames) == [index % 25 for index in sent]
     seen = [frame for frame in frames if frame.image is not None]
-    assert (sent[-1] - sent[0] - 3) / RATE <= seen[-1].time <= elapsed
+    assert seen[-1].time <= elapsed
+    if (
+        form != "mjpeg"
+    ):  # which states no times: those of arrival are nearer together where the machine is busy
+        assert seen[-1].time >= (sent[-1] - sent[0] - 3) / RATE
     for gap in (first, second):
         before = next(frame for frame in reversed(seen) if frame.time <= gap["lost_at"])
         after = next(frame for frame in seen if frame.time > gap["lost_at"])
@@ -287,6 +292,21 @@ def test_silent_server_is_named(connection: Connection, monkeypatch: pytest.Monk
     message = r"^http://127\.0\.0\.1:\d+/: cannot be opened \(nothing came for 0\.5 s\)$"
     with serving(server.answer) as address, pytest.raises(OSError, match=message):
         open_source(address)
+
+
+def test_silent_rtsp_server_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(video_reader, "NETWORK_TIMEOUT", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        address = f"rtsp://127.0.0.1:{listening.getsockname()[1]}/a"
+        with pytest.raises(OSError, match=rf"^{address}: cannot be opened \(nothing came for 0\.5 s\)$"):
+            open_source(address)
+
+
+def test_stream_that_is_lost_where_it_was_to_stop_is_whole() -> None:
+    server = StreamServer(counted(60), [Connection(15)])
+    with serving(server.answer) as address, open_source(address, stop=15) as source:
+        assert len(list(source)) == 15
+    assert source.lost is None
 
 
 def test_ctrl_c_while_a_server_is_silent(tmp_path: Path) -> None:
