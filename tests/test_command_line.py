@@ -320,7 +320,9 @@ def test_ground_truth_with_fewer_frames_counts_those(
     with pytest.raises(SystemExit) as ended:
         main(["background", str(scene / "input"), "--out", str(tmp_path / "out"), "--ground-truth", str(few)])
     assert ended.value.code == 0
-    assert "frames compared: 3\n" in capfd.readouterr().out
+    out = capfd.readouterr().out
+    assert "frames compared: 3\n" in out
+    assert "counted anew in each of the 3 frames compared\n" in out
 
 
 def test_existing_results(scene: Path, finished: Path, capfd: pytest.CaptureFixture[str]) -> None:
