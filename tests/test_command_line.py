@@ -91,7 +91,7 @@ def write(path: Path, content: bytes | str) -> Path:
         (["--out", "OUT", "--threads", "0"], "--threads: got 0"),
         (["--out", "OUT", "--resume", "--overwrite"], "--resume and --overwrite"),
         (["--out", "OUT", "--roi", "0,0,65,48"], "inside the picture of 64x48"),
-        (["--out", "OUT", "--roi", "-1,0,5,5"], "inside the picture of 64x48"),
+        (["--out", "OUT", "--roi=-1,0,5,5"], "inside the picture of 64x48"),
         (["--out", "OUT", "--roi", "100,100,5,5"], "inside the picture of 64x48"),
         (["--out", "OUT", "--roi", "1,2,3"], "expected x,y,width,height"),
         (["--out", "OUT", "--roi", "nowhere.png"], "neither x,y,width,height nor a file"),
