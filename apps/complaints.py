@@ -21,7 +21,7 @@ from cyclopts import (
     convert,
 )
 
-EXPECTED = {int: "a whole number", float: "a number", bool: "no value"}
+EXPECTED = {int: "a whole number", float: "a number"}
 
 
 def convert_strictly(kind: Any, tokens: Sequence[Token]) -> Any:
@@ -66,21 +66,19 @@ def one_line(error: Exception) -> str:
 def about_options(error: ValueError, *commands: Callable[..., object]) -> ValueError:
     """The error of a command, where it is about a parameter, as one about the option of that name."""
     name, colon, rest = str(error).partition(":")
-    parameters = {
-        key: each for command in commands for key, each in inspect.signature(command).parameters.items()
-    }
-    if not colon or name not in parameters or parameters[name].kind is not inspect.Parameter.KEYWORD_ONLY:
-        return error
-    return ValueError(f"--{name.replace('_', '-')}:{rest}")
+    for command in commands:
+        parameter = inspect.signature(command).parameters.get(name)
+        if colon and parameter is not None and parameter.kind is parameter.KEYWORD_ONLY:
+            return ValueError(f"--{name.replace('_', '-')}:{rest}")
+    return error
 
 
 def _of_arguments(error: CycloptsError) -> str:
     match error:
         case UnknownOptionError(token=token, argument_collection=arguments):
             typed = token.keyword or token.value
-            return (
-                f"unknown option {typed}{_meant(typed, [name for each in arguments for name in each.names])}"
-            )
+            names = [name for each in arguments for name in each.names]
+            return f"unknown option {typed}{_meant(typed, names)}"
         case UnknownCommandError(unused_tokens=[typed, *_]) if typed.startswith("-"):
             return f"unknown option {typed}"
         case UnknownCommandError(unused_tokens=[typed, *_], app=app):
@@ -97,6 +95,8 @@ def _of_arguments(error: CycloptsError) -> str:
             return f"{name}: got no value, expected {expected}" if name in given else f"{name} is needed"
         case CoercionError(argument=Argument() as argument, token=Token() as token):
             name = token.keyword or _name(argument)
+            if argument.hint is bool:
+                return f"{name}: got a value, expected none"
             got = repr(token.value) if token.value else "no value"
             return f"{name}: got {got}, expected {_expected(argument.hint)}"
         case ValidationError(argument=Argument() as argument, exception_message=expected):

@@ -74,7 +74,11 @@ class Scoring:
             return {}
         found: dict[str, Any] = {
             "frames compared": len(self.frames),
-            "errors": {**asdict(self.errors), "missed and ghosts": self.errors.errors},
+            "errors": {
+                **asdict(self.errors),
+                "missed and ghosts": self.errors.errors,
+                "counted": f"anew in each of the {len(self.frames)} frames compared",
+            },
         }
         told_apart = isinstance(self.truth, BoxTruth)  # pedestrians from vehicles
         for name in ("missed_objects",) if told_apart else ("missed_pedestrians", "missed_vehicles"):

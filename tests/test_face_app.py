@@ -431,7 +431,7 @@ def test_wrong_arguments(
         ((film, *out, "--landmarks", start, "--gain", "quick"), "--gain"),
         ((film, *out, "--landmarks", start, "--start", 99), "start: got 99"),
         ((tmp_path / "nowhere", *out, "--landmarks", start), "no such file or folder"),
-        ((film, "--landmarks", start), "--out requires an argument"),
+        ((film, "--landmarks", start), "--out is needed"),
     ):
         assert words in complaint(capfd, *arguments), arguments
         assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""The same input and seed give the same bytes on any number of threads and one core, in all applications."""
+"""The same input and seed give the same bytes on any number of threads and on one core."""
 
 import json
 import os

@@ -253,8 +253,8 @@ def test_wrong_sources(film: Path, source: Path, tmp_path: Path, capfd: pytest.C
         ((source, *out, "--start", 0), "start: got 0"),
         ((source, *out, "--step", 0), "step: got 0"),
         ((source, *out, "--stop", 2, "--start", 3), "stop: got 2"),
-        ((source, *out, "--coherence", "first"), 'Invalid value "first" for --coherence'),
-        ((source,), "--out requires an argument"),
+        ((source, *out, "--coherence", "first"), "--coherence: got 'first', expected second-order or none"),
+        ((source,), "--out is needed"),
     ):
         assert words in complaint(capfd, *arguments)
         assert not (tmp_path / "out").exists()
