@@ -366,7 +366,8 @@ def test_broken_state_files(
     for content in (b"", b"nonsense", state[: len(state) // 2]):
         (out / "state.npz").write_bytes(content)
         message = complaint(capfd, "background", scene / "input", "--out", out, "--resume")
-        assert "state.npz: got no readable state file" in message
+        assert "state.npz: got " in message
+        assert "expected a state that was saved here" in message
     (out / "state.npz").unlink()
     message = complaint(capfd, "background", scene / "input", "--out", out, "--resume")
     assert "start anew with --overwrite" in message
