@@ -48,5 +48,5 @@ def lit_as(patches: Pixels, others: Pixels) -> Pixels:
 
 
 def _centred(patches: Pixels) -> Numbers:
-    centred: Numbers = patches - patches.mean(axis=(1, 2), keepdims=True, dtype=np.float64)
+    centred: Numbers = np.subtract(patches, patches.mean(axis=(1, 2), keepdims=True, dtype=np.float64))
     return centred

@@ -63,7 +63,8 @@ def picture_levels(image: NDArray[np.uint8], size: float, *, n_levels: int, loca
         scale = 0.5**number
         height, width = (length // 2 * 2 for length in picture.shape)
         picture = np.asarray(
-            cv2.resize(picture[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+            cv2.resize(picture[:height, :width], (width // 2, height // 2), interpolation=cv2.INTER_AREA),
+            np.float32,
         )
         picture = smoothed(picture, np.sqrt((SMOOTHING[number] * size) ** 2 - already**2) * scale)
         already = SMOOTHING[number] * size

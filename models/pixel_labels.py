@@ -245,7 +245,7 @@ class PixelMessage:
         odds = self._log_odds() * np.float32(1 / ODDS_STEPS)
         for region in self.regions:
             odds[region.window] += region.shift
-        probability: Map = 1 / (1 + np.exp(-odds))
+        probability: Map = np.float32(1) / (np.float32(1) + np.exp(-odds))
         return probability
 
     @property

@@ -63,8 +63,9 @@ class SurfaceTexels:
             np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
         )
         # of the fractional parts as many are rounded up as make the sum right, spread along the list
-        counts = np.diff(np.floor(np.cumsum(area) / area.sum() * n_texels + 0.5).astype(np.int64), prepend=0)
-        first = np.concatenate([[0], np.cumsum(counts)])
+        ends = np.floor(np.cumsum(area) / area.sum() * n_texels + 0.5).astype(np.int64)
+        first = np.concatenate([[0], ends])
+        counts = np.diff(first)
         number = np.arange(first[-1]) - np.repeat(first[:-1], counts)
         weights = _spread_in_triangle(number)
         return cls(

@@ -583,7 +583,7 @@ def _street(size: tuple[int, int], generator: np.random.Generator) -> Pixels:
     fill(0.90, 1.0, (64, 112, 92), 22, 3)  # grass
     lens = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.6 * max(unit, 0.5)), np.float32)
     lens += 5 * _mottle(size, 60 * unit, generator)[..., None]  # large, soft differences of the light
-    return np.clip(lens, 12, 240)
+    return np.asarray(np.clip(lens, 12, 240), np.float32)
 
 
 def _line(
