@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..models.limits import MOST_PIXELS
+from .quiet import quiet_libraries
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpg", ".jpeg", ".jp2", ".pbm", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
@@ -60,12 +61,13 @@ def to_8_bits(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint8
 
 def _decoded(path: Path, flags: int) -> NDArray[Any] | None:
     data = path.read_bytes()
-    if not _is_complete(data) or not _is_small_enough(data, path):
-        return None
-    try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
-        return None
+    with quiet_libraries():
+        if not _is_complete(data) or not _is_small_enough(data, path):
+            return None
+        try:
+            return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        except cv2.error:
+            return None
 
 
 def _is_small_enough(data: bytes, path: Path) -> bool:

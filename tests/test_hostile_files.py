@@ -3,6 +3,7 @@
 import io
 import struct
 import zipfile
+import zlib
 from pathlib import Path
 
 import cv2
@@ -134,3 +135,19 @@ def test_joints_in_a_frame_beyond_all(film: Path, tmp_path: Path, capfd: pytest.
     path.write_text(f"frame,joint,x,y\n{2**63},head,5,6\n")
     message = Command("body").complaint(capfd, film, "--joints", path, "--out", tmp_path / "out")
     assert f"{path}, line 2: got the frame '9223372036854775808'" in message
+
+
+def test_a_region_that_is_damaged_inside(
+    film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A PNG with correct check sums whose content is cut short."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    path = tmp_path / "roi.png"
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 25_000, 25_000, 8, 2, 0, 0, 0))
+    content = header + chunk(b"IDAT", zlib.compress(bytes(1000))) + chunk(b"IEND", b"")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + content)
+    message = Command("background").complaint(capfd, film, "--roi", path, "--out", tmp_path / "out")
+    assert str(path) in message
