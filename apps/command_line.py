@@ -30,6 +30,7 @@ app = App(
 reproduce = App(name="reproduce", help="Reproduce figures of the papers, wanted values beside measured ones.")
 app.command(reproduce)
 app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
+app.meta.suppress_keyboard_interrupt = False
 app.meta.group_parameters = Group("Of every command", sort_key=1)
 
 Flag = Annotated[bool, Parameter(negative="")]

@@ -26,6 +26,9 @@ CROSSED = 1.5
 LEAST_FLOOR = 1e-15
 """Of an arm's density by its peak: the product of two is still a number of single precision."""
 
+MOST_JUMPS = 1 - 1e-6
+"""Chance of a jump in however long a time: densities are relative to those of arms that have not jumped."""
+
 
 @dataclass(frozen=True)
 class BodyDynamics:
@@ -207,7 +210,8 @@ class BodyDynamics:
         kept, neck = self.neck_step(dt)
         place = self.place * self.body.head_height * float(np.sqrt(dt))
         concentrations = 1 / (np.array([self.upper_arm, self.forearm]) ** 2 * dt)
-        return place, neck, kept, concentrations, float(-np.expm1(-self.jumps * dt))
+        jump = min(float(-np.expm1(-self.jumps * dt)), MOST_JUMPS)
+        return place, neck, kept, concentrations, jump
 
 
 def around(directions: Array, concentration: float, random: np.random.Generator) -> Array:

@@ -29,7 +29,7 @@ A_MOMENT = 0.04
 """s: poses to start from are as uncertain as after so long a time."""
 
 LONGEST = 60.0
-"""s: after so long without a frame no more is forgotten of a pose; of its arms nothing is known by then."""
+"""s: after so long without a frame no more is forgotten of a pose."""
 
 LEAST_SPREAD = 1.0
 """px: standard deviation that is added to a part's, since samples may coincide."""

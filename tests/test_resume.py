@@ -318,7 +318,7 @@ def test_what_cannot_be_learned_from(
             whole["face"] / "state.npz",
             r"--from: .* is of rsmcm face, expected",
         ),
-        ("background", tmp_path / "broken.npz", "no readable state file"),
+        ("background", tmp_path / "broken.npz", "got neither .npy nor .npz, expected a state"),
         ("background", tmp_path / "nothing.npz", r"nothing\.npz: No such file"),
         ("face", whole["face"] / "state.npz", "--landmarks: got it beside --from"),
         ("body", whole["body"] / "state.npz", "--head: got it beside --from"),

@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.apps import live_reader, video_reader
+from rsmcm.apps import live_reader, sources, video_reader
 from rsmcm.apps.background import build_model
 from rsmcm.apps.live_reader import FILLED_SECONDS, LiveReader
 from rsmcm.apps.reader import Selection
@@ -67,7 +67,8 @@ def read(address: str, reconnect: float | None = None, most: int | None = None) 
 
 
 @pytest.mark.parametrize("form", ["mjpeg", "mpegts", "matroska"])
-def test_stream_that_drops_and_comes_back(form: Any) -> None:
+def test_stream_that_drops_and_comes_back(form: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "DECODE_AHEAD", 1000)  # on a busy machine frames would be dropped
     server = StreamServer(
         counted(200), [Connection(20), Connection(None), Connection(20), Connection(99)], form
     )
