@@ -72,7 +72,10 @@ class PartChoices:
         return cls(present, masses, hidden)
 
     def best(self) -> "Assignment":
-        """The most probable assignment: each thing is one part, and hides any number of others."""
+        """The most probable assignment: each thing is one part, and hides any number of others.
+
+        Where somebody would best be hidden by a thing that is nobody, it is a good one, not always the best.
+        """
         masses, n_parts = self.log_masses, len(self.log_masses)
         behind = self.hidden.argmax(axis=1)
         not_seen = np.maximum(masses[:, 0], self.hidden.max(axis=1))
