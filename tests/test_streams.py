@@ -464,6 +464,23 @@ def test_who_is_tracked_stays_the_same_over_three_drops_and_a_stall(
     assert tracks["frame"][-1] == summary["last_frame"] > back
 
 
+def test_a_camera_that_is_started_anew_knows_who_is_there(
+    street: list[Image], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """What is between two live runs is told by the clock, and identities go on over it."""
+    server = StreamServer(street, [Connection(60), Connection(100)])
+    first, second = tmp_path / "first", tmp_path / "second"
+    with serving(server.answer) as address:
+        assert run("background", capfd, address, "--out", first, "--masks", "none")[0] == 1
+        options = ["--from", first / "state.npz", "--stop", 20, "--masks", "none"]
+        code, _, errors = run("background", capfd, address, "--out", second, *options)
+    assert (code, errors) == (0, [])
+    tracks, again = (read_tracks(out / "tracks.txt") for out in (first, second))
+    (person,) = set(tracks["id"][tracks["frame"] > 45])
+    assert set(again["id"]) == {person}
+    assert set(again["frame"]) == set(range(1, 21)), "from the first frame on"
+
+
 @pytest.mark.parametrize("reconnect", [[], ["--reconnect", "0.5"]])
 def test_stream_that_is_lost_for_good_leaves_results_and_exit_code_1(
     reconnect: list[str], street: list[Image], tmp_path: Path, capfd: pytest.CaptureFixture[str]
