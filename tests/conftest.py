@@ -101,3 +101,8 @@ def summary_of(out: Path) -> dict[str, Any]:
 def names(folder: Path) -> set[str]:
     """Of all files but the lock, which stays."""
     return {path.name for path in folder.iterdir()} - {".lock"}
+
+
+def modified(folder: Path) -> dict[Path, int]:
+    """When all that is in a folder was written, but for the lock."""
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.name != ".lock"}

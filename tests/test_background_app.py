@@ -27,7 +27,7 @@ from rsmcm.apps.sources import open_source
 from rsmcm.chains import MixtureBackground
 from rsmcm.models.frame import Frame
 
-from .conftest import names
+from .conftest import modified, names
 
 SIZE = (128, 96)
 N_FRAMES = 60
@@ -135,10 +135,10 @@ def test_interrupted_and_resumed_is_as_if_never_interrupted(
 def test_a_finished_run_is_resumed_by_doing_nothing(scene: Path, whole: Path, tmp_path: Path) -> None:
     out = tmp_path / "copy"
     shutil.copytree(whole, out)
-    before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+    before = modified(out)
     outcome = run_background(Job(str(scene / "input"), out, ground_truth=scene, resume=True))
     assert outcome.summary["frames"] == N_FRAMES
-    assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
+    assert modified(out) == before
 
 
 def test_killed_in_the_middle(scene: Path, tmp_path: Path) -> None:

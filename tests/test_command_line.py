@@ -23,6 +23,8 @@ from rsmcm.apps.demo import write_scene
 from rsmcm.apps.results import PLAYABLE, SegmentedVideo
 from rsmcm.apps.scenes import sleeping_man
 
+from .conftest import modified
+
 SIZE = (64, 48)
 COMMAND = [sys.executable, "-m", "rsmcm.apps.command_line"]
 
@@ -328,12 +330,12 @@ def test_ground_truth_with_fewer_frames_counts_those(
 
 
 def test_existing_results(scene: Path, finished: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    before = {path: path.stat().st_mtime_ns for path in finished.rglob("*")}
+    before = modified(finished)
     start = ("background", scene / "input", "--out", finished)
     assert "already holds results: use --overwrite or --resume" in complaint(capfd, *start)
     for wrong in (("--start", 40), ("--roi", "0,0,500,500"), ("--config", "nowhere.toml")):
         complaint(capfd, *start, "--overwrite", *wrong)
-    assert {path: path.stat().st_mtime_ns for path in finished.rglob("*")} == before
+    assert modified(finished) == before
 
 
 def test_resuming_something_else(
