@@ -36,6 +36,9 @@ ENGINES: tuple[Engine, ...] = ("recursive-bp", "feed-forward", "stand-alone")
 
 APPLICATION = "background"
 
+COMPARISON = ("compare.json", "compare.csv", "compare-pictures.png", "compare-errors.png", "compare.html")
+"""Files that a comparison writes beside the results."""
+
 EVIDENCE_EVERY = 10
 """Frames between two values of log p(I) in the report: nothing else needs that pass over the pixels."""
 
@@ -117,6 +120,7 @@ class Job(FilmJob):
     roi: str | None = None
     masks: Literal["none", "png", "video"] = "png"
     ground_truth: Path | None = None
+    compare: bool = False
 
     def settings_with(self, parameters: Parameters) -> dict[str, Any]:
         """What the results depend on, parameters of the chains among them."""
@@ -152,13 +156,14 @@ class BackgroundRun(FilmRun):
 
     @property
     def files(self) -> list[str]:
-        """Masks as the job wants them, tracks, and the empty scene."""
+        """Masks as the job wants them, tracks, the empty scene, and what a comparison will add."""
         masks = {
             "none": [],
             "png": ["foreground/bin[0-9]*.png"],
             "video": ["foreground.mkv", segment_pattern("foreground.mkv")],
         }
-        return ["tracks.txt", "background.png", *masks[self._job.masks]]
+        compared = COMPARISON if self._job.compare else ()
+        return ["tracks.txt", "background.png", *masks[self._job.masks], *compared]
 
     @property
     def chains(self) -> Mapping[str, Any]:

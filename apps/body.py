@@ -63,7 +63,7 @@ class BodyJob(FilmJob):
         """What the results depend on, beside the source."""
         files = {name: getattr(self, name) for name in ("detector", "joints")}
         return {
-            **{name: None if path is None else str(path) for name, path in files.items()},
+            **{name: None if path is None else str(path.resolve()) for name, path in files.items()},
             "head": self.head,
             "samples": self.samples,
             **super().settings(),

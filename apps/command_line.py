@@ -1,6 +1,7 @@
 """The command `rsmcm`. Everything heavy is imported where a subcommand starts, so that help comes at once."""
 
 import logging
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
@@ -14,11 +15,11 @@ from cyclopts import App, CycloptsError, Group, Parameter, Token
 from .complaints import about_options, convert_strictly, not_negative, one_line
 from .interruption import Outcome
 from .opencv_packages import opencv_hint
+from .quiet import own_standard_error
 
 STREAM_LOST = 1
 USAGE_ERROR = 2
 SIGNALLED = 128  # plus the number of the signal: 130 for Ctrl-C
-INTERRUPT = 2
 
 app = App(
     name="rsmcm",
@@ -107,7 +108,7 @@ def background(
     from . import background as application
 
     job = application.Job(
-        source, out, engine, config, roi, masks, ground_truth, start=start, stop=stop, step=step,
+        source, out, engine, config, roi, masks, ground_truth, compare, start=start, stop=stop, step=step,
         resume=resume, overwrite=overwrite, every=every, learned=from_, seed=seed,
         reconnect=reconnect,
     )  # fmt: skip
@@ -119,8 +120,9 @@ def background(
     if compare and outcome.signal is None and outcome.lost is None:
         from .compare import run_compare
 
-        outcome, _ = run_compare(job)
-        print(f"comparison: {out / 'compare.html'}")
+        outcome, lines = run_compare(job)
+        if lines:
+            print(f"comparison: {out / 'compare.html'}")
     return _ended(outcome)
 
 
@@ -679,23 +681,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; whatever is wrong with it is one line on standard error and exit code 2."""
     if isinstance(sys.stdout, TextIOWrapper):  # what its encoding lacks must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")
+    with own_standard_error():
+        code = _exit_code(sys.argv[1:] if arguments is None else arguments)
+    sys.exit(code)
+
+
+def _exit_code(arguments: Sequence[str]) -> int:
     try:
-        code = app.meta(
-            sys.argv[1:] if arguments is None else arguments,
-            exit_on_error=False,
-            print_error=False,
-            result_action="return_value",
+        code: int | None = app.meta(
+            arguments, exit_on_error=False, print_error=False, result_action="return_value"
         )
+        return code or 0
     except (CycloptsError, ValueError, OSError, ImportError, AttributeError) as error:
         hint = opencv_hint(error)
         if isinstance(error, ImportError | AttributeError) and not hint:
             raise
         print(f"rsmcm: {one_line(error)}{hint}", file=sys.stderr)
-        code = USAGE_ERROR
+        return USAGE_ERROR
+    except MemoryError:
+        print("rsmcm: there is not enough memory for this run", file=sys.stderr)
+        return USAGE_ERROR
     except KeyboardInterrupt as stop:
-        print(f"rsmcm: {stop or 'interrupted'}", file=sys.stderr)
-        code = SIGNALLED + getattr(stop, "signal", INTERRUPT)
-    sys.exit(code or 0)
+        print(f"rsmcm: {str(stop) or 'interrupted'}", file=sys.stderr)
+        return SIGNALLED + getattr(stop, "signal", signal.SIGINT)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..models.frame import Frame
 from . import report
-from .background import APPLICATION, Found, Job, read_truth
+from .background import APPLICATION, COMPARISON, Found, Job, read_truth
 from .baselines import CleanUp, OpenCVSubtractor
 from .interruption import Interruption, Outcome
 from .methods import Method, Model, Usual
@@ -31,7 +31,6 @@ Image = NDArray[np.uint8]
 
 PRIORS = (0.5, 0.7, 0.9, 0.99)  # P(B) of the stand-alone background, as in Fig. 8
 SHOWN_PRIOR = 0.9  # which of them Fig. 11's picture shows
-FILES = ("compare.json", "compare.csv", "compare-pictures.png", "compare-errors.png", "compare.html")
 COLUMNS = 5  # of Fig. 11's picture
 MOST_PICTURES = 2 * COLUMNS
 PICTURE_WIDTH = 480  # px
@@ -200,7 +199,7 @@ def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
     lines = [tally.values(n_frames) for tally in tallies.values()] if n_frames else []
     if lines:
         with output_folder(job.out, APPLICATION, add=True) as folder:
-            folder.add(FILES)
+            folder.add(COMPARISON)
             write_comparison(job.out, source.name, lines, gallery)
     summary = {"source": source.name, "frames": n_frames, "stream": source.stream}
     return Outcome(summary, interruption.signal), lines

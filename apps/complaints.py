@@ -65,10 +65,10 @@ def one_line(error: Exception) -> str:
 
 def about_options(error: ValueError, *commands: Callable[..., object]) -> ValueError:
     """The error of a command, where it is about a parameter, as one about the option of that name."""
-    name, colon, rest = str(error).partition(":")
+    name, _, rest = str(error).partition(":")
     for command in commands:
         parameter = inspect.signature(command).parameters.get(name)
-        if colon and parameter is not None and parameter.kind is parameter.KEYWORD_ONLY:
+        if rest.startswith(" got ") and parameter is not None and parameter.kind is parameter.KEYWORD_ONLY:
             return ValueError(f"--{name.replace('_', '-')}:{rest}")
     return error
 

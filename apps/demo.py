@@ -60,7 +60,7 @@ def run_demo(out: Path) -> Outcome:
     write_cylinder(out / "cylinder.npz")
     write_face(face(FACE_FRAMES, light=0.5), out / "face")
     write_body(signer(BODY_FRAMES, SIGNER, detector_dropout=0.05, clutter=0.5), out / "body")
-    job = Job(str(scene / "input"), out, overwrite=True, ground_truth=scene)
+    job = Job(str(scene / "input"), out, overwrite=True, ground_truth=scene, compare=True)
     outcome = run_background(job)
     if outcome.signal is None:
         outcome, lines = run_compare(job)

@@ -63,7 +63,7 @@ class FaceJob(FilmJob):
         """What the results depend on, beside the source."""
         files = {name: getattr(self, name) for name in ("model", "landmarks", "correspondences", "detector")}
         return {
-            **{name: None if path is None else str(path) for name, path in files.items()},
+            **{name: None if path is None else str(path.resolve()) for name, path in files.items()},
             "experts": self.experts,
             "gain": self.gain,
             **super().settings(),

@@ -8,7 +8,7 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import KW_ONLY, dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -24,7 +24,7 @@ from .memory import check_memory
 from .output_folder import output_folder
 from .progress import Progress
 from .results import naming, segment_pattern, write_json
-from .saved_run import STATE, SavedRun, check_source
+from .saved_run import STATE, SavedRun, check_source, saying_how_to_go_on
 from .sources import Source, describe, open_source
 from .versions import versions
 
@@ -196,12 +196,15 @@ class FilmRun(ABC):
         Interrupted
             if a signal came before there was any result, or a second one.
         """
-        try:
+        with saying_how_to_go_on(self._way_on):
             return self._carried_out()
-        except Interrupted as stop:
-            if self._is_saved:
-                stop = Interrupted(stop.signal, f"interrupted: --resume goes on with {self.job.out}")
-            raise stop from None
+
+    def _way_on(self) -> str | None:
+        if not self._is_saved:
+            return None
+        if not self.job.resume and self.source.live:
+            return f"--from {self.job.out / STATE} begins with what was learned"
+        return f"--resume goes on with {self.job.out}"
 
     def _carried_out(self) -> Outcome:
         job = self.job
@@ -226,10 +229,10 @@ class FilmRun(ABC):
                 check_memory(source.name, source.size, *self.bytes_needed)
                 frames = self._beginning(saved)
                 folder.begin([*ALWAYS, *self.files], resume=job.resume)
-                try:
+                with suppress(_EndedEarlyError):
                     self._process(frames)
-                except _EndedEarlyError:
-                    self._ended_early = True
+                if self.interruption.signal is not None and not self.record.numbers:
+                    raise Interrupted(self.interruption.signal)
                 summary = self._summary()
                 self.finish(summary)
                 write_json(job.out / "summary.json", summary)
@@ -237,7 +240,7 @@ class FilmRun(ABC):
                     self._save(finished=summary)
         if self._frames.error is not None:
             raise self._frames.error
-        return Outcome(summary, self.interruption.signal)
+        return Outcome(summary, self.interruption.signal if self._ended_early else None)
 
     def no_frame(self, reason: str) -> Exception | Interrupted:
         """Why there is no frame to begin with: the source's own error, a signal, or `reason`."""
@@ -296,10 +299,12 @@ class FilmRun(ABC):
         state, source = learned.state, self.source
         if not state.states or state.shape is None:
             raise ValueError(f"--from: {self.job.learned} has learned nothing yet")
-        if first.image is not None and first.image.shape != state.shape:
+        width, height = source.size
+        shape = (height, width, *state.shape[2:]) if first.image is None else first.image.shape
+        if shape != state.shape:
             raise ValueError(
                 f"--from: {self.job.learned} is of frames that are {describe(state.shape)}, "
-                f"but {source.name} is {describe(first.image.shape)}"
+                f"but {source.name} is {describe(shape)}"
             )
         gap = self.job.step / source.rate
         if source.live and learned.about["live"]:
@@ -312,10 +317,10 @@ class FilmRun(ABC):
         with ExitStack() as stack:
             done = len(self.record.numbers)
             progress = stack.enter_context(Progress(self.application, self.source.n_frames, done))
+            self._save()
             writers = self.writers(self.source.rate / job.step, number)
             for writer in writers:
                 stack.enter_context(writer)
-            self._save()
             unsaved = 0
             for frame in frames:
                 before = time.perf_counter()
@@ -330,7 +335,10 @@ class FilmRun(ABC):
                     self._checkpoint(writers)
                 progress.update()
             self._checkpoint(writers)
-            if self.interruption.signal is not None or self._frames.error or self.source.lost:
+            self._ended_early = bool(
+                self.interruption.signal is not None or self._frames.error or self.source.lost
+            )
+            if self._ended_early and not self.source.live:  # which nobody can resume
                 raise _EndedEarlyError
 
     def _checkpoint(self, writers: Sequence[Writer]) -> None:

@@ -60,6 +60,8 @@ def to_8_bits(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint8
 
 
 def _decoded(path: Path, flags: int) -> NDArray[Any] | None:
+    if path.stat().st_size > 8 * MOST_PIXELS:
+        raise ValueError(f"{path}: has {path.stat().st_size} bytes, more than a picture may have")
     data = path.read_bytes()
     with quiet_libraries():
         if not _is_complete(data) or not _is_small_enough(data, path):

@@ -3,7 +3,9 @@
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
+from statistics import median
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,7 +20,7 @@ FILLED_SECONDS = 5.0
 """Of a gap that are filled with missing frames, which chains predict through one by one: they let go of what
 they have not seen for three seconds. A longer gap ends in one large step."""
 
-
+USUAL_STEPS = 9  # of which the median is the usual time between two pictures
 MOST_DELAY = 20.0  # seconds from the time that a stream states for a picture to its arrival; HLS takes ten
 LEAST_STEP = 1e-3  # seconds between two pictures, whatever is stated
 STALL = 1.0  # seconds without a picture, in a connection that goes on, that are a gap as well
@@ -136,6 +138,7 @@ class LiveReader:
         """Yield every image with its time (seconds since the first), `None` for one that is missing."""
         clock = _Clock()
         last: float | None = None  # time of the last image
+        steps: deque[float] = deque(maxlen=USUAL_STEPS)  # s, between the latest images
         give_up: float | None = None  # when trying to connect ends, as long as there is no picture
         while True:
             clock.connected(self._feed.opened_at)
@@ -143,8 +146,12 @@ class LiveReader:
                 if stopping.is_set():
                     return
                 moment = clock.time_of(stated)
-                if last is not None and (self.lost or moment - last > max(STALL, 5 / self.rate)):
-                    yield from self._fill(last, moment, self.lost or "nothing came")
+                if last is not None:
+                    step = moment - last
+                    # a camera may send less often than it states
+                    if self.lost or step > max(STALL, 5 / self.rate, 3 * median(steps or [0.0])):
+                        yield from self._fill(last, moment, self.lost or "nothing came")
+                    steps.append(step)
                 self.lost = give_up = None
                 yield moment, image
                 last = moment

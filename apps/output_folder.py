@@ -8,7 +8,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from filelock import FileLock, Timeout
@@ -25,8 +25,8 @@ LOCK = ".lock"
 HOLDER = ".running.json"
 """Which run that is."""
 
-LEFT_OVER = (f"{UNFINISHED}*", f"*/{UNFINISHED}*", ".state.npz.*.partial", HOLDER)
-"""What a kill leaves of files that were being written."""
+PARTIAL = f".{STATE}.*.partial"
+"""What a kill leaves of a state that was being written."""
 
 
 class OutputFolder:
@@ -69,10 +69,12 @@ class OutputFolder:
         self._refuse_foreign(names, earlier)
         with naming(self.path), tempfile.TemporaryFile(dir=self.path):
             pass
-        for path in self.found(LEFT_OVER[:-1]):
+        unfinished = {str(PurePosixPath(name).with_name(f"{UNFINISHED}*")) for name in [*earlier, *names]}
+        for path in self.found([*unfinished, PARTIAL]):
             path.unlink()
         if not resume:
-            for path in self.found(earlier):
+            # the state first: what is left by a kill in between is not gone on with
+            for path in sorted(self.found(earlier), key=lambda path: path.name != STATE):
                 path.unlink()
                 if path.parent != self.path:
                     with suppress(OSError):  # the user may keep something there
@@ -114,7 +116,7 @@ class OutputFolder:
         return {path for name in names for path in self.path.glob(name) if not path.is_dir()}
 
     def _write_manifest(self, names: Sequence[str]) -> None:
-        write_json(self.path / MANIFEST, {"application": self._application, "files": names})
+        write_json(self.path / MANIFEST, {"application": self._application, "files": sorted(names)})
 
 
 @contextmanager
@@ -123,7 +125,7 @@ def output_folder(
 ) -> Iterator[OutputFolder]:
     """Lock a folder for a run, and make it if need be.
 
-    Nothing in it is changed before `OutputFolder.begin`. If that is never called, a folder that was made is
+    No result in it is changed before `OutputFolder.begin`. If that is never called, a folder that was made is
     removed again.
 
     Parameters
@@ -150,14 +152,15 @@ def output_folder(
     OSError
         if another run writes there (it says which), or the folder cannot be made.
     """
-    there = next(folder for folder in (path, *path.parents) if folder.exists())
-    if not there.is_dir():
+    there = next((folder for folder in (path, *path.parents) if folder.exists()), None)
+    if there is not None and not there.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, "expected a folder", str(there))
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     path.mkdir(parents=True, exist_ok=True)
     lock = FileLock(path / LOCK, timeout=0)
     try:
-        lock.acquire()
+        with suppress(NotImplementedError):  # a file system without locks, and an old filelock
+            lock.acquire()
     except Timeout:
         raise BlockingIOError(
             f"{path}: {_holder(path)} writes there: wait for it, or choose another folder"
@@ -181,7 +184,8 @@ def output_folder(
         finally:
             folder.end()
     finally:
-        (path / HOLDER).unlink(missing_ok=True)
+        with suppress(OSError):  # somebody may be reading it
+            (path / HOLDER).unlink(missing_ok=True)
         lock.release()
         if made and not (path / MANIFEST).exists():
             (path / LOCK).unlink(missing_ok=True)

@@ -210,6 +210,7 @@ PLAYABLE = VideoForm(
     {"preset": "superfast", "crf": "23", "bf": "0", "threads": "2"},
     {"movflags": "+faststart"},
 )
+PLAYABLE_SIDE = 16384  # px, the longest that libx264 encodes
 # Masks are data: FFV1 gives back every 0 and 255 exactly, in every program built on FFmpeg (OpenCV too).
 # Lossless H.264 uses a profile that most browsers do not play, so it would serve neither purpose.
 LOSSLESS_GRAY = VideoForm("matroska", "ffv1", "gray", {"level": "3", "g": "1"}, {})
@@ -256,6 +257,8 @@ class SegmentedVideo:
 
     def write(self, picture: NDArray[np.uint8], number: int, time: float) -> None:
         """Append a picture, BGR or gray as the form demands, of the frame with this number and time."""
+        if self._form is PLAYABLE:
+            picture = _small_enough(picture)
         with naming(self._path):
             if self._segment is None:
                 self._segment = self._open(picture, time)
@@ -322,6 +325,16 @@ class SegmentedVideo:
             )
         planes = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2YUV_I420), dtype=np.uint8)
         return av.VideoFrame.from_ndarray(planes, format="yuv420p")
+
+
+def _small_enough(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The picture, shrunk if it has a longer side than the encoder takes."""
+    height, width = picture.shape[:2]
+    scale = PLAYABLE_SIDE / max(height, width)
+    if scale >= 1:
+        return picture
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _join(segments: Sequence[Path], path: Path, form: VideoForm) -> None:

@@ -95,8 +95,9 @@ class RowWriter:
                     _write_header(entry, (self._n_rows, *first.shape), first.dtype)
                     file.seek(0)
                     shutil.copyfileobj(file, entry, CHUNK)
-                file.seek(0)
-                file.truncate()
+        for file, _first in self._columns.values():  # only now: if the segment failed, it is tried again
+            file.seek(0)
+            file.truncate()
         sync(segment)
         self._n_rows = 0
 

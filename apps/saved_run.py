@@ -1,14 +1,32 @@
 """`state.npz`: all that a run needs to go on, and what another run may learn from it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 from ..inference import checkpoint
 from ..inference.recursive_bp import RunState
+from .interruption import Interrupted
 
 STATE = "state.npz"
+
+OF_ALL = {"application": str, "settings": dict, "source": dict, "seconds": float, "finished": dict | None}
+"""What is said of every saved run, and of which type."""
+
+ABOUT = {
+    "application": str,
+    "settings": dict[str, Any],
+    "source": dict[str, Any],
+    "live": bool,
+    "clock": float,
+    "seconds": float,
+    "blank": list[int],
+    "notes": list[str],
+    "finished": dict[str, Any] | None,
+}
+"""The same of a run over a film, for `checkpoint`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +95,7 @@ class SavedRun:
 
 
 def _kinds(chains: Mapping[str, Any], kinds: Mapping[str, Any]) -> dict[str, Any]:
-    return {"about": dict[str, Any], "run": RunState.kinds(chains), "memory": kinds}
+    return {"about": ABOUT, "run": RunState.kinds(chains), "memory": kinds}
 
 
 def read_about(path: Path, application: str, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -92,7 +110,9 @@ def read_about(path: Path, application: str, settings: Mapping[str, Any] | None 
     """
     about = checkpoint.load_plain(path, "about")
     option = "--from" if settings is None else "--resume"
-    if not isinstance(about, dict) or not isinstance(about.get("settings"), dict):
+    if not isinstance(about, dict) or not all(
+        isinstance(about.get(key), kind) for key, kind in OF_ALL.items()
+    ):
         raise ValueError(f"{option}: {path} is no state of a run")
     if about.get("application") != application:
         raise ValueError(
@@ -101,6 +121,23 @@ def read_about(path: Path, application: str, settings: Mapping[str, Any] | None 
     if settings is not None:
         refuse_other("parameters", about["settings"], settings)
     return about
+
+
+@contextmanager
+def saying_how_to_go_on(way: Callable[[], str | None]) -> Iterator[None]:
+    """Have the line of a run that is interrupted say in which way it goes on, if there is one by then.
+
+    Raises
+    ------
+    Interrupted
+        with that line.
+    """
+    try:
+        yield
+    except Interrupted as stop:
+        if way() is None:
+            raise
+        raise Interrupted(stop.signal, f"interrupted: {way()}") from None
 
 
 def check_source(about: Mapping[str, Any], fingerprint: Mapping[str, Any]) -> None:

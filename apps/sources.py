@@ -181,7 +181,7 @@ class Source:
         self._thread.join(CLOSING_SECONDS)
 
     def fingerprint(self) -> dict[str, Any]:
-        """Return what identifies this source, as JSON: two equal ones hold the same frames."""
+        """Return what identifies this source, as JSON: two equal ones are taken to hold the same frames."""
         return self._reader.fingerprint()
 
     def _end(self) -> None:

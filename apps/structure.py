@@ -28,7 +28,7 @@ from .reconstruction import (
     reconstruction_of,
 )
 from .results import naming, write_json
-from .saved_run import STATE, check_source, read_about
+from .saved_run import STATE, check_source, read_about, saying_how_to_go_on
 from .sources import DEFAULT_RATE, Selection, open_source
 from .structure_files import point_colours, write_cameras, write_ply, write_tracks
 from .structure_report import write_structure_report
@@ -130,7 +130,9 @@ def run_structure(job: StructureJob) -> Outcome:
         Interruption() as interruption,
         output_folder(job.out, APPLICATION, overwrite=job.overwrite, resume=job.resume) as folder,
     ):
-        return StructureRun(job, folder, interruption).carry_out()
+        run = StructureRun(job, folder, interruption)
+        with saying_how_to_go_on(run.way_on):
+            return run.carry_out()
 
 
 class StructureRun:
@@ -143,6 +145,12 @@ class StructureRun:
         self._state = job.out / STATE
         self._earlier_seconds = 0.0  # of wall time, before the run was resumed
         self._started = time.perf_counter()
+        self._is_saved = False
+        self._begun = False
+
+    def way_on(self) -> str | None:
+        """How an interrupted run goes on; `None` if nothing of it is saved."""
+        return f"--resume goes on with {self._job.out}" if self._is_saved else None
 
     def carry_out(self) -> Outcome:
         """Read, ascend, write."""
@@ -151,6 +159,7 @@ class StructureRun:
         if job.resume and self._state.exists():
             about = read_about(self._state, APPLICATION, job.settings)
             self._earlier_seconds = about["seconds"]
+            self._is_saved = True
         self._film = film = read_film(job)
         if about is not None:
             check_source(about, film.fingerprint)
@@ -168,7 +177,7 @@ class StructureRun:
         summary = _write(job, film, found, self._interruption, self._seconds())
         if not summary["ended_early"]:
             self._save(solution, finished=summary)
-        return Outcome(summary, self._interruption.signal)
+        return Outcome(summary, self._interruption.signal if summary["ended_early"] else None)
 
     def _ascended(self, after: Solution | None) -> Solution:
         """The best solution, when the ascent ends or a signal arrives; saved after every round."""
@@ -178,8 +187,7 @@ class StructureRun:
         try:
             with Progress(APPLICATION, MOST_ROUNDS, done, unit="rounds") as progress:
                 for solution in self._interruption.items(rounds):
-                    if best is None:
-                        self._folder.begin(FILES, resume=self._job.resume)
+                    self._begin()
                     best = solution
                     self._save(best)
                     progress.update()
@@ -191,7 +199,14 @@ class StructureRun:
         if best is None:
             assert self._interruption.signal is not None  # or there would be a first round
             raise Interrupted(self._interruption.signal)
+        self._begin()
         return best
+
+    def _begin(self) -> None:
+        """Make the folder ready, once: not before there is something to write."""
+        if not self._begun:
+            self._folder.begin(FILES, resume=self._job.resume)
+            self._begun = True
 
     def _save(self, solution: Solution, finished: dict[str, Any] | None = None) -> None:
         about = {
@@ -203,6 +218,7 @@ class StructureRun:
         }
         with naming(self._state):
             self._engine.save(self._state, solution, about)
+        self._is_saved = True
 
     def _seconds(self) -> float:
         return self._earlier_seconds + time.perf_counter() - self._started
@@ -247,6 +263,8 @@ def _tracks(job: StructureJob) -> Film:
 
 def _images(job: StructureJob) -> Film:
     with open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source:
+        if source.live and job.resume:
+            raise ValueError(f"--resume: {source.name} is live and cannot be read again")
         if source.live and job.stop is None:
             raise ValueError(f"{source.name}: has no end, expected one, or --stop")
         n_frames = source.n_frames or job.stop or 1

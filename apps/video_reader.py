@@ -23,6 +23,7 @@ from ..models.limits import MOST_PIXELS
 from .reader import DEFAULT_RATE, Gap, Selection
 from .video_picture import to_bgr
 
+MOST_RATE = 1000  # frames a second: above, FFmpeg has guessed the ticks of a clock
 NETWORK_TIMEOUT = 10.0  # seconds for which a server may be silent
 NO_TIMESTAMPS = 0x80  # FFmpeg's AVFMT_NOTIMESTAMPS: Motion JPEG over http, say
 _SILENT = "nothing came for {:g} s"
@@ -70,7 +71,7 @@ class VideoReader:
         # own anyway, since it runs ahead of processing.
         self._stream.thread_type = "SLICE"
         rate = self._stream.average_rate or self._stream.guessed_rate
-        self.rate = float(rate) if rate else DEFAULT_RATE
+        self.rate = float(rate) if rate and rate <= MOST_RATE else DEFAULT_RATE
         self._seconds = self._stated_seconds()
         self._counted = self._stream.frames or None
         self.total = self._counted

@@ -28,7 +28,7 @@ def listed(path: Path) -> list[str]:
 def test_only_what_a_run_wrote_is_removed(tmp_path: Path) -> None:
     out = tmp_path / "new" / "out"
     run(out, "a.txt", "masks/bin000001.png")
-    assert listed(out) == list(FILES)
+    assert listed(out) == sorted(FILES)
     for name in ("mine.txt", "masks/bin_mine.png"):
         (out / name).write_text("the user's")
     with pytest.raises(FileExistsError, match="already holds results: use --overwrite or --resume"):
@@ -63,12 +63,15 @@ def test_an_empty_folder_of_results_goes_with_them(tmp_path: Path) -> None:
 
 
 def test_what_a_kill_left_over_goes(tmp_path: Path) -> None:
-    (tmp_path / "masks").mkdir()
-    for name in (".unfinished-a.txt", "masks/.unfinished-bin000001.png", ".state.npz.123.partial"):
+    for folder in ("masks", "other"):
+        (tmp_path / folder).mkdir()
+    left = (".unfinished-a.txt", "masks/.unfinished-bin000001.png", ".state.npz.123.partial")
+    for name in (*left, "other/.unfinished-x"):
         (tmp_path / name).write_text("half")
     run(tmp_path)
-    assert names(tmp_path) == {"masks"}
+    assert names(tmp_path) == {"masks", "other"}
     assert names(tmp_path / "masks") == set()
+    assert names(tmp_path / "other") == {".unfinished-x"}, "another run may write there now"
 
 
 def test_nothing_is_left_of_a_run_that_does_not_begin(tmp_path: Path) -> None:

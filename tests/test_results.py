@@ -232,7 +232,7 @@ def test_kill_loses_only_what_follows_the_last_checkpoint(tmp_path: Path) -> Non
         assert process.stdout.readline() == "ready\n"
         process.send_signal(signal.SIGKILL)
     with output_folder(tmp_path, "background", resume=True) as folder:
-        folder.begin([])
+        folder.begin(["a.txt", "foreground/a.txt"])
     assert not any(".unfinished" in name for name in names(tmp_path))
     with (
         OverlayWriter(tmp_path / "overlay.mp4", 10, 10) as overlay,

@@ -185,6 +185,36 @@ def test_interrupted_and_resumed(
     assert_same(out, whole[name])
 
 
+@pytest.mark.parametrize(("name", "after"), [("background", 9), ("structure", 1), ("face", 9), ("body", 32)])
+def test_two_signals(
+    name: str,
+    after: int,
+    applications: dict[str, Application],
+    whole: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """The second one ends the run at once, and the line says how it goes on."""
+    application, out = applications[name], tmp_path / "out"
+    items, count = Interruption.items, itertools.count(1)
+
+    def interrupted(self: Interruption, source: Iterator[Any]) -> Iterator[Any]:
+        for item in items(self, source):
+            yield item
+            if next(count) == after:
+                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Interruption, "items", interrupted)
+        assert application.run(out) == 128 + signal.SIGINT
+    assert capfd.readouterr().err == f"rsmcm: interrupted: --resume goes on with {out}\n"
+    assert application.run(out, "--resume") == 0
+    assert_same(out, whole[name])
+    assert application.run(out, "--overwrite") == 0
+
+
 @pytest.mark.parametrize("name", ["background", "structure", "face", "body"])
 def test_a_finished_run_is_resumed_by_doing_nothing(
     name: str, applications: dict[str, Application], whole: dict[str, Path], tmp_path: Path
@@ -223,18 +253,31 @@ def test_other_runs_are_not_resumed(
 def test_kills_at_random_moments(
     name: str, kills: int, applications: dict[str, Application], whole: dict[str, Path], tmp_path: Path
 ) -> None:
-    """50 over all: whenever a process ends by itself, its results are those of a run in one go."""
+    """50 over all: whenever a process ends by itself, its results are those of a run in one go.
+
+    Every other kill comes at any moment of a process, the others when it has begun to save.
+    """
     application, random = applications[name], np.random.default_rng(kills)
     command = [sys.executable, "-m", "rsmcm.apps.command_line"]
-    out, finished, killed = tmp_path / "0", 0, 0
+    finished, killed = 0, 0
     started = time.monotonic()
     subprocess.run([*command, *application.arguments(tmp_path / "timed")], capture_output=True, check=True)
     longest = time.monotonic() - started
     while killed < kills:
+        out = tmp_path / str(finished)
         arguments = [*command, *application.arguments(out, "--resume")]
         process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        delay = float(random.uniform(0.2, 1.0)) * longest
+        if killed % 2:
+            before = saved_at(out)
+            began = time.monotonic()
+            while (
+                saved_at(out) == before and process.poll() is None and time.monotonic() < began + 10 * longest
+            ):
+                time.sleep(0.002)
+            delay = float(random.uniform(0, 0.2)) * longest
         try:
-            _, complaint = process.communicate(timeout=float(random.uniform(0.2, 1.0)) * longest)
+            _, complaint = process.communicate(timeout=delay)
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
@@ -243,9 +286,15 @@ def test_kills_at_random_moments(
         assert process.returncode == 0, complaint
         assert_same(out, whole[name])
         finished += 1
-        out = tmp_path / str(finished)
+    out = tmp_path / str(finished)
     assert application.run(out, "--resume") == 0
     assert_same(out, whole[name])
+
+
+def saved_at(out: Path) -> int:
+    """When the state was written; 0 if it is not there."""
+    state = out / "state.npz"
+    return state.stat().st_mtime_ns if state.exists() else 0
 
 
 # --- learned from another film ------------------------------------------------------------------------------

@@ -1,5 +1,8 @@
 """Arrays that grow on disk."""
 
+import errno
+import itertools
+import shutil
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -103,3 +106,24 @@ def test_memory_does_not_grow(tmp_path: Path) -> None:
         tracemalloc.stop()
     assert highest < 50e6
     assert (tmp_path / "rows.npz").stat().st_size > 160e6
+
+
+def test_a_checkpoint_that_fails_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A full disk at the second array; when there is room again, everything is written."""
+    copy, calls = shutil.copyfileobj, itertools.count(1)
+
+    def failing(*arguments: Any) -> None:
+        if next(calls) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        copy(*arguments)
+
+    with RowWriter(tmp_path / "rows.npz", {}) as writer:
+        for number in (1, 2):
+            writer.append(number, {"a": float(number), "b": -float(number)})
+        with monkeypatch.context() as patch:
+            patch.setattr(shutil, "copyfileobj", failing)
+            with pytest.raises(OSError, match="No space left"):
+                writer.checkpoint()
+    with np.load(tmp_path / "rows.npz") as content:
+        np.testing.assert_array_equal(content["a"], [1, 2])
+        np.testing.assert_array_equal(content["b"], [-1, -2])

@@ -89,11 +89,11 @@ def started(command: Arguments, blas: str | None, core: int | None) -> "subproce
 def data_of(path: Path) -> Any:
     """What a file says of the input: nothing of the time that it took."""
     if path.suffix == ".npz":
-        with np.load(path, allow_pickle=False) as content:  # a state's skeleton holds the seconds so far
+        with np.load(path, allow_pickle=False) as content:  # a state also holds the seconds so far
             return {
                 name: (content[name].shape, content[name].dtype.str, content[name].tobytes())
                 for name in content.files
-                if name != "skeleton"
+                if name not in ("skeleton", "digest") and "seconds" not in name
             }
     if path.name == "summary.json":
         summary: dict[str, Any] = json.loads(path.read_text())

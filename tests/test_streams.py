@@ -476,6 +476,7 @@ def test_a_camera_that_is_started_anew_knows_who_is_there(
         code, _, errors = run("background", capfd, address, "--out", second, *options)
     assert (code, errors) == (0, [])
     tracks, again = (read_tracks(out / "tracks.txt") for out in (first, second))
+    assert not list(first.glob("*.part*")), "nobody can resume it"
     (person,) = set(tracks["id"][tracks["frame"] > 45])
     assert set(again["id"]) == {person}
     assert set(again["frame"]) == set(range(1, 21)), "from the first frame on"
