@@ -9,8 +9,24 @@ import cv2
 _settings = {"threads": min(2, os.cpu_count() or 1)}
 _workers: dict[int, ThreadPoolExecutor] = {}
 
-if hasattr(os, "register_at_fork"):  # a forked process has none of its parent's threads
-    os.register_at_fork(after_in_child=_workers.clear)
+
+def _before_fork() -> None:
+    """Have OpenCV end its threads: one that held a lock would leave it locked in the child for ever."""
+    _settings["opencv"] = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+
+
+def _after_fork() -> None:
+    cv2.setNumThreads(_settings["opencv"])
+
+
+def _after_fork_in_child() -> None:
+    _workers.clear()  # it has none of its parent's threads
+    _after_fork()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_after_fork_in_child)
 
 
 def set_threads(count: int) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -101,6 +102,27 @@ def summary_of(out: Path) -> dict[str, Any]:
 def names(folder: Path) -> set[str]:
     """Of all files but the lock, which stays."""
     return {path.name for path in folder.iterdir()} - {".lock"}
+
+
+def with_peak(*arguments: object) -> tuple[subprocess.CompletedProcess[str], int]:
+    """A finished command, and the bytes that it has had in memory at most; where that is not known, a skip.
+
+    What the system counts for a child includes the process that it was forked from, so it is asked itself.
+    """
+    if not Path("/proc/self/status").exists():
+        pytest.skip("the peak of another process is not known here")
+    script = (
+        "import sys\n"
+        "from rsmcm.apps.command_line import main\n"
+        "try:\n"
+        "    main(sys.argv[1:])\n"
+        "finally:\n"
+        "    print(open('/proc/self/status').read())\n"
+    )
+    command = [sys.executable, "-c", script, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    (kilobytes,) = re.findall(r"VmHWM:\s*(\d+) kB", done.stdout)
+    return done, 1024 * int(kilobytes)
 
 
 def modified(folder: Path) -> dict[Path, int]:

@@ -1,10 +1,7 @@
 """Still pictures: as OpenCV and Pillow read them, upright, and none that memory does not hold."""
 
 import io
-import re
 import struct
-import subprocess
-import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +18,7 @@ from rsmcm.apps.image_reader import SCALED
 from rsmcm.apps.images import IMAGE_SUFFIXES, read_grey, read_image, to_8_bits
 from rsmcm.apps.sources import open_source
 
-from .conftest import Command
+from .conftest import Command, with_peak
 
 HEIGHT, WIDTH = 64, 80
 SUFFIXES = sorted(IMAGE_SUFFIXES - {".pbm"})  # OpenCV writes that with one bit only
@@ -189,20 +186,10 @@ def test_large_regions_and_truths_are_refused(tmp_path: Path, capfd: pytest.Capt
 def test_refusal_takes_little_memory(tmp_path: Path) -> None:
     path = tmp_path / "large.png"
     path.write_bytes(LARGE[".png"]())
-    script = (
-        "import sys\n"
-        "from rsmcm.apps.command_line import main\n"
-        "try:\n"
-        "    main(sys.argv[1:])\n"
-        "finally:\n"
-        "    print(open('/proc/self/status').read())\n"  # rusage counts the process that has forked as well
-    )
-    command = [sys.executable, "-c", script, "background", str(path), "--out", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done, peak = with_peak("background", path, "--out", tmp_path)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
-    (highest,) = re.findall(r"VmHWM:\s*(\d+) kB", done.stdout)
-    assert int(highest) < 1 << 20
+    assert peak < 1 << 30
 
 
 # --- damaged pictures ---------------------------------------------------------------------------------------

@@ -1,8 +1,5 @@
 """What a run says that it needs in memory is what it takes."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +9,7 @@ import pytest
 from rsmcm.apps import memory
 from rsmcm.apps.scenes import face, signer
 
-from .conftest import Command
+from .conftest import Command, with_peak
 
 SCALES = (2, 4)
 AT_MOST, AT_LEAST = 1.15, 0.4
@@ -29,17 +26,7 @@ def film(folder: Path, images: list[np.ndarray], scale: int) -> tuple[Path, int]
     return path, large.shape[0] * large.shape[1]
 
 
-def peak(*arguments: object) -> int:
-    """Bytes that a command has had in memory at most."""
-    command = [sys.executable, "-m", "rsmcm.apps.command_line", *map(str, arguments)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    assert status == 0
-    return int(usage.ru_maxrss) * (1 if sys.platform == "darwin" else 1024)
-
-
 @pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "wait4"), reason="the peak of another process is not known here")
 @pytest.mark.parametrize(
     ("name", "options", "stated"),
     [
@@ -65,7 +52,9 @@ def test_bytes_per_pixel(name: str, options: tuple[object, ...], stated: float, 
         head = [scale * number for number in (354, 74, 58, 82)]
         filled = [str(option).format(*head, scale=scale) for option in options]
         given = [tmp_path / each if each.endswith((".toml", ".npy")) else each for each in filled]
-        found.append((pixels, peak(name, path, "--out", tmp_path / f"out{scale}", *given)))
+        done, peak = with_peak(name, path, "--out", tmp_path / f"out{scale}", *given)
+        assert done.returncode == 0, done.stderr
+        found.append((pixels, peak))
     (few, less), (many, more) = found
     assert AT_LEAST * stated < (more - less) / (many - few) < AT_MOST * stated
 
