@@ -354,8 +354,7 @@ def body(
     outcome = run_body(
         BodyJob(
             source, out, detector, head, joints, samples, start=start, stop=stop, step=step, resume=resume,
-            overwrite=overwrite, every=every, learned=from_, seed=seed,
-        reconnect=reconnect,
+            overwrite=overwrite, every=every, learned=from_, seed=seed, reconnect=reconnect,
         )
     )  # fmt: skip
     summary = outcome.summary

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -145,6 +146,25 @@ def assert_same(out: Path, whole: Path) -> None:
             assert path.read_bytes() == expected[name].read_bytes(), name
 
 
+@contextmanager
+def signals_after(
+    after: int, signals: list[signal.Signals], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[None]:
+    """Inside the block, signals arrive after so many frames or rounds, all that are looked at counted."""
+    items, count = Interruption.items, itertools.count(1)
+
+    def interrupted(self: Interruption, source: Iterator[Any]) -> Iterator[Any]:
+        for item in items(self, source):
+            yield item
+            if next(count) == after:
+                for number in signals:
+                    signal.raise_signal(number)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Interruption, "items", interrupted)
+        yield
+
+
 @pytest.mark.parametrize(
     ("name", "after"),
     [
@@ -165,16 +185,7 @@ def test_interrupted_and_resumed(
     It comes after so many frames or rounds; of the body's, 25 frames are looked at before.
     """
     application, out = applications[name], tmp_path / "out"
-    items, count = Interruption.items, itertools.count(1)
-
-    def interrupted(self: Interruption, source: Iterator[Any]) -> Iterator[Any]:
-        for item in items(self, source):
-            yield item
-            if next(count) == after:
-                signal.raise_signal(signal.SIGTERM)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Interruption, "items", interrupted)
+    with signals_after(after, [signal.SIGTERM], monkeypatch):
         assert application.run(out) == 128 + signal.SIGTERM
     summary = json.loads((out / "summary.json").read_text())
     assert summary["ended_early"]
@@ -197,17 +208,7 @@ def test_two_signals(
 ) -> None:
     """The second one ends the run at once, and the line says how it goes on."""
     application, out = applications[name], tmp_path / "out"
-    items, count = Interruption.items, itertools.count(1)
-
-    def interrupted(self: Interruption, source: Iterator[Any]) -> Iterator[Any]:
-        for item in items(self, source):
-            yield item
-            if next(count) == after:
-                signal.raise_signal(signal.SIGINT)
-                signal.raise_signal(signal.SIGINT)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Interruption, "items", interrupted)
+    with signals_after(after, [signal.SIGINT, signal.SIGINT], monkeypatch):
         assert application.run(out) == 128 + signal.SIGINT
     assert capfd.readouterr().err == f"rsmcm: interrupted: --resume goes on with {out}\n"
     assert application.run(out, "--resume") == 0
