@@ -50,7 +50,7 @@ constraints: $(INSTALLED)
 		--output-file constraints.txt pyproject.toml
 
 bench: $(INSTALLED)
-	$(BIN)/python -m rsmcm.apps.bench
+	$(BIN)/python -m rsmcm.apps.experiments.bench
 
 fuzz: $(INSTALLED)
 	$(BIN)/python -m tests.fuzz

@@ -12,8 +12,7 @@ nox.options.download_python = "never"
 nox.options.error_on_missing_interpreters = False  # nox lists the sessions that it left out
 
 FIRST_MET = (
-    "background_app", "checkpoint", "command_line", "coordinate_ascent", "readme", "recursive_bp", "results",
-    "sources",
+    "apps/background", "apps/io", "apps/test_command_line.py", "inference/core", "system/test_readme.py",
 )  # fmt: skip
 """Tests of what meets other libraries first: files, saved states, engines, the command line."""
 
@@ -43,7 +42,7 @@ def newest(session: nox.Session) -> None:
 def newest_first_met(session: nox.Session) -> None:
     """The demo, and a part of the tests, with the newest version of everything: a few minutes."""
     install(session, "--upgrade")
-    run_tests(session, *(f"tests/test_{name}.py" for name in FIRST_MET))
+    run_tests(session, *(f"tests/{path}" for path in FIRST_MET))
     session.run("rsmcm", "demo", "--out", f"{session.create_tmp()}/demo")
 
 

@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
 from .complaints import about_options, convert_strictly, not_negative, one_line
-from .interruption import Outcome
+from .io.sources.quiet import own_standard_error
 from .opencv_packages import opencv_hint
-from .quiet import own_standard_error
+from .runs.interruption import Outcome
 
 STREAM_LOST = 1
 USAGE_ERROR = 2
@@ -105,7 +105,7 @@ def background(
     reconnect
         When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
-    from . import background as application
+    from .background import application as application
 
     job = application.Job(
         source, out, engine, config, roi, masks, ground_truth, compare, start=start, stop=stop, step=step,
@@ -118,7 +118,7 @@ def background(
         print(note)
     print(f"results: {out / 'report.html'}")
     if compare and outcome.signal is None and outcome.lost is None:
-        from .compare import run_compare
+        from .background.compare import run_compare
 
         outcome, lines = run_compare(job)
         if lines:
@@ -172,7 +172,7 @@ def structure(
     reconnect
         When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
-    from .structure import StructureJob, run_structure
+    from .structure.application import StructureJob, run_structure
 
     outcome = run_structure(
         StructureJob(source, out, coherence, association, start, stop, step, resume, overwrite, reconnect)
@@ -259,7 +259,7 @@ def face(
     reconnect
         When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
-    from .face import FaceJob, run_face
+    from .face.application import FaceJob, run_face
 
     outcome = run_face(
         FaceJob(
@@ -349,7 +349,7 @@ def body(
     reconnect
         When a camera or stream is lost, try for so many seconds to get it back. The gap is missing frames.
     """
-    from .body import BodyJob, run_body
+    from .body.application import BodyJob, run_body
 
     outcome = run_body(
         BodyJob(
@@ -371,7 +371,7 @@ def shape(tracks: Path, *, bases: int, out: Path, overwrite: Flag = False) -> in
     """Learn a deformable 3-D model of an object from tracks of its points.
 
     By EM for probabilistic PCA of the shape, seen by a scaled orthographic camera. `rsmcm face` and
-    rsmcm.models.morphable_files read the model that it writes.
+    rsmcm.models.face.model_files read the model that it writes.
 
     Parameters
     ----------
@@ -384,7 +384,7 @@ def shape(tracks: Path, *, bases: int, out: Path, overwrite: Flag = False) -> in
     overwrite
         Replace the file if it is there.
     """
-    from .shape import in_words, run_shape
+    from .structure.shape import in_words, run_shape
 
     print(*in_words(run_shape(tracks, bases, out, overwrite=overwrite)), f"model: {out}", sep="\n")
     return 0
@@ -399,7 +399,7 @@ def demo(*, out: Path = Path("results/demo")) -> int:
     out
         Folder for the scene and the results; results of an earlier demo are replaced.
     """
-    from .demo import run_demo
+    from .background.demo import run_demo
 
     return _ended(run_demo(out))
 
@@ -413,7 +413,7 @@ def validity(run: Path) -> int:
     run
         Folder of the run, with the predictions that it recorded.
     """
-    from .validity import report_validity
+    from .evaluation.validity import report_validity
 
     print(report_validity(run))
     return 0
@@ -430,7 +430,7 @@ def sleeping_man(*, out: Path = Path("results/sleeping-man"), long: Flag = False
     long
         Also a person who stands for 1300 frames, and shadows of clouds.
     """
-    from .reproduce.sleeping_man import reproduce_sleeping_man
+    from .experiments.reproduce.sleeping_man import reproduce_sleeping_man
 
     reproduce_sleeping_man(out, long)
     return 0
@@ -447,7 +447,7 @@ def pets(*, out: Path = Path("results/pets"), long: Flag = False) -> int:
     long
         Try all settings of MOG2 and KNN, and all clean-ups, instead of the middle ones.
     """
-    from .reproduce.pets import reproduce_pets
+    from .experiments.reproduce.pets import reproduce_pets
 
     reproduce_pets(out, long)
     return 0
@@ -462,7 +462,7 @@ def highway(*, out: Path = Path("results/highway")) -> int:
     out
         Folder for the results.
     """
-    from .reproduce.highway import reproduce_highway
+    from .experiments.reproduce.highway import reproduce_highway
 
     reproduce_highway(out)
     return 0
@@ -477,7 +477,7 @@ def cylinder(*, out: Path = Path("results/cylinder")) -> int:
     out
         Folder for the figures.
     """
-    from .reproduce.cylinder import reproduce_cylinder
+    from .experiments.reproduce.cylinder import reproduce_cylinder
 
     reproduce_cylinder(out)
     return 0
@@ -492,7 +492,7 @@ def box(*, out: Path = Path("results/box")) -> int:
     out
         Folder for the figures.
     """
-    from .reproduce.box import reproduce_box
+    from .experiments.reproduce.box import reproduce_box
 
     reproduce_box(out)
     return 0
@@ -507,7 +507,7 @@ def shapes(*, out: Path = Path("results/shapes")) -> int:
     out
         Folder for the figures.
     """
-    from .reproduce.shapes import reproduce_shapes
+    from .experiments.reproduce.shapes import reproduce_shapes
 
     reproduce_shapes(out)
     return 0
@@ -522,7 +522,7 @@ def talking_face(*, out: Path = Path("results/talking-face")) -> int:
     out
         Folder for the figures.
     """
-    from .reproduce.talking_face import reproduce_talking_face
+    from .experiments.reproduce.talking_face import reproduce_talking_face
 
     reproduce_talking_face(out)
     return 0
@@ -537,7 +537,7 @@ def experts(*, out: Path = Path("results/experts")) -> int:
     out
         Folder for the figures.
     """
-    from .reproduce.experts import reproduce_experts
+    from .experiments.reproduce.experts import reproduce_experts
 
     reproduce_experts(out)
     return 0
@@ -552,7 +552,7 @@ def gain(*, out: Path = Path("results/gain")) -> int:
     out
         Folder for the figures.
     """
-    from .reproduce.gain import reproduce_gain
+    from .experiments.reproduce.gain import reproduce_gain
 
     reproduce_gain(out)
     return 0
@@ -567,7 +567,7 @@ def recovery(*, out: Path = Path("results/recovery")) -> int:
     out
         Folder for the figures.
     """
-    from .reproduce.recovery import reproduce_recovery
+    from .experiments.reproduce.recovery import reproduce_recovery
 
     reproduce_recovery(out)
     return 0
@@ -582,7 +582,7 @@ def face_background(*, out: Path = Path("results/face-background")) -> int:
     out
         Folder for the figures.
     """
-    from .reproduce.face_background import reproduce_face_background
+    from .experiments.reproduce.face_background import reproduce_face_background
 
     reproduce_face_background(out)
     return 0
@@ -597,7 +597,7 @@ def body_figure(*, out: Path = Path("results/body-comparison")) -> int:
     out
         Folder for the figures.
     """
-    from .reproduce.body import reproduce_body
+    from .experiments.reproduce.body import reproduce_body
 
     reproduce_body(out)
     return 0
@@ -660,12 +660,12 @@ def launch(
     if quiet and verbose:
         raise ValueError("--quiet and --verbose: got both, expected one of them")
     function, bound, _ = app.parse_args(command, exit_on_error=False, print_error=False)
-    from .progress import show_messages
+    from .runs.progress import show_messages
 
     show_messages(logging.ERROR if quiet else logging.INFO if verbose else logging.WARNING)
     try:
         if threads is not None:
-            from ..models.threads import set_threads
+            from ..models.numerics.threads import set_threads
 
             set_threads(threads)
             logging.getLogger("rsmcm").info("threads: %d", threads)

@@ -12,14 +12,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.protocols import Incoming
-from ..models import buffers, colour
-from ..models.background import BackgroundPrediction, LightField
-from ..models.background_kernels import light_ratios, second_look
-from ..models.frame import Frame
-from ..models.layer_kernels import update_behind
-from ..models.memo import LastCall
-from ..models.pixel_labels import PixelLabels, PixelMessage
+from ..inference.core.protocols import Incoming
+from ..models.background import colour
+from ..models.background.gaussian import BackgroundPrediction, LightField
+from ..models.background.kernels.gaussian import light_ratios, second_look
+from ..models.background.kernels.layers import update_behind
+from ..models.background.pixel_labels import PixelLabels, PixelMessage
+from ..models.core.frame import Frame
+from ..models.core.last_call import LastCall
+from ..models.numerics import array_pool
 
 Planes = NDArray[np.float32]
 
@@ -175,7 +176,7 @@ class AdaptiveBackground:
             return state
         prediction = self._last(self._prediction, state, image)
         reading, after = prediction.against(image), prediction.update(image)
-        covered = buffers.empty(reading.log_odds.shape, np.uint8)
+        covered = array_pool.empty(reading.log_odds.shape, np.uint8)
         covered[:] = 0
         light_rows, row_positions = prediction.light.rows(), prediction.light.row_positions()
         for region in told.regions:
@@ -186,8 +187,8 @@ class AdaptiveBackground:
                 after.mean, after.variance, after.noise, covered,
             )  # fmt: skip
         candidate, seen = (
-            buffers.empty(state.candidate.shape, np.uint8),
-            buffers.empty(state.seen.shape, np.uint8),
+            array_pool.empty(state.candidate.shape, np.uint8),
+            array_pool.empty(state.seen.shape, np.uint8),
         )
         np.copyto(candidate, state.candidate)
         np.copyto(seen, state.seen)

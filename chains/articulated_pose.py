@@ -7,24 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.body_dynamics import BodyDynamics
-from ..inference.body_samples import (
-    LEAST_SPREAD,
-    BodySamples,
-    first,
-    part_message,
-    predicted,
-    stationary,
-)
-from ..inference.likelihood_sampling import LikelihoodSampler, Past
-from ..inference.protocols import Incoming
-from ..inference.resample_move import temper
-from ..models.body_likelihood import BodyLikelihood
-from ..models.body_parts import PartMessage
-from ..models.body_poses import BodyPoses
-from ..models.frame import Frame
-from ..models.gaussian_mixtures import GaussianMixtures
-from ..models.upper_body import UpperBody
+from ..inference.body.dynamics import BodyDynamics
+from ..inference.body.likelihood_sampling import LikelihoodSampler, Past
+from ..inference.body.samples import LEAST_SPREAD, BodySamples, first, part_message, predicted, stationary
+from ..inference.body.tempering import temper
+from ..inference.core.protocols import Incoming
+from ..models.body.likelihood import BodyLikelihood
+from ..models.body.parts import PartMessage
+from ..models.body.poses import BodyPoses
+from ..models.body.upper_body import UpperBody
+from ..models.core.frame import Frame
+from ..models.core.gaussian_mixtures import GaussianMixtures
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.protocols import Incoming
-from ..models.blob_kernels import (
+from ..inference.core.protocols import Incoming
+from ..models.background.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage, log_density_ratio
+from ..models.core.frame import Frame
+from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.last_call import LastCall
+from ..models.objects.kernels.blobs import (
     UNKNOWN_COLOUR,
     count_foreground,
     cover,
@@ -27,12 +31,8 @@ from ..models.blob_kernels import (
     outline_contrast,
     search,
 )
-from ..models.frame import Frame
-from ..models.gaussian_message import GaussianMessage
-from ..models.mask_kernels import MaskShape, clear_blocks, fade_beyond, shape_of
-from ..models.memo import LastCall
-from ..models.object_boxes import HEIGHT, WIDTH, ObjectBoxes
-from ..models.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage, log_density_ratio
+from ..models.objects.kernels.masks import MaskShape, clear_blocks, fade_beyond, shape_of
+from ..models.objects.object_boxes import HEIGHT, WIDTH, ObjectBoxes
 
 Map = NDArray[np.float32]
 Pair = NDArray[np.float64]

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.factorisation import Factorisation, factorise, predicted
-from ..inference.protocols import BatchIncoming
-from ..inference.track_linking import link_tracks
-from ..models.gaussian_message import GaussianMessage
-from ..models.point_tracks import PointMessage, PointTracks
+from ..inference.core.protocols import BatchIncoming
+from ..inference.factor_analysis.factorisation import Factorisation, factorise, predicted
+from ..inference.structure.track_association import link_tracks
+from ..models.core.gaussian_message import GaussianMessage
+from ..models.points.point_tracks import PointMessage, PointTracks
 
 Numbers = NDArray[np.float64]
 

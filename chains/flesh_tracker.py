@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from ..inference.part_assignment import Assignment, PartChoices
-from ..inference.part_filter import MovingParts, PartPosterior
-from ..inference.protocols import Incoming
-from ..models.body_parts import PartMessage
-from ..models.frame import Frame
-from ..models.gaussian_mixtures import NO_LABEL, GaussianMixtures
-from ..models.upper_body import UpperBody
+from ..inference.body.part_assignment import Assignment, PartChoices
+from ..inference.body.part_filter import MovingParts, PartPosterior
+from ..inference.core.protocols import Incoming
+from ..models.body.parts import PartMessage
+from ..models.body.upper_body import UpperBody
+from ..models.core.frame import Frame
+from ..models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
 
 Array = NDArray[np.float64]
 

@@ -9,31 +9,31 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.backdrop import Behind, Reading, first_trust, tones, units
-from ..inference.coverage import Coverage, widened
-from ..inference.expert_background import ExpertBackground
-from ..inference.point_terms import PoseEvidence, measured_points, predicted_points
-from ..inference.pose_dynamics import PoseDynamics, PosePrior
-from ..inference.pose_experts import Generation, continued, log_likelihood, resampled, sampled
-from ..inference.pose_peak import find_peaks
-from ..inference.protocols import Incoming
-from ..inference.relocation import likely_places
-from ..inference.resampling import log_sum, normalised
-from ..inference.search_starts import apart
-from ..inference.silhouette import Silhouette
-from ..inference.texture_filter import Texture, explained
-from ..inference.texture_likelihood import TexturedObject, TextureLikelihood
-from ..models.frame import Frame
-from ..models.memo import LastCall
-from ..models.morphable_model import MorphableModel
-from ..models.outline import MeshEdges
-from ..models.picture_levels import Level, picture_levels
-from ..models.pixel_labels import PixelLabels, PixelMessage
-from ..models.point_tracks import PointMessage, PointTracks
-from ..models.pose import Poses
-from ..models.surface_points import SurfacePoints
-from ..models.surface_texels import SurfaceTexels
-from ..models.texel_noise import TexelNoise
+from ..inference.core.protocols import Incoming
+from ..inference.face.background_contrast import Behind, Reading, first_trust, tones, units
+from ..inference.face.coverage import Coverage, widened
+from ..inference.face.expert_background import ExpertBackground
+from ..inference.face.experts import Generation, continued, log_likelihood, resampled, sampled
+from ..inference.face.gauss_newton import find_peaks
+from ..inference.face.pose_dynamics import PoseDynamics, PosePrior
+from ..inference.face.pose_terms import PoseEvidence, measured_points, predicted_points
+from ..inference.face.relocation import likely_places
+from ..inference.face.search_starts import apart
+from ..inference.face.silhouette import Silhouette
+from ..inference.face.texture_filter import Texture, explained
+from ..inference.face.texture_likelihood import TexturedObject, TextureLikelihood
+from ..inference.filters.resampling import log_sum, normalised
+from ..models.background.pixel_labels import PixelLabels, PixelMessage
+from ..models.core.frame import Frame
+from ..models.core.last_call import LastCall
+from ..models.face.image_pyramid import Level, picture_levels
+from ..models.face.morphable_model import MorphableModel
+from ..models.face.outline import MeshEdges
+from ..models.face.pose import Poses
+from ..models.face.surface_points import SurfacePoints
+from ..models.face.surface_texels import SurfaceTexels
+from ..models.face.texel_noise import TexelNoise
+from ..models.points.point_tracks import PointMessage, PointTracks
 
 Array = NDArray[np.float64]
 

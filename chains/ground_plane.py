@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..inference.protocols import Incoming
-from ..models.frame import Frame
-from ..models.gaussian_message import GaussianMessage
-from ..models.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH, ObjectBoxes
+from ..inference.core.protocols import Incoming
+from ..models.core.frame import Frame
+from ..models.core.gaussian_message import GaussianMessage
+from ..models.objects.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH, ObjectBoxes
 
 Numbers = NDArray[np.float64]
 

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.protocols import Incoming
-from ..models import buffers, colour
-from ..models.frame import Frame
-from ..models.memo import LastCall
-from ..models.mixture import Mixture, MixturePrediction
-from ..models.pixel_labels import PixelLabels, PixelMessage
+from ..inference.core.protocols import Incoming
+from ..models.background import colour
+from ..models.background.mixture import Mixture, MixturePrediction
+from ..models.background.pixel_labels import PixelLabels, PixelMessage
+from ..models.core.frame import Frame
+from ..models.core.last_call import LastCall
+from ..models.numerics import array_pool
 
 REVEALED = 3.0
 """Nats from which on others are so sure of background that foreground is taken for it as it is seen."""
@@ -125,7 +126,7 @@ class MixtureBackground:
         prediction = self._last(self._prediction, state)
         height, width = state.size
         rate = float(-np.expm1(-self.rate * state.elapsed))
-        rates = buffers.empty((height, width), np.float32)
+        rates = array_pool.empty((height, width), np.float32)
         rates[:] = rate
         pooled = prediction.against(image).pooled.reshape(height, width)
         for region in told.regions:

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.known_points import KnownPoints
-from ..inference.learned_acceleration import learned_motion
-from ..inference.one_point import Same, on_one_spot, rename, renamed, same_points, united
-from ..inference.point_filter import (
+from ..inference.core.protocols import BatchIncoming, Incoming
+from ..inference.points.duplicate_tracks import Same, on_one_spot, rename, renamed, same_points, united
+from ..inference.points.known_points import KnownPoints
+from ..inference.points.motion_noise import learned_motion
+from ..inference.points.tracker import (
     BORN,
     GIVEN_LIMIT,
     SPOT,
@@ -27,13 +28,12 @@ from ..inference.point_filter import (
     starting,
     with_given,
 )
-from ..inference.point_trajectory import Gathered, Looks, PointTrajectory, smoothed_trajectory
-from ..inference.protocols import BatchIncoming, Incoming
-from ..models.frame import Frame
-from ..models.gaussian_message import GaussianMessage
-from ..models.mahalanobis import squared_distances
-from ..models.patches import Patches
-from ..models.point_tracks import PointMessage, PointTracks
+from ..inference.points.trajectory import Gathered, Looks, PointTrajectory, smoothed_trajectory
+from ..models.core.frame import Frame
+from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.mahalanobis import squared_distances
+from ..models.points.patches import Patches
+from ..models.points.point_tracks import PointMessage, PointTracks
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -8,15 +8,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..inference import camera_motion
-from ..inference.camera_motion import CameraMotion
-from ..inference.protocols import Incoming
-from ..inference.rigid_structure import Registration, Seen, Structure, join, register, take_in
-from ..inference.structure_window import LEAST_SEEN, Window, first_structure
-from ..models.frame import Frame
-from ..models.gaussian_message import GaussianMessage
-from ..models.memo import LastCall
-from ..models.point_tracks import NOWHERE, PointMessage, PointTracks
+from ..inference.core.protocols import Incoming
+from ..inference.structure import camera_motion
+from ..inference.structure.camera_motion import CameraMotion
+from ..inference.structure.recursive import Registration, Seen, Structure, join, register, take_in
+from ..inference.structure.recursive_start import LEAST_SEEN, Window, first_structure
+from ..models.core.frame import Frame
+from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.last_call import LastCall
+from ..models.points.point_tracks import NOWHERE, PointMessage, PointTracks
 
 LOST = 0.5
 """Standard deviation of the camera, in extents of the shape's picture, from which on it is lost."""

@@ -1,10 +1,10 @@
 """How beliefs move: what chains and features promise, the graph of them, and the engines."""
 
-from .condensation import Condensation
-from .coordinate_ascent import CoordinateAscent, Solution
-from .graph import MultiChain
-from .protocols import BatchChain, Chain, FeatureNode, Incoming, Message
-from .recursive_bp import Belief, RecursiveBP, RunState
+from ..chains.condensation import Condensation
+from .core.coordinate_ascent import CoordinateAscent, Solution
+from .core.graph import MultiChain
+from .core.protocols import BatchChain, Chain, FeatureNode, Incoming, Message
+from .core.recursive_bp import Belief, RecursiveBP, RunState
 
 __all__ = [
     "BatchChain",

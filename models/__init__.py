@@ -1,16 +1,16 @@
 """What the world looks like: features, pictures, colours. No time, no engine."""
 
-from .body_parts import BodyParts
-from .body_poses import BodyPoses
-from .categorical import Categorical
-from .face_detectors import HaarFaces, YuNetFaces
-from .frame import Frame
-from .morphable_model import MorphableModel
-from .object_boxes import ObjectBoxes
-from .pixel_labels import PixelLabels
-from .point_tracks import PointTracks
-from .pose import Poses
-from .upper_body import UpperBody
+from .background.pixel_labels import PixelLabels
+from .body.parts import BodyParts
+from .body.poses import BodyPoses
+from .body.upper_body import UpperBody
+from .core.categorical import Categorical
+from .core.frame import Frame
+from .face.detectors import HaarFaces, YuNetFaces
+from .face.morphable_model import MorphableModel
+from .face.pose import Poses
+from .objects.object_boxes import ObjectBoxes
+from .points.point_tracks import PointTracks
 
 __all__ = [
     "BodyParts",

@@ -1,6 +1,6 @@
 """Generated scenes with exact ground truth: a street for background and tracks, cylinder, face, signer."""
 
-from .signer import SignerScene, signer
+from .signing.signer import SignerScene, signer
 from .street import Scene, TruthBox, sleeping_man
 from .talking_face import FaceScene, face
 from .turning_cylinder import Cylinder, cylinder

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.built_in_face import HALF_HEIGHT, HALF_WIDTH, RIM, front_view, on_shield
+from ...models.face.built_in_model import HALF_HEIGHT, HALF_WIDTH, RIM, front_view, on_shield
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...models.compiled import compiled, inlined
+from ...models.numerics.compiled import compiled, inlined
 
 _f4 = np.float32
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.frame import Frame
+from ...models.core.frame import Frame
 
 Pixels = NDArray[np.float32]
 Mask = NDArray[np.bool_]

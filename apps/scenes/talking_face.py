@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.built_in_face import face_model, face_plane, landmarks, unit_length
-from ...models.frame import Frame
-from ...models.morphable_model import MorphableModel
-from ...models.pose import Poses, exponential
+from ...models.core.frame import Frame
+from ...models.face.built_in_model import face_model, face_plane, landmarks, unit_length
+from ...models.face.morphable_model import MorphableModel
+from ...models.face.pose import Poses, exponential
 from .face_paint import Pixels, mottle, paint_room, paint_skin, skin_texels
 from .rendering_kernels import FARTHEST, average_samples, draw_mesh, see_vertices
 

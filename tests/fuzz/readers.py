@@ -5,23 +5,23 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from rsmcm.apps.background import build_model
-from rsmcm.apps.body_files import read_joints
-from rsmcm.apps.body_start import start_from_head
-from rsmcm.apps.ground_truth import BoxTruth, read_ground_truth
-from rsmcm.apps.parameters import read_parameters, with_defaults
-from rsmcm.apps.point_files import read_points
-from rsmcm.apps.region import read_region
-from rsmcm.apps.results import read_tracks
-from rsmcm.apps.scoring import Scoring, track_rows
-from rsmcm.apps.sources import IMAGE_SUFFIXES, open_source
-from rsmcm.apps.structure import StructureJob, read_film
-from rsmcm.apps.validity import report_validity
+from rsmcm.apps.background.application import build_model
+from rsmcm.apps.background.parameters import read_parameters, with_defaults
+from rsmcm.apps.body.joint_files import read_joints
+from rsmcm.apps.body.start import start_from_head
+from rsmcm.apps.evaluation.scoring import Scoring, track_rows
+from rsmcm.apps.evaluation.validity import report_validity
+from rsmcm.apps.io.ground_truth import BoxTruth, read_ground_truth
+from rsmcm.apps.io.point_files import read_points
+from rsmcm.apps.io.results import read_tracks
+from rsmcm.apps.io.sources.open_source import IMAGE_SUFFIXES, open_source
+from rsmcm.apps.runs.region import read_region
+from rsmcm.apps.structure.application import StructureJob, read_film
 from rsmcm.inference import RecursiveBP
-from rsmcm.models.face_detectors import default_faces
-from rsmcm.models.frame import Frame
-from rsmcm.models.morphable_files import read_correspondences, read_model
-from rsmcm.models.pose import Poses
+from rsmcm.models.core.frame import Frame
+from rsmcm.models.face.detectors import default_faces
+from rsmcm.models.face.model_files import read_correspondences, read_model
+from rsmcm.models.face.pose import Poses
 
 SIZE = (64, 48)
 MOST_FRAMES = 10_000  # of a film that has eight: more are made up

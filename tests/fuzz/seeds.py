@@ -11,12 +11,12 @@ import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rsmcm.apps.predictions import FILE, PairRecord, write_predictions
+from rsmcm.apps.evaluation.predictions import FILE, PairRecord, write_predictions
 from rsmcm.inference import RecursiveBP
-from rsmcm.inference.validity import RecordedPredictions
-from rsmcm.models.morphable_files import write_model
-from rsmcm.models.morphable_model import MorphableModel, spread
-from rsmcm.models.upper_body import JOINTS
+from rsmcm.inference.validity.estimate import RecordedPredictions
+from rsmcm.models.body.upper_body import JOINTS
+from rsmcm.models.face.model_files import write_model
+from rsmcm.models.face.morphable_model import MorphableModel, spread
 
 from .mutations import Files
 from .networks import tiny_network

@@ -1,0 +1,1 @@
+"""The background application: masks and tracks of moving objects."""

@@ -1,0 +1,280 @@
+"""The background application: from a source of frames to masks, tracks, pictures and a report."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference import Belief, MultiChain, RecursiveBP
+from ...models import Frame, ObjectBoxes, PixelLabels
+from ..evaluation.scoring import Scoring, track_rows
+from ..io.ground_truth import MaskTruth, common_frames, read_ground_truth
+from ..io.results import (
+    MaskWriter,
+    OverlayWriter,
+    TrackedObject,
+    TrackWriter,
+    draw_overlay,
+    read_tracks,
+    segment_pattern,
+    write_image,
+)
+from ..io.sources.open_source import Source
+from ..reports.report import RunRecord, write_report
+from ..runs.film_run import FilmJob, FilmRun, Writer
+from ..runs.interruption import Outcome
+from ..runs.memory import BACKGROUND
+from ..runs.region import inside, read_region
+from ..runs.saved_run import SavedRun
+from .parameters import SECTIONS, Parameters, build_chain, read_parameters, with_defaults
+
+Engine = Literal["recursive-bp", "feed-forward", "stand-alone"]
+ENGINES: tuple[Engine, ...] = ("recursive-bp", "feed-forward", "stand-alone")
+
+APPLICATION = "background"
+
+COMPARISON = ("compare.json", "compare.csv", "compare-pictures.png", "compare-errors.png", "compare.html")
+"""Files that a comparison writes beside the results."""
+
+EVIDENCE_EVERY = 10
+"""Frames between two values of log p(I) in the report: nothing else needs that pass over the pixels."""
+
+
+def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None = None) -> MultiChain:
+    """Connect the background application's chains.
+
+    Parameters
+    ----------
+    engine
+        `"recursive-bp"`: background, blobs and ground plane correct each other. `"feed-forward"`: the same
+        chains, but the background hears nothing of the blobs. `"stand-alone"`: the background by itself.
+    parameters
+        those of the chains that differ from their defaults, by section and name; a section's `model` says
+        which chain it is.
+
+    Raises
+    ------
+    ValueError
+        if there is no such engine, or a parameter is out of range.
+    """
+    if engine not in ENGINES:
+        raise ValueError(f"engine: got {engine!r}, expected one of {', '.join(ENGINES)}")
+    chains = {section: build_chain(section, parameters or {}) for section in SECTIONS}
+    pixels, objects = PixelLabels(), ObjectBoxes()
+    model = MultiChain().connect(chains["background"], pixels)
+    if engine == "stand-alone":
+        return model
+    return (
+        model.connect(chains["blobs"], pixels, feedback=engine == "recursive-bp")
+        .connect(chains["blobs"], objects)
+        .connect(chains["ground"], objects)
+    )
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found in a frame.
+
+    Parameters
+    ----------
+    foreground
+        `(height, width)` uint8, 0 or 255.
+    tracks
+        boxes in px with identities.
+    """
+
+    foreground: NDArray[np.uint8]
+    tracks: list[TrackedObject]
+
+
+def found_in(belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | None = None) -> Found:
+    """Read mask and tracks from a belief; of a frame without image, they are what the chains predict.
+
+    Parameters
+    ----------
+    belief
+        after the frame.
+    size
+        `(width, height)` px.
+    region
+        `(height, width)` uint8: the mask is 0 where this is, and tracks that stand there are left out.
+    """
+    if not belief.states:  # no image yet
+        return Found(np.zeros((size[1], size[0]), np.uint8), [])
+    foreground: NDArray[np.uint8] = belief["pixels"].foreground()
+    if region is not None:
+        foreground &= region
+    tracks = belief["blobs"].tracks() if "blobs" in belief.states else []
+    return Found(foreground, inside(region, tracks))
+
+
+@dataclass(frozen=True)
+class Job(FilmJob):
+    """What to do; `rsmcm background --help` explains each field."""
+
+    engine: Engine = "recursive-bp"
+    config: Path | None = None
+    roi: str | None = None
+    masks: Literal["none", "png", "video"] = "png"
+    ground_truth: Path | None = None
+    compare: bool = False
+
+    def settings_with(self, parameters: Parameters) -> dict[str, Any]:
+        """What the results depend on, parameters of the chains among them."""
+        return {
+            **self.settings(),
+            "engine": self.engine,
+            "roi": self.roi,
+            "masks": self.masks,
+            "ground_truth": None if self.ground_truth is None else str(self.ground_truth.resolve()),
+            **with_defaults(parameters),
+        }
+
+
+def run_background(job: Job) -> Outcome:
+    """Run the background application; see `FilmRun.carry_out`."""
+    return BackgroundRun(job, read_parameters(job.config) if job.config else {}).carry_out()
+
+
+class BackgroundRun(FilmRun):
+    """One run: masks, tracks, and the record for the report."""
+
+    application = APPLICATION
+    blank_is_missing = False
+    kinds: ClassVar[dict[str, Any]] = {"record": Any, "scores": Any}
+
+    def __init__(self, job: Job, parameters: Parameters) -> None:
+        super().__init__(job, job.settings_with(parameters))
+        self._job = job
+        self.engine = RecursiveBP(build_model(job.engine, parameters))
+        self.record = RunRecord()
+        self._region: NDArray[np.uint8] | None = None
+        self._scoring: Scoring | None = None
+
+    @property
+    def files(self) -> list[str]:
+        """Masks as the job wants them, tracks, the empty scene, and what a comparison will add."""
+        masks = {
+            "none": [],
+            "png": ["foreground/bin[0-9]*.png"],
+            "video": ["foreground.mkv", segment_pattern("foreground.mkv")],
+        }
+        compared = COMPARISON if self._job.compare else ()
+        return ["tracks.txt", "background.png", *masks[self._job.masks], *compared]
+
+    @property
+    def chains(self) -> Mapping[str, Any]:
+        """Those of the engine."""
+        return self.engine.model.chains
+
+    @property
+    def bytes_needed(self) -> tuple[float, float]:
+        """Depends on the model of the background."""
+        return BACKGROUND[self.settings["background"]["model"]], 0.0
+
+    def memory(self) -> dict[str, Any]:
+        """Record and scores."""
+        scores = None if self._scoring is None else self._scoring.saved()
+        return {"record": self.record.saved(), "scores": scores}
+
+    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """Read region and ground truth."""
+        job = self._job
+        self._region = read_region(job.roi, self.source.size) if job.roi else None
+        self._scoring = read_truth(job, self.source, self._region)
+        return frames
+
+    def go_on(self, memory: Mapping[str, Any]) -> None:
+        """Take up record and scores."""
+        self.begin(iter(()))
+        self.record = RunRecord.restored(memory["record"])
+        if self._scoring is not None:
+            self._scoring.restore(memory["scores"])
+
+    def learn_from(self, saved: SavedRun) -> None:
+        """The states are all there is to learn."""
+        self.begin(iter(()))
+
+    def writers(self, rate: float, after: int) -> list[Writer]:
+        """Tracks, masks and overlay."""
+        out = self._job.out
+        self._tracks = TrackWriter(out / "tracks.txt", after)
+        self._masks = MaskWriter(out, self._job.masks, rate, after)
+        self._overlay = OverlayWriter(out / "overlay.mp4", rate, after)
+        return [self._tracks, self._masks, self._overlay]
+
+    def found(self, belief: Belief) -> Found:
+        """Mask and tracks."""
+        return found_in(belief, self.source.size, self._region)
+
+    def take_in(self, belief: Belief, found: Found, seconds: float) -> None:
+        """Write mask and tracks, and note what the report wants."""
+        frame = belief.frame
+        self._tracks.write(frame.number, found.tracks)
+        self._masks.write(found.foreground, frame.number, frame.time)
+        self._overlay.write(frame, found.foreground, found.tracks)
+        if self._scoring is not None:
+            self._scoring.add(frame.number, found.foreground)
+
+        def overlay() -> NDArray[np.uint8]:
+            assert frame.image is not None
+            return draw_overlay(frame.image, found.foreground, found.tracks, {}, f"frame {frame.number}")
+
+        due = len(self.record.numbers) % EVIDENCE_EVERY == 0
+        self.record.add(
+            frame,
+            found.tracks,
+            found.foreground,
+            lambda: belief["background"].picture(),
+            overlay,
+            belief.log_evidence if due else np.nan,
+            seconds,
+        )
+
+    def facts(self) -> dict[str, Any]:
+        """Tracks, and measures against ground truth."""
+        metrics = None
+        if self._scoring is not None:
+            tracked = self._job.engine != "stand-alone"
+            rows = track_rows(read_tracks(self._job.out / "tracks.txt")) if tracked else None
+            metrics = self._scoring.measures(rows)
+        return {"tracks": len(self.record.tracks), "metrics": metrics}
+
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Write the empty scene and the report."""
+        job = self._job
+        if self.state.states:
+            background = self.state.states["background"].picture()
+            write_image(job.out / "background.png", background)
+            title = f"{Path(self.source.name).name}: {job.engine}"
+            write_report(
+                job.out / "report.html", self.record, background, self.settings, summary["metrics"], title
+            )
+
+
+def read_truth(job: Job, source: Source, region: NDArray[np.uint8] | None) -> Scoring | None:
+    """Read the job's ground truth, if any, and make sure that it belongs to this source.
+
+    Raises
+    ------
+    ValueError
+        if it has no frame in common with the source, or masks of another size.
+    """
+    if job.ground_truth is None:
+        return None
+    truth = read_ground_truth(job.ground_truth)
+    numbers: Sequence[int] = truth.frames
+    if source.n_frames is not None:
+        last = job.start + (source.n_frames - 1) * job.step
+        numbers = common_frames(truth, range(job.start, last + 1, job.step))
+    if isinstance(truth, MaskTruth):
+        height, width = truth.labels(numbers[0]).shape
+        if (width, height) != source.size:
+            raise ValueError(
+                f"--ground-truth: {truth.files[numbers[0]]} has {width}x{height} px, "
+                f"expected {source.size[0]}x{source.size[1]} like {source.name}"
+            )
+    return Scoring(truth, region)

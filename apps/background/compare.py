@@ -1,0 +1,265 @@
+"""The same source through several methods: Fig. 8's table and Fig. 11's pictures of the RSMCM paper."""
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ...models.core.frame import Frame
+from ..drawing.mosaic import mosaic
+from ..evaluation.scoring import Scoring
+from ..experiments.trials.baselines import CleanUp, OpenCVSubtractor
+from ..io.results import write_atomically, write_image, write_json, write_text
+from ..io.sources.open_source import open_source
+from ..reports import report
+from ..runs.interruption import Interruption, Outcome
+from ..runs.output_folder import output_folder
+from ..runs.progress import Progress
+from ..runs.region import inside, read_region
+from .application import APPLICATION, COMPARISON, Found, Job, read_truth
+from .methods import Method, Model, Usual
+from .parameters import Parameters, read_parameters
+
+Image = NDArray[np.uint8]
+
+PRIORS = (0.5, 0.7, 0.9, 0.99)  # P(B) of the stand-alone background, as in Fig. 8
+SHOWN_PRIOR = 0.9  # which of them Fig. 11's picture shows
+COLUMNS = 5  # of Fig. 11's picture
+MOST_PICTURES = 2 * COLUMNS
+PICTURE_WIDTH = 480  # px
+USUAL_CLEAN_UP = CleanUp(median=5, min_area=50)
+
+
+@dataclass
+class Tally:
+    """One method's results, gathered frame by frame."""
+
+    method: Method
+    scoring: Scoring | None
+    seconds: float = 0.0
+    share: float = 0.0  # of the picture that is foreground, summed over frames
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+
+    def add(self, frame: Frame, region: Image | None) -> Found:
+        """Let the method take in a frame, and note what it finds."""
+        started = perf_counter()
+        found = self.method.step(frame)
+        self.seconds += perf_counter() - started
+        if region is not None:
+            found = Found(found.foreground & region, inside(region, found.tracks))
+        self.share += float(np.count_nonzero(found.foreground)) / found.foreground.size
+        if self.scoring is not None:
+            self.scoring.add(frame.number, found.foreground)
+            self.rows += [(frame.number, track.identity, *track.box) for track in found.tracks]
+        return found
+
+    def values(self, n_frames: int) -> dict[str, Any]:
+        """The method's line of the table."""
+        line: dict[str, Any] = {
+            "method": self.method.name,
+            "foreground, %": 100 * self.share / n_frames,
+            "ms a frame": 1e3 * self.seconds / n_frames,
+        }
+        rows = np.array(self.rows, np.float64).reshape(-1, 6) if self.method.tracks else None
+        measured = {} if self.scoring is None else self.scoring.measures(rows)
+        errors, pixels, tracks = (measured.get(name, {}) for name in ("errors", "pixels", "tracks"))
+        for name, title in ERRORS.items():
+            if name in errors:
+                line[title] = errors[name]
+        line |= {name: pixels[name] for name in ("precision", "recall", "F") if name in pixels}
+        line |= {title: tracks[name] for name, title in TRACKS.items() if name in tracks}
+        return line
+
+
+ERRORS = {
+    "missed_pedestrians": "missed pedestrians",
+    "missed_vehicles": "missed vehicles",
+    "missed_objects": "missed objects",
+    "ghosts": "ghosts",
+    "missed and ghosts": "total",
+}
+TRACKS = {"idf1": "IDF1", "mota": "MOTA", "switches": "id switches"}
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A frame in Fig. 11: number, input, and background and foreground of both systems."""
+
+    number: int
+    pictures: tuple[Image, ...]
+
+
+@dataclass
+class Gallery:
+    """Evenly spaced moments of a source of unknown length: at most ten, of which five are shown."""
+
+    moments: list[Moment] = field(default_factory=list)
+    stride: int = 1
+    count: int = 0
+
+    def add(self, number: int, image: Image, systems: Sequence[tuple[Model, Found]]) -> None:
+        """Keep a frame and what each system makes of it, if it is one of those to keep."""
+        if self.count % self.stride == 0:
+            made = [picture for model, found in systems for picture in (model.background(), found.foreground)]
+            self.moments.append(
+                Moment(number, tuple(report.small(picture, PICTURE_WIDTH) for picture in (image, *made)))
+            )
+            if len(self.moments) > MOST_PICTURES:
+                del self.moments[1::2]
+                self.stride *= 2
+        self.count += 1
+
+    def chosen(self) -> list[Moment]:
+        """Up to five of them, evenly spaced, with the last."""
+        places = np.linspace(0, len(self.moments) - 1, min(COLUMNS, len(self.moments)))
+        return [self.moments[round(place)] for place in places]
+
+
+FIGURE_ROWS = (
+    "input",
+    f"stand-alone, P(B) = {SHOWN_PRIOR}: background",
+    f"stand-alone, P(B) = {SHOWN_PRIOR}: foreground",
+    "RSMCM: background",
+    "RSMCM: foreground",
+)
+
+
+def methods_of_figure_8(size: tuple[int, int], parameters: Parameters) -> list[Method]:
+    """The background by itself at several P(B), feed-forward, RSMCM, and OpenCV's subtractors as they come.
+
+    Parameters
+    ----------
+    size
+        `(width, height)` px of the pictures.
+    parameters
+        of the chains.
+    """
+    alone = [
+        Model(
+            f"stand-alone, P(B) = {prior}",
+            "stand-alone",
+            size,
+            {"background": {**parameters.get("background", {}), "prior": prior}},
+        )
+        for prior in PRIORS
+    ]
+    return [
+        *alone,
+        Model("feed-forward", "feed-forward", size, parameters),
+        Model("RSMCM", "recursive-bp", size, parameters),
+        Usual("MOG2, 5x5 median", OpenCVSubtractor("MOG2", 500, 16), USUAL_CLEAN_UP, size),
+        Usual("KNN, 5x5 median", OpenCVSubtractor("KNN", 500, 400), USUAL_CLEAN_UP, size),
+    ]
+
+
+def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
+    """Run all methods over the job's source; writes `compare.*` and two figures into its folder.
+
+    Ctrl-C ends it after the current frame with the comparison until there. Returned are how it ended, and
+    the table's lines, one for each method.
+
+    Raises
+    ------
+    ValueError, OSError
+        in one line, whatever is wrong with the job.
+    """
+    parameters = read_parameters(job.config) if job.config else {}
+    with (
+        Interruption() as interruption,
+        open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source,
+    ):
+        if source.live:
+            raise ValueError(f"--compare: {source.name} is live and cannot be read again")
+        region = read_region(job.roi, source.size) if job.roi else None
+        tallies = {
+            method.name: Tally(method, read_truth(job, source, region))
+            for method in methods_of_figure_8(source.size, parameters)
+        }
+        alone = tallies[f"stand-alone, P(B) = {SHOWN_PRIOR}"].method
+        dual = tallies["RSMCM"].method
+        assert isinstance(alone, Model)
+        assert isinstance(dual, Model)
+        gallery, n_frames = Gallery(), 0
+        with Progress("comparison", source.n_frames) as progress:
+            for frame in interruption.items(source):
+                found = {name: tally.add(frame, region) for name, tally in tallies.items()}
+                n_frames += 1
+                if frame.image is not None:
+                    gallery.add(
+                        frame.number, frame.image, [(alone, found[alone.name]), (dual, found[dual.name])]
+                    )
+                progress.update()
+    lines = [tally.values(n_frames) for tally in tallies.values()] if n_frames else []
+    if lines:
+        with output_folder(job.out, APPLICATION, add=True) as folder:
+            folder.add(COMPARISON)
+            write_comparison(job.out, source.name, lines, gallery)
+    summary = {"source": source.name, "frames": n_frames, "stream": source.stream}
+    return Outcome(summary, interruption.signal), lines
+
+
+def write_comparison(
+    folder: Path,
+    title: str,
+    lines: Sequence[dict[str, Any]],
+    gallery: Gallery,
+    above: Sequence[report.Html] = (),
+) -> None:
+    """Write the table (CSV, JSON), Figs. 8 and 11 (PNG), and a page with all of them below `above`."""
+    header = list(dict.fromkeys(name for line in lines for name in line))
+    write_json(folder / "compare.json", lines)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, header, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    write_text(folder / "compare.csv", text.getvalue())
+
+    moments = gallery.chosen()
+    rows = [(name, [each.pictures[k] for each in moments]) for k, name in enumerate(FIGURE_ROWS)]
+    columns = [f"frame {each.number}" for each in moments]
+    write_image(folder / "compare-pictures.png", mosaic(rows, columns))
+    parts = [*above, report.table(header, [[line.get(name, "–") for name in header] for line in lines])]
+    if "total" in header:
+        save_figure(folder / "compare-errors.png", lambda canvas: _draw_errors(canvas, lines), (9, 4))
+        parts.append(
+            report.figure(lambda canvas: _draw_errors(canvas, lines), (9, 4), "Errors, as in Fig. 8")
+        )
+    report.write_page(
+        folder / "compare.html",
+        f"{Path(title).name}: comparison",
+        [("", parts), ("Pictures over time, as in Fig. 11", [report.picture_grid(rows, columns)])],
+    )
+
+
+def save_figure(path: Path, draw: Callable[[Figure], None], size: tuple[float, float]) -> None:
+    """Write a plot of `size` (inches) as PNG."""
+    canvas = Figure(figsize=size, layout="constrained", dpi=120)
+    draw(canvas)
+    with write_atomically(path) as unfinished:
+        canvas.savefig(unfinished, format="png")
+
+
+def _draw_errors(canvas: Figure, lines: Sequence[dict[str, Any]]) -> None:
+    """Stacked bars of the error classes, one for each method."""
+    axes = canvas.subplots()
+    left = np.zeros(len(lines))
+    names = [line["method"] for line in lines]
+    kinds = [name for name in list(ERRORS.values())[:-1] if any(line.get(name) for line in lines)]
+    for kind, colour in zip(kinds, ("#2f7fc1", "#e0a030", "#7a9e3d", "#c1453b"), strict=False):
+        values = np.array([line.get(kind, 0) for line in lines], np.float64)
+        axes.barh(names, values, left=left, color=colour, label=kind)
+        left += values
+    for place, total in enumerate(left):
+        axes.annotate(f" {total:.0f}", (total, place), va="center")
+    axes.invert_yaxis()
+    axes.margins(x=0.1)
+    axes.set_xlabel("errors")
+    if kinds:
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=len(kinds))

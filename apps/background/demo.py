@@ -1,0 +1,151 @@
+"""The main job on a generated scene: write it to disk, run on it as on any other source, compare.
+
+Tracks of a turning cylinder and films of a talking face and of a signer are written beside it, for the other
+applications.
+"""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.body.upper_body import JOINTS
+from ..body.joint_files import COLUMNS
+from ..io.results import write_atomically, write_image, write_text
+from ..reports.claims import in_columns
+from ..runs.interruption import Outcome
+from ..runs.progress import Progress
+from ..scenes import FaceScene, Scene, SignerScene, cylinder, face, signer, sleeping_man
+from .application import Job, run_background
+from .compare import run_compare
+
+N_FRAMES = 400
+FACE_FRAMES = 100
+BODY_FRAMES = 100
+
+SIGNER = 2
+"""Seed of the signer."""
+
+CLICKED_FRAMES = 5
+"""Of the signer, in which joints are given."""
+
+P_LOOSE = 0.1
+PX, MIDDLE = 100.0, (320.0, 240.0)
+"""px per radius of the cylinder, and where its middle is."""
+
+
+def run_demo(out: Path) -> Outcome:
+    """Track the person who stands still, and compare with and without feedback.
+
+    Parameters
+    ----------
+    out
+        folder; holds the scene (in CDnet's layout), `cylinder.npz`, `face`, `body` and the results
+        afterwards.
+
+    Returns
+    -------
+    Outcome
+        of what ran last.
+
+    Raises
+    ------
+    OSError
+        if the folder cannot be written to.
+    """
+    scene = out / "scene"
+    write_scene(sleeping_man(N_FRAMES), scene)
+    write_cylinder(out / "cylinder.npz")
+    write_face(face(FACE_FRAMES, light=0.5), out / "face")
+    write_body(signer(BODY_FRAMES, SIGNER, detector_dropout=0.05, clutter=0.5), out / "body")
+    job = Job(str(scene / "input"), out, overwrite=True, ground_truth=scene, compare=True)
+    outcome = run_background(job)
+    if outcome.signal is None:
+        outcome, lines = run_compare(job)
+        names = ("method", "F", "precision", "recall", "missed objects", "ghosts", "ms a frame")
+        print(in_columns(names, [[line.get(name, "") for name in names] for line in lines]))
+    print(f"\nreport:     {out / 'report.html'}")
+    print(f"comparison: {out / 'compare.html'}")
+    print(f"video:      {out / 'overlay.mp4'}")
+    return outcome
+
+
+def write_scene(scene: Scene, folder: Path) -> None:
+    """Write a scene in CDnet's layout, `input/` and `groundtruth/`; an earlier one there is replaced.
+
+    Raises
+    ------
+    OSError
+        if the folder cannot be written to.
+    """
+    for name in ("input", "groundtruth"):
+        if (folder / name).exists():
+            shutil.rmtree(folder / name)
+        (folder / name).mkdir(parents=True)
+    with Progress("scene", len(scene)) as progress:
+        for frame, mask in zip(scene, scene.masks, strict=True):
+            assert frame.image is not None
+            write_image(folder / "input" / f"in{frame.number:06d}.png", frame.image)
+            labels = np.where(mask, np.uint8(255), np.uint8(0))
+            write_image(folder / "groundtruth" / f"gt{frame.number:06d}.png", labels)
+            progress.update()
+
+
+def write_cylinder(path: Path) -> None:
+    """Write partial tracks of points on a turning cylinder, without a word of which show the same point.
+
+    Raises
+    ------
+    OSError
+        if the file cannot be written.
+    """
+    with write_atomically(path) as unfinished:
+        np.savez(unfinished, tracks=PX * cylinder(p_loose=P_LOOSE, p_drift=0.1, seed=0).tracks() + MIDDLE)
+
+
+def write_face(scene: FaceScene, folder: Path) -> None:
+    """Write a film of a face as images, and where its landmarks are in every frame (`landmarks.npy`).
+
+    The landmarks are the vertices of the built-in model. An earlier film in the folder is replaced.
+
+    Raises
+    ------
+    OSError
+        if the folder cannot be written to.
+    """
+    _write_film("face", scene.images(), len(scene), folder / "input")
+    with write_atomically(folder / "landmarks.npy") as unfinished:
+        np.save(unfinished, scene.vertices)
+
+
+def write_body(scene: SignerScene, folder: Path) -> None:
+    """Write a film of a signer as images, and the joints in a few frames as if clicked (`joints.csv`).
+
+    An earlier film in the folder is replaced.
+
+    Raises
+    ------
+    OSError
+        if the folder cannot be written to.
+    """
+    _write_film("signer", scene.images(), len(scene), folder / "input")
+    clicked = np.unique(np.linspace(0, len(scene) - 1, CLICKED_FRAMES).astype(int))
+    lines = [
+        f"{index + 1},{name},{x:.1f},{y:.1f}"
+        for index in clicked
+        for name, (x, y) in zip(JOINTS, scene.joints[index, :, :2], strict=True)
+    ]
+    write_text(folder / "joints.csv", "\n".join([",".join(COLUMNS), *lines, ""]))
+
+
+def _write_film(name: str, images: Iterator[NDArray[np.uint8]], count: int, folder: Path) -> None:
+    """Write `count` images, numbered from 1; an earlier film in the folder is replaced."""
+    if folder.exists():
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True)
+    with Progress(name, count) as progress:
+        for number, image in enumerate(images, start=1):
+            write_image(folder / f"in{number:06d}.png", image)
+            progress.update()

@@ -1,0 +1,1 @@
+"""The body application: poses of an upper body."""

@@ -1,0 +1,199 @@
+"""The body application: from a film of a person to the pose of the upper body in every frame."""
+
+import logging
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...chains.articulated_pose import ArticulatedPose
+from ...chains.flesh_tracker import FleshTracker
+from ...inference import Belief, MultiChain, RecursiveBP
+from ...models.body.parts import CALIBRATION_FRAMES
+from ...models.core.frame import Frame
+from ..io.results import segment_pattern
+from ..io.sources.open_source import open_source
+from ..runs.blank_frames import SeenFrames
+from ..runs.film_run import FilmJob, FilmRun, Writer
+from ..runs.interruption import Interrupted, Outcome
+from ..runs.memory import BODY, SAMPLE
+from ..runs.saved_run import SavedRun
+from .joint_files import ClickedJoints, read_joints
+from .report import BodyRecord, write_body_report
+from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
+from .writer import BodyWriter, lengths
+
+_log = logging.getLogger(__name__)
+
+Image = NDArray[np.uint8]
+
+SPREAD_OVER = 1000
+"""Frames of a video over which those are spread in which faces are looked for: all of these are decoded."""
+
+FEWEST_SAMPLES = 10
+
+
+@dataclass(frozen=True)
+class BodyJob(FilmJob):
+    """What to do; `rsmcm body --help` explains each field."""
+
+    detector: Path | None = None
+    head: str | None = None
+    joints: Path | None = None
+    samples: int = 1000
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.samples < FEWEST_SAMPLES:
+            raise ValueError(f"--samples: got {self.samples}, expected {FEWEST_SAMPLES} or more")
+        if self.head is not None:
+            if self.detector is not None:
+                raise ValueError("--head: got --detector as well, expected one of them")
+            read_head(self.head)
+        if self.learned is not None:
+            for name in ("head", "joints"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"--{name}: got it beside --from, which says what the person is like")
+
+    def settings(self) -> dict[str, Any]:
+        """What the results depend on, beside the source."""
+        files = {name: getattr(self, name) for name in ("detector", "joints")}
+        return {
+            **{name: None if path is None else str(path.resolve()) for name, path in files.items()},
+            "head": self.head,
+            "samples": self.samples,
+            **super().settings(),
+        }
+
+
+def run_body(job: BodyJob) -> Outcome:
+    """Run the body application; see `FilmRun.carry_out`.
+
+    Frames that are missing, unreadable or blank (black, saturated) are predicted.
+    """
+    return BodyRun(job, None if job.joints is None else read_joints(job.joints)).carry_out()
+
+
+class BodyRun(FilmRun):
+    """One run: who is tracked, the poses, and the record for the report."""
+
+    application = "body"
+    files = ("poses.npz", segment_pattern("poses.npz"))
+    kinds: ClassVar[dict[str, Any]] = {
+        "person": SavedPerson,
+        "record": BodyRecord.kinds(),
+        "before": list[int],
+        "draws": np.random.Generator,
+    }
+    chains: ClassVar[dict[str, Any]] = {"flesh": FleshTracker, "pose": ArticulatedPose}
+
+    def __init__(self, job: BodyJob, clicked: ClickedJoints | None) -> None:
+        super().__init__(job, job.settings())
+        self._job = job
+        self._clicked = clicked
+        self._before: list[int] = []  # frames before the one in which the track starts
+        self._draws = np.random.default_rng(job.seed)  # of the poses that are shown
+        self.record = BodyRecord()
+
+    @property
+    def bytes_needed(self) -> tuple[float, float]:
+        """Depends on the number of samples."""
+        return BODY, self._job.samples * SAMPLE
+
+    def memory(self) -> dict[str, Any]:
+        """Who is tracked, and the record."""
+        return {
+            "person": SavedPerson.of(self._start),
+            "record": self.record.saved(),
+            "before": self._before,
+            "draws": self._draws,
+        }
+
+    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """Find the person in the first frame in which anything is to be seen, and in others."""
+        job, images = self._job, None
+        if self.source.kind in ("camera", "stream"):  # cannot be read twice
+            beginning = list(islice(frames, CALIBRATION_FRAMES))
+            frames = chain(beginning, frames)
+            images = [frame.image for frame in beginning if frame.image is not None]
+        for first in frames:
+            if first.image is not None:
+                break
+            self._before.append(first.number)
+        else:
+            raise self.no_frame("holds no frame in which anything is to be seen")
+        if images is None:
+            images = self._looked_at()
+        images = images or [first.image]  # where nothing else is to be seen in what was looked at
+        if job.head is not None:
+            start = start_from_head(first, read_head(job.head), images, self._clicked)
+        else:
+            start = start_from_faces(self.source.name, images, job.detector, self._clicked)
+        found = "the head as marked" if job.head else str(job.detector or "OpenCV's cascades of faces")
+        _log.info("start in frame %d, by %s: %s", first.number, found, start.origin)
+        self._begin_with(start)
+        return chain([first], frames)
+
+    def go_on(self, memory: Mapping[str, Any]) -> None:
+        """Take up the person, and the record."""
+        self._before, self._draws = memory["before"], memory["draws"]
+        self.record = BodyRecord.restored(memory["record"])
+        self._begin_with(memory["person"].start(self._job.detector))
+
+    def learn_from(self, saved: SavedRun) -> None:
+        """Take the person's lengths, colour and pose."""
+        self._begin_with(saved.memory["person"].elsewhere().start(self._job.detector))
+
+    def _begin_with(self, start: BodyStart) -> None:
+        self._start = start
+        self._flesh = FleshTracker(start.body)
+        self._pose = ArticulatedPose(start.body, self._job.samples, seed=self._job.seed)
+        model = MultiChain().connect(self._flesh, start.parts).connect(self._pose, start.parts)
+        self.engine = RecursiveBP(model)
+
+    def _looked_at(self) -> list[Image]:
+        """Images from all over the source, which is read a second time for it."""
+        job, total = self._job, self.source.n_frames
+        if total is not None and self.source.kind == "video":
+            total = min(total, SPREAD_OVER)
+        stride = 1 if total is None else -(-total // CALIBRATION_FRAMES)
+        with open_source(job.source, job.start, job.stop, job.step * stride) as source:
+            frames = islice(SeenFrames(self.interruption.items(source)), CALIBRATION_FRAMES)
+            images = [frame.image for frame in frames if frame.image is not None]
+        if self.interruption.signal is not None:
+            raise Interrupted(self.interruption.signal)
+        return images
+
+    def writers(self, rate: float, after: int) -> list[Writer]:
+        """Poses and overlay."""
+        self._writer = BodyWriter(
+            self._job.out, self.source.size, rate, after, self._start.body, self._draws, self.record
+        )
+        return [self._writer]
+
+    def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
+        """Write the frame's poses."""
+        detected = belief[self._flesh].unseen == 0
+        self._writer.add(belief.frame, belief[self._pose], detected, seconds)
+
+    def facts(self) -> dict[str, Any]:
+        """What was seen, and what is assumed of the person."""
+        start = self._start
+        return {
+            "before_the_start": self._before,
+            "blank": self.blank,
+            "seen": self.record.shares_seen,
+            "stationary": self.record.stationary_periods,
+            "flesh_colour": start.parts.flesh is not None,
+            "body": {"origin": start.origin, "lengths": lengths(start.body)},
+            "notes": [*start.notes, *self.record.notes],
+        }
+
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Write the report."""
+        title = f"{Path(self.source.name).name}: upper body"
+        write_body_report(self._job.out / "report.html", self.record, summary, title)

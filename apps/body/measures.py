@@ -1,0 +1,166 @@
+"""How well a body was followed: errors, honesty of the posterior, mis-tracks and recovery from them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.body.upper_body import JOINTS
+from .overlay import REGION_90, TrackedBody
+
+Numbers = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MEASURED = ("left_elbow", "left_hand", "right_elbow", "right_hand")
+PLACES = [JOINTS.index(name) for name in MEASURED]
+ELBOWS, HANDS = (slice(first, None, 2) for first in (0, 1))
+
+OFF, FOUND = 0.5, 0.3
+"""Head heights: error from which a hand is not followed, and below which it is followed again."""
+LEAST_OFF = 2
+"""Frames in a row that make a mis-track."""
+SOON = 10
+"""Frames after which a hand should be followed again, from the first in which it can be seen."""
+
+LEAST_VARIANCE = 0.01
+"""px^2: added to a hand's, since all samples may be one."""
+
+
+@dataclass(frozen=True)
+class MisTrack:
+    """A hand that was not followed for a while.
+
+    Parameters
+    ----------
+    hand
+        0 left, 1 right.
+    start
+        first frame with the error above half a head's height, index from 0.
+    seen
+        first frame from then on in which the hand looks like flesh; `None` if there is none.
+    end
+        first frame from `start` on with the error below 0.3 head heights; `None` if there is none.
+    left
+        frames from `seen` to the end of the scene.
+    """
+
+    hand: int
+    start: int
+    seen: int | None
+    end: int | None
+    left: int
+
+    @property
+    def recovered(self) -> bool | None:
+        """Whether it was followed again soon after it could be seen; `None` where the scene ended before."""
+        if self.end is not None:
+            return self.seen is None or self.end - self.seen <= SOON
+        return False if self.left > SOON else None
+
+
+@dataclass(frozen=True, eq=False)
+class BodyTrial:
+    """How a tracker did on a scene; of the first frame, in which the pose is given, nothing counts.
+
+    Parameters
+    ----------
+    errors
+        `(n_frames, 4)` px: distance in the picture of the posterior mean of the joints `MEASURED` from the
+        truth; NaN of joints that the tracker knows nothing of.
+    errors_3d
+        `(n_frames, 4)` px: the same in space.
+    squares
+        `(n_frames, 2)`: squared Mahalanobis distance of left and right hand in the picture, with the
+        posterior's mean and covariance.
+    effective
+        `(n_frames,)`: effective number of samples; NaN without samples.
+    seconds
+        `(n_frames,)`: of the whole frame, features included.
+    hidden
+        `(n_frames, 2)`: whether left and right hand do not look like flesh.
+    head_height
+        px.
+    shown
+        by frame (index from 0), the posterior in pictures.
+    """
+
+    errors: Numbers
+    errors_3d: Numbers
+    squares: Numbers
+    effective: Numbers
+    seconds: Numbers
+    hidden: Mask
+    head_height: float
+    shown: Mapping[int, TrackedBody] = field(default_factory=dict)
+
+    @property
+    def error(self) -> float:
+        """px: mean over hands and elbows."""
+        return float(self.errors[1:].mean())
+
+    @property
+    def hands(self) -> float:
+        """px: mean over the hands."""
+        return float(self.errors[1:, HANDS].mean())
+
+    @property
+    def off(self) -> float:
+        """Share of frames in which a hand is not followed."""
+        far = self.errors[1:, HANDS] > OFF * self.head_height
+        return float(far.any(axis=1).mean())
+
+    @cached_property
+    def mis_tracks(self) -> list[MisTrack]:
+        """Of both hands, in the order of time for each."""
+        heads = self.errors[:, HANDS] / self.head_height
+        return [one for hand in (0, 1) for one in mis_tracks(hand, heads[:, hand], self.hidden[:, hand])]
+
+
+def mis_tracks(hand: int, errors: Numbers, hidden: Mask) -> list[MisTrack]:
+    """Mis-tracks of a hand, from its errors `(n_frames,)` in head heights after the first frame.
+
+    One ends where the error is below 0.3 head heights, whatever it was in between.
+    """
+    found: list[MisTrack] = []
+    n_frames, index = len(errors), 1
+    while index < n_frames:
+        ahead = errors[index : index + LEAST_OFF]
+        if len(ahead) < LEAST_OFF or not (ahead > OFF).all():
+            index += 1
+            continue
+        end = _first(errors < FOUND, index)
+        seen = _first(~hidden, index)
+        left = 0 if seen is None else n_frames - 1 - seen
+        found.append(MisTrack(hand, index, seen, end, left))
+        index = n_frames if end is None else end
+    return found
+
+
+def _first(holds: Mask, start: int) -> int | None:
+    """First index from `start` on where it holds."""
+    ahead = np.flatnonzero(holds[start:])
+    return start + int(ahead[0]) if len(ahead) else None
+
+
+def squared_distances(errors: Numbers, covariances: Numbers) -> Numbers:
+    """Squared Mahalanobis distances `(n,)` of errors `(n, 2)` px with covariances `(n, 2, 2)` px^2."""
+    widened = covariances + LEAST_VARIANCE * np.eye(2)
+    return np.asarray((errors * np.linalg.solve(widened, errors[..., None])[..., 0]).sum(axis=-1))
+
+
+def pooled(trials: Sequence[BodyTrial], measure: str) -> Numbers:
+    """A measure of every frame after the first, of all scenes: `(n, ...)`."""
+    return np.concatenate([getattr(trial, measure)[1:] for trial in trials])
+
+
+def coverage(trials: Sequence[BodyTrial]) -> float:
+    """Share of the true hands that are within the posterior's 90 % region."""
+    return float((pooled(trials, "squares") < REGION_90).mean())
+
+
+def recoveries(trials: Sequence[BodyTrial]) -> tuple[int, int]:
+    """Mis-tracks after which the hand was followed again soon, and all of which it is known."""
+    known = [one.recovered for trial in trials for one in trial.mis_tracks if one.recovered is not None]
+    return sum(known), len(known)

@@ -1,0 +1,243 @@
+"""Who is to be tracked: size, flesh colour and lengths of a person, from a look at some frames."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
+from ...models.body.skin_colour import FleshColour
+from ...models.body.static_skin import still_flesh
+from ...models.body.upper_body import UpperBody
+from ...models.core.frame import Frame
+from ...models.face.detectors import HaarFaces, PartDetector, default_faces
+from .joint_files import ClickedJoints
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class MarkedFace:
+    """A face that somebody has marked in one frame, as a detector that finds it there and nowhere else.
+
+    Parameters
+    ----------
+    box
+        `(4,)` px: x, y, width, height.
+    number
+        of the frame.
+    """
+
+    box: Array
+    number: int
+
+    def __call__(self, frame: Frame) -> Array:
+        """Boxes `(1, 4)` px in that frame, `(0, 4)` in all others."""
+        return self.box[None] if frame.number == self.number else np.zeros((0, 4))
+
+
+@dataclass(frozen=True, eq=False)
+class BodyStart:
+    """What is known of a person before the track starts.
+
+    Parameters
+    ----------
+    parts
+        the feature node, with the person's flesh colour and a detector.
+    body
+        lengths of the segments.
+    origin
+        where the lengths come from, in a sentence.
+    """
+
+    parts: BodyParts
+    body: UpperBody
+    origin: str
+
+    @property
+    def notes(self) -> list[str]:
+        """What is out of the ordinary, a sentence each."""
+        if self.parts.flesh is None:
+            return [
+                "The video is grey: there is no flesh colour. Hands are followed by edges only, and in "
+                "frames without a detected face everything is only predicted."
+            ]
+        return []
+
+
+@dataclass(frozen=True, eq=False)
+class SavedPerson:
+    """A `BodyStart` as it is saved: detectors of faces are made anew from what they are told.
+
+    Parameters
+    ----------
+    head_height
+        px.
+    flesh, still
+        as of `BodyParts`.
+    face_height
+        px, to which a detector of faces is told to look; `None` if it is not.
+    marked
+        the face that somebody has marked in place of a detector.
+    body, origin
+        as of `BodyStart`.
+    """
+
+    head_height: float
+    flesh: FleshColour | None
+    still: NDArray[np.float32] | None
+    face_height: float | None
+    marked: MarkedFace | None
+    body: UpperBody
+    origin: str
+
+    @classmethod
+    def of(cls, start: BodyStart) -> Self:
+        """As it can be saved."""
+        parts, detector = start.parts, start.parts.detector
+        return cls(
+            parts.head_height,
+            parts.flesh,
+            parts.still,
+            detector.height if isinstance(detector, HaarFaces) else None,
+            detector if isinstance(detector, MarkedFace) else None,
+            start.body,
+            start.origin,
+        )
+
+    def elsewhere(self) -> Self:
+        """The same person in another film, in which nobody has marked a face."""
+        return self if self.marked is None else replace(self, marked=replace(self.marked, number=0))
+
+    def start(self, detector: Path | None) -> BodyStart:
+        """The start again, with a model file of a detector if there was one."""
+        faces: PartDetector
+        if self.marked is not None and detector is None:
+            faces = self.marked
+        else:
+            faces = default_faces(detector)
+            if isinstance(faces, HaarFaces):
+                faces = replace(faces, height=self.face_height)
+        parts = BodyParts(self.head_height, self.flesh, faces, self.still)
+        return BodyStart(parts, self.body, self.origin)
+
+
+def read_head(text: str) -> Box:
+    """Read `x,y,width,height` px of a head.
+
+    Raises
+    ------
+    ValueError
+        if it is no such text, or the box is empty.
+    """
+    try:
+        x, y, width, height = (float(number) for number in text.split(","))
+    except ValueError:
+        raise ValueError(f"--head: got {text!r}, expected x,y,width,height in px") from None
+    if not (np.isfinite([x, y]).all() and 0 < width < np.inf and 0 < height < np.inf):
+        raise ValueError(f"--head: got {text!r}, expected a width and height above 0 px")
+    return x, y, width, height
+
+
+def start_from_faces(
+    name: str, images: Sequence[Image], detector: Path | None, clicked: ClickedJoints | None
+) -> BodyStart:
+    """Find faces in some images, and learn size and colour from them.
+
+    Parameters
+    ----------
+    name
+        of the source.
+    images
+        `(height, width[, 3])` uint8 BGR, one at least.
+    detector
+        model file of YuNet; OpenCV's cascade without it.
+    clicked
+        joints from which the lengths are taken.
+
+    Raises
+    ------
+    ValueError
+        if there is no face or no detector, or the joints do not tell lengths that a person has.
+    FileNotFoundError
+        if there is no such model file.
+    """
+    try:
+        faces = default_faces(detector)
+    except ValueError as error:
+        if detector is not None:
+            raise
+        raise ValueError(f"{error} as --detector, or the head in the first frame as --head") from None
+    faces(Frame(images[0], 0.0, 1))  # a file that holds another network shows it now
+    try:
+        parts = BodyParts.learned(images, faces)
+    except ValueError:
+        raise ValueError(
+            f"{name}: no face is found in the {len(images)} frames looked at, expected a person who faces "
+            "the camera: mark the head in the first frame with --head"
+        ) from None
+    origin = "Usual proportions of a person whose head is as high as the detected faces say."
+    return _start(parts, origin, clicked)
+
+
+def start_from_head(
+    first: Frame, head: Box, images: Sequence[Image], clicked: ClickedJoints | None
+) -> BodyStart:
+    """Learn size and colour from the head that somebody has marked in a frame.
+
+    Parameters
+    ----------
+    first
+        the frame, which has an image.
+    head
+        x, y, width, height px: from chin to the top of the skull, and across.
+    images
+        of the same size, from all over the clip.
+    clicked
+        joints from which the lengths are taken.
+
+    Raises
+    ------
+    ValueError
+        if the head is not in the picture, or the joints do not tell lengths that a person has.
+    """
+    image = first.image
+    if image is None:
+        raise ValueError(f"frame {first.number}: got no image, expected one with the head")
+    x, y, width, height = head
+    rows, columns = image.shape[:2]
+    inside = 0 <= x + width / 2 < columns and 0 <= y + height / 2 < rows
+    if not (inside and width <= columns and height <= rows):
+        raise ValueError(
+            f"--head: got {x:g},{y:g},{width:g},{height:g}, expected the head inside the picture of "
+            f"{columns}x{rows} px"
+        )
+    # the box that a detector would give
+    side = height / HEAD_OF_BOX
+    box = np.array([x + (width - side) / 2, y + height / 2 - CENTRE_OF_BOX * side, side, side])
+    flesh = FleshColour.learned([image], box[None])
+    still = None if flesh is None else still_flesh(flesh, images)
+    parts = BodyParts(height, flesh, MarkedFace(box, first.number), still)
+    return _start(parts, "Usual proportions of a person whose head is as high as the given one.", clicked)
+
+
+def _start(parts: BodyParts, origin: str, clicked: ClickedJoints | None) -> BodyStart:
+    usual = UpperBody.from_head(parts.head_height)
+    if clicked is None:
+        return BodyStart(parts, usual, origin)
+    n_frames = len(clicked.frames)
+    try:
+        body = UpperBody.fit(clicked.places, np.full(n_frames, parts.head_height))
+    except ValueError as error:
+        raise ValueError(f"{clicked.path}: {error}") from None
+    if body == usual:
+        raise ValueError(
+            f"{clicked.path}: tells of no length, expected both ends of an arm's segment in one frame"
+        )
+    origin = f"Fitted to joints that were clicked in {n_frames} frames; what they leave open is as usual."
+    return BodyStart(parts, body, origin)

@@ -1,0 +1,180 @@
+"""What a run of the body application leaves: arrays and a video that grow with the frames."""
+
+from contextlib import ExitStack
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference.body.samples import BodySamples, moments
+from ...models.body.upper_body import JOINTS, PARTS, UpperBody
+from ...models.core.frame import Frame
+from ..drawing.overlay_video import OverlayVideo, caption
+from ..io.row_writer import RowWriter
+from .overlay import BodyOverlay, TrackedBody
+from .report import PART_JOINTS, BodyRecord
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+N_DRAWN = 40
+"""Samples that are drawn and kept, as in Figs. 4 to 6 of the paper."""
+
+ANGLE_NAMES = (
+    "root_x", "root_y", "neck_x", "neck_y", "neck_z",
+    "left_shoulder_x", "left_shoulder_y", "left_shoulder_z", "left_elbow",
+    "right_shoulder_x", "right_shoulder_y", "right_shoulder_z", "right_elbow",
+)  # fmt: skip
+"""Of `BodyPoses.angles`: px for the root; rotation vectors and flexions of the elbows, rad."""
+
+
+FACE_AND_NECK = (0.45, 0.62)
+"""Of the head's height: half axes of the ellipse about its centre in which flesh need not be a hand's."""
+
+
+class BodyWriter:
+    """What grows with the frames: `poses.npz`, `overlay.mp4` and the record for summary and report.
+
+    `poses.npz` holds, a row a frame: `frames` (their numbers) and `times` s; posterior means and covariances:
+    `joints_2d (8, 2)` px, `joints_2d_covariances (8, 2, 2)`, `joints_3d (8, 3)`, `joints_3d_covariances (8,
+    3, 3)`, `angles (13,)`, `angle_covariances (13, 13)`; `samples (40, 8, 3)` px, joints of poses drawn from
+    the posterior; `seen (3,)`, whether the image has shown head, left hand and right hand (a hand before face
+    or neck does not count, since their flesh may be all that was seen); `stationary`, whether nothing at all
+    was detected; `missing`, whether there was no image. `joint_names (8,)`,
+    `part_names (3,)` (of `seen`), `angle_names (13,)`, and the body's `length_names` and `lengths` px come
+    once. x is to the right, y down, z away from the viewer, 0 at the root; left is the person's own.
+
+    Parameters
+    ----------
+    folder
+        of the results.
+    size
+        `(width, height)` px of the frames.
+    rate
+        frames per second.
+    after
+        number of the frame after which this run goes on; 0 for a new one.
+    body
+        that is tracked.
+    random
+        source of the draws that are shown.
+    record
+        to add to.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        size: tuple[int, int],
+        rate: float,
+        after: int,
+        body: UpperBody,
+        random: np.random.Generator,
+        record: BodyRecord,
+    ) -> None:
+        self._body = body
+        self._random = random
+        self._record = record
+        self._overlay = BodyOverlay(body.upper_arm + body.forearm)
+        known = lengths(body)
+        constants = {
+            "joint_names": np.array(JOINTS),
+            "part_names": np.array(PARTS),
+            "angle_names": np.array(ANGLE_NAMES),
+            "length_names": np.array(list(known)),
+            "lengths": np.array(list(known.values())),
+        }
+        self._rows = RowWriter(folder / "poses.npz", constants, after)
+        self._video = OverlayVideo(folder / "overlay.mp4", rate, after)
+        self._open = ExitStack()
+        self._image: Image = np.zeros((size[1], size[0], 3), np.uint8)  # the last one
+
+    def __enter__(self) -> Self:
+        self._open.enter_context(self._rows)
+        self._open.enter_context(self._video)
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._open.__exit__(*error)
+
+    def checkpoint(self) -> None:
+        """Return when everything is on disk and readable."""
+        self._rows.checkpoint()
+        self._video.checkpoint()
+
+    def add(self, frame: Frame, samples: BodySamples, detected: Mask, seconds: float) -> None:
+        """Take in a frame.
+
+        Parameters
+        ----------
+        frame
+            that was processed.
+        samples
+            the posterior.
+        detected
+            `(3,)`: which parts were taken for something in the image.
+        seconds
+            that the tracker took.
+        """
+        found = moments(self._body, samples)
+        drawn = self._body.joints(samples.drawn(N_DRAWN, self._random))
+        before_face = _before_face(found.joints[PART_JOINTS, :2], self._body.head_height)
+        seen = detected & ~before_face
+        self._rows.append(
+            frame.number,
+            {
+                "frames": np.int64(frame.number),
+                "times": np.float64(frame.time),
+                "joints_2d": found.joints[:, :2],
+                "joints_2d_covariances": found.joint_covariances[:, :2, :2],
+                "joints_3d": found.joints,
+                "joints_3d_covariances": found.joint_covariances,
+                "angles": found.angles,
+                "angle_covariances": found.angle_covariances,
+                "samples": drawn.astype(np.float32),
+                "seen": seen,
+                "stationary": np.bool_(samples.stationary),
+                "missing": np.bool_(frame.missing),
+            },
+        )
+        if frame.image is not None:
+            self._image = frame.image
+        image = self._image
+        shown = TrackedBody(
+            drawn, found.joints, found.joint_covariances, _state(frame, samples, detected, before_face)
+        )
+
+        def draw() -> Image:
+            return self._overlay.draw(image, shown, caption(frame))
+
+        self._video.write(frame, draw)
+        self._record.add(frame, found, seen, samples, seconds, overlay=draw)
+
+
+def lengths(body: UpperBody) -> dict[str, float]:
+    """Lengths and widths of a body, px, by their names."""
+    return {field.name: float(getattr(body, field.name)) for field in fields(body)}
+
+
+def _before_face(places: Array, head_height: float) -> Mask:
+    """`(3,)`: which of the parts at `places` `(3, 2)` px are hands over the head."""
+    away = (places - places[0]) / (np.array(FACE_AND_NECK) * head_height)
+    return np.asarray((np.hypot(*away.T) < 1) & (np.arange(len(places)) > 0))
+
+
+def _state(frame: Frame, samples: BodySamples, detected: Mask, before_face: Mask) -> str:
+    """What is out of the ordinary in a frame."""
+    if frame.missing:
+        return ""  # the caption says it
+    if samples.stationary:
+        return "nothing seen, stationary"
+    found = zip(PARTS, detected, before_face, strict=True)
+    remarks = [
+        f"{name.replace('_', ' ')} {'before the face' if there else 'not seen'}"
+        for name, there, before in found
+        if before or not there
+    ]
+    return ", ".join(remarks)

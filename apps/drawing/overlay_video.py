@@ -1,0 +1,82 @@
+"""`overlay.mp4` of a run: what was made of every frame, drawn and encoded in a thread."""
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.frame import Frame
+from ..io.results import PLAYABLE, SegmentedVideo
+
+Image = NDArray[np.uint8]
+
+LONGEST_SIDE = 4096  # px: H.264 takes four times as many
+
+
+class OverlayVideo:
+    """A video of pictures that are drawn in a thread.
+
+    Parameters
+    ----------
+    path
+        of the video.
+    rate
+        pictures per second.
+    resume_after
+        number of the frame after which this run goes on; 0 for a new one.
+    """
+
+    def __init__(self, path: Path, rate: float, resume_after: int = 0) -> None:
+        self._video = SegmentedVideo(path, rate, PLAYABLE, resume_after)
+        self._thread = ThreadPoolExecutor(1, "overlay")
+        self._unfinished: Future[None] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._wait()
+        finally:
+            self._thread.shutdown()
+            self._video.close(finished=kind is None)
+
+    def checkpoint(self) -> None:
+        """Return when everything is on disk and readable."""
+        self._wait()
+        self._video.checkpoint()
+
+    def write(self, frame: Frame, draw: Callable[[], Image]) -> None:
+        """Append the picture of a frame, which `draw` makes; what it uses must not change any more.
+
+        Raises
+        ------
+        OSError
+            if the video cannot be written; it is told at the next frame.
+        """
+        self._wait()  # one frame ahead is enough
+        self._unfinished = self._thread.submit(self._draw, frame, draw)
+
+    def _wait(self) -> None:
+        if self._unfinished is not None:
+            self._unfinished.result()
+
+    def _draw(self, frame: Frame, draw: Callable[[], Image]) -> None:
+        self._video.write(draw(), frame.number, frame.time)
+
+
+def enlargement(image: Image, least: int) -> int:
+    """By which whole number a picture is enlarged to `least` lines; no side goes beyond `LONGEST_SIDE`."""
+    height, width = (int(side) for side in image.shape[:2])
+    return max(1, min(-(-least // height), LONGEST_SIDE // max(height, width)))
+
+
+def caption(frame: Frame) -> str:
+    """What is written above a frame."""
+    return f"frame {frame.number}" + (" (missing)" if frame.missing else "")

@@ -1,0 +1,202 @@
+"""What chains predicted of their common features while a run went on, recorded in `predictions.npz`.
+
+For every pair of chains and feature: both predictions of each point (or part, or box), made before it was
+observed, and what was then observed. `rsmcm validity` judges from it which chains help each other.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference.validity.estimate import RecordedPredictions
+from ...models.core.array_files import read_arrays
+from ...models.core.gaussian_message import GaussianMessage
+from ..io.results import write_atomically
+
+FILE = "predictions.npz"
+FORMAT = "rsmcm predictions 1"
+EXPECTED = "expected the predictions of a run"
+MOST_ROWS = 50_000
+LARGEST, LEAST_VARIANCE = 1e14, 1e-14
+"""Of what is recorded: squares of px that no picture has."""
+
+NAMES = ("first", "second", "feature", "unit")
+
+
+@dataclass(frozen=True, eq=False)
+class PairRecord:
+    """Predictions of one pair of chains.
+
+    Parameters
+    ----------
+    first, second, feature
+        names of the chains and of what they predict.
+    unit
+        of the feature, such as "px".
+    predictions
+        `n` of them.
+    tracks
+        `(n,)` int64, of which point, part or object.
+    frames
+        `(n,)` int64, numbers of the frames.
+    """
+
+    first: str
+    second: str
+    feature: str
+    unit: str
+    predictions: RecordedPredictions
+    tracks: NDArray[np.int64]
+    frames: NDArray[np.int64]
+
+    def thinned(self, most: int) -> "PairRecord":
+        """At most so many rows, evenly chosen."""
+        if len(self.tracks) <= most:
+            return self
+        kept = np.linspace(0, len(self.tracks) - 1, most).round().astype(np.int64)
+        return replace(
+            self,
+            predictions=self.predictions.rows(kept),
+            tracks=self.tracks[kept],
+            frames=self.frames[kept],
+        )
+
+
+@dataclass(eq=False)
+class PairRecorder:
+    """Gathers what two chains say of a feature of many points, frame by frame.
+
+    Memory is bounded: when there are more than two files' worth of rows, every other frame is dropped, and
+    from then on frames are taken half as often.
+
+    Parameters
+    ----------
+    first, second, feature, unit
+        as in `PairRecord`.
+    """
+
+    first: str
+    second: str
+    feature: str
+    unit: str = "px"
+    _frames: list[tuple[int, NDArray[np.int64], list[NDArray[np.float64]]]] = field(default_factory=list)
+    _every: int = 1
+    _offered: int = 0
+
+    def add(
+        self, number: int, first: GaussianMessage, second: GaussianMessage, evidence: GaussianMessage
+    ) -> None:
+        """Take in a frame: both chains' predictions and what the image says, which neither has heard yet.
+
+        Points that not all three speak of are left out.
+        """
+        self._offered += 1
+        if (self._offered - 1) % self._every:
+            return
+        messages = [message.moments for message in (first, second, evidence)]
+        common = np.intersect1d(np.intersect1d(messages[0][0], messages[1][0]), messages[2][0])
+        if not len(common):
+            return
+        arrays = []
+        for identities, means, covariances in messages:
+            place = np.searchsorted(identities, common)
+            arrays += [means[place], covariances[place]]
+        self._frames.append((number, common, arrays))
+        if sum(len(identities) for _, identities, _ in self._frames) > 2 * MOST_ROWS:
+            self._frames = self._frames[::2]
+            self._every *= 2
+
+    def record(self) -> PairRecord | None:
+        """Everything that was gathered; `None` if there was no common point in any frame."""
+        if not self._frames:
+            return None
+        first, of_first, second, of_second, observed, noise = (
+            np.concatenate(parts) for parts in zip(*(arrays for _, _, arrays in self._frames), strict=True)
+        )
+        return PairRecord(
+            self.first,
+            self.second,
+            self.feature,
+            self.unit,
+            RecordedPredictions(first, second, observed, noise, of_first, of_second),
+            np.concatenate([identities for _, identities, _ in self._frames]),
+            np.concatenate([np.full(len(identities), number) for number, identities, _ in self._frames]),
+        )
+
+
+def write_predictions(folder: Path, records: Sequence[PairRecord]) -> None:
+    """Write `predictions.npz`, at most `MOST_ROWS` rows of each pair, evenly chosen; whole or not at all.
+
+    Raises
+    ------
+    OSError
+        if the file cannot be written.
+    """
+    members: dict[str, NDArray[Any]] = {}
+    for number, record in enumerate(records):
+        thin = record.thinned(MOST_ROWS)
+        members[f"{number}/tracks"], members[f"{number}/frames"] = thin.tracks, thin.frames
+        for part in fields(RecordedPredictions):
+            array = getattr(thin.predictions, part.name)
+            if array is not None:
+                members[f"{number}/{part.name}"] = array
+    names = [{name: getattr(record, name) for name in NAMES} for record in records]
+    about = np.array(json.dumps({"format": FORMAT, "pairs": names}))
+    with write_atomically(folder / FILE) as unfinished, unfinished.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, about=about, **members)
+
+
+def read_predictions(folder: Path) -> list[PairRecord]:
+    """Read what `write_predictions` wrote.
+
+    Raises
+    ------
+    ValueError
+        in one line that names the file, if it is broken or holds other things.
+    OSError
+        if the file cannot be opened.
+    """
+    path = folder / FILE
+    arrays = read_arrays(path, EXPECTED)
+    try:
+        about = json.loads(str(arrays.pop("about")))
+        found, names = about["format"], about["pairs"]
+    except (KeyError, TypeError, ValueError, RecursionError):
+        raise ValueError(f"{path}: got other arrays than predictions, {EXPECTED}") from None
+    if found != FORMAT:
+        raise ValueError(f"{path}: got format {str(found)[:60]!r}, expected {FORMAT!r}")
+    try:
+        return [_record(arrays, number, pair) for number, pair in enumerate(names)]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _record(arrays: dict[str, NDArray[Any]], number: int, names: dict[str, str]) -> PairRecord:
+    optional = ("first_covariance", "second_covariance")
+    parts = {
+        part.name: arrays.get(f"{number}/{part.name}")
+        if part.name in optional
+        else arrays[f"{number}/{part.name}"]
+        for part in fields(RecordedPredictions)
+    }
+    for name, part in parts.items():
+        if part is not None and (part.dtype.kind not in "iuf" or (np.abs(part) > LARGEST).any()):
+            raise ValueError(f"pair {number}, {name}: got {part.dtype}, expected numbers up to {LARGEST:g}")
+    predictions = RecordedPredictions(**parts)  # type: ignore[arg-type]
+    for name in ("noise", *optional):
+        stated = getattr(predictions, name)
+        if stated is not None and np.linalg.eigvalsh(stated).min() < LEAST_VARIANCE:
+            raise ValueError(f"pair {number}, {name}: got less than {LEAST_VARIANCE:g}, expected more")
+    tracks, frames = arrays[f"{number}/tracks"], arrays[f"{number}/frames"]
+    if not tracks.shape == frames.shape == (len(predictions),):
+        raise ValueError(
+            f"pair {number}: got {tracks.shape} tracks and {frames.shape} frames "
+            f"for {len(predictions)} predictions"
+        )
+    first, second, feature, unit = (str(names[name]) for name in NAMES)
+    return PairRecord(first, second, feature, unit, predictions, tracks, frames)

@@ -1,0 +1,112 @@
+"""Scores of one method on one source, gathered frame by frame, with whatever truth there is."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..io.ground_truth import OUTSIDE, BoxTruth, Kind, MaskTruth
+from ..runs.region import stands_inside
+from .metrics import ErrorClasses, PixelScore, error_classes, evaluate_tracks, mask_error_classes
+
+Mask = NDArray[np.uint8]
+
+
+class Scoring:
+    """Compares masks with the ground truth as they come.
+
+    Parameters
+    ----------
+    truth
+        true boxes (the paper's error classes and track measures) or true masks (error classes and CDnet's
+        measures).
+    region
+        `(height, width)` uint8, 0 outside the region of interest, where nothing counts; `None`: it all does.
+    """
+
+    def __init__(self, truth: BoxTruth | MaskTruth, region: Mask | None = None) -> None:
+        self._region = region
+        if isinstance(truth, BoxTruth) and region is not None:
+            away = [not stands_inside(region, (x, y, w, h)) for x, y, w, h in truth.box]
+            truth = replace(truth, kind=np.where(away, np.int64(Kind.IGNORED), truth.kind))
+        self.truth = truth
+        self.frames: list[int] = []
+        self.pixels = PixelScore()
+        self.errors = ErrorClasses()
+
+    def add(self, number: int, foreground: Mask) -> None:
+        """Count the mask `(height, width)`, 0 or 255, of a frame, if there is truth for it.
+
+        Raises
+        ------
+        ValueError
+            if the true mask has another size or cannot be read.
+        """
+        if number not in self.truth:
+            return
+        self.frames.append(number)
+        if isinstance(self.truth, BoxTruth):
+            self.errors += error_classes(foreground, self.truth.at(number))
+            return
+        labels = self.truth.labels(number)
+        if self._region is not None and labels.shape == self._region.shape:
+            labels[self._region == 0] = OUTSIDE
+        self.pixels.add(number, foreground, labels)
+        self.errors += mask_error_classes(foreground, labels)
+
+    def measures(self, tracks: NDArray[np.float64] | None) -> dict[str, Any]:
+        """Return everything measured so far, as nested plain values; nothing if no frame had a truth.
+
+        Parameters
+        ----------
+        tracks
+            `(n, 6)`: frame, identity, x, y, width, height; `None` if the method does not track.
+        """
+        if not self.frames:
+            return {}
+        found: dict[str, Any] = {
+            "frames compared": len(self.frames),
+            "errors": {
+                **asdict(self.errors),
+                "missed and ghosts": self.errors.errors,
+                "counted": f"anew in each of the {len(self.frames)} frames compared",
+            },
+        }
+        told_apart = isinstance(self.truth, BoxTruth)  # pedestrians from vehicles
+        for name in ("missed_objects",) if told_apart else ("missed_pedestrians", "missed_vehicles"):
+            del found["errors"][name]
+        if isinstance(self.truth, BoxTruth):
+            if tracks is not None:
+                found["tracks"] = asdict(evaluate_tracks(self.truth, tracks, self.frames))
+        else:
+            total = self.pixels.total()
+            found["pixels"] = {
+                "F": total.f_measure,
+                "precision": total.precision,
+                "recall": total.recall,
+                "specificity": total.specificity,
+                "wrong, %": total.wrong_percent,
+            }
+        return found
+
+    def saved(self) -> dict[str, Any]:
+        """All that was counted, as plain JSON."""
+        return {
+            "frames": self.frames,
+            "pixels": [self.pixels.numbers, self.pixels.counts],
+            "errors": asdict(self.errors),
+        }
+
+    def restore(self, data: Mapping[str, Any]) -> None:
+        """Go on from what `saved` gave."""
+        self.frames = list(data["frames"])
+        numbers, counts = data["pixels"]
+        self.pixels = PixelScore(list(numbers), [(tp, fp, fn, tn) for tp, fp, fn, tn in counts])
+        self.errors = ErrorClasses(**data["errors"])
+
+
+def track_rows(boxes: NDArray[np.void]) -> NDArray[np.float64]:
+    """Turn boxes as `results.read_tracks` gives them into rows frame, identity, x, y, width, height."""
+    return np.column_stack([boxes["frame"], boxes["id"], boxes["box"].reshape(-1, 4)]).astype(np.float64)

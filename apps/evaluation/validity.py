@@ -1,0 +1,118 @@
+"""Which chains of a finished run help each other, and why (§3.3 of the RSMCM paper)."""
+
+import errno
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference.validity.estimate import FEWEST_GROUPS, Comparison, Interval, compare
+from ..reports.claims import in_columns
+from .predictions import FILE, PairRecord, read_predictions
+
+WRITTEN_BY = "rsmcm structure"
+STRETCHES = 40
+"""Into how many stretches of frames a run is cut, whose errors are taken for independent."""
+
+HONEST = (0.8, 1.25)
+"""Squared errors over stated variances between which a chain's covariances pass for honest."""
+
+HEADER = (
+    "chains", "feature", "predictions", "error 1", "error 2", "correlation", "bearable", "gain, nats",
+    "verdict",
+)  # fmt: skip
+
+
+def report_validity(folder: Path) -> str:
+    """A table of all pairs of chains of a run, and what it means in sentences.
+
+    Raises
+    ------
+    ValueError
+        if the folder has no recorded predictions, or they cannot be read.
+    OSError
+        if there is no such folder.
+    """
+    if not folder.exists():
+        raise FileNotFoundError(errno.ENOENT, "no such folder", str(folder))
+    if not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "expected the folder of a finished run", str(folder))
+    if not (folder / FILE).exists():
+        raise ValueError(f"{folder}: holds no {FILE}; it is written by: {WRITTEN_BY}")
+    records = read_predictions(folder)
+    if not records:
+        return "No two chains of this run predicted the same feature."
+    found = [(record, judge(record)) for record in records]
+    table = in_columns(HEADER, [_row(record, comparison) for record, comparison in found])
+    return "\n\n".join([table, *(_in_words(record, comparison) for record, comparison in found)])
+
+
+def judge(record: PairRecord) -> Comparison:
+    """Compare a pair with the more cautious one of two intervals.
+
+    Errors of one track are related over time, and errors of one frame over all tracks (they share a camera),
+    so that neither tracks nor frames are independent of each other: once tracks are resampled, once stretches
+    of frames, and the wider interval counts.
+    """
+    _, order = np.unique(record.frames, return_inverse=True)
+    n_frames = int(order.max()) + 1
+    groupings: list[NDArray[np.int64]] = [record.tracks, order * STRETCHES // max(n_frames, STRETCHES)]
+    enough = [labels for labels in groupings if len(np.unique(labels)) >= FEWEST_GROUPS]
+    several = enough or [labels for labels in groupings if len(np.unique(labels)) > 1]
+    if not several:
+        raise ValueError(
+            f"{record.first} + {record.second}: got {len(record.predictions)} predictions of one track "
+            "in one frame, expected more"
+        )
+    comparisons = [compare(record.predictions, labels) for labels in several]
+    return max(comparisons, key=lambda comparison: comparison.gain.high - comparison.gain.low)
+
+
+def _row(record: PairRecord, found: Comparison) -> tuple[object, ...]:
+    return (
+        f"{record.first} + {record.second}",
+        record.feature,
+        str(found.count),
+        f"{found.rms_first.estimate:.3g} {record.unit}",
+        f"{found.rms_second.estimate:.3g} {record.unit}",
+        f"{found.correlation:.2f}",
+        f"{found.bearable_correlation:.2f}" if np.isfinite(found.bearable_correlation) else "any",
+        f"{found.gain:.2g}",
+        found.verdict,
+    )
+
+
+def _in_words(record: PairRecord, found: Comparison) -> str:
+    lines = [f"{record.first} + {record.second} on {record.feature}: {found.verdict}. {found.reason}."]
+    if found.theorem_holds:
+        lines.append("The sufficient condition of Theorem 2 is met.")
+    stated = found.stated
+    if stated is not None:
+        lines += [
+            _honesty(record.first, stated.excess_first),
+            _honesty(record.second, stated.excess_second),
+            f"As they state their covariances, the product predicts what is observed "
+            f"{_better(stated.score_gain)} than the better chain; its posterior is {_better(stated.gain)}.",
+        ]
+    return "\n".join(lines)
+
+
+def _honesty(name: str, excess: Interval[float]) -> str:
+    least, most = HONEST
+    if excess.low > most:
+        word = "is too sure of itself"
+    elif excess.high < least:
+        word = "is less sure of itself than it could be"
+    else:
+        word = "states honest covariances"
+    return f"{name} {word}: its squared errors are {excess:.2f} times what it states."
+
+
+def _better(gain: Interval[float]) -> str:
+    if gain.low > 0:
+        word = "better"
+    elif gain.high < 0:
+        word = "worse"
+    else:
+        word = "neither clearly better nor worse"
+    return f"{word} ({gain:.2g} nats)"

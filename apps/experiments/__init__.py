@@ -1,0 +1,1 @@
+"""The papers' experiments, speed, and competitors: nothing here is needed to track."""

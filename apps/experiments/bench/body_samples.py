@@ -1,0 +1,162 @@
+"""Speed of tracking bodies by samples: resampling beside filterpy, a filter's step beside `particles`.
+
+Set `OPENBLAS_NUM_THREADS=1` (or that of your BLAS) for the peers too. `particles` asks for numpy 1 and runs
+with numpy 2 all the same: `pip install --no-deps particles joblib cloudpickle scikit-learn threadpoolctl
+narwhals`. Without it, what is measured beside it is left out.
+"""
+
+import importlib.util
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from filterpy.monte_carlo import systematic_resample
+from numpy.typing import NDArray
+
+from ....chains.condensation import Condensation
+from ....inference.core.protocols import Incoming
+from ....inference.filters.resampling import systematic
+from ....models.body.parts import PartMessage
+from ....models.body.upper_body import PARTS
+from ....models.core.frame import Frame
+from ....models.core.gaussian_mixtures import GaussianMixtures
+from ...reports.claims import HEADER, Claim, in_columns
+from .points import in_turns
+
+Numbers = NDArray[np.float64]
+
+SAMPLES, DIMENSION = 1000, 13
+STEP, NOISE = 0.1, 0.3  # standard deviations of a walk and of the looks at it
+N_FRAMES = 400  # more than there are steps in the measurement
+
+
+def resampling_times() -> list[Claim]:
+    """Systematic resampling, ours from log weights, filterpy's from weights."""
+    random = np.random.default_rng(0)
+    claims = []
+    for n in (SAMPLES, 20 * SAMPLES):
+        weights = random.dirichlet(np.ones(n))
+        log_weights = np.log(weights)
+
+        def ours(log_weights: Numbers = log_weights, n: int = n) -> object:
+            return systematic(log_weights, n, random)
+
+        def theirs(weights: Numbers = weights) -> object:
+            return systematic_resample(weights)
+
+        seconds = in_turns({"ours": ours, "filterpy": theirs}, rounds=20)
+        many = in_turns({"ours": ours}, rounds=20, turn=20)["ours"]
+        claims += [
+            Claim(f"systematic resampling of {n}, us", 1e6 * many),
+            Claim(f"filterpy over systematic resampling of {n}", seconds["filterpy"] / many, ">=", 50),
+        ]
+    return claims
+
+
+def bootstrap_times() -> list[Claim]:
+    """A step of CONDENSATION over vectors with a Gaussian walk and likelihood, beside a bootstrap filter."""
+    random = np.random.default_rng(0)
+    looks = STEP * random.normal(size=(N_FRAMES, DIMENSION)).cumsum(axis=0)
+    methods = {"ours": _condensation(looks)}
+    if importlib.util.find_spec("particles") is not None:
+        methods["particles"] = _bootstrap(looks)
+    seconds = in_turns(methods, rounds=15, turn=20)
+    what = f"CONDENSATION's step, {SAMPLES} x {DIMENSION}"
+    claims = [Claim(f"{what}, ms", 1e3 * seconds["ours"])]
+    if "particles" in seconds:
+        claims.append(
+            Claim(f"particles' bootstrap filter over {what}", seconds["particles"] / seconds["ours"], ">=", 2)
+        )
+    return claims
+
+
+# --- the same walk for both ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Vectors:
+    """Samples `(n, 13)` in the place of poses."""
+
+    values: Numbers
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def take(self, chosen: Any) -> "_Vectors":
+        return _Vectors(self.values.take(chosen, axis=0))
+
+
+class _Anything:
+    """A body without limits."""
+
+    def allowed(self, vectors: _Vectors) -> NDArray[np.bool_]:
+        return np.ones(len(vectors), np.bool_)
+
+
+class _Walk:
+    """A random walk."""
+
+    def draw(self, vectors: _Vectors, dt: float, random: np.random.Generator) -> _Vectors:
+        steps = random.standard_normal(vectors.values.shape)
+        steps *= STEP
+        steps += vectors.values
+        return _Vectors(steps)
+
+    def log_posture(self, vectors: _Vectors) -> float:
+        return 0.0
+
+
+def _likelihood(look: Numbers, vectors: _Vectors) -> Numbers:
+    off = vectors.values - look
+    logs: Numbers = np.einsum("nd,nd->n", off, off)
+    logs *= -0.5 / NOISE**2
+    return logs
+
+
+def _condensation(looks: Numbers) -> Callable[[], object]:
+    """One step further at each call."""
+    stand_ins: Any = (_Anything(), _Vectors(np.zeros((1, DIMENSION))), _Walk(), _likelihood)
+    body, start, dynamics, likelihood = stand_ins
+    chain = Condensation(body, SAMPLES, start, 0, dynamics, likelihood)
+    state = chain.initial(Frame(np.zeros((2, 2), np.uint8), 0.0, 1))
+    frames = iter(looks)
+    nothing = GaussianMixtures.uniform(len(PARTS))
+
+    def step() -> object:
+        nonlocal state
+        look: Any = next(frames)
+        state = chain.update(chain.predict(state, 1.0), Incoming({"parts": PartMessage(nothing, look)}))
+        return state
+
+    return step
+
+
+def _bootstrap(looks: Numbers) -> Callable[[], object]:
+    """The same with `particles`, which resamples at every step too."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of its age
+        import particles
+        from particles.distributions import MvNormal
+        from particles.state_space_models import Bootstrap, StateSpaceModel
+
+    unit = np.eye(DIMENSION)
+
+    class Walk(StateSpaceModel):  # type: ignore[misc]
+        def PX0(self) -> Any:  # noqa: N802
+            return MvNormal(loc=np.zeros(DIMENSION), cov=unit)
+
+        def PX(self, t: int, xp: Numbers) -> Any:  # noqa: N802
+            return MvNormal(loc=xp, scale=STEP, cov=unit)
+
+        def PY(self, t: int, xp: Numbers, x: Numbers) -> Any:  # noqa: N802
+            return MvNormal(loc=x, scale=NOISE, cov=unit)
+
+    model = Bootstrap(ssm=Walk(), data=list(looks))
+    run = particles.SMC(fk=model, N=SAMPLES, resampling="systematic", ESSrmin=1.0)
+    return lambda: next(run)
+
+
+if __name__ == "__main__":
+    print(in_columns(HEADER, [claim.cells for claim in [*resampling_times(), *bootstrap_times()]]))

@@ -1,0 +1,208 @@
+"""Speed of the body tracker: frames a second, how time grows with samples, and where it goes."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....chains.articulated_pose import ArticulatedPose
+from ....chains.flesh_tracker import FleshTracker
+from ....inference import MultiChain, RecursiveBP
+from ....inference.body.dynamics import BodyDynamics
+from ....models.body.image_features import edge_distances
+from ....models.body.likelihood import BodyLikelihood
+from ....models.body.parts import EDGE_REACH, HAND_RADIUS, BodyParts
+from ....models.body.skin_blobs import flesh_blobs
+from ....models.body.upper_body import UpperBody
+from ....models.core.frame import Frame
+from ....models.face.detectors import HaarFaces
+from ....models.numerics.threads import set_threads, thread_count
+from ...io.datasets import data_folder
+from ...io.sources.open_source import open_source
+from ...reports.claims import HEADER, Claim, in_columns
+from ..trials.body import SignerFilm
+
+Numbers = NDArray[np.float64]
+
+N_FRAMES = 40
+WARM_UP = 5  # frames that do not count
+THREADS = 2
+SAMPLES = 1000
+MORE_SAMPLES = (1000, 5000, 20_000)
+
+Stages = list[tuple[str, float, float]]
+"""Stage, ms a frame and share of the whole, %."""
+
+
+def body_claims() -> tuple[list[Claim], Stages]:
+    """All of them, and where the time of a frame goes, on two threads."""
+    film = BodyFilm.found()
+    with _threads(THREADS):
+        whole, within = seconds_a_frame(film, SAMPLES)
+        claims = [rate_claim(film, whole), growth_claim(film)]
+        return claims, stages_of(whole, within)
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    before = thread_count()
+    set_threads(count)
+    try:
+        yield
+    finally:
+        set_threads(before)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyFilm:
+    """Preloaded frames, who is to be tracked in them, and a word on where they come from."""
+
+    label: str
+    frames: Sequence[Frame]
+    body: UpperBody
+    parts: BodyParts
+
+    @classmethod
+    def found(cls) -> "BodyFilm":
+        """A real signer with OpenCV's cascades where there are both, else a generated one with its list."""
+        try:
+            path = data_folder("signer") / "signseg_demo_video.mp4"
+            with open_source(str(path), stop=N_FRAMES) as source:
+                frames = list(source)
+            images = [frame.image for frame in frames if frame.image is not None]
+            parts = BodyParts.learned(images, HaarFaces())
+        except (OSError, ValueError):
+            film = SignerFilm.of(n_frames=N_FRAMES)
+            return cls("generated, no face detector", film.frames, film.scene.body, film.parts)
+        return cls("a signer's film", frames, UpperBody.from_head(parts.head_height), parts)
+
+
+def seconds_a_frame(film: BodyFilm, samples: int) -> tuple[Numbers, dict[str, Numbers]]:
+    """Of every frame after the first few, `(n,)`: the whole, and what some stages take of it.
+
+    Blobs and edges are parts of the feature node's work that are done once more, to be timed.
+    """
+    spent, steps = _Spent(), ("predict", "message", "update")
+    detector: Any = _Timed(film.parts.detector, spent, {"__call__": "detector"})
+    colour: Any = _Timed(film.parts.flesh, spent, {"log_odds": "colour"})
+    dynamics: Any = _Timed(BodyDynamics(film.body), spent, {"log_density": "prior"})
+    likelihood: Any = _Timed(BodyLikelihood(film.body), spent, {"__call__": "likelihood"})
+    parts = _Timed(replace(film.parts, detector=detector, flesh=colour), spent, {"evidence": "features"})
+    pose = ArticulatedPose(film.body, samples, dynamics=dynamics, likelihood=likelihood)
+    poses = _Timed(pose, spent, dict.fromkeys(steps, "poses"))
+    flesh = _Timed(FleshTracker(film.body), spent, dict.fromkeys(steps, "flesh"))
+    engine = RecursiveBP(MultiChain().connect(flesh, parts).connect(poses, parts))
+    state, unit = None, film.parts.head_height
+    for frame in film.frames:
+        with spent.frame():
+            belief = engine.step(state, frame)
+        state, seen = belief.state, belief[film.parts].image
+        assert seen is not None
+        spent.timed("blobs", flesh_blobs, seen.flesh, HAND_RADIUS * unit)
+        spent.timed("edges", edge_distances, frame.image, EDGE_REACH * unit)
+    return spent.whole[WARM_UP:], {name: spent.stage(name)[WARM_UP:] for name in spent.names}
+
+
+def rate_claim(film: BodyFilm, seconds: Numbers) -> Claim:
+    """Without decoding."""
+    image = film.frames[0].image
+    assert image is not None
+    size = f"{image.shape[1]}x{image.shape[0]}"
+    what = f"body tracker, {film.label}, {size}, {SAMPLES} samples, two threads: frames a second"
+    return Claim(what, 1 / float(seconds.mean()), ">=", 10)
+
+
+def growth_claim(film: BodyFilm) -> Claim:
+    """Power of time in samples, of the chain that has any."""
+    times = [float(np.median(seconds_a_frame(film, count)[1]["poses"])) for count in MORE_SAMPLES]
+    power = float(np.polyfit(np.log(MORE_SAMPLES), np.log(times), 1)[0])
+    what = f"body tracker: power of the poses' time in samples, {MORE_SAMPLES[0]} to {MORE_SAMPLES[-1]}"
+    return Claim(what, power, "<=", 1.1)
+
+
+def stages_of(whole: Numbers, within: dict[str, Numbers]) -> Stages:
+    """Where the time of a frame goes: means of what `seconds_a_frame` gives."""
+    mean = {name: float(values.mean()) for name, values in within.items()}
+    known = sum(mean[name] for name in ("detector", "colour", "blobs", "edges"))
+    total = float(whole.mean())
+    stages = {
+        "features: face detector": mean["detector"],
+        "features: map of flesh": mean["colour"],
+        "features: blobs": mean["blobs"],
+        "features: edges": mean["edges"],
+        "features: the rest": mean["features"] - known,
+        "flesh tracker": mean["flesh"],
+        "poses: drawing, and density of the draws": mean["poses"] - mean["prior"] - mean["likelihood"],
+        "poses: temporal prior": mean["prior"],
+        "poses: likelihood": mean["likelihood"],
+        "engine and the rest": total - mean["features"] - mean["flesh"] - mean["poses"],
+        "total": total,
+    }
+    return [(name, 1e3 * value, 100 * value / total) for name, value in stages.items()]
+
+
+class _Spent:
+    """Seconds of every frame: of the whole, and by stage."""
+
+    def __init__(self) -> None:
+        self._whole: list[float] = []
+        self._stages: list[dict[str, float]] = []
+
+    @contextmanager
+    def frame(self) -> Iterator[None]:
+        self._stages.append({})
+        started = time.perf_counter()
+        yield
+        self._whole.append(time.perf_counter() - started)
+
+    def timed(self, stage: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call a function as part of a stage of the frame."""
+        started = time.perf_counter()
+        try:
+            return function(*arguments)
+        finally:
+            now = self._stages[-1]
+            now[stage] = now.get(stage, 0.0) + time.perf_counter() - started
+
+    @property
+    def whole(self) -> Numbers:
+        return np.array(self._whole)
+
+    @property
+    def names(self) -> set[str]:
+        return {name for frame in self._stages for name in frame}
+
+    def stage(self, name: str) -> Numbers:
+        return np.array([frame.get(name, 0.0) for frame in self._stages])
+
+
+class _Timed:
+    """Something of which it is noted how long some methods take, by the stage that each is part of."""
+
+    def __init__(self, node: Any, spent: _Spent, stages: dict[str, str]) -> None:
+        self._node = node
+        self._spent = spent
+        self._stages = stages
+        self.name = getattr(node, "name", "")
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._node, name)
+        if name not in self._stages:
+            return value
+
+        return partial(self._spent.timed, self._stages[name], value)
+
+    def __call__(self, *arguments: Any) -> Any:
+        # Python looks this one up in the class
+        return self.__getattr__("__call__")(*arguments)
+
+
+if __name__ == "__main__":
+    found, where = body_claims()
+    print(in_columns(HEADER, [claim.cells for claim in found]))
+    print("\n" + in_columns(("stage", "ms", "share, %"), where))

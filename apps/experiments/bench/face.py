@@ -1,0 +1,147 @@
+"""Speed of G-flow: frames a second, how time grows, and the fused loop beside `cv2.remap` with numpy.
+
+Set `OPENBLAS_NUM_THREADS=1` (or that of your BLAS) for the peers too.
+"""
+
+import time
+import tracemalloc
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ....chains.gflow import GFlow, GFlowState
+from ....inference.core.protocols import Incoming
+from ....inference.face.texture_filter import Texture
+from ....inference.face.texture_likelihood import TexturedObject, TextureLikelihood
+from ....models.background.pixel_labels import PixelMessage
+from ....models.face.image_pyramid import picture_levels
+from ....models.face.pose import Poses
+from ....models.face.surface_texels import SurfaceTexels
+from ....models.numerics.threads import set_threads, thread_count
+from ...reports.claims import HEADER, Claim, in_columns
+from ...scenes import FaceScene, face
+from .points import in_turns
+
+RATE = 25.0  # frames a second, of the film
+SIZE = (640, 480)
+EXPERTS, TEXELS = 20, 4000
+N_FRAMES = 25
+WARM_UP = 5  # frames that do not count
+TURNS = 10
+
+Numbers = NDArray[np.float64]
+
+
+def face_claims() -> list[Claim]:
+    """All of them; on two threads where the tracker runs, on one where a peer runs beside it."""
+    before = thread_count()
+    scene = face(N_FRAMES, seed=0, size=SIZE)
+    try:
+        set_threads(2)
+        rates = [*rate_claims(scene), *growth_claims(scene), memory_claim(scene)]
+        set_threads(1)
+        return [*rates, fused_claim(scene)]
+    finally:
+        set_threads(before)
+
+
+def seconds_a_frame(scene: FaceScene, experts: int, texels: int) -> Numbers:
+    """Of every frame after the first few, without rendering it."""
+    chain = GFlow(scene.model, scene.poses[0], experts=experts, texels=texels, spread=float(experts > 1))
+    state: GFlowState | None = None
+    seconds = []
+    for number in range(len(scene)):
+        frame = scene.frame(number)
+        told = Incoming({"pixels": PixelMessage(image=frame.image)})
+        started = time.perf_counter()
+        state = chain.initial(frame) if state is None else chain.predict(state, 1 / RATE)
+        state = chain.update(state, told)
+        seconds.append(time.perf_counter() - started)
+    return np.array(seconds[WARM_UP:])
+
+
+def rate_claims(scene: FaceScene) -> list[Claim]:
+    """How often faster than the film: means over continuation and resampling frames."""
+    claims = []
+    for experts, wanted in ((EXPERTS, 1.0), (1, 3.0)):
+        seconds = seconds_a_frame(scene, experts, TEXELS)
+        what = f"G-flow 480x640, {experts} x {TEXELS} texels, two threads: speed over {RATE:g} frames/s"
+        claims.append(Claim(what, 1 / (RATE * float(seconds.mean())), ">=", wanted))
+    return claims
+
+
+def growth_claims(scene: FaceScene) -> list[Claim]:
+    """Powers of time in experts and in texels."""
+    experts = {n: float(np.median(seconds_a_frame(scene, n, TEXELS))) for n in (10, 20, 40, 80)}
+    texels = {n: float(np.median(seconds_a_frame(scene, EXPERTS, n))) for n in (2000, 4000, 8000, 16000)}
+    return [
+        Claim("G-flow: power of time in experts, 10 to 80", _power(experts), "<=", 1.1),
+        Claim("G-flow: power of time in texels, 2000 to 16000", _power(texels), "<=", 1.1),
+    ]
+
+
+def memory_claim(scene: FaceScene) -> Claim:
+    """Peak of what is allocated while it tracks."""
+    tracemalloc.start()
+    try:
+        seconds_a_frame(scene, EXPERTS, TEXELS)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    return Claim(f"G-flow: peak memory of {EXPERTS} x {TEXELS} texels, MB", peak / 2**20)
+
+
+def fused_claim(scene: FaceScene) -> Claim:
+    """Normal equations of one expert, beside three remaps and numpy."""
+    image = scene.image(1)
+    surface = TexturedObject(scene.model, SurfaceTexels.dense(scene.model, TEXELS))
+    poses = scene.poses[0]
+    level = picture_levels(image, float(poses.sizes[0]), n_levels=1, local_mean=True)
+    texture = Texture.unknown(1, 1, len(surface.texels), learn=False)
+    likelihood = TextureLikelihood(
+        surface, level, texture.mean, np.full_like(texture.variance, 36), surface.visible(poses)
+    )
+    slopes = [cv2.Sobel(level[0].image, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))]
+    owner = np.zeros(1, np.int64)
+    seconds = in_turns(
+        {
+            "fused": lambda: likelihood.equations(0, poses, owner),
+            "remap": lambda: _by_remap(surface, likelihood, [level[0].image, *slopes], poses),
+        },
+        TURNS,
+        5,
+    )
+    what = f"G-flow: remap and numpy over the fused normal equations, {TEXELS} texels, time"
+    return Claim(what, seconds["remap"] / seconds["fused"], ">=", 6.0)
+
+
+def _by_remap(
+    surface: TexturedObject, likelihood: TextureLikelihood, pictures: list[Any], poses: Poses
+) -> tuple[Numbers, Numbers]:
+    """The same normal equations with a Jacobian of every texel."""
+    texels = surface.texels
+    positions, rows = surface.rows(poses)
+    corners = surface.groups[texels.group_of_texel]
+    places = np.einsum("na,nac->nc", texels.weights, positions[0][corners])
+    texel_rows = np.einsum("na,nacd->ncd", texels.weights, rows[0][corners][..., : poses.dimension])
+    value, across, down = (
+        cv2.remap(picture, places[:, 0], places[:, 1], cv2.INTER_LINEAR)[:, 0] for picture in pictures
+    )
+    jacobian = across[:, None] * texel_rows[:, 0] + down[:, None] * texel_rows[:, 1]
+    triangles = positions[0][surface.groups]
+    edges = triangles[:, 1:] - triangles[:, :1]
+    size = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
+    area = (size / np.maximum(np.diff(texels.first), 1))[texels.group_of_texel]
+    weight = area * likelihood.visible[0] / likelihood.temperature[0]
+    weighted = jacobian * weight[:, None]
+    return weighted.T @ jacobian, weighted.T @ (value - likelihood.mean[0, 0])
+
+
+def _power(seconds: dict[int, float]) -> float:
+    return float(np.polyfit(np.log(list(seconds)), np.log(list(seconds.values())), 1)[0])
+
+
+if __name__ == "__main__":
+    print(in_columns(HEADER, [claim.cells for claim in face_claims()]))

@@ -1,0 +1,201 @@
+"""Speed of following points beside filterpy, simdkalman and OpenCV, all on one thread.
+
+Set `OPENBLAS_NUM_THREADS=1` (or that of your BLAS) for the peers too.
+"""
+
+import statistics
+import time
+from collections.abc import Callable, Mapping
+
+import cv2
+import numpy as np
+import simdkalman
+from filterpy.kalman import KalmanFilter, rts_smoother
+from numpy.typing import NDArray
+
+from ....inference.filters.kalman import PointStates, filter_tracks, predict, smooth, update
+from ....models.points.patch_search import sample_patches, search_patches
+from ...reports.claims import HEADER, Claim, in_columns
+
+Numbers = NDArray[np.float64]
+
+N_POINTS = 500
+N_FRAMES = 30
+FRAME = 1 / 25  # s
+ACCELERATION = 100.0  # px^2/s^3
+NOISE = 0.5  # px
+FIRST, SPEED = 10.0, 100.0  # px and px/s: standard deviations of a new point
+
+N_PATCHES = 300
+SIDE, REACH = 5, 10  # px
+
+
+def point_claims() -> list[Claim]:
+    """All of them."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        return [*kalman_claims(), *search_claims()]
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def in_turns(methods: Mapping[str, Callable[[], object]], rounds: int, turn: int = 1) -> dict[str, float]:
+    """Median seconds a call of methods that take turns of `turn` calls; the first round warms up."""
+    spent: dict[str, list[float]] = {name: [] for name in methods}
+    for _ in range(rounds + 1):
+        for name, method in methods.items():
+            for _ in range(turn):
+                started = time.perf_counter()
+                method()
+                spent[name].append(time.perf_counter() - started)
+    return {name: statistics.median(values[turn:]) for name, values in spent.items()}
+
+
+# --- Kalman filter and smoother -----------------------------------------------------------------------------
+
+
+def kalman_claims() -> list[Claim]:
+    """Filter and smoother, per point and step, for points that are seen in all frames."""
+    random = np.random.default_rng(0)
+    places = random.normal(0, 2, (N_FRAMES, N_POINTS, 2)).cumsum(axis=0)
+    times = FRAME * np.arange(N_FRAMES)
+    information = np.broadcast_to(np.eye(2) / NOISE**2, (N_FRAMES, N_POINTS, 2, 2)).copy()
+    vector = places / NOISE**2
+    prior = PointStates.at_rest(places[0], FIRST**2, SPEED)
+
+    def frame_by_frame() -> PointStates:
+        states = prior
+        for t in range(N_FRAMES):
+            states = update(predict(states, FRAME, ACCELERATION), information[t], vector[t])
+        return states
+
+    filtered = filter_tracks(prior, times, information, vector, ACCELERATION)
+    passed = [_filterpy_filter(places[:, k]) for k in range(N_POINTS)]
+    seconds = in_turns(
+        {
+            "frame by frame": frame_by_frame,
+            "filter": lambda: filter_tracks(prior, times, information, vector, ACCELERATION),
+            "smoother": lambda: smooth(filtered, times, ACCELERATION),
+            "filterpy": lambda: [_filterpy_filter(places[:, k]) for k in range(N_POINTS)],
+            "filterpy smoother": lambda: [_filterpy_smoother(*states) for states in passed],
+            "simdkalman": lambda: _simdkalman(places, smoothed=False),
+            "simdkalman both": lambda: _simdkalman(places, smoothed=True),
+        },
+        rounds=7,
+    )
+    of = {name: 1e6 * value / (N_POINTS * N_FRAMES) for name, value in seconds.items()}
+    return [
+        Claim("Kalman filter frame by frame, us a point and step", of["frame by frame"]),
+        Claim("Kalman filter of whole tracks, us a point and step", of["filter"]),
+        Claim("RTS smoother, us a point and step", of["smoother"]),
+        Claim("filterpy over filter frame by frame", of["filterpy"] / of["frame by frame"], ">=", 150),
+        Claim("filterpy over filter of whole tracks", of["filterpy"] / of["filter"], ">=", 150),
+        Claim("simdkalman over filter frame by frame", of["simdkalman"] / of["frame by frame"], ">=", 8),
+        Claim("simdkalman over filter of whole tracks", of["simdkalman"] / of["filter"], ">=", 8),
+        Claim("filterpy's smoother over RTS smoother", of["filterpy smoother"] / of["smoother"], ">=", 45),
+        Claim(
+            "simdkalman over filter and RTS smoother",
+            of["simdkalman both"] / (of["filter"] + of["smoother"]),
+        ),
+    ]
+
+
+def _moving(axes: int) -> tuple[Numbers, Numbers]:
+    """Transition and its noise over a frame, positions before velocities."""
+    one = np.array([[1.0, FRAME], [0.0, 1.0]])
+    noise = ACCELERATION * np.array([[FRAME**3 / 3, FRAME**2 / 2], [FRAME**2 / 2, FRAME]])
+    axis = np.eye(axes)
+    return np.asarray(np.kron(one, axis), np.float64), np.asarray(np.kron(noise, axis), np.float64)
+
+
+def _filterpy_filter(places: Numbers) -> tuple[Numbers, Numbers]:
+    """Means and covariances of one point seen at `(n_frames, 2)`."""
+    one = KalmanFilter(dim_x=4, dim_z=2)
+    one.x = np.array([*places[0], 0.0, 0.0])
+    one.P = np.diag([FIRST**2, FIRST**2, SPEED**2, SPEED**2])
+    one.H, one.R = np.eye(2, 4), NOISE**2 * np.eye(2)
+    one.F, one.Q = _moving(2)
+    means, covariances = np.empty((len(places), 4)), np.empty((len(places), 4, 4))
+    for t, place in enumerate(places):
+        one.predict()
+        one.update(place)
+        means[t], covariances[t] = one.x, one.P
+    return means, covariances
+
+
+def _filterpy_smoother(means: Numbers, covariances: Numbers) -> object:
+    transition, noise = _moving(2)
+    smoothed: object = rts_smoother(means, covariances, [transition] * len(means), [noise] * len(means))
+    return smoothed
+
+
+def _simdkalman(places: Numbers, smoothed: bool) -> object:
+    """All points' x and y as series of their own, which is the faster way for it."""
+    transition, noise = _moving(1)
+    series = places.reshape(N_FRAMES, -1).T
+    model = simdkalman.KalmanFilter(transition, noise, np.array([[1.0, 0.0]]), NOISE**2)
+    result: object = model.compute(
+        series,
+        0,
+        initial_value=np.stack([series[:, 0], np.zeros(len(series))], axis=1)[:, :, None],
+        initial_covariance=np.diag([FIRST**2, SPEED**2]),
+        filtered=True,
+        smoothed=smoothed,
+    )
+    return result
+
+
+# --- correlation search -------------------------------------------------------------------------------------
+
+
+def search_claims() -> list[Claim]:
+    """Patches of corners, looked for in a picture that has moved a little."""
+    first, second = _pictures()
+    corners = cv2.goodFeaturesToTrack(first, 2 * N_PATCHES, 1e-3, 6)[:, 0]
+    rounded = np.rint(corners).astype(int)
+    kept = ((rounded > REACH + SIDE) & (rounded < np.array(first.shape[::-1]) - REACH - SIDE - 1)).all(axis=1)
+    corners, rounded = corners[kept][:N_PATCHES], rounded[kept][:N_PATCHES].tolist()
+    patches = sample_patches(first, corners, SIDE, unit=True)
+    room = np.empty_like(corners)
+    half, window = SIDE // 2, REACH + SIDE // 2
+    templates = [first[y - half : y + half + 1, x - half : x + half + 1] for x, y in rounded]
+
+    def one_by_one() -> None:
+        for (x, y), template in zip(rounded, templates, strict=True):
+            seen = second[y - window : y + window + 1, x - window : x + window + 1]
+            cv2.minMaxLoc(cv2.matchTemplate(seen, template, cv2.TM_CCOEFF_NORMED))
+
+    seconds = in_turns(
+        {
+            "search": lambda: search_patches(second, patches, corners, REACH),
+            "matchTemplate": one_by_one,
+            "PyrLK": lambda: cv2.calcOpticalFlowPyrLK(first, second, corners, room),
+        },
+        rounds=10,
+        turn=8,
+    )
+    return [
+        Claim(f"search for {len(corners)} patches, +-{REACH} px, ms", 1e3 * seconds["search"]),
+        Claim("loop of matchTemplate over search", seconds["matchTemplate"] / seconds["search"], ">=", 6),
+        Claim("calcOpticalFlowPyrLK over search", seconds["PyrLK"] / seconds["search"], ">=", 1),
+    ]
+
+
+def _pictures() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Texture of 640x480 px, and the same moved by a few px, with noise."""
+    random = np.random.default_rng(1)
+    noise = random.normal(size=(480, 640))
+    blurred = [scale * cv2.GaussianBlur(noise, (0, 0), scale) for scale in (1.5, 4.0, 10.0)]
+    texture = 60 * np.sum(blurred, axis=0)
+    shift = np.array([[1.0, 0.0, 3.4], [0.0, 1.0, -2.7]])
+    moved = cv2.warpAffine(texture, shift, (640, 480), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    first, second = (
+        np.clip(128 + picture + random.normal(0, 2, picture.shape), 0, 255).astype(np.uint8)
+        for picture in (texture, moved)
+    )
+    return first, second
+
+
+if __name__ == "__main__":
+    print(in_columns(HEADER, [claim.cells for claim in point_claims()]))

@@ -1,0 +1,103 @@
+"""Fig. 12 of the RSMCM paper on turning objects: how long tracks of points last, and what shape they give."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...io.datasets import data_folder
+from ...io.results import write_image
+from ...reports import report
+from ...reports.claims import HEADER, Claim, print_tables
+from ...runs.progress import Progress
+from ...structure.application import Film, StructureJob, read_film
+from ...structure.files import point_colours, write_ply
+from ...structure.reconstruction import MOST_ROUNDS, Association, Reconstruction, reconstruct
+from ...structure.report import shape_pictures, track_pictures
+from ...structure.track_overlay import draw_points
+
+SEQUENCES = ("cmu-hotel", "bobot")
+METHODS: dict[str, Association] = {"stand-alone": "none", "dual-chain": "dual-chain"}
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a method makes of a sequence."""
+
+    sequence: str
+    method: str
+    found: Reconstruction
+
+    @property
+    def median_length(self) -> float:
+        """Frames in which a point is seen, in the median over the points."""
+        return float(np.median(np.count_nonzero(self.found.observed, axis=0)))
+
+    @property
+    def cells(self) -> list[object]:
+        """A line of the table."""
+        found = self.found
+        return [
+            self.sequence, self.method, len(found.positions), len(found.point_of_track), found.n_points,
+            self.median_length, found.reprojection_error, found.geometry,
+        ]  # fmt: skip
+
+
+LINE = ("sequence", "method", "frames", "tracks", "points", "median frames of a point", "error, px", "shape")
+
+
+def reproduce_box(out: Path) -> None:
+    """Fig. 12 on CMU's hotel and on a table top: tracker and shape together, and one after the other.
+
+    Raises
+    ------
+    OSError
+        if a sequence cannot be found, or the folder cannot be written to.
+    """
+    folders = {name: data_folder(name) for name in SEQUENCES}
+    out.mkdir(parents=True, exist_ok=True)
+    lines: list[list[object]] = []
+    claims: list[Claim] = []
+    sections: list[tuple[str, list[report.Html]]] = []
+    for name, folder in folders.items():
+        film = read_film(StructureJob(str(folder), out))
+        results = [_result(name, method, film) for method in METHODS]
+        alone, dual = results
+        lines += [result.cells for result in results]
+        claims += [
+            Claim(
+                f"{name}: median length of tracks, over stand-alone",
+                dual.median_length / alone.median_length,
+                ">=",
+                2.0,
+            ),
+            Claim(
+                f"{name}: reprojection error, over stand-alone",
+                dual.found.reprojection_error / alone.found.reprojection_error,
+                "<=",
+                1.0,
+            ),
+        ]
+        parts = []
+        for result in results:
+            colours = point_colours(film.frames, result.found)
+            start = f"{name}-{result.method}"
+            if result.found.geometry != "none":
+                write_ply(out / f"{start}.ply", result.found, colours)
+                parts.append(shape_pictures(film.frames, result.found, colours, f"{result.method}. "))
+            parts.append(track_pictures(film.frames, result.found))
+            middle = len(film.frames) // 2
+            image = film.frames[middle].image
+            if image is not None:
+                write_image(out / f"{start}.png", draw_points(image, result.found, middle))
+        sections.append((name, parts))
+    print_tables(LINE, lines, claims)
+    tables = [report.table(LINE, lines), report.table(HEADER, [claim.cells for claim in claims])]
+    report.write_page(out / "index.html", "Turning objects", [("", tables), *sections])
+    print(f"\npage: {out / 'index.html'}")
+
+
+def _result(sequence: str, method: str, film: Film) -> Result:
+    with Progress(f"{sequence}, {method}", MOST_ROUNDS, unit="rounds") as progress:
+        found = reconstruct(film.frames, "second-order", METHODS[method], None, progress.update)
+    return Result(sequence, method, found)

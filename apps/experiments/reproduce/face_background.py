@@ -1,0 +1,199 @@
+"""Models of the background (§7.2.3 of its paper) and of self-occlusion in G-flow: errors with and without."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ....chains.adaptive_background import AdaptiveBackground
+from ....chains.gflow import GFlow
+from ....inference.core.graph import MultiChain
+from ....inference.core.recursive_bp import RecursiveBP
+from ....models.background.pixel_labels import PixelLabels
+from ...io.results import write_json
+from ...reports import report
+from ...reports.claims import HEADER, Claim, print_tables
+from ...runs.parallel import in_processes
+from ...scenes import FaceScene, face
+from ..trials.face import Measured, Trial, as_json, median, n_lost, quartiles
+
+SEEDS = range(10)
+N_FRAMES = 100
+EXPERTS = 8
+NO_WORSE, BETTER, HALF = 1.02, 0.85, 0.5
+PAN = 40.0
+"""px/s by which the room moves where it does."""
+
+NONE, SHARED, EXACT = "no background", "shared", "a map per expert"
+SEEN, ALL = "self-occlusion handled", "every texel taken for visible"
+COLOURS = {NONE: "#8a8a8a", SHARED: "#1f5fa8", EXACT: "#2a8a4b", SEEN: "#1f5fa8", ALL: "#8a8a8a"}
+LINE = ("scene", "method", "error, px", f"lost of {len(SEEDS)}", "ms a frame")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A scene, and how the tracker is set for it."""
+
+    name: str
+    scene: Mapping[str, Any]
+    tracker: Mapping[str, Any]
+    pans: bool = False
+
+    def sequence(self, seed: int) -> FaceScene:
+        """The scene of a seed."""
+        made = face(N_FRAMES, seed, **self.scene)
+        return PannedScene(**vars(made)) if self.pans else made
+
+
+class PannedScene(FaceScene):
+    """The room moves to the side behind the face."""
+
+    def _drawn(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        picture, covered = super()._drawn(index)
+        moved = np.roll(self._room, round(PAN * self.dt * index), axis=1)
+        return picture + (1 - covered) * (moved - self._room), covered
+
+
+WEAK = Setting("weak texture, raw light", {"texture": 0.3, "light": 0.3}, {"local_mean": False, "gain": 0.2})
+SETTINGS = (
+    Setting("textured, light taken out", {}, {}),
+    WEAK,
+    Setting("textured, raw light", {"light": 0.3}, {"local_mean": False, "gain": 0.2}),
+    Setting("moving room", {}, {}, pans=True),
+)
+TURNING = (
+    Setting("turns by 60 degrees", {"max_yaw": 60.0}, {}),
+    Setting("parts that stand off", {"shields": True}, {}),
+)
+COMPARED = tuple((setting, (NONE, SHARED, EXACT)) for setting in SETTINGS) + tuple(
+    (setting, (SEEN, ALL)) for setting in TURNING
+)
+"""Every setting with the methods that are compared on it."""
+
+Found = dict[str, Measured]
+"""By setting and method, one trial for each seed."""
+
+
+def run(setting: Setting, method: str, seed: int) -> Trial:
+    """Follow one scene from its true first pose; vertices are the mean over the experts."""
+    scene = setting.sequence(seed)
+    chain = GFlow(
+        scene.model,
+        scene.poses[0],
+        experts=EXPERTS,
+        background="experts" if method == EXACT else "shared",
+        occlusion=method != ALL,
+        recover=False,
+        seed=seed,
+        **setting.tracker,
+    )
+    pixels, model = PixelLabels(), MultiChain()
+    if method == SHARED:
+        model.connect(AdaptiveBackground(), pixels)
+    engine, state = RecursiveBP(model.connect(chain, pixels)), None
+    vertices, spent = [], 0.0
+    for frame in scene:
+        begin = time.perf_counter()
+        belief = engine.step(state, frame)
+        spent += time.perf_counter() - begin
+        state = belief.state
+        vertices.append(chain.vertices(belief[chain])[0])
+    return replace(Trial.of(scene, np.array(vertices)), time=1000 * spent / len(scene))
+
+
+def measure(seeds: Sequence[int]) -> Found:
+    """Run everything."""
+    cells = [(setting, method) for setting, methods in COMPARED for method in methods]
+    trials = iter(
+        in_processes(
+            "face and background",
+            [(run, (setting, method, seed)) for setting, method in cells for seed in seeds],
+        )
+    )
+    found: Found = {setting.name: {} for setting, _ in COMPARED}
+    for setting, method in cells:
+        found[setting.name][method] = [next(trials) for _ in seeds]
+    return found
+
+
+def claims_of(found: Found) -> list[Claim]:
+    """What is wanted of ratios of medians."""
+
+    def ratio(setting: Setting, method: str, other: str) -> float:
+        return median(found[setting.name][method]) / median(found[setting.name][other])
+
+    claims = [
+        Claim(
+            f"{setting.name}: error with {method} over that without",
+            ratio(setting, method, NONE),
+            "<=",
+            BETTER if setting is WEAK else NO_WORSE,
+        )
+        for method in (SHARED, EXACT)
+        for setting in SETTINGS
+    ]
+    gains = [ratio(setting, SEEN, ALL) for setting in TURNING]
+    claims += [
+        Claim(f"{setting.name}: error with self-occlusion handled over that without", gain)
+        for setting, gain in zip(TURNING, gains, strict=True)
+    ]
+    claims.append(Claim("the better of these", min(gains), "<=", HALF))
+    return claims
+
+
+def reproduce_face_background(out: Path) -> None:
+    """Errors with no background, a shared one, and one an expert; and with self-occlusion handled and not.
+
+    Raises
+    ------
+    OSError
+        if the folder cannot be written to.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    found = measure(SEEDS)
+    claims = claims_of(found)
+    lines = [
+        [scene, method, quartiles(trials), n_lost(trials), f"{median(trials, 'time'):.0f}"]
+        for scene, methods in found.items()
+        for method, trials in methods.items()
+    ]
+    print_tables(LINE, lines, claims)
+    size = (12.0, 4.5)
+    caption = f"Mean vertex error in each of {len(SEEDS)} scenes of {N_FRAMES} frames, and the median."
+    report.write_figure(out / "errors.png", lambda canvas: draw(canvas, found), size)
+    write_json(out / "results.json", {scene: _as_json(methods) for scene, methods in found.items()})
+    note = "Medians and quartiles over the scenes; time in one thread, with another run beside it."
+    sections = [
+        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
+        ("Figure", [report.figure(lambda canvas: draw(canvas, found), size, caption)]),
+        ("Errors", [report.table(LINE, lines, note)]),
+    ]
+    report.write_page(out / "index.html", "Face and background", sections)
+    print(f"\npage: {out / 'index.html'}")
+
+
+def draw(canvas: Figure, found: Found) -> None:
+    """Error of every run, a plot for each scene."""
+    axes = canvas.subplots(1, len(found), sharey=True, squeeze=False)[0]
+    for axis, (scene, methods) in zip(axes, found.items(), strict=True):
+        for place, (method, trials) in enumerate(methods.items()):
+            errors = [trial.error for trial in trials]
+            aside = place + np.linspace(-0.2, 0.2, len(errors))
+            axis.plot(aside, errors, ".", color=COLOURS[method], alpha=0.6)
+            axis.hlines(median(trials), place - 0.35, place + 0.35, color=COLOURS[method], linewidth=2)
+        axis.set_xticks(range(len(methods)), list(methods), rotation=30, ha="right", fontsize=8)
+        axis.set_title(scene, fontsize=9)
+    axes[0].set_yscale("log")
+    axes[0].set_ylabel("mean error of vertices, px")
+
+
+def _as_json(methods: Measured) -> dict[str, Any]:
+    return {
+        method: {**errors, "time": [trial.time for trial in methods[method]]}
+        for method, errors in as_json(methods).items()
+    }

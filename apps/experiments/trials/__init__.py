@@ -1,0 +1,1 @@
+"""Trackers tried on generated films, and competitors."""

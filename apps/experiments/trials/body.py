@@ -1,0 +1,185 @@
+"""Trials of body trackers on generated signers, which they go through in turns and timed."""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ....chains.articulated_pose import ArticulatedPose
+from ....chains.condensation import Condensation
+from ....chains.flesh_tracker import FleshTracker
+from ....inference import MultiChain, RecursiveBP
+from ....inference.body.samples import BodySamples, moments
+from ....inference.core.recursive_bp import RunState
+from ....models.body.parts import BodyParts
+from ....models.body.upper_body import JOINTS, PARTS
+from ....models.core.frame import Frame
+from ...body.measures import HANDS, PLACES, BodyTrial, squared_distances
+from ...body.overlay import TrackedBody
+from ...scenes import SignerScene, signer
+
+Numbers = NDArray[np.float64]
+
+HEAD_AND_HANDS = [JOINTS.index(name) for name in PARTS]
+
+N_SHOWN = 40
+"""Poses that are drawn from a posterior to be shown, as in the paper."""
+
+
+@dataclass(frozen=True, eq=False)
+class SignerFilm:
+    """A scene whose pictures are drawn once for all trackers, and what is to be known of its colours."""
+
+    scene: SignerScene
+    frames: Sequence[Frame]
+    parts: BodyParts
+
+    @classmethod
+    def of(cls, **settings: Any) -> Self:
+        """The scene of these settings of `signer`; flesh is learned from it as from any clip."""
+        scene = signer(**settings)
+        frames = list(scene)
+        images = [frame.image for frame in frames if frame.image is not None]
+        parts = BodyParts.learned(images, scene.detector)
+        return cls(scene, frames, replace(parts, head_height=scene.body.head_height))
+
+
+System = Literal["rsmcm", "sampler", "condensation", "flesh"]
+
+
+@dataclass(frozen=True)
+class BodyTracker:
+    """One of the trackers that are compared.
+
+    Parameters
+    ----------
+    name
+        for tables.
+    system
+        `"rsmcm"`: likelihood sampling and the tracker of flesh correct each other. `"sampler"`: the same
+        without the message of the tracker of flesh. `"condensation"`: the bootstrap filter. `"flesh"`: the
+        tracker of flesh alone, which knows the hands only.
+    samples
+        number of poses; 0 where there are none.
+    """
+
+    name: str
+    system: System
+    samples: int
+
+    def connected(self, film: SignerFilm) -> tuple[MultiChain, str]:
+        """The model for a film, and the name of the chain that is measured."""
+        body, parts, seed = film.scene.body, film.parts, film.scene.seed
+        model = MultiChain()
+        if self.system == "condensation":
+            cloud = Condensation(body, self.samples, seed=seed)
+            return model.connect(cloud, parts), cloud.name
+        flesh = FleshTracker(body)
+        model.connect(flesh, parts, feedback=self.system != "sampler")
+        if self.system == "flesh":
+            return model, flesh.name
+        pose = ArticulatedPose(body, self.samples, seed=seed)
+        return model.connect(pose, parts), pose.name
+
+
+class _Run:
+    """A tracker on its way through a film, and what was measured so far.
+
+    After the first frame it is told the true pose, which CONDENSATION cannot find by itself. A tracker of
+    flesh keeps what it has found.
+    """
+
+    def __init__(self, tracker: BodyTracker, film: SignerFilm, shown: Sequence[int]) -> None:
+        model, self._chain = tracker.connected(film)
+        self._engine = RecursiveBP(model)
+        self._film = film
+        self._shown = shown
+        self._random = np.random.default_rng([film.scene.seed, 40])
+        self._state: RunState | None = None
+        self._rows: list[tuple[Numbers, Numbers, Numbers, float, float]] = []
+        self._pictures: dict[int, TrackedBody] = {}
+
+    def step(self, index: int) -> None:
+        """Take in frame `index`."""
+        started = time.perf_counter()
+        state = self._engine.step(self._state, self._film.frames[index]).state
+        seconds = time.perf_counter() - started
+        if index == 0:
+            state = self._told(state)
+        self._state = state
+        found = self._belief(index, state.states[self._chain])
+        apart = found.joints - self._film.scene.joints[index]
+        squares = squared_distances(apart[PLACES[HANDS], :2], found.covariances[PLACES[HANDS], :2, :2])
+        flat, deep = (np.linalg.norm(apart[PLACES, :axes], axis=1) for axes in (2, 3))
+        self._rows.append((flat, deep, squares, self._effective(state), seconds))
+
+    def _belief(self, index: int, after: Any) -> TrackedBody:
+        """Means and covariances of the joints, NaN where they are not known, and poses if they are shown."""
+        if isinstance(after, BodySamples):
+            body = self._film.scene.body
+            found = moments(body, after)
+            samples = body.joints(after.drawn(N_SHOWN, self._random)) if index in self._shown else np.empty(0)
+            believed = TrackedBody(samples, found.joints, found.joint_covariances)
+            if index in self._shown:
+                self._pictures[index] = believed
+            return believed
+        means, covariances = np.full((8, 3), np.nan), np.full((8, 3, 3), np.nan)
+        means[HEAD_AND_HANDS, :2] = after.positions
+        covariances[HEAD_AND_HANDS, :2, :2] = after.position_covariances
+        return TrackedBody(np.empty(0), means, covariances)
+
+    def _told(self, state: RunState) -> RunState:
+        """The state of those who know the true pose of the first frame."""
+        poses = state.states[self._chain]
+        if not isinstance(poses, BodySamples):
+            return state
+        n = len(poses.poses)
+        truth = self._film.scene.poses.take(np.zeros(n, np.int64))
+        known = replace(
+            poses, poses=truth, log_weights=np.full(n, -np.log(n)), ancestors=None, ancestor_weights=None
+        )
+        return replace(state, states={**state.states, self._chain: known})
+
+    def _effective(self, state: RunState) -> float:
+        after = state.states[self._chain]
+        return after.effective if isinstance(after, BodySamples) else np.nan
+
+    def trial(self) -> BodyTrial:
+        """What was measured."""
+        flat, deep, squares, effective, seconds = (np.array(row) for row in zip(*self._rows, strict=True))
+        scene = self._film.scene
+        hidden = scene.hidden[: len(flat), 1:]
+        size = scene.body.head_height
+        return BodyTrial(flat, deep, squares, effective, seconds, hidden, size, self._pictures)
+
+
+def in_turns(film: SignerFilm, trackers: Sequence[BodyTracker], shown: Sequence[int] = ()) -> list[BodyTrial]:
+    """Run all trackers through a film; they take turns at every frame, so that times compare."""
+    runs = [_Run(tracker, film, shown) for tracker in trackers]
+    with _opencv_in_one_thread():
+        for index in range(len(film.frames)):
+            for run in runs:
+                run.step(index)
+    return [run.trial() for run in runs]
+
+
+def on_one_scene(
+    trackers: Sequence[BodyTracker], scene: Mapping[str, Any], shown: Sequence[int] = ()
+) -> list[BodyTrial]:
+    """Draw a scene and run all trackers on it."""
+    return in_turns(SignerFilm.of(**scene), trackers, shown)
+
+
+@contextmanager
+def _opencv_in_one_thread() -> Iterator[None]:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)

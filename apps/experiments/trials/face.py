@@ -1,0 +1,327 @@
+"""Trials of face trackers on generated faces: errors against the truth, and the floor for any filter."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....chains.gflow import GFlow, GFlowState
+from ....inference.face.gauss_newton import find_peaks
+from ....inference.face.pose_dynamics import PosePrior
+from ....inference.face.texture_filter import UNKNOWN_VARIANCE, Texture
+from ....inference.face.texture_likelihood import TextureLikelihood
+from ....models.core.frame import Frame
+from ....models.face.image_pyramid import Level, picture_levels
+from ....models.face.pose import Poses
+from ...runs.parallel import in_processes
+from ...scenes import FaceScene, face
+from .face_baselines import (
+    constrained_flow,
+    followed,
+    generative_template,
+    learned_subspace,
+    template_subspace,
+)
+
+Numbers = NDArray[np.float64]
+
+LOST_SHARE = 0.5
+"""Error from which a face counts as not followed, in sizes of the face."""
+LOST_SECONDS = 1.0
+"""For how long at a stretch, unless it is so in the last frame."""
+TAUGHT_EVERY, MODES = 10, 8
+"""Frames from which a subspace of textures is learned, and its dimension."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """How a tracker did on a sequence.
+
+    Parameters
+    ----------
+    errors
+        `(n_frames,)` px: distance in the picture of the vertices that were found from the true ones, mean
+        over all vertices, hidden ones too.
+    errors_3d
+        `(n_frames,)` px: the same in space, after the mean offset in depth is taken off, which a weak
+        perspective does not show.
+    squared
+        `(n_frames,)`: normalised estimation error squared of the pose per dimension, about 1 where the
+        tracker's covariance is honest; NaN where it was not worked out.
+    size
+        px: of the face.
+    dt
+        s from frame to frame.
+    time
+        ms a frame, mean; NaN where it was not measured.
+    """
+
+    errors: Numbers
+    errors_3d: Numbers
+    squared: Numbers
+    size: float
+    dt: float
+    time: float = np.nan
+
+    @classmethod
+    def of(cls, scene: FaceScene, vertices: Numbers, squared: Numbers | None = None) -> Self:
+        """Of the vertices `(n_frames, n_vertices, 3)` px that were found in a scene."""
+        errors = vertex_errors(vertices, scene.model.positions(scene.poses))
+        squared = np.full(len(scene), np.nan) if squared is None else squared
+        return cls(*errors, squared, float(scene.poses.sizes[0]), scene.dt)
+
+    @property
+    def error(self) -> float:
+        """px: mean over the frames after the first, whose pose was given."""
+        return float(self.errors[1:].mean())
+
+    @property
+    def error_3d(self) -> float:
+        """px: mean over the frames after the first."""
+        return float(self.errors_3d[1:].mean())
+
+    @property
+    def honesty(self) -> float:
+        """Normalised estimation error squared per dimension, mean over the frames after the first."""
+        return float(self.squared[1:].mean())
+
+    @property
+    def lost(self) -> bool:
+        """Whether the error is above half the face's size at the end, or was for more than a second."""
+        off = np.concatenate([[False], self.errors > LOST_SHARE * self.size, [False]])
+        starts, ends = np.flatnonzero(off[1:] & ~off[:-1]), np.flatnonzero(off[:-1] & ~off[1:])
+        longest = (ends - starts).max(initial=0) * self.dt
+        return bool(off[-2] or longest > LOST_SECONDS)
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """A scene whose pictures are drawn once for all trackers."""
+
+    scene: FaceScene
+    frames: Sequence[Frame]
+
+    @classmethod
+    def of(cls, **settings: Any) -> "Film":
+        """The scene of these settings of `face`."""
+        scene = face(**settings)
+        return cls(scene, list(scene))
+
+
+Texturing = Literal["own", "true"]
+"""Whose poses the texture is learned at: the tracker's, as in life, or the true ones."""
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """G-flow with settings, for all sequences alike.
+
+    Parameters
+    ----------
+    name
+        for tables.
+    settings
+        of `GFlow`, beyond model and start.
+    texturing
+        `"true"` learns every texture at the true poses.
+    system
+        `"oracle"`: the floor, texture learned at the true poses and every search started at the true pose.
+        `"subspace"` and `"batch"` are the 2D+3D AAM and the batch template of the paper's Table 3 in their
+        roles; the first learns its appearance from every tenth frame at the true pose.
+    """
+
+    name: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    texturing: Texturing = "own"
+    system: Literal["g-flow", "oracle", "subspace", "batch"] = "g-flow"
+
+    def chain(self, scene: FaceScene) -> GFlow:
+        """The chain for a scene, started at the true pose."""
+        return GFlow(scene.model, scene.poses[0], **{"recover": False, **self.settings})
+
+    def run(self, film: Film) -> Trial:
+        """Follow the face through the film."""
+        scene, frames = film.scene, film.frames
+        if self.system == "oracle":
+            return floor(film, replace(self.chain(scene), experts=1))
+        if self.system == "g-flow":
+            return follow(film, self.chain(scene), self.texturing)
+        if self.system == "subspace":
+            taught = slice(0, None, TAUGHT_EVERY)
+            subspace = learned_subspace(frames[taught], scene.model, scene.poses[taught], MODES)
+            found = template_subspace(frames, scene.model, scene.poses[0], subspace)
+        else:
+            track = constrained_flow(frames, scene.model, scene.poses[0])
+            found = generative_template(frames, scene.model, track).poses
+        return Trial.of(scene, scene.model.positions(found))
+
+
+def follow(film: Film, chain: GFlow, texturing: Texturing = "own") -> Trial:
+    """Run a chain over a film, by itself."""
+    scene = film.scene
+    if texturing == "own":
+        return Trial.of(scene, scene.model.positions(followed(chain, film.frames)))
+    taught, squared = _Taught(chain, film), np.full(len(scene), np.nan)
+
+    def with_true_texture(before: GFlowState, after: GFlowState) -> GFlowState:
+        index = taught.learned + 1
+        if index:
+            mean = chain.mean_pose(after)
+            squared[index] = normalised_square(
+                scene.poses[index], mean, taught.covariance(before, after, mean)
+            )
+        return replace(after, texture=taught.learn(index).of(np.zeros(chain.experts, np.int64)))
+
+    found = followed(chain, film.frames, with_true_texture)
+    return Trial.of(scene, scene.model.positions(found), squared)
+
+
+def floor(film: Film, chain: GFlow) -> Trial:
+    """The oracle: texture learned at the true poses, Gauss-Newton started at the true pose of each frame.
+
+    Its prior is what the filter's would be if all had gone well before: a walk from the true pose of the
+    previous frame. What remains is noise of the picture, the model's error, and texture that changes.
+    """
+    scene, taught = film.scene, _Taught(chain, film)
+    found = [scene.poses[0]]
+    squared = np.full(len(scene), np.nan)
+    for index in range(1, len(scene)):
+        texture = taught.learn(index - 1)
+        likelihood = taught.likelihood(index, texture, scene.poses[index])
+        prior = PosePrior.after(scene.poses[index - 1], chain.dynamics, taught.size, scene.dt)
+        peaks = find_peaks(
+            likelihood, prior, scene.poses[index], chain.effective_pixels, coarsest=chain.levels - 1
+        )
+        found.append(peaks.poses)
+        squared[index] = normalised_square(scene.poses[index], peaks.poses, np.linalg.inv(peaks.precision[0]))
+    return Trial.of(scene, scene.model.positions(Poses.concatenated(found)), squared)
+
+
+def normalised_square(truth: Poses, estimate: Poses, covariance: Numbers) -> float:
+    """e' C^-1 e per dimension, for the error e of one pose in the tangent space of the estimate."""
+    error = truth.changes_from(estimate)[0]
+    return float(error @ np.linalg.solve(covariance, error)) / len(error)
+
+
+@dataclass(eq=False)
+class _Taught:
+    """Texture of a chain's object learned at the true poses, frame after frame."""
+
+    chain: GFlow
+    film: Film
+    texture: Texture = field(init=False)
+    learned: int = field(init=False, default=-1)
+
+    def __post_init__(self) -> None:
+        self.texture = self.chain.initial(self.film.frames[0]).texture.of(np.zeros(1, np.int64))
+
+    @cached_property
+    def size(self) -> float:
+        """px: of the face at the start, as the chain takes it."""
+        return float(self.film.scene.poses.sizes[0])
+
+    def levels(self, index: int) -> list[Level]:
+        """Picture `index` as the chain prepares it."""
+        image = self.film.frames[index].image
+        if image is None:
+            raise ValueError(f"frames: got none at index {index}, expected pictures of a generated scene")
+        chain = self.chain
+        return picture_levels(image, self.size, n_levels=chain.levels, local_mean=chain.local_mean)
+
+    def likelihood(self, index: int, texture: Texture, poses: Poses) -> TextureLikelihood:
+        """What picture `index` says, seen with `texture`; visibility is that of `poses`."""
+        surface = self.chain.object
+        return TextureLikelihood(
+            surface,
+            self.levels(index),
+            texture.mean,
+            texture.temperature(self.chain.noise),
+            surface.visible(poses),
+        )
+
+    def learn(self, index: int) -> Texture:
+        """The texture after the pictures up to `index`, of which this is the next."""
+        if index != self.learned + 1:
+            raise ValueError(f"index: got {index}, expected {self.learned + 1}, frames in turn")
+        truth = self.film.scene.poses[index]
+        surface = self.chain.object
+        looks, seen = surface.looks(self.levels(index), truth, surface.visible(truth))
+        self.texture, self.learned = self.texture.after(looks, seen, self.chain.noise), index
+        return self.texture
+
+    def covariance(self, before: GFlowState, after: GFlowState, mean: Poses) -> Numbers:
+        """Of the pose: spread of the experts, and Laplace's about each, taken at their mean."""
+        chain, index = self.chain, self.learned + 1
+        changes = after.poses.changes_from(mean[np.zeros(len(after.poses), np.int64)])
+        spread: Numbers = np.einsum("n,ni,nj->ij", after.weights, changes, changes)
+        equations = self.likelihood(index, self.texture, mean).equations(0, mean, np.zeros(1, np.int64))
+        prior = PosePrior.after(before.poses, chain.dynamics, before.size, before.elapsed)
+        precision = chain.effective_pixels / equations.sums[0, 2] * equations.matrices[0]
+        return spread + np.linalg.inv(precision + np.diag(prior.precision))
+
+
+def taught_texture(film: Film, chain: GFlow) -> Texture:
+    """What a chain's object looks like in the first picture at the true pose, and surely so."""
+    texture = _Taught(replace(chain, start=film.scene.poses[0], texture=None), film).learn(0)
+    steady = np.full_like(texture.variance, chain.noise.steady_variance)
+    seen = texture.variance < 0.5 * UNKNOWN_VARIANCE
+    return replace(texture, variance=np.where(seen, steady, texture.variance))
+
+
+def vertex_errors(found: Numbers, truth: Numbers) -> tuple[Numbers, Numbers]:
+    """Mean distance of vertices `(n, n_vertices, 3)`, `(n,)` px: in the picture, and in space without the
+    mean offset in depth."""
+    off = found - truth
+    off[..., 2] -= off[..., 2].mean(axis=1, keepdims=True)
+    return np.linalg.norm(off[..., :2], axis=2).mean(axis=1), np.linalg.norm(off, axis=2).mean(axis=1)
+
+
+# Many of them
+
+Measured = dict[str, list[Trial]]
+"""By tracker, one for each seed."""
+
+
+def measure(
+    label: str, trackers: Sequence[Tracker], scene: Mapping[str, Any], seeds: Sequence[int]
+) -> Measured:
+    """Run all trackers on the scene of every seed, in two processes at most."""
+    work = [(_on_one_scene, (trackers, {**scene, "seed": seed})) for seed in seeds]
+    found = in_processes(label, work)
+    return {tracker.name: [one[number] for one in found] for number, tracker in enumerate(trackers)}
+
+
+def _on_one_scene(trackers: Sequence[Tracker], scene: Mapping[str, Any]) -> list[Trial]:
+    film = Film.of(**scene)
+    return [tracker.run(film) for tracker in trackers]
+
+
+def median(trials: Sequence[Trial], measure: str = "error") -> float:
+    """Median over the sequences of a measure of `Trial`."""
+    return float(np.median([getattr(trial, measure) for trial in trials]))
+
+
+def quartiles(trials: Sequence[Trial], measure: str = "error") -> str:
+    """Median and quartiles over the sequences, in words."""
+    low, middle, high = np.percentile([getattr(trial, measure) for trial in trials], [25, 50, 75])
+    return f"{middle:.3g} ({low:.3g}-{high:.3g})"
+
+
+def n_lost(trials: Sequence[Trial]) -> int:
+    """Sequences on which the face was lost."""
+    return sum(trial.lost for trial in trials)
+
+
+def as_json(found: Measured) -> dict[str, Any]:
+    """Every run's errors (px) and whether it was lost, by system and seed."""
+    return {
+        name: {
+            "error": [trial.error for trial in trials],
+            "error_3d": [trial.error_3d for trial in trials],
+            "lost": [trial.lost for trial in trials],
+        }
+        for name, trials in found.items()
+    }

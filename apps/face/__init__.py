@@ -1,0 +1,1 @@
+"""The face application: pose, deformation and texture."""

@@ -1,0 +1,251 @@
+"""A tracked face as pictures: on its frames, as Fig. 4 of the G-flow paper shows it, and its texture."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from ...models.face.morphable_model import MorphableModel
+from ...models.face.pose import Poses, exponential
+from ...models.face.surface_texels import SurfaceTexels
+from ...models.face.visibility import visible
+from ..drawing.overlay_video import enlargement
+from ..io.results import draw_overlay
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+LEAST_HEIGHT = (
+    480  # px; smaller frames are enlarged, so that the shape's views beside the face can be made out
+)
+MOST_DOTS = 80  # of an expert: the whole mesh of a fine model would hide the face
+N_SHADED = 14_000  # points of the surface from which a view is put together
+VIEW_HEIGHT = 0.27  # of the picture
+ROOM = 1.2  # a view's sides, by those of the typical shape
+TEXTURE_HEIGHT = 480
+
+DOT = (40, 40, 255)  # BGR
+LANDMARK = (255, 220, 0)
+AXES = (((80, 80, 255), (1, 0, 0)), ((80, 220, 80), (0, -1, 0)), ((255, 150, 60), (0, 0, -1)))
+"""Colour and direction, in the object's axes: to the right, up, and to where the face looks."""
+SKIN = np.array([150.0, 175.0, 215.0])
+LIGHT = np.array([-0.35, -0.45, -0.82])  # from the upper left, in front
+FRONT = np.zeros((1, 3))
+PROFILE = np.array([[0.0, np.pi / 2, 0.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFace:
+    """What is known of the face in a frame.
+
+    Parameters
+    ----------
+    experts
+        all hypotheses.
+    mean
+        one pose: their mean.
+    landmarks
+        `(n_landmarks, 2)` px, NaN where there is none.
+    lost
+        whether the tracker says that it has lost the face.
+    """
+
+    experts: Poses
+    mean: Poses
+    landmarks: Array
+    lost: bool
+
+
+class FaceOverlay:
+    """Draws tracked faces.
+
+    Red dots are vertices of all experts (of a fine model, some that are spread evenly), light blue ones the
+    landmarks. The mean is shown by its axes in the lower left corner, and by its shape from the front and
+    from the side in the lower right.
+
+    Parameters
+    ----------
+    model
+        of the face.
+    """
+
+    def __init__(self, model: MorphableModel) -> None:
+        self._model = model
+        self._dots = _spread_vertices(model.bases[0], MOST_DOTS)
+        self._surface = SurfaceTexels.dense(model, N_SHADED)
+        low, high = model.bases[0].min(axis=0), model.bases[0].max(axis=0)
+        self._middle, self._sides = (low + high) / 2, ROOM * (high - low)
+
+    def draw(self, image: Image, face: TrackedFace, caption: str) -> Image:
+        """Draw a face on a copy of its frame.
+
+        Parameters
+        ----------
+        image
+            `(height, width)` or `(height, width, 3)` BGR.
+        face
+            what is known of it.
+        caption
+            text in the upper left corner.
+
+        Returns
+        -------
+        NDArray[np.uint8]
+            `(height, width, 3)` BGR, enlarged by a whole number below 480 lines.
+        """
+        scale = enlargement(image, LEAST_HEIGHT)
+        large = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
+        canvas: NDArray[Any] = draw_overlay(np.asarray(large, np.uint8), None, (), {}, caption)
+        unit = canvas.shape[0] / LEAST_HEIGHT
+        self._draw_views(canvas, face.mean.morphs[0])
+        _draw_axes(canvas, face.mean.rotations[0])
+        # the larger dots below the smaller ones: landmarks may be vertices of the model
+        _dot(canvas, (face.landmarks + 0.5) * scale - 0.5, LANDMARK, 2.4 * unit)
+        dots = self._model.project(face.experts)[:, self._dots].reshape(-1, 2)
+        _dot(canvas, (dots + 0.5) * scale - 0.5, DOT, 1.6 * unit)
+        if face.lost:
+            size, thickness = 1.6 * unit, max(2, round(4 * unit))
+            (width, height), _ = cv2.getTextSize("LOST", cv2.FONT_HERSHEY_SIMPLEX, size, thickness)
+            corner = ((canvas.shape[1] - width) // 2, 2 * height)
+            cv2.putText(canvas, "LOST", corner, cv2.FONT_HERSHEY_SIMPLEX, size, DOT, thickness, cv2.LINE_AA)
+        return np.asarray(canvas, np.uint8)
+
+    def view(self, morphs: Array, turn: Array, height: int) -> tuple[Image, NDArray[np.bool_]]:
+        """A shape by itself, shaded.
+
+        Parameters
+        ----------
+        morphs
+            `(n_bases,)` px; its size does not matter.
+        turn
+            `(1, 3)` rad: the rotation vector by which it is turned.
+        height
+            px.
+
+        Returns
+        -------
+        tuple
+            picture `(height, width, 3)` BGR, and where in it the shape is, `(height, width)`.
+        """
+        pose = Poses(exponential(turn), np.zeros((1, 2)), morphs[None] / morphs[0])
+        sides = np.abs(pose.rotations[0]) @ self._sides
+        px = sides[1] / height
+        size = np.array([max(1, round(sides[0] / px)), height])
+        vertices = self._model.positions(pose)[0] - pose.rotations[0] @ self._middle
+        a, b, c = (vertices[self._surface.groups[:, corner]] for corner in range(3))
+        normals = np.cross(b - a, c - a)
+        lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
+        # the back of an open surface is shown as well, in the shade
+        brightness = 0.35 + 0.65 * np.clip(normals @ LIGHT / lengths, 0, 1)
+        places = _places(self._surface, vertices)
+        far_first = np.argsort(-places[:, 2])
+        corner = np.floor(places[far_first, :2] / px + (size - 1) / 2).astype(np.int64)
+        inside = ((corner >= 0) & (corner < size - 1)).all(axis=1)
+        # each point covers 2 x 2 px, so that no hole is left between them
+        columns, rows = corner[inside, :1] + (0, 1, 0, 1), corner[inside, 1:] + (0, 0, 1, 1)
+        shades = brightness[self._surface.group_of_texel[far_first[inside]], None] * SKIN
+        picture, covered = np.zeros((*size[::-1], 3), np.uint8), np.zeros(size[::-1], np.uint8)
+        picture[rows, columns] = shades[:, None]
+        covered[rows, columns] = 1
+        picture, covered = (np.asarray(cv2.medianBlur(each, 3), np.uint8) for each in (picture, covered))
+        return picture, covered > 0
+
+    def _draw_views(self, canvas: NDArray[Any], morphs: Array) -> None:
+        right, height = canvas.shape[1], round(VIEW_HEIGHT * canvas.shape[0])
+        for turn in (PROFILE, FRONT):
+            picture, covered = self.view(morphs, turn, height)
+            left = right - picture.shape[1]
+            if left < 0:
+                return
+            part = canvas[-height:, left:right]
+            part[:] = part // 3
+            part[covered] = picture[covered]
+            right = left
+
+
+def _spread_vertices(shape: Array, most: int) -> NDArray[np.int64]:
+    """At most so many of the vertices `(n_vertices, 3)`, each as far as can be from those before it."""
+    if len(shape) <= most:
+        return np.arange(len(shape), dtype=np.int64)
+    chosen = [int(np.argmin(shape[:, 2]))]
+    distance = np.full(len(shape), np.inf)
+    for _ in range(most - 1):
+        distance = np.minimum(distance, ((shape - shape[chosen[-1]]) ** 2).sum(axis=1))
+        chosen.append(int(np.argmax(distance)))
+    return np.array(chosen, np.int64)
+
+
+def _places(texels: SurfaceTexels, vertices: Array) -> Array:
+    """`(n_texels, n)`: texels as weighted means of `vertices` `(n_vertices, n)`."""
+    corners = vertices[texels.groups[texels.group_of_texel]]
+    places: Array = np.einsum("ta,tac->tc", texels.weights, corners)
+    return places
+
+
+def _dot(canvas: NDArray[Any], places: Array, colour: tuple[int, int, int], radius: float) -> None:
+    """Set the pixels within a radius (px) of every place `(n, 2)` that is known."""
+    height, width = canvas.shape[:2]
+    reach = np.arange(-int(radius) - 1, int(radius) + 2)
+    down, across = (offsets.ravel() for offsets in np.meshgrid(reach, reach, indexing="ij"))
+    within = np.hypot(down, across) <= radius
+    known = (np.abs(places) < 10 * max(height, width)).all(
+        axis=1
+    )  # far outside, whole numbers would overflow
+    columns, rows = np.rint(places[known]).astype(np.int64).T[..., None]
+    rows, columns = (rows + down[within]).ravel(), (columns + across[within]).ravel()
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    canvas[rows[inside], columns[inside]] = colour
+
+
+def _draw_axes(canvas: NDArray[Any], rotation: Array) -> None:
+    height = canvas.shape[0]
+    centre, length = np.array([0.12 * height, 0.88 * height]), 0.09 * height
+    thickness = max(2, round(height / 240))
+    tips = [(rotation @ direction, colour) for colour, direction in AXES]
+    for tip, colour in sorted(tips, key=lambda each: -each[0][2]):  # the nearest above the others
+        start, end = (
+            tuple(np.rint(place).astype(int).tolist()) for place in (centre, centre + length * tip[:2])
+        )
+        cv2.arrowedLine(canvas, start, end, (0, 0, 0), thickness + 2, cv2.LINE_AA, tipLength=0.2)
+        cv2.arrowedLine(canvas, start, end, colour, thickness, cv2.LINE_AA, tipLength=0.2)
+
+
+def texture_picture(model: MorphableModel, morphs: Array, texels: SurfaceTexels, values: Array) -> Array:
+    """A texture on its shape, seen from the front.
+
+    Parameters
+    ----------
+    model
+        of the face.
+    morphs
+        `(n_bases,)` px, of its shape.
+    texels
+        where the texture's elements are.
+    values
+        `(n_texels,)`.
+
+    Returns
+    -------
+    NDArray[np.float64]
+        `(480, width)`: mean of the values round each pixel; NaN where there is no texel near.
+    """
+    frontal = Poses(exponential(FRONT), np.zeros((1, 2)), morphs[None])
+    positions = model.positions(frontal)
+    corners = texels.groups[texels.group_of_texel].astype(np.int64)
+    shown = visible(positions, model.triangles, corners, texels.weights.astype(np.float64))[0]
+    places = (_places(texels, positions[0, :, :2]) + texels.offsets)[shown]
+    low, high = places.min(axis=0), places.max(axis=0)
+    px = float((high - low)[1]) / TEXTURE_HEIGHT
+    shape = (TEXTURE_HEIGHT, max(1, round(float((high - low)[0]) / px)))
+    rows, columns = np.indices(shape)
+    tree = KDTree(places)
+    spacing = float(np.median(np.asarray(tree.query(places, 2)[0])[:, 1]))
+    pixels = np.stack([columns, rows], axis=2) * px + low
+    distance, nearest = tree.query(pixels, 4, distance_upper_bound=2.5 * spacing)
+    weights = np.exp(-0.5 * (distance / (0.6 * spacing)) ** 2)  # 0 beyond the bound, where it is infinite
+    total = weights.sum(axis=2)
+    known = np.append(values[shown].astype(np.float64), 0.0)  # the last one stands for "none near"
+    return np.where(total > 0, (weights * known[nearest]).sum(axis=2) / np.maximum(total, 1e-300), np.nan)

@@ -1,0 +1,176 @@
+"""Where the face is in the first frame: from landmarks, or from a face detector and a generic shape."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.frame import Frame
+from ...models.face.detectors import HaarFaces, PartDetector, YuNetFaces
+from ...models.face.morphable_model import MorphableModel
+from ...models.face.pose import Poses
+from ...models.face.surface_points import SurfacePoints
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Box = tuple[float, float, float, float]
+
+FEWEST_LANDMARKS = 4
+WIDTH_OF_FACE = 0.85
+"""Of a detector's box: what lies between the ears, which a model of a face spans."""
+
+
+@dataclass(frozen=True, eq=False)
+class FaceStart:
+    """A face in one frame.
+
+    Parameters
+    ----------
+    model
+        that person's own.
+    pose
+        one, of that model.
+    points
+        on its surface at the landmarks that are there, which are met exactly in this pose.
+    present
+        `(n_landmarks,)` bool: which of the given landmarks these are.
+    fit_error
+        px: root mean square distance of the landmarks from the model's points before they were attached;
+        `None` without landmarks.
+    """
+
+    model: MorphableModel
+    pose: Poses
+    points: SurfacePoints
+    present: NDArray[np.bool_]
+    fit_error: float | None
+
+
+def start_from_landmarks(
+    model: MorphableModel, landmarks: Array, pairs: NDArray[np.int64] | None = None
+) -> FaceStart:
+    """Fit pose, identity and expression to landmarks, and attach all of them to the surface.
+
+    Parameters
+    ----------
+    model
+        of faces, or of this one.
+    landmarks
+        `(n_landmarks, 2)` px, NaN where missing.
+    pairs
+        `(n_pairs, 2)`: index of a given landmark, from 0, and number of the model's landmark (of its vertex,
+        where it has no list of landmarks), from 1. Without it, the given landmarks are the model's own
+        landmarks, or its vertices, in their order.
+
+    Raises
+    ------
+    ValueError
+        if landmarks and model do not fit together, or fewer than four can be used.
+    """
+    chosen, points = _points_of(model, landmarks, pairs)
+    places = landmarks[chosen]
+    known = ~np.isnan(places[:, 0])
+    if np.count_nonzero(known) < FEWEST_LANDMARKS:
+        raise ValueError(
+            f"landmarks: got {np.count_nonzero(known)} in the first frame that the model has as well, "
+            f"expected {FEWEST_LANDMARKS} or more"
+        )
+    fitted = model.fit(places, points)
+    person = model.personalised(fitted.morphs[0])
+    pose = person.fit(places, points)
+    missed = (points.project(person, pose)[0] - places)[known]
+    error = float(np.sqrt((missed**2).sum(axis=1).mean()))
+    present = ~np.isnan(landmarks[:, 0])
+    attached = SurfacePoints.attached(person, pose, landmarks[present])
+    return FaceStart(person, pose, attached, present, error)
+
+
+def _points_of(
+    model: MorphableModel, landmarks: Array, pairs: NDArray[np.int64] | None
+) -> tuple[NDArray[np.int64], SurfacePoints]:
+    """Indices of the landmarks that the model knows, and its points there."""
+    n_given = len(landmarks)
+    own = model.landmarks
+    if pairs is not None:
+        chosen, numbers = pairs.T
+        if chosen.max() >= n_given:
+            raise ValueError(f"correspondences: got landmark {chosen.max()}, expected 0 to {n_given - 1}")
+        if own is not None:
+            return chosen, model.landmark_points(numbers)
+        if numbers.max() > model.n_vertices:
+            raise ValueError(
+                f"correspondences: got vertex {numbers.max()}, expected 1 to {model.n_vertices} of the model"
+            )
+        return chosen, SurfacePoints.of_vertices(numbers - 1)
+    if own is not None and len(own) == n_given:
+        chosen = np.flatnonzero(own >= 0)
+        return chosen, SurfacePoints.of_vertices(own[chosen])
+    if n_given == model.n_vertices:
+        return np.arange(n_given), SurfacePoints.of_vertices(np.arange(n_given))
+    expected = f"{model.n_vertices} (its vertices)"
+    if own is not None:
+        expected = f"{len(own)} (its landmarks) or {expected}"
+    raise ValueError(f"landmarks: got {n_given}, but the model has {expected}: give --correspondences")
+
+
+def start_from_box(model: MorphableModel, box: Box) -> FaceStart:
+    """Place the typical shape upright in the box `(x, y, width, height)` px of a face.
+
+    Raises
+    ------
+    ValueError
+        if the box is empty.
+    """
+    x, y, width, height = box
+    if not (width > 0 and height > 0):
+        raise ValueError(f"box: got {width}x{height} px, expected a width and height above 0")
+    person = model.personalised(np.eye(model.n_bases)[0])
+    low, high = person.bases[0, :, :2].min(axis=0), person.bases[0, :, :2].max(axis=0)
+    size = WIDTH_OF_FACE * width / (high[0] - low[0])
+    centre = np.array([x + width / 2, y + height / 2]) - size * (low + high) / 2
+    pose = Poses.upright(centre[None], np.array([size]), person.n_bases)
+    return FaceStart(person, pose, SurfacePoints.of_vertices([]), np.zeros(0, np.bool_), None)
+
+
+def find_face(image: Image, detector: Path | None = None) -> Box | None:
+    """Find the largest face of an image.
+
+    Parameters
+    ----------
+    image
+        `(height, width)` or `(height, width, 3)` BGR.
+    detector
+        model file of OpenCV's YuNet (`.onnx`). Without it, OpenCV's Haar cascade is used, which its versions
+        4 bring along.
+
+    Returns
+    -------
+    tuple or None
+        x and y of the upper left corner, width and height, px; `None` if there is no face.
+
+    Raises
+    ------
+    ValueError
+        if there is no detector, or its file is none.
+    FileNotFoundError
+        if there is no such file.
+    """
+    boxes = _faces(detector)(Frame(image, 0.0, 1))
+    return max((_box(each) for each in boxes), key=lambda box: box[2] * box[3], default=None)
+
+
+def _faces(path: Path | None) -> PartDetector:
+    if path is not None:
+        return YuNetFaces(path)
+    try:
+        return HaarFaces()
+    except ValueError as error:
+        raise ValueError(
+            f"{error}: give --landmarks of the first frame, or a model file of YuNet as --detector"
+        ) from None
+
+
+def _box(numbers: Array) -> Box:
+    x, y, width, height = (float(number) for number in numbers)
+    return x, y, width, height

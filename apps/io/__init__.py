@@ -1,0 +1,1 @@
+"""What is read and written: frames, tracks, points, ground truth, results."""

@@ -1,0 +1,272 @@
+"""Ground truth: boxes in MOT format, or CDnet's labelled masks."""
+
+import math
+import re
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.limits import LAST_FRAME, MOST_SETTINGS
+from ...models.core.text_files import read_text
+from .point_files import FARTHEST
+from .sources.images import read_grey
+
+LAST_IDENTITY = 1 << 53
+"""Whole numbers up to it are exact among those that are read."""
+
+SHADOW, OUTSIDE, UNKNOWN, FOREGROUND = 50, 85, 170, 255
+"""CDnet's labels of a pixel; 0 is background."""
+
+
+class Kind(IntEnum):
+    """What a true box holds."""
+
+    PEDESTRIAN = 0
+    VEHICLE = 1
+    IGNORED = 2
+    """Neither finding nor missing it counts (distractors, reflections, crowds, rows with flag 0)."""
+
+
+_KIND_OF_CLASS = {
+    1: Kind.PEDESTRIAN,
+    2: Kind.PEDESTRIAN,  # on a vehicle
+    3: Kind.VEHICLE,  # car
+    4: Kind.VEHICLE,  # bicycle
+    5: Kind.VEHICLE,  # motorbike
+    6: Kind.VEHICLE,  # without a motor
+    7: Kind.PEDESTRIAN,  # standing still
+}
+"""MOT16's classes; 8 to 13 are distractors, occluders, reflections and crowds."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoxTruth:
+    """True boxes over time, sorted by frame and identity.
+
+    Parameters
+    ----------
+    frame
+        `(n,)` int, 1-based frame numbers.
+    identity
+        `(n,)` int.
+    box
+        `(n, 4)` float: x, y of the top-left corner (0-based pixels), width, height (px).
+    kind
+        `(n,)` int, values of `Kind`.
+    """
+
+    frame: NDArray[np.int64]
+    identity: NDArray[np.int64]
+    box: NDArray[np.float64]
+    kind: NDArray[np.int64]
+
+    def __contains__(self, number: int) -> bool:
+        """Whether a frame is annotated."""
+        return number in self.frames
+
+    @property
+    def frames(self) -> range:
+        """The annotated frame numbers: first to last with a box; one without boxes in between is empty."""
+        return range(int(self.frame[0]), int(self.frame[-1]) + 1)
+
+    def at(self, number: int) -> "BoxTruth":
+        """Return the boxes of frame `number` (1-based), perhaps none."""
+        rows = slice(*np.searchsorted(self.frame, [number, number + 1]))
+        return BoxTruth(self.frame[rows], self.identity[rows], self.box[rows], self.kind[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class MaskTruth:
+    """CDnet's labelled masks, read when asked for.
+
+    Parameters
+    ----------
+    files
+        file of the mask of each annotated frame (1-based), inside the temporal region of interest.
+    region
+        `(height, width)` bool, the region of interest; `None` for the whole picture.
+    """
+
+    files: dict[int, Path]
+    region: NDArray[np.bool_] | None
+
+    def __contains__(self, number: int) -> bool:
+        """Whether a frame is annotated."""
+        return number in self.files
+
+    @property
+    def frames(self) -> list[int]:
+        """The annotated frame numbers, ascending."""
+        return sorted(self.files)
+
+    def labels(self, number: int) -> NDArray[np.uint8]:
+        """Read the labels of frame `number`.
+
+        Returns
+        -------
+        `(height, width)` uint8 of 0, 50, 85, 170, 255; 85 outside the region of interest.
+
+        Raises
+        ------
+        KeyError
+            if the frame is not annotated.
+        ValueError
+            if the file is no picture, or the region of interest has another size.
+        """
+        path = self.files[number]
+        labels = _read_grey(path)
+        if self.region is None:
+            return labels
+        if labels.shape != self.region.shape:
+            raise ValueError(f"{path}: got {labels.shape} pixels, expected the ROI's {self.region.shape}")
+        labels[~self.region] = OUTSIDE
+        return labels
+
+
+def read_ground_truth(path: str | Path) -> BoxTruth | MaskTruth:
+    """Read ground truth.
+
+    Parameters
+    ----------
+    path
+        a MOT `gt.txt`; a folder with `gt/gt.txt` or `gt.txt`; or a CDnet folder with `groundtruth/`, and
+        where they exist `ROI.bmp` and `temporalROI.txt`.
+
+    Notes
+    -----
+    A MOT line is frame, identity, left, top, width, height, flag (0: ignore) and then, in MOT16 and later,
+    class and visibility (nine columns), in MOT15 x, y, z (ten columns; all are pedestrians). Coordinates
+    are 1-based pixels in the file, 0-based in what is returned.
+
+    Raises
+    ------
+    FileNotFoundError
+        if there is no such file, or the folder holds neither form.
+    ValueError
+        if the truth is empty or malformed; names the file and line.
+    """
+    path = Path(path)
+    if path.is_dir():
+        for name in ("gt/gt.txt", "gt.txt"):
+            if (path / name).is_file():
+                return _read_boxes(path / name)
+        if (path / "groundtruth").is_dir():
+            return _read_masks(path)
+        raise FileNotFoundError(f"--ground-truth: {path} holds no gt/gt.txt, gt.txt or groundtruth folder")
+    if not path.exists():
+        raise FileNotFoundError(f"--ground-truth: no such file or folder: {path}")
+    return _read_boxes(path)
+
+
+def common_frames(truth: BoxTruth | MaskTruth, processed: range) -> Sequence[int]:
+    """Return the frame numbers, ascending, that are both annotated and processed.
+
+    Nothing grows with the numbers: true boxes and announced frames may be as many as files say.
+
+    Raises
+    ------
+    ValueError
+        if there are none.
+    """
+    annotated = truth.frames
+    common: Sequence[int]
+    if isinstance(annotated, range):
+        common = processed[bisect_left(processed, annotated[0]) : bisect_right(processed, annotated[-1])]
+    else:
+        common = [number for number in annotated if number in processed]
+    if not common:
+        span = f"frames {processed[0]} to {processed[-1]}" if processed else "no frame"
+        raise ValueError(
+            f"--ground-truth: annotates frames {annotated[0]} to {annotated[-1]}, but {span} were processed"
+        )
+    return common
+
+
+def _read_boxes(path: Path) -> BoxTruth:
+    rows: list[tuple[float, ...]] = []
+    for number, line in enumerate(read_text(path, "expected MOT ground truth").splitlines(), 1):
+        if line.strip():
+            try:
+                rows.append(_parse_line(line))
+            except ValueError as error:
+                raise ValueError(f"{path}, line {number}: {error}") from None
+    if not rows:
+        raise ValueError(f"{path}: holds no boxes")
+    table = np.array(rows)
+    table = table[np.lexsort((table[:, 1], table[:, 0]))]
+    # Regions to ignore may share an identity.
+    named = table[table[:, 6] != Kind.IGNORED]
+    repeated = np.flatnonzero((np.diff(named[:, :2], axis=0) == 0).all(axis=1))
+    if repeated.size:
+        frame, identity = named[repeated[0], :2]
+        raise ValueError(f"{path}: identity {identity:.0f} occurs twice in frame {frame:.0f}")
+    box = table[:, 2:6]
+    box[:, :2] -= 1
+    return BoxTruth(
+        table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), box, table[:, 6].astype(np.int64)
+    )
+
+
+def _parse_line(line: str) -> tuple[float, ...]:
+    """Return frame, identity, left, top, width, height, kind."""
+    expected = "expected frame,identity,left,top,width,height[,flag[,class,visibility]]"
+    try:
+        values = [float(field) for field in line.split(",")]
+    except ValueError:
+        raise ValueError(f"got {line[:60]!r}, {expected}") from None
+    if len(values) < 6 or not math.isfinite(sum(values[:6])):
+        raise ValueError(f"got {line[:60]!r}, {expected}")
+    frame, identity, left, top, width, height = values[:6]
+    if not 1 <= frame <= LAST_FRAME or frame % 1 or identity % 1 or abs(identity) > LAST_IDENTITY:
+        raise ValueError(
+            f"got frame {frame:g}, identity {identity:g}, expected whole numbers, frames from 1 to "
+            f"{LAST_FRAME}"
+        )
+    if width <= 0 or height <= 0 or max(map(abs, values[2:6])) > FARTHEST:
+        raise ValueError(
+            f"got a box of {width:g} x {height:g} pixels at {left:g}, {top:g}, expected a positive "
+            f"size and px up to {FARTHEST:g}"
+        )
+    kind = Kind.PEDESTRIAN
+    # Ten columns are MOT15's, where the eighth is a coordinate and no class.
+    if len(values) in (8, 9) and values[7] != -1:
+        kind = _KIND_OF_CLASS.get(int(values[7]), Kind.IGNORED) if math.isfinite(values[7]) else Kind.IGNORED
+    if len(values) > 6 and values[6] == 0:
+        kind = Kind.IGNORED
+    return (*values[:6], kind)
+
+
+def _read_masks(folder: Path) -> MaskTruth:
+    files = {}
+    for path in (folder / "groundtruth").iterdir():
+        digits = re.search(r"(\d+)\.(?:png|bmp)$", path.name)
+        if digits:
+            files[int(digits[1])] = path
+    if not files:
+        raise ValueError(f"{folder / 'groundtruth'}: holds no masks, expected gt000001.png and so on")
+    temporal = folder / "temporalROI.txt"
+    if temporal.exists():
+        text = read_text(temporal, "expected the first and the last frame number", MOST_SETTINGS)
+        try:
+            first, last = (int(word) for word in text.split())
+        except ValueError:
+            raise ValueError(f"{temporal}, line 1: expected the first and the last frame number") from None
+        files = {number: path for number, path in files.items() if first <= number <= last}
+        if not files:
+            raise ValueError(
+                f"{folder / 'groundtruth'}: holds no mask of frames {first} to {last} ({temporal.name})"
+            )
+    region = folder / "ROI.bmp"
+    return MaskTruth(files, _read_grey(region) > 0 if region.exists() else None)
+
+
+def _read_grey(path: Path) -> NDArray[np.uint8]:
+    picture = read_grey(path)
+    if picture is None:
+        raise ValueError(f"{path}: not a readable picture")
+    return picture

@@ -1,0 +1,1 @@
+"""Frames from films, pictures, cameras and streams."""

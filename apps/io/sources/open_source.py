@@ -1,0 +1,312 @@
+"""Where frames come from: video files, folders of images, cameras and network streams."""
+
+import glob
+import logging
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Self
+
+from ....models.core.frame import Frame
+from .camera import Camera
+from .frame_queue import FrameQueue
+from .image_reader import ImageReader, images_among
+from .images import IMAGE_SUFFIXES
+from .live_reader import LiveReader
+from .reader import DEFAULT_RATE, Reader, Selection
+from .video_reader import VideoReader, without_password
+
+__all__ = ["DEFAULT_RATE", "Selection", "Source", "describe", "open_source"]
+
+_log = logging.getLogger(__name__)
+
+NETWORK_SCHEMES = frozenset({"http", "https", "rtsp", "rtsps"})
+DECODE_AHEAD = 4  # frames: smooths uneven processing, yet holds little memory at 4K
+CLOSING_SECONDS = (
+    2.0  # for which the end of a thread is waited for that may be stuck in a driver or connection
+)
+SHOWN_GAPS = 5  # in words; the summary has all
+
+
+class Source:
+    """Frames of a video file, images, a camera or a stream; an iterator and a context manager.
+
+    A thread opens the source and decodes a few frames ahead, so that decoding (libraries that release the
+    interpreter lock) overlaps with processing, and Ctrl-C is heard while a server is silent. A live source
+    never waits for a slow consumer: its oldest waiting frame is dropped, and the gap shows in `Frame.number`
+    and `Frame.time`.
+
+    Parameters
+    ----------
+    open_reader
+        opens what decodes the frames.
+    selection
+        which of them are wanted.
+
+    Attributes
+    ----------
+    name
+        the source as the user gave it, without user name and password of an address.
+    kind
+        `"video"`, `"images"`, `"camera"` or `"stream"`.
+    live
+        whether frames arrive in real time; such a source cannot be read again, so a run cannot be resumed.
+    n_frames
+        number of frames expected for start, stop and step, those up to `after` included (for video: as its
+        header states); `None` when unknown.
+    rate
+        frames per second of the source, before `step`.
+    size
+        `(width, height)` px.
+    skipped
+        numbers of the frames so far that could not be read and came as `Frame(None, ...)`.
+    truncated
+        whether the source ended before the end that it announces (known once it has ended).
+    lost
+        why a camera or stream was lost for good, once it has ended in that way; otherwise `None`.
+    """
+
+    def __init__(self, open_reader: Callable[[], Reader], selection: Selection) -> None:
+        self.skipped: list[int] = []
+        self.truncated = False
+        self.lost: str | None = None
+        self._form: tuple[int, ...] | None = None
+        self._stopping = threading.Event()
+        self._queue = FrameQueue(DECODE_AHEAD)
+        self._ended = False
+        self._reader: Reader
+        self._decoded: deque[Frame] = deque()
+        self._thread = threading.Thread(
+            target=self._decode, args=(open_reader, selection), name="decode", daemon=True
+        )
+        self._thread.start()
+        try:
+            self._begin(selection)
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(self, selection: Selection) -> None:
+        """Wait for the first readable frame.
+
+        That costs nothing in sum, and tells before any result is written that a source is unreadable or ends
+        before `start`.
+        """
+        item = self._queue.get()
+        if isinstance(item, Exception):
+            raise item
+        reader = self._reader
+        self.name = reader.name
+        self.kind = reader.kind
+        self.live = reader.live
+        self.rate = reader.rate
+        self.size = reader.header_size
+        self.n_frames = None if reader.total is None else len(selection.numbers(reader.total))
+        while isinstance(item, Frame):
+            self._decoded.append(item)
+            if item.image is not None:
+                self.size = (item.image.shape[1], item.image.shape[0])
+                return
+            item = self._queue.get()
+        if item is not None:
+            raise item
+        self._end()
+        if self.lost is not None and reader.last_number == 0:
+            raise OSError(f"{self.name}: no picture came from it ({self.lost})")
+        if selection.after >= selection.start:
+            return  # the rest of a run that was resumed: nothing, or missing frames
+        if self._decoded or reader.last_number == 0:
+            raise ValueError(f"{self.name}: holds no readable frame")
+        raise ValueError(
+            f"start: got {selection.start}, but {self.name} has only {reader.last_number} frames"
+        )
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __next__(self) -> Frame:
+        if self._decoded and not self._stopping.is_set():
+            return self._checked(self._decoded.popleft())
+        if self._ended or self._stopping.is_set():
+            raise StopIteration
+        item = self._queue.get()
+        if isinstance(item, Frame):
+            return self._checked(item)
+        self._end()
+        self.close()
+        if item is not None:
+            raise item
+        raise StopIteration
+
+    @property
+    def stream(self) -> dict[str, Any] | None:
+        """What became of a camera or stream so far, as JSON; `None` for what lies on a disk.
+
+        `lost`; `gaps`, in which it was lost and came back, with the fields of `Gap`; `dropped_frames`, that
+        arrived and were not fetched in time.
+        """
+        if self.kind not in ("camera", "stream"):
+            return None
+        gaps = [asdict(gap) for gap in self._reader.gaps]
+        return {"lost": self.lost, "gaps": gaps, "dropped_frames": self._queue.dropped}
+
+    @property
+    def notes(self) -> list[str]:
+        """What was out of the ordinary so far, a sentence each."""
+        notes = [*self._reader.notes]
+        gaps = self._reader.gaps
+        if gaps:
+            times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
+            listed = "; ".join(map(str, gaps[:SHOWN_GAPS])) + (" …" if len(gaps) > SHOWN_GAPS else "")
+            notes.append(f"{self.name} was lost {times} and came back: {listed}.")
+        dropped = self._queue.dropped
+        if dropped:
+            notes.append(f"{dropped} frames were dropped, which came faster than they were processed.")
+        return notes
+
+    def close(self) -> None:
+        """Stop decoding; the thread releases the file or device, at once unless it is stuck there."""
+        self._ended = True
+        self._stopping.set()
+        self._queue.close()
+        self._thread.join(CLOSING_SECONDS)
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return what identifies this source, as JSON: two equal ones are taken to hold the same frames."""
+        return self._reader.fingerprint()
+
+    def _end(self) -> None:
+        """Take note of how the frames have ended."""
+        self._ended = True
+        self.truncated = self._reader.truncated
+        self.lost = self._reader.lost
+
+    def _checked(self, frame: Frame) -> Frame:
+        """Note a missing frame; refuse one of another size or type than the first."""
+        if frame.image is None:
+            self.skipped.append(frame.number)
+            _log.info("frame %d is missing or unreadable", frame.number)
+            return frame
+        form = frame.image.shape
+        if self._form is None:
+            self._form = form
+        elif form != self._form:
+            self.close()
+            raise ValueError(
+                f"{self.name}: frame {frame.number} is {describe(form)}, "
+                f"expected {describe(self._form)} like the frames before"
+            )
+        return frame
+
+    def _decode(self, open_reader: Callable[[], Reader], selection: Selection) -> None:
+        outcome: Exception | None = None
+        try:
+            self._reader = reader = open_reader()
+            put = self._queue.put_newest if reader.live else self._queue.put
+            try:
+                for frame in reader.frames(selection, self._stopping):
+                    put(frame)
+                    if self._stopping.is_set():
+                        return
+            finally:
+                reader.close()
+        except Exception as error:  # handed over to the thread that iterates
+            outcome = error
+        self._queue.put(outcome)
+
+
+def open_source(
+    source: str,
+    start: int = 1,
+    stop: int | None = None,
+    step: int = 1,
+    *,
+    after: int = 0,
+    image_rate: float | None = None,
+    reconnect: float | None = None,
+) -> Source:
+    """Open a source of frames.
+
+    Parameters
+    ----------
+    source
+        a video file, a folder or glob of images (sorted naturally: `frame2` before `frame10`), the number of
+        a camera, or an rtsp or http(s) address.
+    start, stop, step
+        which frames: 1-based, both ends included. Frames before `start` are decoded and discarded, so that
+        the selected ones are exactly those that reading from the beginning gives.
+    after
+        number of the last frame that an earlier run has processed; frames up to it are left out.
+    image_rate
+        frames per second of images, which have no time stamps; default: `frameRate` in a MOT `seqinfo.ini` in
+        or above the folder, else 25.
+    reconnect
+        seconds for which a camera or address is tried again when it is lost; default: not at all. A gap in a
+        live source is missing frames. Of a file behind an address, nothing is missing.
+
+    Raises
+    ------
+    ValueError
+        if the selection is empty or lies beyond the end, the file is not a video or image that can be read,
+        or `reconnect` is given for something else than a camera or address.
+    FileNotFoundError
+        if there is no such file, or no image in the folder or under the glob.
+    OSError
+        if a camera or address cannot be opened or sends no picture (after 10 s of silence).
+    """
+    selection = Selection(start, stop, step, after)
+    if reconnect is not None and not 0 < reconnect < math.inf:
+        raise ValueError(f"--reconnect: got {reconnect:g}, expected seconds, more than 0")
+    return Source(lambda: _open_reader(source, image_rate, reconnect), selection)
+
+
+def _open_reader(source: str, image_rate: float | None, reconnect: float | None) -> Reader:
+    scheme, separator, _ = source.partition("://")
+    if separator:
+        if scheme.lower() not in NETWORK_SCHEMES:
+            schemes = ", ".join(sorted(NETWORK_SCHEMES))
+            raise ValueError(f"{without_password(source)}: expected an address of one of {schemes}")
+        video = VideoReader(source, network=True, reconnect=reconnect)
+        if video.total is not None:
+            return video
+        return LiveReader(video, lambda: VideoReader(source, network=True), reconnect)
+    path = Path(source)
+    if source.isascii() and source.isdigit() and not path.exists():
+        return LiveReader(Camera(int(source)), lambda: Camera(int(source)), reconnect)
+    if reconnect is not None:
+        raise ValueError(f"--reconnect: got it for {source}, expected a camera or an address")
+    return _open_path(source, path, image_rate)
+
+
+def _open_path(source: str, path: Path, image_rate: float | None) -> Reader:
+    if path.is_dir():
+        files = images_among(path.iterdir())
+        if not files:
+            raise FileNotFoundError(f"{source}: the folder holds no images")
+        return ImageReader(source, path, files, image_rate)
+    if path.is_file():
+        if path.suffix.lower() in IMAGE_SUFFIXES:
+            return ImageReader(source, path.parent, [path], image_rate)
+        return VideoReader(source, network=False)
+    if path.exists():
+        raise ValueError(f"{source}: neither a file nor a folder")
+    if glob.has_magic(source):
+        files = images_among(Path(match) for match in glob.glob(source, recursive=True))
+        if not files:
+            raise FileNotFoundError(f"{source}: matches no images")
+        return ImageReader(source, files[0].parent, files, image_rate)
+    raise FileNotFoundError(f"{source}: no such file or folder")
+
+
+def describe(shape: tuple[int, ...]) -> str:
+    """Size and kind of images of this shape, in words."""
+    return f"{shape[1]}x{shape[0]} {'gray' if len(shape) == 2 else 'colour'}"

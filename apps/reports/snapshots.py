@@ -1,0 +1,76 @@
+"""A few pictures of a run of any length."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.frame import Frame
+from .report import MOST_SNAPSHOTS, SNAPSHOT_WIDTH, Html, picture_grid, small
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A picture of a frame: its number, its time in seconds, `(height, width[, 3])` uint8 BGR."""
+
+    number: int
+    time: float
+    picture: Image
+
+
+class Snapshots:
+    """At most eight evenly spaced pictures of a run.
+
+    Whenever there are more, every second one goes and the distance doubles.
+
+    Parameters
+    ----------
+    width
+        px: wider pictures are kept smaller.
+    """
+
+    KINDS: ClassVar[dict[str, Any]] = {"kept": tuple[Snapshot, ...], "count": int, "stride": int}
+    """What `saved` gives, for `rsmcm.inference.core.checkpoint`."""
+
+    def __init__(self, width: int = SNAPSHOT_WIDTH) -> None:
+        self._width = width
+        self._kept: list[Snapshot] = []
+        self._count = 0  # frames so far
+        self._stride = 1  # frames between snapshots
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def __iter__(self) -> Iterator[Snapshot]:
+        return iter(self._kept)
+
+    def add(self, frame: Frame, draw: Callable[[], Image]) -> None:
+        """Take in a frame; `draw` is called for the few of which a picture is kept."""
+        if self._count % self._stride == 0:
+            self._kept.append(Snapshot(frame.number, frame.time, small(draw(), self._width)))
+            if len(self._kept) > MOST_SNAPSHOTS:
+                del self._kept[1::2]
+                self._stride *= 2
+        self._count += 1
+
+    def saved(self) -> dict[str, Any]:
+        """Everything."""
+        return {"kept": tuple(self._kept), "count": self._count, "stride": self._stride}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Take over what `saved` was."""
+        self._kept, self._count, self._stride = list(saved["kept"]), saved["count"], saved["stride"]
+
+    def row(self, name: str) -> Html:
+        """All pictures beside each other in a row of that name."""
+        columns = [f"frame {each.number}, {each.time:.1f} s" for each in self._kept]
+        return picture_grid([(name, [each.picture for each in self._kept])], columns)
+
+    def column(self) -> Html:
+        """All pictures below each other."""
+        rows = [(f"{each.time:.1f} s", [each.picture]) for each in self._kept]
+        return picture_grid(rows, [""])

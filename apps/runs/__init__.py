@@ -1,0 +1,1 @@
+"""What all runs over films have in common: resuming, interruption, progress, memory."""

@@ -1,0 +1,396 @@
+"""A run over the frames of a film: what is read, saved and written, and in which order.
+
+All applications that filter frame after frame run this way. They differ in their chains, in what has to be
+known before the first frame, and in what they write.
+"""
+
+import logging
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, suppress
+from dataclasses import KW_ONLY, dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+from ...inference import Belief, RecursiveBP
+from ...inference.core.recursive_bp import BEGINNING, RunState
+from ...models.core.frame import Frame
+from ...models.numerics.threads import thread_count
+from ..io.results import naming, segment_pattern, write_json
+from ..io.sources.open_source import Source, describe, open_source
+from .blank_frames import SeenFrames
+from .interruption import Interrupted, Interruption, Outcome
+from .memory import check_memory
+from .output_folder import output_folder
+from .progress import Progress
+from .saved_run import STATE, SavedRun, check_source, saying_how_to_go_on
+from .versions import versions
+
+_log = logging.getLogger(__name__)
+
+ALWAYS = (STATE, "summary.json", "report.html", "overlay.mp4", segment_pattern("overlay.mp4"))
+"""Files that every such run leaves."""
+
+
+@dataclass(frozen=True)
+class FilmJob:
+    """What to do with a film; the command line's help explains each field.
+
+    Raises
+    ------
+    ValueError
+        if fields contradict each other.
+    """
+
+    source: str
+    out: Path
+    _: KW_ONLY
+    start: int = 1
+    stop: int | None = None
+    step: int = 1
+    resume: bool = False
+    overwrite: bool = False
+    every: int = 500
+    learned: Path | None = None
+    seed: int = 0
+    reconnect: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.every < 1:
+            raise ValueError(f"--every: got {self.every}, expected 1 or more frames")
+        if self.resume and self.overwrite:
+            raise ValueError("--resume and --overwrite: got both, expected one of them")
+
+    def settings(self) -> dict[str, Any]:
+        """What the results depend on, beside the source: a run is resumed only with the same."""
+        return {
+            "from": None if self.learned is None else str(self.learned.resolve()),
+            "start": self.start,
+            "stop": self.stop,
+            "step": self.step,
+            "seed": self.seed,
+        }
+
+
+class Writer(AbstractContextManager[Any], Protocol):
+    """A file of results that grows with the frames, and can be gone on with after a checkpoint."""
+
+    def checkpoint(self) -> None:
+        """Return when everything is on disk and readable."""
+
+
+class _EndedEarlyError(Exception):
+    """Leaves the writers' blocks in a way that they keep what a resumed run needs."""
+
+
+class FilmRun(ABC):
+    """One run; an application says what is particular to it.
+
+    Attributes
+    ----------
+    source, engine, state
+        as they are while the run goes on; `state` is that after the last frame.
+    record
+        what report and summary need, with columns `numbers`, `missing` and `seconds` of the frames so far.
+    settings
+        of the run, beside the source.
+    notes
+        what is out of the ordinary, a sentence each.
+    """
+
+    application: ClassVar[str]
+    blank_is_missing: ClassVar[bool] = True
+    """Whether frames that show nothing (black, saturated) count as missing."""
+
+    source: Source
+    engine: RecursiveBP
+    record: Any
+
+    def __init__(self, job: FilmJob, settings: Mapping[str, Any]) -> None:
+        self.job = job
+        self.settings = settings
+        self.state = BEGINNING
+        self.notes: list[str] = []
+        self.interruption = Interruption()
+        self._frames = SeenFrames(iter(()))
+        self._fingerprint: dict[str, Any] = {}
+        self._earlier_seconds = 0.0  # of wall time, before the run was resumed
+        self._started = time.perf_counter()
+        self._ended_early = False
+        self._is_saved = False
+
+    # --- what an application says ---
+
+    @property
+    @abstractmethod
+    def files(self) -> Sequence[str]:
+        """Names of the files that it writes beside `ALWAYS`, patterns of `glob` among them."""
+
+    @property
+    @abstractmethod
+    def kinds(self) -> Mapping[str, Any]:
+        """What `memory` consists of, for `checkpoint`."""
+
+    @property
+    @abstractmethod
+    def chains(self) -> Mapping[str, Any]:
+        """Its chains, or their classes, by name, whose states are saved."""
+
+    @property
+    @abstractmethod
+    def bytes_needed(self) -> tuple[float, float]:
+        """Of working memory: per pixel, and beside that; see `check_memory`."""
+
+    @abstractmethod
+    def memory(self) -> dict[str, Any]:
+        """What is saved beside the chains' states."""
+
+    @abstractmethod
+    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """Find what has to be known before the first frame, and make the engine; frames that were looked at
+        come again."""
+
+    @abstractmethod
+    def go_on(self, memory: Mapping[str, Any]) -> None:
+        """Make the engine from what was saved by a run that this one resumes."""
+
+    @abstractmethod
+    def learn_from(self, saved: SavedRun) -> None:
+        """Make the engine from what a run over another film has learned."""
+
+    @abstractmethod
+    def writers(self, rate: float, after: int) -> Sequence[Writer]:
+        """Files that grow with the frames, at `rate` frames a second, of those behind frame `after`."""
+
+    def found(self, belief: Belief) -> Any:
+        """What is read from a belief, as part of the time of the frame."""
+        return belief
+
+    @abstractmethod
+    def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
+        """Write a frame, which took so many seconds."""
+
+    @abstractmethod
+    def facts(self) -> dict[str, Any]:
+        """What `summary.json` says beside what it says of every run."""
+
+    @abstractmethod
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Write what is written once, at the end."""
+
+    # --- the run ---
+
+    def carry_out(self) -> Outcome:
+        """Run; all results are in the job's folder afterwards.
+
+        SIGINT (Ctrl-C) and SIGTERM end the run after the current frame, with complete results; a second one
+        ends it at once, with results up to the last saved state.
+
+        Raises
+        ------
+        ValueError, OSError
+            in one line, whatever is wrong with the job, its files, its source or its output. A source that
+            breaks in the middle leaves the results of the frames before.
+        Interrupted
+            if a signal came before there was any result, or a second one.
+        """
+        with saying_how_to_go_on(self._way_on):
+            return self._carried_out()
+
+    def _way_on(self) -> str | None:
+        if not self._is_saved:
+            return None
+        if not self.job.resume and self.source.live:
+            return f"--from {self.job.out / STATE} begins with what was learned"
+        return f"--resume goes on with {self.job.out}"
+
+    def _carried_out(self) -> Outcome:
+        job = self.job
+        with (
+            self.interruption,
+            output_folder(job.out, self.application, overwrite=job.overwrite, resume=job.resume) as folder,
+        ):
+            saved = self._saved() if job.resume else None
+            self._is_saved = saved is not None
+            after = saved.state.number if saved else 0
+            with open_source(
+                job.source, job.start, job.stop, job.step, after=after, reconnect=job.reconnect
+            ) as source:
+                self.source = source
+                self._fingerprint = source.fingerprint()
+                if job.resume and source.live:
+                    raise ValueError(f"--resume: {source.name} is live and cannot be read again")
+                if saved is not None:
+                    check_source(saved.about, self._fingerprint)
+                    if saved.about["finished"]:
+                        return Outcome(saved.about["finished"], None)
+                check_memory(source.name, source.size, *self.bytes_needed)
+                frames = self._beginning(saved)
+                folder.begin([*ALWAYS, *self.files], resume=job.resume)
+                with suppress(_EndedEarlyError):
+                    self._process(frames)
+                if self.interruption.signal is not None and not self.record.numbers:
+                    raise Interrupted(self.interruption.signal)
+                summary = self._summary()
+                self.finish(summary)
+                write_json(job.out / "summary.json", summary)
+                if not self._ended_early:
+                    self._save(finished=summary)
+        if self._frames.error is not None:
+            raise self._frames.error
+        return Outcome(summary, self.interruption.signal if self._ended_early else None)
+
+    def no_frame(self, reason: str) -> Exception | Interrupted:
+        """Why there is no frame to begin with: the source's own error, a signal, or `reason`."""
+        if self._frames.error is not None:
+            return self._frames.error
+        if self.interruption.signal is not None:
+            return Interrupted(self.interruption.signal)
+        return ValueError(f"{self.source.name}: {reason}")
+
+    @property
+    def blank(self) -> list[int]:
+        """Numbers of the frames so far in which nothing is to be seen."""
+        return self._frames.blank
+
+    def _saved(self) -> SavedRun | None:
+        """The run to be resumed; `None` if it has not come beyond its beginning."""
+        path = self.job.out / STATE
+        if not path.exists():
+            return None
+        saved = SavedRun.load(path, self.application, self.chains, self.kinds, self.settings)
+        return saved if saved.state.number else None
+
+    def _beginning(self, saved: SavedRun | None) -> Iterator[Frame]:
+        """The frames to process, with the engine made."""
+        self._frames = SeenFrames(
+            self.interruption.items(self.source), blank_is_missing=self.blank_is_missing
+        )
+        frames = iter(self._frames)
+        if saved is not None:
+            self.state = saved.state
+            self._earlier_seconds = saved.about["seconds"]
+            self._frames.blank.extend(saved.about["blank"])
+            self.notes.extend(saved.about["notes"])
+            if self.state.shape is not None:  # perhaps no frame is left to ask
+                self.source.size = (self.state.shape[1], self.state.shape[0])
+            self.go_on(saved.memory)
+            _log.info("goes on after frame %d", self.state.number)
+            return frames
+        if self.job.learned is None:
+            return self.begin(frames)
+        learned = SavedRun.load(self.job.learned, self.application, self.chains, self.kinds)
+        first = next(frames, None)
+        if first is None:
+            raise self.no_frame("holds no frame")
+        self.state = self._moved(learned, first)
+        _log.info("begins with what %s has learned", self.job.learned)
+        self.learn_from(learned)
+        return chain([first], frames)
+
+    def _moved(self, learned: SavedRun, first: Frame) -> RunState:
+        """The state of another film, just before the first frame of this one.
+
+        Recordings are taken to follow each other without a gap; between two live sources, what the clock
+        says has passed.
+        """
+        state, source = learned.state, self.source
+        if not state.states or state.shape is None:
+            raise ValueError(f"--from: {self.job.learned} has learned nothing yet")
+        width, height = source.size
+        shape = (height, width, *state.shape[2:]) if first.image is None else first.image.shape
+        if shape != state.shape:
+            raise ValueError(
+                f"--from: {self.job.learned} is of frames that are {describe(state.shape)}, "
+                f"but {source.name} is {describe(shape)}"
+            )
+        gap = self.job.step / source.rate
+        if source.live and learned.about["live"]:
+            gap = max(gap, time.time() - learned.about["clock"])
+        return replace(state, number=0, time=first.time - gap)
+
+    def _process(self, frames: Iterator[Frame]) -> None:
+        """Take in all frames, and complete the files that grow with them."""
+        job, number = self.job, self.state.number
+        with ExitStack() as stack:
+            done = len(self.record.numbers)
+            progress = stack.enter_context(Progress(self.application, self.source.n_frames, done))
+            self._save()
+            writers = self.writers(self.source.rate / job.step, number)
+            for writer in writers:
+                stack.enter_context(writer)
+            unsaved = 0
+            for frame in frames:
+                before = time.perf_counter()
+                belief = self.engine.step(self.state, frame)
+                found = self.found(belief)
+                seconds = time.perf_counter() - before
+                self.state = belief.state
+                self.take_in(belief, found, seconds)
+                unsaved += 1
+                if unsaved == job.every:
+                    unsaved = 0
+                    self._checkpoint(writers)
+                progress.update()
+            self._checkpoint(writers)
+            self._ended_early = bool(
+                self.interruption.signal is not None or self._frames.error or self.source.lost
+            )
+            if self._ended_early and not self.source.live:  # which nobody can resume
+                raise _EndedEarlyError
+
+    def _checkpoint(self, writers: Sequence[Writer]) -> None:
+        for writer in writers:
+            writer.checkpoint()
+        self._save()
+        _log.info("state saved after frame %d", self.state.number)
+
+    def _save(self, finished: dict[str, Any] | None = None) -> None:
+        source = self.source
+        about = {
+            "application": self.application,
+            "settings": self.settings,
+            "source": self._fingerprint,
+            "live": source.live,
+            "clock": time.time(),
+            "seconds": self._seconds(),
+            "blank": self.blank,
+            "notes": self.notes,
+            "finished": finished,
+        }
+        path = self.job.out / STATE
+        with naming(path):
+            SavedRun(about, self.state, self.memory()).save(path, self.chains, self.kinds)
+        self._is_saved = True
+
+    def _summary(self) -> dict[str, Any]:
+        source, record, seconds = self.source, self.record, self._seconds()
+        count = len(record.numbers)
+        facts = self.facts()
+        return {
+            "source": source.name,
+            "size": list(source.size),
+            "rate": source.rate,
+            "frames": count,
+            "first_frame": record.numbers[0] if count else None,
+            "last_frame": record.numbers[-1] if count else None,
+            "missing_frames": len(record.missing),
+            "missing": record.missing,
+            "truncated": source.truncated,
+            "stream": source.stream,
+            "ended_early": self._ended_early,
+            **facts,
+            "seconds": seconds,
+            "frames_per_second": count / seconds,
+            "frames_per_second_of_engine": count / sum(record.seconds) if count else None,
+            "threads": thread_count(),
+            "seed": self.job.seed,
+            "notes": [*source.notes, *self.notes, *facts.get("notes", [])],
+            "parameters": self.settings,
+            "versions": versions(),
+        }
+
+    def _seconds(self) -> float:
+        return self._earlier_seconds + time.perf_counter() - self._started

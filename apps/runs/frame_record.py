@@ -1,0 +1,54 @@
+"""What summary and report need of a run, gathered frame by frame, and how that is saved with the run."""
+
+from array import array
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..reports.snapshots import Snapshots
+
+
+@dataclass(eq=False, kw_only=True)
+class FrameRecord:
+    """Columns that grow with the frames, and some pictures. Every further field is a column.
+
+    Parameters
+    ----------
+    numbers, times
+        of the frames, 1-based and seconds.
+    seconds
+        that the tracker took.
+    missing
+        numbers of the frames without an image.
+    """
+
+    numbers: "array[int]" = field(default_factory=lambda: array("q"))
+    times: "array[float]" = field(default_factory=lambda: array("d"))
+    seconds: "array[float]" = field(default_factory=lambda: array("d"))
+    missing: list[int] = field(default_factory=list)
+    snapshots: Snapshots = field(default_factory=Snapshots)
+
+    @classmethod
+    def kinds(cls) -> dict[str, Any]:
+        """What `saved` gives, for `rsmcm.inference.core.checkpoint`."""
+        columns = {each.name: NDArray[Any] for each in fields(cls) if each.name != "snapshots"}
+        return {**columns, "snapshots": Snapshots.KINDS}
+
+    def saved(self) -> dict[str, Any]:
+        """Everything, as arrays."""
+        columns = {name: np.array(getattr(self, name)) for name in self.kinds() if name != "snapshots"}
+        return {**columns, "snapshots": self.snapshots.saved()}
+
+    @classmethod
+    def restored(cls, saved: Mapping[str, Any]) -> Self:
+        """The record of which `saved` was kept."""
+        record = cls()
+        for name, values in saved.items():
+            if name == "snapshots":
+                record.snapshots.restore(values)
+            else:
+                getattr(record, name).extend(values.tolist() if values.ndim == 1 else values)
+        return record

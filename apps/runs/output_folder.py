@@ -1,0 +1,235 @@
+"""The folder of a run's results: one run at a time writes there, and only what a run wrote is removed."""
+
+import errno
+import json
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from ..io.results import UNFINISHED, naming, write_json
+from .saved_run import STATE
+
+MANIFEST = "manifest.json"
+"""Which application's results these are, and the names of its files."""
+
+LOCK = ".lock"
+"""Locked while a run writes here; it stays, since removing a lock file lets two runs hold it."""
+
+HOLDER = ".running.json"
+"""Which run that is."""
+
+PARTIAL = f".{STATE}.*.partial"
+"""What a kill leaves of a state that was being written."""
+
+
+class OutputFolder:
+    """A folder that is locked for one run; see `output_folder`.
+
+    Attributes
+    ----------
+    path
+        of the folder.
+    """
+
+    def __init__(self, path: Path, application: str) -> None:
+        self.path = path
+        self._application = application
+
+    @property
+    def holds_results(self) -> bool:
+        """Whether a run has written here."""
+        return (self.path / MANIFEST).exists()
+
+    def begin(self, names: Sequence[str], *, resume: bool = False) -> None:
+        """Remove the results of an earlier run, unless they are gone on with, and what a kill left over.
+
+        Parameters
+        ----------
+        names
+            of the files that the run may write, patterns of `glob` among them. They are known from here on
+            as this run's.
+        resume
+            go on with the results that are there.
+
+        Raises
+        ------
+        FileExistsError
+            if one of these files is there that no run has written.
+        OSError
+            if the folder cannot be written to.
+        """
+        earlier = _listed(self.path)
+        self._refuse_foreign(names, earlier)
+        with naming(self.path), tempfile.TemporaryFile(dir=self.path):
+            pass
+        unfinished = {str(PurePosixPath(name).with_name(f"{UNFINISHED}*")) for name in [*earlier, *names]}
+        for path in self.found([*unfinished, PARTIAL]):
+            path.unlink()
+        if not resume:
+            # the state first: what is left by a kill in between is not gone on with
+            for path in sorted(self.found(earlier), key=lambda path: path.name != STATE):
+                path.unlink()
+                if path.parent != self.path:
+                    with suppress(OSError):  # the user may keep something there
+                        path.parent.rmdir()
+            earlier = []
+        self._write_manifest(list(dict.fromkeys([*earlier, *names])))
+
+    def add(self, names: Sequence[str]) -> None:
+        """Make more files known as results of the run that is complete here.
+
+        Raises
+        ------
+        FileExistsError
+            if one of these files is there that no run has written.
+        """
+        earlier = _listed(self.path)
+        self._refuse_foreign(names, earlier)
+        self._write_manifest(list(dict.fromkeys([*earlier, *names])))
+
+    def end(self) -> None:
+        """From here on only files that were really written are known as results."""
+        listed = _listed(self.path)
+        written = [name for name in listed if any(self.path.glob(name))]
+        if not written:
+            (self.path / MANIFEST).unlink(missing_ok=True)
+        elif written != listed:
+            self._write_manifest(written)
+
+    def _refuse_foreign(self, names: Sequence[str], known: Sequence[str]) -> None:
+        foreign = self.found(names) - self.found(known)
+        if foreign:
+            name = min(foreign).relative_to(self.path)
+            raise FileExistsError(
+                f"{self.path}: holds {name}, which no run has written: move it, or choose another folder"
+            )
+
+    def found(self, names: Sequence[str]) -> set[Path]:
+        """Files that are there under these names, patterns of `glob` among them."""
+        return {path for name in names for path in self.path.glob(name) if not path.is_dir()}
+
+    def _write_manifest(self, names: Sequence[str]) -> None:
+        write_json(self.path / MANIFEST, {"application": self._application, "files": sorted(names)})
+
+
+@contextmanager
+def output_folder(
+    path: Path, application: str, *, overwrite: bool = False, resume: bool = False, add: bool = False
+) -> Iterator[OutputFolder]:
+    """Lock a folder for a run, and make it if need be.
+
+    No result in it is changed before `OutputFolder.begin`. If that is never called, a folder that was made is
+    removed again.
+
+    Parameters
+    ----------
+    path
+        of the folder.
+    application
+        which writes there.
+    overwrite
+        results of an earlier run may be replaced.
+    resume
+        results of an earlier run of the same application are gone on with.
+    add
+        more files go to the results that are there.
+
+    Raises
+    ------
+    FileExistsError
+        if the folder holds results, and none of these is given.
+    NotADirectoryError
+        if it is no folder.
+    ValueError
+        if the results to go on with are another application's.
+    OSError
+        if another run writes there (it says which), or the folder cannot be made.
+    """
+    there = next((folder for folder in (path, *path.parents) if folder.exists()), None)
+    if there is not None and not there.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "expected a folder", str(there))
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(path / LOCK, timeout=0)
+    try:
+        with suppress(NotImplementedError):  # a file system without locks, and an old filelock
+            lock.acquire()
+    except Timeout:
+        raise BlockingIOError(
+            f"{path}: {_holder(path)} writes there: wait for it, or choose another folder"
+        ) from None
+    try:
+        folder = OutputFolder(path, application)
+        if folder.holds_results and not (overwrite or resume or add):
+            raise FileExistsError(f"{path}: already holds results: use --overwrite or --resume")
+        if resume and folder.holds_results and _application(path) != application:
+            raise ValueError(
+                f"--resume: {path} holds results of rsmcm {_application(path)}, expected rsmcm {application}"
+            )
+        if resume and folder.found(_listed(path)) and not (path / STATE).exists():
+            raise ValueError(f"--resume: {path / STATE} is not there, so start anew with --overwrite")
+        write_json(
+            path / HOLDER,
+            {"process": os.getpid(), "machine": platform.node(), "since": time.strftime("%Y-%m-%d %H:%M:%S")},
+        )
+        try:
+            yield folder
+        finally:
+            folder.end()
+    finally:
+        with suppress(OSError):  # somebody may be reading it
+            (path / HOLDER).unlink(missing_ok=True)
+        lock.release()
+        if made and not (path / MANIFEST).exists():
+            (path / LOCK).unlink(missing_ok=True)
+            for empty in made:
+                with suppress(OSError):
+                    empty.rmdir()
+
+
+def _holder(path: Path) -> str:
+    try:
+        holder = json.loads((path / HOLDER).read_text(encoding="utf-8"))
+        return f"process {holder['process']} on {holder['machine']}, since {holder['since']},"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another run"  # which has just begun or is about to end
+
+
+def _manifest(path: Path) -> dict[str, Any]:
+    """What the folder's manifest says; nothing where there is none.
+
+    Raises
+    ------
+    ValueError
+        if it is none of ours: what it lists would be removed.
+    """
+    file = path / MANIFEST
+    if not file.exists():
+        return {"application": None, "files": []}
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        application, files = content["application"], content["files"]
+        inside = all(not Path(name).is_absolute() and ".." not in Path(name).parts for name in files)
+        if not (isinstance(application, str) and isinstance(files, list) and inside):
+            raise TypeError
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise ValueError(
+            f"{file}: got no list of a run's files: remove it, or choose another folder"
+        ) from None
+    return {"application": application, "files": files}
+
+
+def _listed(path: Path) -> list[str]:
+    files: list[str] = _manifest(path)["files"]
+    return files
+
+
+def _application(path: Path) -> Any:
+    return _manifest(path)["application"]

@@ -1,0 +1,1 @@
+"""A generated signer in a room."""

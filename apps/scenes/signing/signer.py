@@ -1,0 +1,260 @@
+"""A signer who sits in front of a room, with exact poses, and with faults where trackers need them.
+
+Any frame is rendered on its own, from the seed and the frame's index only.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....models.body.poses import BodyPoses
+from ....models.body.upper_body import PARTS, UpperBody
+from ....models.core.frame import Frame
+from .faults import MISSING, Distractor, ListedFaces, bursts, face_boxes, false_flesh
+from .look import Look
+from .motion import signing, wander
+from .shape import HandShape, Solid, blob, surface
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Pixels = NDArray[np.float32]
+
+SHUTTER = 0.5  # of the time between frames that light is gathered
+BLUR_STEP = 4.0  # px that a hand moves between two pictures of one exposure
+MOST_PICTURES = 4  # of one exposure
+
+
+@dataclass(frozen=True, eq=False)
+class SignerScene:
+    """A signer with its truth; build it with `signer`, which explains the parameters.
+
+    Frames are rendered when asked for. Indices count from 0, `Frame.number` from 1.
+    """
+
+    n_frames: int
+    seed: int
+    detector_dropout: float
+    clutter: float
+    size: tuple[int, int]
+    noise: float
+    dt: float = 1 / 25
+
+    def __post_init__(self) -> None:
+        width, height = self.size
+        if height < 120 or not height <= width:
+            raise ValueError(
+                f"size: got {self.size}, expected (width, height), 120 px high or more and at least as wide"
+            )
+        if self.n_frames < 1:
+            raise ValueError(f"n_frames: got {self.n_frames}, expected 1 or more")
+        if self.seed < 0:
+            raise ValueError(f"seed: got {self.seed}, expected 0 or more")
+        if not 0 <= self.detector_dropout <= 1:
+            raise ValueError(f"detector_dropout: got {self.detector_dropout}, expected 0 to 1")
+        for name in ("clutter", "noise"):
+            value = getattr(self, name)
+            if not 0 <= value < np.inf:
+                raise ValueError(f"{name}: got {value}, expected 0 or more")
+
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self.frame(index) for index in range(self.n_frames))
+
+    def images(self) -> Iterator[NDArray[np.uint8]]:
+        """All pictures in turn, `(height, width, 3)` uint8 BGR."""
+        return (self.image(index) for index in range(self.n_frames))
+
+    def frame(self, index: int) -> Frame:
+        """Frame `index` (from 0) with its time."""
+        index = range(self.n_frames)[index]
+        return Frame(self.image(index), index * self.dt, index + 1)
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """What the camera gives for frame `index` (from 0): `(height, width, 3)` uint8 BGR."""
+        index = range(self.n_frames)[index]
+        picture = self._exposed(index)
+        picture *= self._light[index].astype(np.float32)
+        if self.noise > 0:
+            generator = np.random.default_rng([self.seed, 3, index])  # frames may come in any order
+            picture += np.float32(self.noise) * generator.standard_normal(picture.shape, np.float32)
+        return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+    # The truth
+
+    @cached_property
+    def body(self) -> UpperBody:
+        """Lengths of the signer, px; proportions differ from scene to scene."""
+        generator = np.random.default_rng([self.seed, 0])
+        head = self.size[1] * generator.uniform(0.21, 0.275)
+        usual = UpperBody.from_head(float(head))
+        stretch = dict(
+            zip(
+                ("head_width", "neck", "shoulder_width", "upper_arm", "forearm", "hand"),
+                np.clip(1 + generator.normal(0, 0.04, 6), 0.9, 1.1),
+                strict=True,
+            )
+        )
+        return replace(
+            usual, **{name: float(share * getattr(usual, name)) for name, share in stretch.items()}
+        )
+
+    @cached_property
+    def poses(self) -> BodyPoses:
+        """Pose of every frame, in the middle of its exposure."""
+        return self._motion.take(slice(self.n_frames))
+
+    @cached_property
+    def _motion(self) -> BodyPoses:
+        """Poses of the frames, and of one more: the last exposure needs to know where hands go."""
+        generator = np.random.default_rng([self.seed, 1])
+        width, height = self.size
+        top = self.body.neck + 0.62 * self.body.head_height  # of the hair
+        lap = 1.95 * self.body.head_height
+        # room above the head and below the lap is shared out
+        spare = max(0.0, height - top - lap)
+        home = np.array([width * generator.uniform(0.38, 0.62), top + spare * generator.uniform(0.2, 0.9)])
+        return signing(self.body, home, self.size, self.n_frames + 1, self.dt, self.seed)
+
+    @cached_property
+    def joints(self) -> Array:
+        """`(n_frames, 8, 3)` px: where the `JOINTS` are; z is away from the viewer."""
+        return self.body.joints(self.poses)
+
+    @cached_property
+    def hidden(self) -> Mask:
+        """`(n_frames, 3)` bool: whether the feature of each of `PARTS` is missing."""
+        return self._bursts > 0
+
+    @cached_property
+    def detector(self) -> ListedFaces:
+        """Finds the face in this scene's frames as detectors do: with errors, misses and false alarms."""
+        heads = self.joints[:, 0, :2]
+        return face_boxes(heads, self.hidden[:, 0], self.body.head_height, self.size, self.clutter, self.seed)
+
+    @cached_property
+    def distractors(self) -> tuple[Distractor, ...]:
+        """What looks like a hand and is none."""
+        return false_flesh(self.poses.roots, self.body.head_height, self.size, self.clutter, self.seed)
+
+    @cached_property
+    def _bursts(self) -> NDArray[np.int64]:
+        generators = [np.random.default_rng([self.seed, 20, part]) for part in range(len(PARTS))]
+        share = self.detector_dropout
+        return np.stack([bursts(self.n_frames, share, MISSING, each) for each in generators], axis=1)
+
+    # What it looks like
+
+    @property
+    def _times(self) -> Array:
+        return self.dt * np.arange(self.n_frames + 1, dtype=np.float64)
+
+    @cached_property
+    def _look(self) -> Look:
+        return Look(self.seed, self.size, self.body.head_height, self.clutter)
+
+    @cached_property
+    def _light(self) -> Array:
+        """`(n_frames + 1, 3)`: light of every channel, as a share of full light, that changes slowly."""
+        generator = np.random.default_rng([self.seed, 7])
+        tint = 1 + 0.05 * generator.standard_normal(3)
+        gain = 1 + 0.05 * np.tanh(wander(self._times, (4.0, 12.0), generator))
+        light: Array = gain[:, None] * tint * generator.uniform(0.88, 1.08)
+        return light
+
+    @cached_property
+    def _gestures(self) -> Array:
+        """`(n_frames + 1, 2, 7)`: roll, bend and the curl of five fingers of both hands."""
+        generator = np.random.default_rng([self.seed, 9])
+        waves = [wander(self._times, (0.8, 4.0), generator) for _ in range(14)]
+        gestures = np.stack(waves, axis=1).reshape(-1, 2, 7)
+        gestures[:, :, 0] *= 0.9
+        gestures[:, :, 1] = 0.5 * np.tanh(gestures[:, :, 1])
+        gestures[:, :, 2:] = 1 / (1 + np.exp(-2.5 * gestures[:, :, 2:]))
+        return gestures
+
+    def _between(self, moment: float) -> tuple[BodyPoses, list[HandShape]]:
+        """Pose and hands at frame `moment`, between two frames."""
+        first = max(0, int(np.floor(moment)))
+        share = max(0.0, moment - first)
+        before, after = self._motion.take([first]), self._motion.take([first + 1])
+
+        def mixed(a: Array, b: Array) -> Array:
+            mixture: Array = a + share * (b - a)
+            return mixture
+
+        arms = mixed(before.arms, after.arms)
+        arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+        pose = BodyPoses(mixed(before.roots, after.roots), mixed(before.necks, after.necks), arms)
+        gestures = mixed(self._gestures[first], self._gestures[first + 1])
+        return pose, [HandShape(float(row[0]), float(row[1]), row[2:]) for row in gestures]
+
+    def _exposed(self, index: int) -> Pixels:
+        """The picture before light and noise: the mean of some moments of the exposure."""
+        hands = self.body.parts(self._motion.take(slice(max(0, index - 1), index + 2)))[:, 1:]
+        step = float(np.linalg.norm(np.diff(hands, axis=0), axis=2).max())
+        pictures = int(np.clip(np.ceil(SHUTTER * step / BLUR_STEP), 1, MOST_PICTURES))
+        moments = index + SHUTTER * ((np.arange(pictures) + 0.5) / pictures - 0.5)
+        exposed = self._look.draw(self._solids(index, float(moments[0])))
+        for moment in moments[1:]:
+            exposed += self._look.draw(self._solids(index, float(moment)))
+        exposed /= np.float32(pictures)
+        return exposed
+
+    def _solids(self, index: int, moment: float) -> Iterator[tuple[Solid, str]]:
+        """Everything before the room at one moment of frame `index`, with the material it shows."""
+        pose, hands = self._between(moment)
+        shown = {}
+        for part, name in ((1, "left hand"), (2, "right hand")):
+            burst = int(self._bursts[index, part])
+            shown[name] = "skin" if not burst else "glare" if (burst + self.seed) % 3 == 0 else "glove"
+        for solid in surface(self.body, self._look.palette, pose, hands):
+            yield solid, shown.get(solid.material, solid.material)
+        for thing in self.distractors:
+            if thing.first <= index <= thing.last:
+                yield blob(thing, moment, self.body.head_height), "skin"
+
+
+def signer(
+    n_frames: int = 120,
+    seed: int = 0,
+    detector_dropout: float = 0.2,
+    clutter: float = 1.0,
+    size: tuple[int, int] = (640, 360),
+    *,
+    noise: float = 2.5,
+) -> SignerScene:
+    """Somebody who sits and signs, in front of a cluttered room, and features that fail for a while.
+
+    Hands go from place to place, across the face, each other and towards the viewer; the head sways and
+    turns. The head's height is 21 to 27 % of the picture's. The first frames of a longer scene are those of a
+    shorter one.
+
+    Parameters
+    ----------
+    n_frames
+        length of the scene, 25 frames a second.
+    seed
+        decides who it is, motion, room, light, faults and noise.
+    detector_dropout
+        share of frames, 0 to 1, in which the feature of a part is missing, for head and hands each on its
+        own, in bursts of 2 to 12 frames: the detector gives no face, a hand has no colour of flesh.
+    clutter
+        how much there is in the room, and how much of it looks like flesh: 0, a plain wall; 1, shelves,
+        pictures and wooden things, and false hands in 15 % of the frames.
+    size
+        `(width, height)` px.
+    noise
+        standard deviation of the sensor's noise, grey levels.
+
+    Raises
+    ------
+    ValueError
+        if the picture is less than 120 px high or higher than wide, there is no frame, or a parameter is out
+        of its range.
+    """
+    return SignerScene(n_frames, seed, detector_dropout, clutter, size, noise)

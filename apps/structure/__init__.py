@@ -1,0 +1,1 @@
+"""The structure application: shape and camera motion from points."""

@@ -1,0 +1,135 @@
+"""Files that a structure-from-motion run leaves: the shape, the cameras, the tracks."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.frame import Frame
+from ...models.points.affine_camera import scaled_rotations
+from ..io.results import write_atomically, write_json
+from .reconstruction import Numbers, Reconstruction
+
+GREY = 128
+VERTEX = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("red", "u1"),
+        ("green", "u1"),
+        ("blue", "u1"),
+        ("deviation", "<f4"),
+        ("observations", "<i4"),
+    ]
+)
+"""What `structure.ply` says of a point; `deviation` is its uncertainty along an axis, in the unit of x, y, z,
+`observations` the number of frames in which it was seen."""
+PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
+
+CONVENTION = (
+    "position in the picture (x right, y down, px, pixel centres at whole numbers) = "
+    "matrix[:, :3] @ point + matrix[:, 3]; euclidean: matrix[:, :3] is scale times the first two rows of "
+    "rotation, whose third row points away from the camera"
+)
+
+
+def write_ply(path: Path, found: Reconstruction, colours: NDArray[np.uint8]) -> None:
+    """Write the points as binary little-endian PLY, whole or not at all.
+
+    Parameters
+    ----------
+    path
+        file to write.
+    found
+        whose shape is written.
+    colours
+        `(n_points, 3)` BGR.
+    """
+    vertices = np.zeros(found.n_points, VERTEX)
+    for name, values in zip("xyz", found.shape.T, strict=True):
+        vertices[name] = values
+    for name, channel in zip(("blue", "green", "red"), colours.T, strict=True):
+        vertices[name] = channel
+    vertices["deviation"] = found.deviations
+    vertices["observations"] = np.count_nonzero(found.observed, axis=0)
+    properties = (f"property {PLY_TYPES[VERTEX[name].str]} {name}" for name in VERTEX.names or ())
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {found.geometry} shape; x right, y down, z away from the camera",
+        f"element vertex {found.n_points}",
+        *properties,
+        "end_header",
+    ]
+    with write_atomically(path) as unfinished:
+        unfinished.write_bytes("\n".join([*header, ""]).encode("ascii") + vertices.tobytes())
+
+
+def write_cameras(path: Path, found: Reconstruction, frames: Sequence[Frame]) -> None:
+    """Write every frame's camera as JSON; what is not known is `null`.
+
+    Parameters
+    ----------
+    path
+        file to write.
+    found
+        whose cameras are written.
+    frames
+        as many as there are cameras.
+    """
+    entries = []
+    scales, rotations = orthographic_parts(found.cameras)
+    for frame, camera, scale, rotation in zip(frames, found.cameras, scales, rotations, strict=True):
+        entry: dict[str, Any] = {"frame": frame.number, "time": frame.time, "matrix": camera}
+        if found.geometry == "euclidean":
+            entry |= {"scale": scale, "rotation": rotation, "translation": camera[:, 3]}
+        entries.append(entry)
+    write_json(path, {"geometry": found.geometry, "convention": CONVENTION, "frames": entries})
+
+
+def orthographic_parts(cameras: Numbers) -> tuple[Numbers, Numbers]:
+    """Scales `(n_frames,)` and rotations `(n_frames, 3, 3)` nearest to cameras; NaN for unknown ones."""
+    known = np.isfinite(cameras).all(axis=(1, 2))
+    scales, rotations = np.full(len(cameras), np.nan), np.full((len(cameras), 3, 3), np.nan)
+    scales[known], rotations[known] = scaled_rotations(cameras[known, :, :3])
+    return scales, rotations
+
+
+def write_tracks(path: Path, found: Reconstruction, frames: Sequence[Frame]) -> None:
+    """Write `tracks.npz`, whole or not at all.
+
+    It holds `position (n_frames, n_points, 2)` px in every frame, seen or not, `covariance
+    (n_frames, n_points, 2, 2)` px^2, `observed (n_frames, n_points)` bool, `point_of_track (n_tracks,)`, -1
+    where a track was rejected, and `frame (n_frames,)` and `time (n_frames,)` s of every frame.
+    """
+    with write_atomically(path) as unfinished, unfinished.open("wb") as file:
+        np.savez_compressed(
+            file,
+            position=found.positions,
+            covariance=found.covariances,
+            observed=found.observed,
+            point_of_track=found.point_of_track,
+            frame=np.array([frame.number for frame in frames], np.int64),
+            time=np.array([frame.time for frame in frames], np.float64),
+        )
+
+
+def point_colours(frames: Sequence[Frame], found: Reconstruction) -> NDArray[np.uint8]:
+    """The median colour of every point where it was seen, `(n_points, 3)` BGR; grey where there is none."""
+    samples = np.full((len(frames), found.n_points, 3), np.nan, np.float32)
+    for frame, places, seen, colours in zip(frames, found.places, found.observed, samples, strict=True):
+        if frame.image is None:
+            continue
+        height, width = frame.image.shape[:2]
+        points = np.flatnonzero(seen)
+        columns, rows = np.rint(places[points]).astype(np.int64).T
+        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        values = frame.image[rows[inside], columns[inside]]
+        colours[points[inside]] = values if values.ndim == 2 else values[:, None]
+    coloured = ~np.isnan(samples[:, :, 0]).all(axis=0)
+    result = np.full((found.n_points, 3), GREY, np.uint8)
+    result[coloured] = np.rint(np.nanmedian(samples[:, coloured], axis=0))
+    return result

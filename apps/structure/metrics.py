@@ -1,0 +1,114 @@
+"""How good a recovered shape and its tracks are, where the truth is known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.points.affine_camera import affine_alignment
+from ..scenes import Cylinder
+
+Numbers = NDArray[np.float64]
+
+REJECTED = -1
+"""Stands in `point_of_track` for a track that no estimated point takes."""
+
+
+@dataclass(frozen=True)
+class StructureScores:
+    """Errors and counts of one reconstruction.
+
+    An estimated point stands for the true point that most of the observations assigned to it belong to.
+
+    Parameters
+    ----------
+    reprojection_error
+        root mean square distance between estimated points and the noise-free ones that they stand for, over
+        all frames and estimated points, visible or not, in the truth's unit of length.
+    shape_error
+        root mean square distance in space, over estimated points, after the affine map of the estimated
+        shape that makes it smallest; NaN where there is no shape.
+    n_points
+        estimated points.
+    n_spurious
+        those beyond one for every true point that is represented.
+    n_missing
+        true points for which no estimated point stands.
+    n_rejected
+        tracks that belong to no estimated point.
+    purity
+        share of the estimated points all of whose observations are of one true point.
+    """
+
+    reprojection_error: float
+    shape_error: float
+    n_points: int
+    n_spurious: int
+    n_missing: int
+    n_rejected: int
+    purity: float
+
+
+def score_structure(
+    positions: Numbers, shape: Numbers | None, point_of_track: NDArray[np.int64], truth: Cylinder
+) -> StructureScores:
+    """Compare a reconstruction from `truth.tracks()` with the truth.
+
+    Parameters
+    ----------
+    positions
+        `(n_frames, n_estimated, 2)` of every estimated point in every frame, in the truth's unit of length.
+    shape
+        `(n_estimated, 3)` up to an affine map; `None` where none was found.
+    point_of_track
+        `(n_tracks,)`: the estimated point to which each track was assigned, `REJECTED` for none.
+    truth
+        the generated sequence.
+
+    Raises
+    ------
+    ValueError
+        if the arrays do not fit each other or the truth.
+    """
+    n_frames, n_true = truth.visible.shape
+    n_estimated = positions.shape[1] if positions.ndim == 3 else -1
+    if positions.shape != (n_frames, n_estimated, 2):
+        raise ValueError(f"positions: got {positions.shape}, expected ({n_frames}, n_estimated, 2)")
+    if shape is not None and shape.shape != (n_estimated, 3):
+        raise ValueError(f"shape: got {shape.shape}, expected ({n_estimated}, 3)")
+    if point_of_track.shape != truth.point_of_track.shape:
+        raise ValueError(
+            f"point_of_track: got {point_of_track.shape}, expected {truth.point_of_track.shape}, "
+            "one point for every track"
+        )
+    if len(point_of_track) and not (REJECTED <= point_of_track.min() <= point_of_track.max() < n_estimated):
+        raise ValueError(
+            f"point_of_track: got {point_of_track.min()} to {point_of_track.max()}, "
+            f"expected {REJECTED} to {n_estimated - 1}"
+        )
+
+    counts = np.zeros((n_estimated, n_true), np.int64)  # observations of true points in estimated ones
+    taken = point_of_track != REJECTED
+    lengths = np.count_nonzero(~np.isnan(truth.tracks()[:, :, 0]), axis=0)
+    np.add.at(counts, (point_of_track[taken], truth.point_of_track[taken]), lengths[taken])
+    backed = counts.any(axis=1)
+    stands_for = counts.argmax(axis=1)[backed]
+
+    error = positions[:, backed] - truth.positions[:, stands_for]
+    shape_error = np.nan
+    if shape is not None and backed.any():
+        shape_error = affine_alignment(shape[backed], truth.shape[stands_for]).error
+    n_represented = len(np.unique(stands_for))
+    return StructureScores(
+        reprojection_error=_root_mean(np.square(error).sum(axis=2)),
+        shape_error=shape_error,
+        n_points=n_estimated,
+        n_spurious=n_estimated - n_represented,
+        n_missing=n_true - n_represented,
+        n_rejected=int(np.count_nonzero(~taken)),
+        purity=float(np.mean(np.count_nonzero(counts, axis=1) == 1)) if n_estimated else np.nan,
+    )
+
+
+def _root_mean(squares: Numbers) -> float:
+    return float(np.sqrt(squares.mean())) if squares.size else np.nan

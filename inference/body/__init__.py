@@ -1,0 +1,1 @@
+"""Samples of a body's pose: dynamics, proposals, tempering."""

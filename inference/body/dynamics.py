@@ -1,0 +1,254 @@
+"""How a person's upper body moves from frame to frame: p(x_t | x_t-1), to draw from and to evaluate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.body.inverse_kinematics import arm_at
+from ...models.body.kernels.kinematics import lean
+from ...models.body.poses import BodyPoses
+from ...models.body.upper_body import UpperBody
+from .kernels.dynamics import least_squares_to_rows, mixture_values
+
+Array = NDArray[np.float64]
+
+SPHERE = 4 * np.pi
+
+USUAL_UPPER_ARMS = np.array([[0.2, 0.9, -0.35], [-0.2, 0.9, -0.35]])
+USUAL_UPPER_ARMS /= np.linalg.norm(USUAL_UPPER_ARMS, axis=1, keepdims=True)
+USUAL = 2.0
+"""Middle and concentration of a person's upper arms: mostly they hang down."""
+
+CROSSED = 1.5
+"""Nats by which it is less probable in a frame that hands are on the other's side by a head's height."""
+
+LEAST_FLOOR = 1e-15
+"""Of an arm's density by its peak: the product of two is still a number of single precision."""
+
+MOST_JUMPS = 1 - 1e-6
+"""Chance of a jump in however long a time: densities are relative to those of arms that have not jumped."""
+
+
+@dataclass(frozen=True)
+class BodyDynamics:
+    """A random walk of the place and of the direction of every segment, in which an arm may also jump.
+
+    The place moves like a Gaussian, the neck's rotations like a Gaussian that returns to rest. An arm with
+    its four rotations is a pair of directions, of upper arm and forearm; each moves like von Mises and
+    Fisher's density on the sphere, so that there is no pole at which a rotation's angles jump, and samples
+    are drawn from exactly the density that is evaluated. Now and then an arm goes anywhere, more often than
+    arms do: that is how often one has to be found again of which the tracker was mistaken.
+
+    Densities count unusual postures for less (`log_posture`), which draws do not. What the joints do not
+    allow is drawn and has a density all the same: who asks has to leave it out (`UpperBody.allowed`). What is
+    lost in both ways is not made up for.
+
+    Parameters
+    ----------
+    body
+        whose lengths give the scale.
+    place
+        head heights after one second, standard deviation of each coordinate.
+    neck
+        rad, standard deviation of each rotation in the long run.
+    neck_time
+        s, in which a rotation of the neck is forgotten.
+    upper_arm, forearm
+        rad after one second, standard deviation of a direction about each of two axes.
+    jumps
+        of an arm, in one second.
+    exchanges
+        in one second, of left and right hand: how often they turn out to have been taken for each other.
+    """
+
+    body: UpperBody
+    place: float = 0.3
+    neck: float = 0.25
+    neck_time: float = 1.0
+    upper_arm: float = 0.6
+    forearm: float = 1.0
+    jumps: float = 2.0
+    exchanges: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("place", "neck", "neck_time", "upper_arm", "forearm"):
+            value = getattr(self, name)
+            if not 0 < value < np.inf:
+                raise ValueError(f"{name}: got {value}, expected more than 0")
+        for name in ("jumps", "exchanges"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name}: got {getattr(self, name)} a second, expected 0 or more")
+
+    def draw(self, poses: BodyPoses, dt: float, random: np.random.Generator) -> BodyPoses:
+        """Move every pose by `dt` seconds at random."""
+        n = len(poses)
+        place, neck, kept, concentrations, jump = self._rates(dt)
+        roots = poses.roots + place * random.standard_normal((n, 2))
+        necks = kept * poses.necks + neck * random.standard_normal((n, 3))
+        arms = np.stack(
+            [around(poses.arms[:, :, part], concentrations[part], random) for part in (0, 1)], axis=2
+        )
+        jumping = random.random((n, 2)) < jump
+        arms[jumping] = usual_arms(n, random)[jumping]
+        return BodyPoses(roots, necks, arms)
+
+    def log_density(self, poses: BodyPoses, ancestors: BodyPoses, weights: Array, dt: float) -> Array:
+        """Log of the mixture of p(x | ancestor) over ancestors, for every pose, with `log_posture`.
+
+        Density in px^2 of the place, rad^3 of the neck's rotations and solid angle of the four directions.
+        The sum is taken relative to its largest place, and an arm's factor has a floor, so that nothing
+        underflows. The cost is the number of poses times that of ancestors.
+
+        Parameters
+        ----------
+        poses
+            n of them.
+        ancestors
+            k of them.
+        weights
+            `(k,)`, with sum 1.
+        dt
+            seconds between them.
+
+        Returns
+        -------
+        ndarray
+            `(n,)` nats.
+        """
+        place, neck, kept, concentrations, jump = self._rates(dt)
+        origin = ancestors.roots.mean(axis=0)
+        here = np.concatenate([(poses.roots - origin) / place, poses.necks / neck], axis=1)
+        there = np.concatenate([(ancestors.roots - origin) / place, kept * ancestors.necks / neck], axis=1)
+        peak = (1 - jump) * _peak(concentrations).prod()
+        jumped = jump * np.exp(_log_usual(poses.arms))
+        floors = np.maximum(jumped / peak, LEAST_FLOOR).astype(np.float32)
+        body, rows = here.astype(np.float32), np.ascontiguousarray(there.T, np.float32)
+        least = np.empty(len(poses), np.float32)
+        least_squares_to_rows(body, rows, least)
+        values = np.empty(len(poses), np.float32)
+        mixture_values(
+            body, rows, least,
+            poses.arms.reshape(-1, 12).astype(np.float32),
+            np.ascontiguousarray(ancestors.arms.reshape(-1, 12).T, np.float32),
+            weights.astype(np.float32), concentrations.astype(np.float32),
+            floors, values,
+        )  # fmt: skip
+        gaussian = -np.log(2 * np.pi * place**2) - 1.5 * np.log(2 * np.pi * neck**2)
+        walk = gaussian + 2 * np.log(peak) + np.log(values.astype(np.float64)) - 0.5 * least
+        return np.asarray(walk + self.log_posture(poses))
+
+    def log_posture(self, poses: BodyPoses) -> Array:
+        """`(n,)` nats, at most 0: how much less usual a posture is than one with each hand on its own side.
+
+        Hands change places seldom and not for long; where they cannot be told apart, this decides.
+        """
+        hands = self.body.parts(poses)[:, 1:, 0]
+        across = (hands[:, 1] - hands[:, 0]) / self.body.head_height
+        return np.asarray(-CROSSED * np.clip(across, 0, 1))
+
+    def with_exchanged(
+        self, poses: BodyPoses, weights: Array, dt: float, random: np.random.Generator
+    ) -> tuple[BodyPoses, Array]:
+        """Weighted poses, and the same with each hand where the other one was, as far as that is possible.
+
+        An exchanged arm has its elbow anywhere on the circle on which it can be. The weight of a pose is
+        divided between the two.
+        """
+        if not self.exchanges:
+            return poses, weights
+        joints = self.body.joints(poses)
+        arms = np.empty_like(poses.arms)
+        within = np.ones(len(poses), np.bool_)
+        for side in (0, 1):
+            offsets = joints[:, 7 - 3 * side] - joints[:, 2 + 3 * side]
+            arms[:, side], reached = arm_at(
+                self.body, side, offsets, random.uniform(-np.pi, np.pi, len(poses))
+            )
+            within &= reached
+        exchanged = BodyPoses(poses.roots, poses.necks, arms)
+        chosen = np.flatnonzero(within)
+        chosen = chosen[self.body.allowed(exchanged.take(chosen))]
+        share = float(-np.expm1(-self.exchanges * dt))
+        own = weights.copy()
+        own[chosen] *= 1 - share
+        return (
+            BodyPoses.concatenated([poses, exchanged.take(chosen)]),
+            np.concatenate([own, share * weights[chosen]]),
+        )
+
+    def draw_anywhere(self, n: int, size: tuple[int, int], random: np.random.Generator) -> BodyPoses:
+        """`n` poses of somebody of whom only is known that the picture of `size` (height, width) shows them.
+
+        Poses are drawn again until the joints allow them.
+        """
+        height, width = size
+        roots = random.random((n, 2)) * (width, height)
+        poses = BodyPoses(roots, np.zeros((n, 3)), np.empty((n, 2, 2, 3)))
+        wrong = np.arange(n)
+        while len(wrong):
+            poses.necks[wrong] = self.neck * random.standard_normal((len(wrong), 3))
+            poses.arms[wrong] = usual_arms(len(wrong), random)
+            wrong = wrong[~self.body.allowed(poses.take(wrong))]
+        return poses
+
+    def log_density_anywhere(self, poses: BodyPoses, size: tuple[int, int]) -> Array:
+        """`(n,)` log density of `draw_anywhere` times that of the posture, but for a constant factor."""
+        height, width = size
+        square = (poses.necks**2).sum(axis=1) / self.neck**2
+        place = -np.log(float(height) * width)
+        neck = -1.5 * np.log(2 * np.pi * self.neck**2) - 0.5 * square
+        return np.asarray(place + neck + _log_usual(poses.arms).sum(axis=1) + self.log_posture(poses))
+
+    def neck_step(self, dt: float) -> tuple[float, float]:
+        """Share of a neck's rotation left after `dt` seconds, and standard deviation of what comes."""
+        kept = float(np.exp(-dt / self.neck_time))
+        return kept, self.neck * float(np.sqrt(-np.expm1(-2 * dt / self.neck_time)))
+
+    def _rates(self, dt: float) -> tuple[float, float, float, Array, float]:
+        """Standard deviations of place (px) and neck, share of the neck kept, concentrations, jumps."""
+        kept, neck = self.neck_step(dt)
+        place = self.place * self.body.head_height * float(np.sqrt(dt))
+        concentrations = 1 / (np.array([self.upper_arm, self.forearm]) ** 2 * dt)
+        jump = min(float(-np.expm1(-self.jumps * dt)), MOST_JUMPS)
+        return place, neck, kept, concentrations, jump
+
+
+def around(directions: Array, concentration: float, random: np.random.Generator) -> Array:
+    """Draw unit vectors from von Mises and Fisher's density about `directions`, `(..., 3)`.
+
+    On the sphere the cosine to the middle has an inverse distribution in closed form.
+    """
+    shape = directions.shape[:-1]
+    share = random.random(shape)
+    cosine = 1 + np.log(share + (1 - share) * np.exp(-2 * concentration)) / concentration
+    turns = 2 * np.pi * random.random(shape)
+    drawn = np.empty((*shape, 3))
+    lean(directions.reshape(-1, 3), cosine.reshape(-1), turns.reshape(-1), drawn.reshape(-1, 3))
+    return drawn
+
+
+def usual_arms(n: int, random: np.random.Generator) -> Array:
+    """`(n, 2, 2, 3)`: arms of which nothing is known but that upper arms mostly hang down."""
+    arms = np.empty((n, 2, 2, 3))
+    arms[:, :, 0] = around(np.broadcast_to(USUAL_UPPER_ARMS, (n, 2, 3)), USUAL, random)
+    arms[:, :, 1] = anywhere((n, 2), random)
+    return arms
+
+
+def _log_usual(arms: Array) -> Array:
+    """`(n, 2)`: log density of each arm of `usual_arms`."""
+    cosines = (arms[:, :, 0] * USUAL_UPPER_ARMS).sum(axis=2)
+    return np.asarray(USUAL * (cosines - 1) + np.log(_peak(USUAL)) - np.log(SPHERE))
+
+
+def _peak(concentrations: Array | float) -> Array:
+    """Von Mises and Fisher's density at its middle."""
+    return np.asarray(concentrations / (2 * np.pi * -np.expm1(-2 * np.asarray(concentrations))))
+
+
+def anywhere(shape: tuple[int, ...], random: np.random.Generator) -> Array:
+    """Unit vectors `(*shape, 3)`, evenly over the sphere."""
+    drawn = random.standard_normal((*shape, 3))
+    drawn /= np.sqrt(np.einsum("...x,...x->...", drawn, drawn))[..., None]
+    return drawn

@@ -1,0 +1,1 @@
+"""Compiled densities of a body's dynamics."""

@@ -1,0 +1,125 @@
+"""Densities of mixtures over many previous poses of a body, each new pose against each previous one."""
+
+import numpy as np
+
+from ....models.numerics.compiled import compiled, exponential
+
+_f4 = np.float32
+
+
+@compiled
+def _squares_to_rows(point, rows, squares):
+    """Squared distances `(k,)` of a point `(d,)` to rows `(d, k)`, axis after axis for vector units."""
+    squares[:] = _f4(0.0)
+    for axis in range(len(rows)):
+        place, row = point[axis], rows[axis]
+        for j in range(len(squares)):
+            step = place - row[j]
+            squares[j] += step * step
+
+
+@compiled
+def least_squares_to_rows(points, rows, least):
+    """For each point `(n, d)` the least squared distance to any row `(d, k)`, filled into `least`."""
+    squares = np.empty(rows.shape[1], np.float32)
+    for i in range(len(points)):
+        _squares_to_rows(points[i], rows, squares)
+        best = _f4(3e38)
+        for j in range(len(squares)):
+            best = min(best, squares[j])
+        least[i] = best
+
+
+@compiled
+def mixture_values(body, ancestors, least, arms, ancestor_arms, weights, concentrations, floors, values):
+    """Sum over ancestors of weight, Gaussian of the body's place and the kernels of both arms.
+
+    Parameters
+    ----------
+    body, ancestors
+        `(n, d)`, `(d, k)`: what moves like a Gaussian, in units in which half the squared distance is the
+        exponent.
+    least
+        `(n,)`: smallest squared distance of each; exponents are taken relative to it.
+    arms, ancestor_arms
+        `(n, 12)`, `(12, k)`: unit vectors, left upper arm, left forearm, right upper arm, right forearm.
+    weights
+        `(k,)` of the ancestors.
+    concentrations
+        `(2,)` of von Mises and Fisher's density, of upper arms and forearms.
+    floors
+        `(n, 2)`: density of an arm that jumped, by the peak of that of one that did not.
+    values
+        `(n,)` filled in.
+    """
+    k = ancestors.shape[1]
+    upper, fore = concentrations[0], concentrations[1]
+    squares = np.empty(k, np.float32)
+    for i in range(len(body)):
+        _squares_to_rows(body[i], ancestors, squares)
+        total = _f4(0.0)
+        a0, a1, a2 = arms[i, 0], arms[i, 1], arms[i, 2]
+        a3, a4, a5 = arms[i, 3], arms[i, 4], arms[i, 5]
+        b0, b1, b2 = arms[i, 6], arms[i, 7], arms[i, 8]
+        b3, b4, b5 = arms[i, 9], arms[i, 10], arms[i, 11]
+        nearest, floor, floor_2 = least[i], floors[i, 0], floors[i, 1]
+        for j in range(k):
+            place = exponential(_f4(-0.5) * (squares[j] - nearest))
+            left = upper * (
+                a0 * ancestor_arms[0, j] + a1 * ancestor_arms[1, j] + a2 * ancestor_arms[2, j] - _f4(1.0)
+            ) + fore * (
+                a3 * ancestor_arms[3, j] + a4 * ancestor_arms[4, j] + a5 * ancestor_arms[5, j] - _f4(1.0)
+            )
+            right = upper * (
+                b0 * ancestor_arms[6, j] + b1 * ancestor_arms[7, j] + b2 * ancestor_arms[8, j] - _f4(1.0)
+            ) + fore * (
+                b3 * ancestor_arms[9, j] + b4 * ancestor_arms[10, j] + b5 * ancestor_arms[11, j] - _f4(1.0)
+            )
+            one = exponential(min(left, _f4(0.0))) + floor
+            other = exponential(min(right, _f4(0.0))) + floor_2
+            total += weights[j] * place * one * other
+        values[i] = total
+
+
+@compiled
+def completion_values(necks, ancestor_necks, least, hidden, ancestor_hidden, weights, floors, values):
+    """Density with which neck and hidden coordinates of both arms were drawn around the ancestors.
+
+    Parameters
+    ----------
+    necks, ancestor_necks, least
+        `(n, 3)`, `(3, k)`, `(n,)`: as `body` of `mixture_values`.
+    hidden, ancestor_hidden
+        `(n, 6)`, `(6, k)`: per arm the hand's depth in standard deviations, and cosine and sine of the
+        swivel times the root of its concentration.
+    weights
+        `(k,)` of the ancestors.
+    floors
+        `(n, 2)`: density of drawing an arm's coordinates anywhere, by that of the peak near an ancestor.
+    values
+        `(n,)` filled in.
+    """
+    n = len(necks)
+    k = len(weights)
+    for i in range(n):
+        total = _f4(0.0)
+        depth, cosine, sine = hidden[i, 0], hidden[i, 1], hidden[i, 2]
+        depth_2, cosine_2, sine_2 = hidden[i, 3], hidden[i, 4], hidden[i, 5]
+        n0, n1, n2 = necks[i, 0], necks[i, 1], necks[i, 2]
+        nearest, floor, floor_2 = least[i], floors[i, 0], floors[i, 1]
+        for j in range(k):
+            s0 = n0 - ancestor_necks[0, j]
+            s1 = n1 - ancestor_necks[1, j]
+            s2 = n2 - ancestor_necks[2, j]
+            near = exponential(_f4(-0.5) * (s0 * s0 + s1 * s1 + s2 * s2 - nearest))
+            # of two vectors of one length, half the squared distance is that length squared less the product
+            x = depth - ancestor_hidden[0, j]
+            y = cosine - ancestor_hidden[1, j]
+            z = sine - ancestor_hidden[2, j]
+            left = exponential(_f4(-0.5) * (x * x + y * y + z * z))
+            x = depth_2 - ancestor_hidden[3, j]
+            y = cosine_2 - ancestor_hidden[4, j]
+            z = sine_2 - ancestor_hidden[5, j]
+            right = exponential(_f4(-0.5) * (x * x + y * y + z * z))
+            total += weights[j] * near * (left + floor) * (right + floor_2)
+        values[i] = total

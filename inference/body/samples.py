@@ -1,0 +1,223 @@
+"""Samples of an upper body's pose with their weights: the state of every chain that tracks one by samples."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.body.parts import PartMessage
+from ...models.body.poses import BodyPoses
+from ...models.body.upper_body import PARTS, UpperBody
+from ...models.core.gaussian_mixtures import GaussianMixtures
+from ..filters.resampling import normalised, systematic
+from .dynamics import BodyDynamics
+
+Array = NDArray[np.float64]
+
+MOST_ANCESTORS = 500
+"""Poses of the frame before of which the temporal prior is a mixture, beside at most as many with exchanged
+hands: the cost of a frame is their number times that of the samples, and so in proportion to the latter."""
+
+MISTAKEN = 0.2
+"""Chance that a part is where the samples do not expect it, as others are told."""
+
+A_MOMENT = 0.04
+"""s: poses to start from are as uncertain as after so long a time."""
+
+LONGEST = 60.0
+"""s: after so long without a frame no more is forgotten of a pose."""
+
+LEAST_SPREAD = 1.0
+"""px: standard deviation that is added to a part's, since samples may coincide."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodySamples:
+    """Weighted poses.
+
+    Parameters
+    ----------
+    poses
+        n of them.
+    log_weights
+        `(n,)`, of weights that sum to 1.
+    ancestors, ancestor_weights
+        of a prediction, poses of the frame before, and some of them with exchanged hands, and their weights
+        `(k,)`; `poses` are draws of their mixture. `None` in a posterior, before the first frame, and where
+        they are not kept.
+    elapsed
+        s, between the ancestors and this prediction.
+    size
+        `(height, width)` px of the picture.
+    log_evidence
+        nats: log of the mean likelihood of the frame, up to a constant; 0 without an image.
+    stationary
+        whether the frame said nothing of any part, so that the poses are only predicted.
+    random
+        generator of the draws to come.
+    """
+
+    poses: BodyPoses
+    log_weights: Array
+    ancestors: BodyPoses | None
+    ancestor_weights: Array | None
+    elapsed: float
+    size: tuple[int, int]
+    log_evidence: float
+    stationary: bool
+    random: np.random.Generator
+
+    @cached_property
+    def weights(self) -> Array:
+        """`(n,)`, with sum 1."""
+        return np.exp(normalised(self.log_weights))
+
+    @property
+    def effective(self) -> float:
+        """Number of equally weighted samples that would say as much."""
+        return float(1 / (self.weights**2).sum())
+
+    def drawn(self, n: int, random: np.random.Generator) -> BodyPoses:
+        """`n` poses of equal weight, drawn systematically."""
+        return self.poses.take(systematic(self.log_weights, n, random))
+
+    def reweighed(self, log_factors: Array) -> Self:
+        """With weights multiplied by factors, whose mean is the evidence."""
+        log_weights = self.log_weights + log_factors
+        peak = float(log_weights.max())
+        if not np.isfinite(peak):  # nothing fits: the prediction is kept
+            return self
+        evidence = peak + float(np.log(np.exp(log_weights - peak).sum()))
+        return replace(
+            self,
+            log_weights=log_weights - evidence,
+            ancestors=None,
+            ancestor_weights=None,
+            log_evidence=evidence,
+            stationary=False,
+        )
+
+
+def first(
+    dynamics: BodyDynamics,
+    n: int,
+    size: tuple[int, int],
+    random: np.random.Generator,
+    start: BodyPoses | None = None,
+) -> BodySamples:
+    """`n` poses at the first frame: about those of `start`, as if these were from a moment before, or else
+    those of a person of whom only is known that the picture of `size` (height, width) shows them."""
+    even = np.full(n, -np.log(n))
+    if start is None:
+        poses = dynamics.draw_anywhere(n, size, random)
+        return BodySamples(poses, even, None, None, 0.0, size, 0.0, True, random)
+    share = np.full(len(start), 1 / len(start))
+    poses = dynamics.draw(start.take(np.arange(n) % len(start)), A_MOMENT, random)
+    return BodySamples(poses, even, start, share, A_MOMENT, size, 0.0, True, random)
+
+
+def predicted(dynamics: BodyDynamics, state: BodySamples, n: int, dt: float) -> BodySamples:
+    """`n` draws of the dynamics around the poses of `state`, `dt` seconds on (mu_{X(t-1) -> X(t)}).
+
+    Hands may be exchanged before (`with_exchanged`). What joints do not allow has no weight, and unusual
+    postures have little.
+    """
+    dt = min(dt, LONGEST)
+    random = copy.deepcopy(state.random)
+    chosen, counts = np.unique(systematic(state.log_weights, MOST_ANCESTORS, random), return_counts=True)
+    ancestors, weights = dynamics.with_exchanged(
+        state.poses.take(chosen), counts / MOST_ANCESTORS, dt, random
+    )
+    drawn = systematic(np.log(weights), n, random)
+    poses = dynamics.draw(ancestors.take(drawn), dt, random)
+    possible = np.where(dynamics.body.allowed(poses), dynamics.log_posture(poses), -np.inf)
+    return replace(
+        state,
+        poses=poses,
+        log_weights=normalised(possible),
+        ancestors=ancestors,
+        ancestor_weights=weights,
+        elapsed=dt,
+        random=random,
+    )
+
+
+def stationary(state: BodySamples, log_factors: Array) -> BodySamples:
+    """The prediction as the posterior of a frame that says nothing, weighted by what others tell."""
+    after = state.reweighed(log_factors)
+    return replace(after, ancestors=None, ancestor_weights=None, log_evidence=0.0, stationary=True)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMoments:
+    """Means and covariances of weighted poses.
+
+    Parameters
+    ----------
+    joints, joint_covariances
+        `(8, 3)` px and `(8, 3, 3)` px^2, in the order of `models.upper_body.JOINTS`.
+    angles, angle_covariances
+        `(13,)` and `(13, 13)`, px and rad, of `BodyPoses.angles`.
+    """
+
+    joints: Array
+    joint_covariances: Array
+    angles: Array
+    angle_covariances: Array
+
+
+def moments(body: UpperBody, samples: BodySamples) -> BodyMoments:
+    """Means and covariances of joints and angles."""
+    weights = samples.weights
+    joints = body.joints(samples.poses)
+    mean = np.einsum("n,njx->jx", weights, joints)
+    apart = joints - mean
+    covariance = np.einsum("n,njx,njy->jxy", weights, apart, apart)
+    angles = samples.poses.angles
+    typical = weights @ angles
+    away = angles - typical
+    return BodyMoments(mean, covariance, typical, np.einsum("n,na,nb->ab", weights, away, away))
+
+
+def part_message(body: UpperBody, poses: BodyPoses, weights: Array, groups: int) -> PartMessage:
+    """What weighted poses say of the parts: for each a mixture of a few Gaussians, which integrates to 1.
+
+    Along the direction in which a part is most uncertain the poses are cut into `groups` of equal numbers;
+    each becomes a Gaussian with its moments, so that those of the whole stay what they are. A broad one is
+    added: samples of somebody who is mistaken know nothing of it.
+    """
+    places = body.parts(poses)
+    reach = 0.5 * (body.upper_arm + body.forearm)
+    broad = np.square([body.head_height, reach, reach])
+    log_weights: list[Array] = []
+    means: list[Array] = []
+    covariances: list[Array] = []
+    for part in range(len(PARTS)):
+        masses, centres, spreads = _grouped(places[:, part], weights, groups)
+        log_weights.append(np.append(masses + np.log1p(-MISTAKEN), np.log(MISTAKEN)))
+        means.append(np.concatenate([centres, (weights @ places[:, part])[None]]))
+        covariances.append(np.concatenate([spreads, broad[part] * np.eye(2)[None]]))
+    return PartMessage(GaussianMixtures.of_parts(log_weights, means, covariances))
+
+
+def _grouped(places: Array, weights: Array, groups: int) -> Sequence[Array]:
+    mean = weights @ places
+    apart = places - mean
+    axes = np.linalg.eigh((weights[:, None] * apart).T @ apart)[1]
+    order = np.argsort(apart @ axes[:, 1], kind="stable")
+    n = len(order) // groups * groups
+    # the few that are left over go to the last group
+    numbers = np.minimum(np.arange(len(order)) // max(n // groups, 1), groups - 1)
+    membership = np.zeros((groups, len(order)))
+    membership[numbers, order] = weights[order]
+    mass = membership.sum(axis=1)
+    used = mass > 0
+    share = membership[used] / mass[used, None]
+    means = share @ places
+    steps = places - means[:, None]
+    covariances = np.einsum("gn,gnx,gny->gxy", share, steps, steps) + LEAST_SPREAD**2 * np.eye(2)
+    return np.log(mass[used]), means, covariances

@@ -1,0 +1,177 @@
+"""Weighted poses made even by tempering and moving them: samples of a posterior that has narrow peaks.
+
+Del Moral, Doucet and Jasra, "Sequential Monte Carlo samplers" (2006), after Gilks and Berzuini's
+resample-move (2001). The RSMCM paper weighs its samples once; with a sharp likelihood few of a thousand would
+be left.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.body.inverse_kinematics import arm_at, log_volume, swivels
+from ...models.body.poses import BodyPoses
+from ..filters.resampling import normalised, systematic
+from .dynamics import BodyDynamics, around
+
+Array = NDArray[np.float64]
+LogDensity = Callable[[BodyPoses], Array]
+
+KEPT = 0.3
+"""Effective share of the samples that a step of tempering leaves."""
+
+MOST_STEPS = 3
+"""Of tempering; the last one goes all the way."""
+
+MOVES = 2
+"""Metropolis moves of every sample after each step."""
+
+SCALES = (0.1, 0.25, 0.6, 1.2)
+"""Sizes of moves over those of the dynamics in the time of one frame: any of them, since peaks are as narrow
+as the image makes them."""
+
+A_FRAME = 0.04
+"""s"""
+
+BLOCKS = 5
+"""What moves at a time: place and neck; left or right arm; either arm while its hand is seen where it was."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tempered:
+    """Samples of the posterior.
+
+    Parameters
+    ----------
+    poses
+        n of them.
+    log_weights
+        `(n,)`, normalised.
+    log_evidence
+        log of the mean of the likelihood under the prior, in units of the weights that came in.
+    accepted
+        share of moves.
+    """
+
+    poses: BodyPoses
+    log_weights: Array
+    log_evidence: float
+    accepted: float
+
+
+def temper(
+    dynamics: BodyDynamics,
+    poses: BodyPoses,
+    log_weights: Array,
+    log_prior: LogDensity,
+    log_likelihood: LogDensity,
+    n: int,
+    random: np.random.Generator,
+) -> Tempered:
+    """Bring samples from the prior to the posterior in a few steps.
+
+    In each, the likelihood is taken to a power b that grows to 1, by as much as leaves enough samples with
+    weight; they are drawn again and moved by Metropolis steps that keep prior times likelihood^b as it is.
+
+    Parameters
+    ----------
+    poses, log_weights
+        any number of samples, and what makes them samples of the prior.
+    log_prior
+        of the poses, up to a constant; minus infinity where a pose is impossible.
+    log_likelihood
+        likewise.
+    n
+        samples that are left.
+    """
+    likelihood, prior = log_likelihood(poses), log_prior(poses)
+    power, evidence, moves, accepted = 0.0, 0.0, 0, 0
+    for step in range(MOST_STEPS):
+        rest = 1 - power
+        rise = rest if step == MOST_STEPS - 1 else _rise(log_weights, likelihood, rest)
+        power += rise
+        log_weights = log_weights + rise * likelihood
+        peak = float(log_weights.max())
+        evidence += peak + float(np.log(np.exp(log_weights - peak).mean()))
+        if power >= 1 and len(poses) == n and _effective(log_weights) > KEPT * n:
+            return Tempered(poses, normalised(log_weights), evidence, accepted / max(moves, 1))
+        chosen = systematic(log_weights, n, random)
+        poses, likelihood, prior = poses.take(chosen), likelihood[chosen], prior[chosen]
+        log_weights = np.zeros(n)
+        for _ in range(MOVES):
+            moved, correction = _moved(dynamics, poses, random)
+            new_prior = log_prior(moved)
+            possible = np.flatnonzero(np.isfinite(new_prior) & np.isfinite(correction))
+            new_likelihood = np.full(n, -np.inf)
+            new_likelihood[possible] = log_likelihood(moved.take(possible))
+            gain = np.full(n, -np.inf)
+            gain[possible] = (
+                new_prior[possible]
+                - prior[possible]
+                + power * (new_likelihood[possible] - likelihood[possible])
+                + correction[possible]
+            )
+            takes = np.log(random.random(n)) < gain
+            poses = BodyPoses(
+                np.where(takes[:, None], moved.roots, poses.roots),
+                np.where(takes[:, None], moved.necks, poses.necks),
+                np.where(takes[:, None, None, None], moved.arms, poses.arms),
+            )
+            likelihood = np.where(takes, new_likelihood, likelihood)
+            prior = np.where(takes, new_prior, prior)
+            moves, accepted = moves + n, accepted + int(np.count_nonzero(takes))
+        if power >= 1:
+            break
+    return Tempered(poses, np.full(n, -np.log(n)), evidence, accepted / max(moves, 1))
+
+
+def _effective(log_weights: Array) -> float:
+    weights = np.exp(log_weights - log_weights.max())
+    return float(weights.sum() ** 2 / (weights**2).sum())
+
+
+def _rise(log_weights: Array, likelihood: Array, most: float) -> float:
+    """How much the power may rise, at most `most`, by bisection."""
+    wanted = min(KEPT * len(likelihood), 0.5 * _effective(log_weights))
+    if _effective(log_weights + most * likelihood) >= wanted:
+        return most
+    low, high = 0.0, most
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        if _effective(log_weights + middle * likelihood) >= wanted:
+            low = middle
+        else:
+            high = middle
+    return max(low, 0.02 * most)
+
+
+def _moved(dynamics: BodyDynamics, poses: BodyPoses, random: np.random.Generator) -> tuple[BodyPoses, Array]:
+    """Each pose changed in one of the blocks, and the log of what makes the change symmetric (`(n,)`)."""
+    n, body = len(poses), dynamics.body
+    block = random.integers(BLOCKS, size=n)
+    scale = np.array(SCALES)[random.integers(len(SCALES), size=n)]
+    pace = np.sqrt(A_FRAME)
+    roots, necks, arms = poses.roots.copy(), poses.necks.copy(), poses.arms.copy()
+    correction = np.zeros(n)
+    whole = np.flatnonzero(block == 0)
+    size = scale[whole, None]
+    roots[whole] += size * dynamics.place * body.head_height * pace * random.standard_normal((len(whole), 2))
+    necks[whole] += size * dynamics.neck * pace * random.standard_normal((len(whole), 3))
+    for side in (0, 1):
+        free = np.flatnonzero(block == 1 + side)
+        for part, rate in enumerate((dynamics.upper_arm, dynamics.forearm)):
+            spread = scale[free] * rate * pace
+            arms[free, side, part] = around(arms[free, side, part], 1 / spread**2, random)
+        kept = np.flatnonzero(block == 3 + side)
+        size = scale[kept] * pace
+        offsets = body.upper_arm * arms[kept, side, 0] + body.forearm * arms[kept, side, 1]
+        angles = swivels(side, arms[kept, side], body)
+        angles = angles + 2 * dynamics.upper_arm * size * random.standard_normal(len(kept))
+        before = log_volume(body, offsets)
+        reach = np.hypot(body.upper_arm * dynamics.upper_arm, body.forearm * dynamics.forearm)
+        offsets[:, 2] += reach * size * random.standard_normal(len(kept))
+        arms[kept, side], within = arm_at(body, side, offsets, angles)
+        correction[kept] = np.where(within, before - log_volume(body, offsets), -np.inf)
+    return BodyPoses(roots, necks, arms), correction

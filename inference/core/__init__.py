@@ -1,0 +1,1 @@
+"""What chains and features promise, the graph of them, and the two engines."""

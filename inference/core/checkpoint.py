@@ -1,0 +1,239 @@
+"""Trees of dataclasses and arrays in one `.npz` file: never pickled, checked before it is written, atomic.
+
+Arrays are members of their own, named by their place in the tree; the member `skeleton` is JSON with all the
+rest, and `digest` the SHA-256 of both. Values are read by their declared kinds: dataclasses, `NDArray`,
+`int`, `float`, `bool`, `str`, `None`, `X | None`, `tuple[X, ...]`, `tuple[X, Y]`, `list[X]`, `dict[str, X]`,
+`dict[int, X]`, `numpy.random.Generator`, and `Any` or `object` for plain JSON, or an alias of one of these
+(`type X = ...`). A field of a dataclass whose metadata say `{"saved": False}` is left out, and is at its
+default when read. A nested mapping of names to kinds stands for a record without a class of its own, or
+`None` where it is not there yet.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.array_files import read_arrays
+
+FORMAT = "rsmcm state 2"
+EXPECTED = "expected a state that was saved here"
+SKELETON = "skeleton"
+DIGEST = "digest"
+"""Of everything else: loops compiled for speed trust the shapes and numbers of a state."""
+SCALARS = (int, float, bool, str, NoneType)
+GENERATORS = {
+    "PCG64": np.random.PCG64,
+    "PCG64DXSM": np.random.PCG64DXSM,
+    "MT19937": np.random.MT19937,
+    "Philox": np.random.Philox,
+    "SFC64": np.random.SFC64,
+}
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def save(path: str | Path, values: Mapping[str, Any], kinds: Mapping[str, Any]) -> None:
+    """Write `values`, which are of the given `kinds`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        if a value is not of its kind, so that it could not be read back.
+    OSError
+        if the file cannot be written; nothing is left behind and an older file stays as it was.
+    """
+    arrays: Arrays = {}
+    skeleton = json.dumps({"format": FORMAT, "values": _encode(values, arrays, "")})
+    _restore(json.loads(skeleton)["values"], kinds, arrays)
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with open(partial, "wb") as stream:
+            whole = {SKELETON: np.array(skeleton), **arrays}
+            np.savez(stream, allow_pickle=False, **whole, **{DIGEST: np.array(_digest(whole))})
+            stream.flush()
+            os.fsync(stream.fileno())  # a power cut right after the new name leaves no empty file
+        os.replace(partial, path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def load(path: str | Path, kinds: Mapping[str, Any]) -> dict[str, Any]:
+    """Read what `save` wrote with the same `kinds`.
+
+    Raises
+    ------
+    ValueError
+        in one line that names the file, if it is broken, of another format, or holds other things.
+    OSError
+        if the file cannot be opened.
+    """
+    values, arrays = _read(path)
+    try:
+        return _restore(values, kinds, arrays)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def load_plain(path: str | Path, name: str) -> Any:
+    """Read one value that is plain JSON, whatever the others are; `None` if there is none of that name.
+
+    Raises
+    ------
+    ValueError
+        in one line that names the file, if it is broken or of another format.
+    OSError
+        if the file cannot be opened.
+    """
+    return _read(path)[0].get(name)
+
+
+def _read(path: str | Path) -> tuple[dict[str, Any], Arrays]:
+    """The JSON of the values, and the arrays that it refers to."""
+    path = Path(path)
+    size = path.stat().st_size  # nothing is packed, so that a number takes a byte or more
+    arrays = read_arrays(path, EXPECTED, most=size)
+    try:
+        digest = str(arrays.pop(DIGEST, ""))
+        found = _digest(arrays)
+        content = json.loads(str(arrays.pop(SKELETON)))
+        form, values = content["format"], dict(content["values"])
+    except (KeyError, TypeError, ValueError, RecursionError):
+        raise ValueError(f"{path}: got other arrays than a state's, {EXPECTED}") from None
+    if form != FORMAT:
+        raise ValueError(f"{path}: got format {str(form)[:60]!r}, expected {FORMAT!r}")
+    if found != digest:
+        raise ValueError(f"{path}: got a state that was changed since it was saved, {EXPECTED}")
+    return values, arrays
+
+
+def _digest(arrays: Arrays) -> str:
+    """SHA-256 of names, types, shapes and contents."""
+    digest = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
+def _encode(value: Any, arrays: Arrays, place: str) -> Any:
+    """JSON for a value, whose arrays go to `arrays`."""
+    if isinstance(value, np.ndarray | np.generic):
+        # A numpy scalar stays one: a Python number would promote differently in the resumed run.
+        if value.dtype.hasobject:
+            raise TypeError(f"{place}: got an array of Python objects, expected numbers")
+        arrays[place] = np.asarray(value)
+        return {"array": place}
+    if isinstance(value, np.random.Generator):
+        return _encode(value.bit_generator.state, arrays, place)
+    if is_dataclass(value):
+        value = {name: getattr(value, name) for name in _saved_fields(value)}
+    if isinstance(value, Mapping):
+        return {key: _encode(item, arrays, _below(place, key)) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_encode(item, arrays, _below(place, index)) for index, item in enumerate(value)]
+    return value
+
+
+def _restore(data: Any, kinds: Mapping[str, Any], arrays: Arrays) -> dict[str, Any]:
+    """Decode everything; nothing may be left over."""
+    unread = dict(arrays)
+    values: dict[str, Any] = _decode(data, kinds, unread, "")
+    if unread:
+        raise ValueError(f"{next(iter(unread))}: got an array, expected plain JSON")
+    return values
+
+
+def _decode(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
+    """The value of a kind from its JSON and the arrays, which are taken out of `arrays`."""
+    kind = _without_aliases(kind)
+    origin, inner = get_origin(kind) or kind, get_args(kind)
+    is_array = isinstance(data, dict) and isinstance(data.get("array"), str) and data["array"] in arrays
+    if origin in (Any, object):
+        return data
+    if origin in (Union, UnionType) and len(inner) == 2 and NoneType in inner:
+        (present,) = (part for part in inner if part is not NoneType)
+        return None if data is None else _decode(data, present, arrays, place)
+    if origin is np.ndarray and is_array:
+        return arrays.pop(data["array"])
+    if origin in SCALARS and is_array and arrays[data["array"]].ndim == 0:
+        return arrays.pop(data["array"])[()]
+    if origin in SCALARS and (type(data) is origin or (origin is float and type(data) is int)):
+        return data
+    if origin is np.random.Generator and isinstance(data, dict) and data.get("bit_generator") in GENERATORS:
+        bits = GENERATORS[data["bit_generator"]](0)
+        bits.state = _decode(data, _kind_of(bits.state), arrays, place)
+        return np.random.Generator(bits)
+    if origin is dict and inner[0] in (str, int) and isinstance(data, dict):
+        key_kind, item_kind = inner
+        return {
+            key_kind(key): _decode(item, item_kind, arrays, _below(place, key)) for key, item in data.items()
+        }
+    if origin in (tuple, list) and isinstance(data, list):
+        parts = [inner[0]] * len(data) if origin is list or inner[-1] is Ellipsis else list(inner)
+        if len(parts) == len(data):
+            pairs = zip(data, parts, strict=True)
+            return origin(
+                _decode(item, part, arrays, _below(place, n)) for n, (item, part) in enumerate(pairs)
+            )
+    if isinstance(kind, Mapping) and data is None:
+        return None
+    if isinstance(kind, Mapping) or is_dataclass(origin):
+        return _decode_record(data, kind, arrays, place)
+    raise ValueError(f"{place}: got {str(data)[:40]!r}, expected {_spelled(kind)}")
+
+
+def _decode_record(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
+    if isinstance(kind, Mapping):
+        record, build = kind, dict
+    else:
+        hints = get_type_hints(kind)
+        record = {name: hints[name] for name in _saved_fields(kind)}
+        build = kind
+    found = data if isinstance(data, dict) else {}
+    if found.keys() != record.keys():
+        got, expected = (", ".join(names) or "nothing" for names in (found, record))
+        raise ValueError(f"{place or 'file'}: got {got}, expected {expected}")
+    return build(
+        **{name: _decode(found[name], part, arrays, _below(place, name)) for name, part in record.items()}
+    )
+
+
+def _saved_fields(kind: Any) -> list[str]:
+    """Names of a dataclass's fields that are saved."""
+    return [field.name for field in fields(kind) if field.init and field.metadata.get("saved", True)]
+
+
+def _without_aliases(kind: Any) -> Any:
+    """What an alias made by a `type` statement stands for (numpy's `NDArray` is one since 2.5)."""
+    while hasattr(kind, "__value__"):
+        given = dict(zip(kind.__type_params__, get_args(kind), strict=False))
+        kind = kind.__value__
+        if given:
+            kind = kind[tuple(given[parameter] for parameter in kind.__parameters__)]
+    return kind
+
+
+def _kind_of(value: Any) -> Any:
+    """Kind of a bit generator's state: nested dictionaries of numbers and, for some, arrays."""
+    return {name: _kind_of(part) for name, part in value.items()} if isinstance(value, dict) else type(value)
+
+
+def _below(place: str, key: object) -> str:
+    """Name of a part, without characters that a zip member's name cannot have."""
+    name = quote(str(key), safe="")
+    return f"{place}/{name}" if place else name
+
+
+def _spelled(kind: Any) -> str:
+    return str(getattr(kind, "__name__", kind)) if not get_args(kind) else str(kind)

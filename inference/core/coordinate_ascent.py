@@ -1,0 +1,440 @@
+"""Algorithm 2 of the RSMCM paper, coordinate ascent over whole sequences, for any number of chains."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import pairwise
+from math import inf
+from operator import mul
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.frame import Frame
+from . import checkpoint
+from .graph import MultiChain
+from .protocols import BatchChain, BatchIncoming, Message, name_of, require
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """How far the ascent has come.
+
+    Parameters
+    ----------
+    number
+        1 for the first.
+    objective
+        sum over the chains of the log density of their trajectories, and over all features and frames of the
+        log mass of the product of evidence and messages: the log of the model's density at the trajectories,
+        with the features integrated out, as far as messages are the exact p(F | X).
+    smoothed
+        names of the chains that were worked out anew; a chain that would hear the same again is not.
+    """
+
+    number: int
+    objective: float
+    smoothed: tuple[str, ...]
+
+
+class Solution:
+    """Trajectories of all chains, and the beliefs over the features that go with them.
+
+    `solution[chain]` is a chain's trajectory, `solution[feature]` the list of beliefs over a feature node,
+    one for each frame.
+
+    Attributes
+    ----------
+    frames
+        the frames.
+    rounds
+        report of every round, the best of which this is.
+    converged
+        whether the ascent ended by itself and not at its wall.
+    """
+
+    def __init__(
+        self, best: "_Slices", latest: "_Slices", rounds: tuple[Round, ...], converged: bool
+    ) -> None:
+        self.frames = best.frames
+        self.rounds = rounds
+        self.converged = converged
+        self._slices = best
+        self._latest = latest  # from which the ascent goes on
+
+    @property
+    def objective(self) -> float:
+        """The highest that was reached."""
+        return max(report.objective for report in self.rounds)
+
+    def __getitem__(self, key: Any, /) -> Any:
+        name = name_of(key)
+        if name in self._slices.trajectories:
+            return self._slices.trajectories[name]
+        if name in self._slices.model.features:
+            return [self._slices.belief(name, time) for time in range(len(self.frames))]
+        known = ", ".join([*self._slices.model.chains, *self._slices.model.features])
+        raise KeyError(f"{name}: not part of the model, expected one of {known}")
+
+    def messages(self, chain: Any, feature: Any) -> Sequence[Any]:
+        """What the chain says of the feature, for each frame, also where nobody hears it (no feedback)."""
+        return self._slices.spoken[name_of(chain), name_of(feature)]
+
+    def evidence(self, feature: Any) -> list[Any]:
+        """What the frames say of the feature."""
+        return [self._slices.evidence(name_of(feature), time) for time in range(len(self.frames))]
+
+
+class CoordinateAscent:
+    """Coordinate ascent (Algorithm 2): chain after chain gets its best trajectory, the others held fixed.
+
+    The first round is the feed-forward pipeline: a chain hears only those that were connected before it. A
+    chain that would hear the same again is left alone, so that a model without feedback needs one round. When
+    chains approximate (a tracker that looks anew where others tell it to may find other points), the
+    objective can fall; the best round is what is kept.
+
+    Parameters
+    ----------
+    model
+        chains with `smooth` and `messages`, as they are now: later connections need a new engine.
+    most_rounds
+        wall on the number of rounds.
+    tolerance
+        share of the objective's size by which it has to rise for the ascent to go on.
+
+    Raises
+    ------
+    ValueError
+        if the model has no chain or `most_rounds` is below 1.
+    TypeError
+        if one of the chains is none for batches.
+    """
+
+    def __init__(self, model: MultiChain, most_rounds: int = 20, tolerance: float = 1e-5) -> None:
+        if not model.chains:
+            raise ValueError("model: got no chain, expected at least one")
+        for name, chain in model.chains.items():
+            require(f"chain {name!r}", chain, BatchChain)
+        if most_rounds < 1:
+            raise ValueError(f"most_rounds: got {most_rounds}, expected 1 or more")
+        self.model = model.copy()
+        self.most_rounds = most_rounds
+        self.tolerance = tolerance
+
+    def run(self, frames: Iterable[Frame | NDArray[np.uint8] | None], dt: float = 1 / 25) -> Solution:
+        """Go on until the objective rises no more, or to the wall.
+
+        Parameters
+        ----------
+        frames
+            all of them; `Frame`s, or plain images `dt` seconds apart (`None` for a missing one).
+        dt
+            seconds from one plain image to the next.
+
+        Raises
+        ------
+        ValueError
+            if there is no frame, they are not in order of time, or as a chain does.
+        """
+        *_, last = self.rounds(frames, dt)
+        return last
+
+    def rounds(
+        self,
+        frames: Iterable[Frame | NDArray[np.uint8] | None],
+        dt: float = 1 / 25,
+        after: Solution | None = None,
+    ) -> Iterator[Solution]:
+        """As `run`, with the best solution so far after every round.
+
+        Parameters
+        ----------
+        frames, dt
+            as of `run`.
+        after
+            to go on from, of the same frames (see `load`); what follows is as if it had never been left.
+        """
+        if after is None:
+            best = slices = _Slices(self.model, _as_frames(frames, dt))
+            reports: list[Round] = []
+        else:
+            best, slices, reports = after._slices, after._latest, list(after.rounds)
+            if after.converged or len(reports) >= self.most_rounds:
+                yield after
+                return
+        while True:
+            slices = slices.copy()
+            smoothed = slices.ascend()
+            if not smoothed:
+                yield Solution(best, slices, tuple(reports), converged=True)
+                return
+            objective = slices.objective()
+            if not reports or objective > max(report.objective for report in reports):
+                best = slices
+            reports.append(Round(len(reports) + 1, objective, smoothed))
+            before = reports[-2].objective if len(reports) > 1 else -inf
+            converged = objective < before + self.tolerance * abs(before)
+            yield Solution(best, slices, tuple(reports), converged)
+            if converged or len(reports) == self.most_rounds:
+                return
+
+    def save(self, path: str | Path, solution: Solution, about: Mapping[str, Any] | None = None) -> None:
+        """Write how far the ascent has come to one `.npz` file: all of it, or none.
+
+        Trajectories and evidence are saved; messages follow from them, and frames are not saved.
+
+        Parameters
+        ----------
+        path
+            of the file, which is replaced if it is there.
+        solution
+            as `rounds` gives it.
+        about
+            plain JSON to be kept with it.
+
+        Raises
+        ------
+        TypeError
+            if a trajectory or a message is not what the return annotation of `smooth` or `evidence` says.
+        OSError
+            if the file cannot be written; an older one is then left as it was.
+        """
+        same = solution._latest is solution._slices
+        values = {
+            "best": solution._slices.saved(),
+            "latest": None if same else solution._latest.saved(),
+            "rounds": solution.rounds,
+            "converged": solution.converged,
+            "about": dict(about or {}),
+        }
+        checkpoint.save(path, values, self._kinds())
+
+    def load(
+        self, path: str | Path, frames: Iterable[Frame | NDArray[np.uint8] | None], dt: float = 1 / 25
+    ) -> tuple[Solution, dict[str, Any]]:
+        """Read back what `save` wrote, of the same frames: the solution, and `about`.
+
+        Raises
+        ------
+        ValueError
+            if the file is broken, of another version, of other chains or another number of frames.
+        OSError
+            if the file cannot be opened.
+        """
+        values = checkpoint.load(path, self._kinds())
+        slices = _as_frames(frames, dt)
+        best = _Slices.restored(self.model, slices, values["best"])
+        latest = values["latest"]
+        return (
+            Solution(
+                best,
+                best if latest is None else _Slices.restored(self.model, slices, latest),
+                values["rounds"],
+                values["converged"],
+            ),
+            values["about"],
+        )
+
+    def _kinds(self) -> dict[str, Any]:
+        def returned(method: Any) -> Any:
+            hints = get_type_hints(method)
+            if "return" not in hints:
+                raise TypeError(f"{method.__qualname__}: no return annotation, which says what is saved")
+            return hints["return"]
+
+        slices = {
+            "trajectories": {name: returned(type(chain).smooth) for name, chain in self.model.chains.items()},
+            "evidence": {
+                name: list[returned(type(node).evidence) | None] | None  # type: ignore[misc]
+                for name, node in self.model.features.items()
+            },
+            "looking": dict[str, str],
+            "smoothed": dict[str, int],
+            "seen": dict[str, int],
+            "heard": dict[str, tuple[int, ...]],
+        }
+        return {
+            "best": slices,
+            "latest": slices,
+            "rounds": tuple[Round, ...],
+            "converged": bool,
+            "about": dict[str, Any],
+        }
+
+
+class _Slices:
+    """Trajectories, messages and evidence at all times. Lists are replaced, never changed once complete."""
+
+    def __init__(self, model: MultiChain, frames: Sequence[Frame]) -> None:
+        self.model = model
+        self.frames = frames
+        self.trajectories: dict[str, Any] = {}
+        self.spoken: dict[tuple[str, str], Sequence[Message]] = {}
+        self._evidence: dict[str, list[Message | None]] = {}
+        self._looking: dict[str, str] = {}
+        """Feature: the chain that looks there by itself."""
+        self._looked: set[str] = set()
+        """Features at which the chain whose turn it is has begun to look."""
+        self._smoothed: dict[str, int] = {}
+        """Chain: how often its trajectory was worked out."""
+        self._seen: dict[str, int] = {}
+        """Feature: how often a chain that looks there by itself has looked."""
+        self._heard: dict[str, tuple[int, ...]] = {}
+        """Chain: numbers of all that its trajectory was worked out from."""
+
+    def copy(self) -> "_Slices":
+        other = _Slices(self.model, self.frames)
+        for name in ("trajectories", "spoken", "_evidence", "_looking", "_smoothed", "_seen", "_heard"):
+            setattr(other, name, dict(getattr(self, name)))
+        return other
+
+    def saved(self) -> dict[str, Any]:
+        """Everything but the messages, which follow from the trajectories."""
+        return {
+            "trajectories": self.trajectories,
+            "evidence": {name: self._evidence.get(name) for name in self.model.features},
+            "looking": self._looking,
+            "smoothed": self._smoothed,
+            "seen": self._seen,
+            "heard": self._heard,
+        }
+
+    @classmethod
+    def restored(cls, model: MultiChain, frames: Sequence[Frame], saved: Mapping[str, Any]) -> "_Slices":
+        """The slices of which `saved` was kept.
+
+        Raises
+        ------
+        ValueError
+            if they are of another number of frames.
+        """
+        slices = cls(model, frames)
+        slices.trajectories = saved["trajectories"]
+        for name, messages in saved["evidence"].items():
+            if messages is not None:
+                if len(messages) != len(frames):
+                    raise ValueError(f"state: got {len(messages)} frames, expected {len(frames)}")
+                slices._evidence[name] = messages
+        slices._looking, slices._smoothed = saved["looking"], saved["smoothed"]
+        slices._seen, slices._heard = saved["seen"], saved["heard"]
+        for name in slices.trajectories:
+            slices._speak(name)
+        return slices
+
+    def ascend(self) -> tuple[str, ...]:
+        """One round: every chain to which something new is said or shown gets its best trajectory."""
+        smoothed = []
+        for name, chain in self.model.chains.items():
+            if self._heard.get(name) == self._news(name):
+                continue
+            self._looked.clear()
+            incoming = [_BatchIncoming(self, name, time) for time in range(len(self.frames))]
+            self.trajectories[name] = chain.smooth(incoming, self.trajectories.get(name))
+            self._heard[name] = self._news(name)
+            self._smoothed[name] = self._smoothed.get(name, 0) + 1
+            self._speak(name)
+            for feature in self.model.features_of(name):
+                if feature not in self._looking and name in self.model.speakers(feature):
+                    self._evidence.pop(feature, None)  # there are other places to look at
+            smoothed.append(name)
+        return tuple(smoothed)
+
+    def _speak(self, chain: str) -> None:
+        for feature in self.model.features_of(chain):
+            node = self.model.features[feature]
+            self.spoken[chain, feature] = self.model.chains[chain].messages(self.trajectories[chain], node)
+
+    def _news(self, chain: str) -> tuple[int, ...]:
+        """Numbers of all that the chain's trajectory depends on: messages, and evidence that others found."""
+        features = self.model.features_of(chain)
+        said = [
+            self._smoothed.get(other, 0)
+            for feature in features
+            for other in self.model.speakers(feature)
+            if other != chain
+        ]
+        shown = [
+            0 if self._looking.get(feature) in (None, chain) else self._seen[feature] for feature in features
+        ]
+        return (*said, *shown)
+
+    def objective(self) -> float:
+        total = sum(trajectory.log_prior for trajectory in self.trajectories.values())
+        for feature in self.model.features:
+            total += sum(self.belief(feature, time).log_mass for time in range(len(self.frames)))
+        return float(total)
+
+    def belief(self, feature: str, time: int) -> Any:
+        return self.told(feature, time) * self.evidence(feature, time)
+
+    def told(self, feature: str, time: int, without: str | None = None) -> Any:
+        """Product of the chains' messages."""
+        factors = [
+            self.spoken[name, feature][time]
+            for name in self.model.speakers(feature)
+            if name != without and (name, feature) in self.spoken
+        ]
+        return reduce(mul, factors) if factors else self.model.features[feature].uniform()
+
+    def evidence(self, feature: str, time: int) -> Any:
+        """What was seen last, or what is seen where all messages so far have mass."""
+        seen = self._evidence.setdefault(feature, [None] * len(self.frames))
+        if seen[time] is None:
+            seen[time] = self._see(feature, time, self.told(feature, time))
+        return seen[time]
+
+    def look(self, chain: str, feature: str, time: int, prior: Any) -> Any:
+        """What is seen where `prior` has mass; what was seen in earlier rounds is forgotten."""
+        if feature not in self._looked:
+            self._looked.add(feature)
+            self._looking[feature] = chain
+            self._seen[feature] = self._seen.get(feature, 0) + 1
+            self._evidence[feature] = [None] * len(self.frames)
+        message = self._evidence[feature][time] = self._see(feature, time, prior)
+        return message
+
+    def _see(self, feature: str, time: int, prior: Any) -> Any:
+        frame, node = self.frames[time], self.model.features[feature]
+        return node.uniform() if frame.missing else node.evidence(frame, prior)
+
+
+class _BatchIncoming(BatchIncoming):
+    def __init__(self, slices: _Slices, chain: str, time: int) -> None:
+        self._slices, self._chain, self._time = slices, chain, time
+        self.frame = slices.frames[time]
+
+    def __getitem__(self, key: Any, /) -> Any:
+        feature = name_of(key)
+        return self.told(feature) * self._slices.evidence(feature, self._time)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._slices.model.features_of(self._chain))
+
+    def __len__(self) -> int:
+        return len(self._slices.model.features_of(self._chain))
+
+    def told(self, feature: Any, /) -> Any:
+        return self._slices.told(name_of(feature), self._time, without=self._chain)
+
+    def look(self, feature: Any, prior: Any, /) -> Any:
+        return self._slices.look(self._chain, name_of(feature), self._time, prior)
+
+
+def _as_frames(items: Iterable[Frame | NDArray[np.uint8] | None], dt: float) -> list[Frame]:
+    frames = [
+        item
+        if isinstance(item, Frame)
+        else Frame(None if item is None else np.asarray(item), index * dt, index + 1)
+        for index, item in enumerate(items)
+    ]
+    if not frames:
+        raise ValueError("frames: got none, expected at least one")
+    for before, after in pairwise(frames):
+        if not after.time > before.time:
+            raise ValueError(
+                f"frames: got time {after.time} s at frame {after.number}, "
+                f"expected later than {before.time} s at frame {before.number}"
+            )
+    return frames

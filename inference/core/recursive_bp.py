@@ -1,0 +1,355 @@
+"""Algorithm 1 of the RSMCM paper, recursive belief propagation, for any number of chains and features."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import inf
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.frame import Frame
+from . import checkpoint
+from .graph import IMAGE, MultiChain
+from .protocols import Chain, FeatureNode, Incoming, Message, MessageType, name_of, require, uses_cavity
+
+State = TypeVar("State")
+
+
+@dataclass(frozen=True, eq=False)
+class RunState:
+    """All that a run needs to go on: a value that can be kept, branched from, saved and loaded.
+
+    Parameters
+    ----------
+    states
+        state of every chain by its name; empty as long as there was nothing to see.
+    number, time
+        of the last frame (1-based, seconds).
+    shape
+        of the frames' images; `None` as long as there was none.
+    """
+
+    states: Mapping[str, Any]
+    number: int
+    time: float
+    shape: tuple[int, ...] | None
+
+    @staticmethod
+    def kinds(chains: Mapping[str, Any]) -> dict[str, Any]:
+        """What the state of these chains (or classes of chains) by name consists of, for `checkpoint`.
+
+        Raises
+        ------
+        TypeError
+            if a chain does not say what its state is.
+        """
+        states = {}
+        for name, chain in chains.items():
+            hints = get_type_hints(chain.initial)
+            if "return" not in hints:
+                raise TypeError(f"chain {name!r}: initial has no return annotation, which says what is saved")
+            states[name] = hints["return"]
+        return {"states": states, "number": int, "time": float, "shape": tuple[int, ...] | None}
+
+    def saved(self) -> dict[str, Any]:
+        """Everything, as a record of these kinds."""
+        return {
+            "states": dict(self.states) or None,
+            "number": self.number,
+            "time": self.time,
+            "shape": self.shape,
+        }
+
+    @classmethod
+    def restored(cls, saved: Mapping[str, Any]) -> "RunState":
+        """The state of which `saved` was kept."""
+        return cls(**{**saved, "states": saved["states"] or {}})
+
+
+BEGINNING = RunState({}, 0, -inf, None)
+
+
+class TimeSlice:
+    """Messages of one frame, and their products.
+
+    The same factors always give the same product object, so that messages may keep what they work out.
+    """
+
+    def __init__(self, model: MultiChain, predictions: Mapping[str, Any], frame: Frame) -> None:
+        self.model = model
+        self.predictions = predictions
+        self.frame = frame
+        self._sent: dict[tuple[str, str], Message] = {}
+        self._read: dict[tuple[str, str], list[Message]] = {}
+        self._products: dict[tuple[str, tuple[int, ...]], tuple[Sequence[Message], Any]] = {}
+
+    def send(self, sender: str, feature: str) -> None:
+        """Work out one message, unless it would be the one sent before."""
+        node = self.model.features[feature]
+        if sender == IMAGE:
+            if not self.frame.missing and (IMAGE, feature) not in self._sent:
+                self._sent[IMAGE, feature] = node.evidence(self.frame, self.product(feature))
+            return
+        chain = self.model.chains[sender]
+        incoming = self.incoming(sender)
+        read = [incoming[name] for name in incoming if name != feature or uses_cavity(chain)]
+        before = self._read.get((sender, feature))
+        if before is None or any(old is not new for old, new in zip(before, read, strict=True)):
+            self._sent[sender, feature] = chain.message(self.predictions[sender], node, incoming)
+            self._read[sender, feature] = read
+
+    def incoming(self, chain: str) -> Incoming:
+        """All that reaches the chain by now except for its own messages."""
+        return Incoming({name: self.product(name, chain) for name in self.model.features_of(chain)})
+
+    def product(self, feature: str, without: str | None = None) -> Any:
+        """Product of what the feature has been sent by now, but for one chain's message."""
+        senders = [IMAGE, *self.model.speakers(feature)]
+        sent = [self._sent.get((name, feature)) for name in senders if name != without]
+        return self._multiply(feature, [message for message in sent if message is not None])
+
+    def log_evidence(self) -> float:
+        """Log normaliser of the slice, summed over its components."""
+        total = 0.0
+        for features, chains in self.model.components():
+            total += self.product(features[0]).log_mass
+            total -= sum(self._log_mass_read(name) for name in chains)
+        return float(total)
+
+    def _log_mass_read(self, name: str) -> float:
+        """Log probability of what the chain reads through cut edges.
+
+        The component that hears this chain elsewhere conditions on it, so that nothing is counted twice.
+        """
+        reads = [
+            feature for feature in self.model.features_of(name) if name not in self.model.speakers(feature)
+        ]
+        if not reads:
+            return 0.0
+        chain, features = self.model.chains[name], self.model.features
+        incoming = {
+            feature: self.product(feature) if feature in reads else features[feature].uniform()
+            for feature in self.model.features_of(name)
+        }
+        message = chain.message(self.predictions[name], features[reads[0]], Incoming(incoming))
+        return float((incoming[reads[0]] * message).log_mass)
+
+    def _multiply(self, feature: str, factors: Sequence[Message]) -> Any:
+        if len(factors) == 1:
+            return factors[0]
+        key = (feature, tuple(map(id, factors)))
+        if key not in self._products:
+            if factors:
+                product = self._multiply(feature, factors[:-1]) * factors[-1]
+            else:
+                product = self.model.features[feature].uniform()
+            self._products[key] = (factors, product)  # the factors stay alive, so that no other gets their id
+        return self._products[key][1]
+
+
+class Belief:
+    """What is known after a frame.
+
+    `belief[chain]` or `belief["name"]` is the posterior state of a chain, `belief[feature]` or
+    `belief["name"]` the belief over a feature node: the product of all messages that reach it. As long as all
+    frames were missing there is no belief, and asking for one is a `KeyError`.
+
+    Attributes
+    ----------
+    frame
+        the frame.
+    state
+        from which the run can go on.
+    """
+
+    def __init__(self, frame: Frame, state: RunState, time_slice: TimeSlice | None) -> None:
+        self.frame = frame
+        self.state = state
+        self._slice = time_slice
+
+    @property
+    def states(self) -> Mapping[str, Any]:
+        """Posterior states of the chains by name."""
+        return self.state.states
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """log p(I_t | I_1..t-1): the normaliser of the slice, worked out when asked for.
+
+        It is the log of the integral of everybody's predictions times the image's likelihood, summed over
+        the components that remain without cut edges; 0 before the first image. It is that of the model
+        without the cut messages: a component that reads another one through a cut edge is conditioned on it.
+        """
+        return 0.0 if self._slice is None else self._slice.log_evidence()
+
+    @overload
+    def __getitem__(self, key: Chain[State], /) -> State: ...
+    @overload
+    def __getitem__(self, key: FeatureNode[MessageType], /) -> MessageType: ...
+    @overload
+    def __getitem__(self, key: str, /) -> Any: ...
+    def __getitem__(self, key: Any, /) -> Any:
+        name = name_of(key)
+        if self._slice is None:
+            raise KeyError(f"{name}: nothing is believed before the first frame that is not missing")
+        if name in self.state.states:
+            return self.state.states[name]
+        if name in self._slice.model.features:
+            return self._slice.product(name)
+        known = ", ".join([*self._slice.model.chains, *self._slice.model.features])
+        raise KeyError(f"{name}: not part of the model, expected one of {known}")
+
+
+class RecursiveBP:
+    """Recursive belief propagation (Algorithm 1): predict, exchange messages, update, frame by frame.
+
+    The marginals of the chains after a frame are the priors of the next; within a frame sum-product runs on
+    the tree of chains and features, one message each way on every edge.
+
+    Parameters
+    ----------
+    model
+        as it is now: later connections need a new engine.
+    sweeps
+        how often the messages are exchanged. One is enough, and exact, for chains that ignore their cavity;
+        with more, chains that use it see the latest messages of the others.
+
+    Raises
+    ------
+    ValueError
+        if the model has no chain or has a loop, or `sweeps` is below 1.
+    TypeError
+        if one of the chains cannot filter.
+    """
+
+    def __init__(self, model: MultiChain, sweeps: int = 1) -> None:
+        if not model.chains:
+            raise ValueError("model: got no chain, expected at least one")
+        for name, chain in model.chains.items():
+            require(f"chain {name!r}", chain, Chain)
+        if sweeps < 1:
+            raise ValueError(f"sweeps: got {sweeps}, expected 1 or more")
+        self.model = model.copy()
+        self.sweeps = sweeps
+        self._schedule = self.model.schedule()
+
+    def step(self, state: RunState | None, frame: Frame) -> Belief:
+        """Take in one frame.
+
+        The first frame in which there is something to see is met with the chains' initial states, later ones
+        with predictions. A missing frame brings no evidence: chains predict, hear each other, and go on.
+
+        Parameters
+        ----------
+        state
+            of the run until now, which is left as it is; `None` at the beginning.
+        frame
+            the next frame.
+
+        Raises
+        ------
+        ValueError
+            if the frame is not later than the last one, has another size or type, or if `state` belongs to
+            other chains.
+        """
+        before = state or BEGINNING
+        shape = before.shape if frame.image is None else frame.image.shape
+        if not frame.time > before.time:
+            raise ValueError(
+                f"frames: got time {frame.time} s at frame {frame.number}, "
+                f"expected later than {before.time} s at frame {before.number}"
+            )
+        if before.shape is not None and shape != before.shape:
+            raise ValueError(
+                f"frames: got {shape} uint8 at frame {frame.number}, expected {before.shape} uint8"
+            )
+        if frame.missing and not before.states:
+            return Belief(frame, RunState({}, frame.number, frame.time, None), None)
+
+        chains = self.model.chains
+        if not before.states:
+            predictions = {name: chain.initial(frame) for name, chain in chains.items()}
+        elif before.states.keys() == chains.keys():
+            dt = frame.time - before.time
+            predictions = {name: chain.predict(before.states[name], dt) for name, chain in chains.items()}
+        else:
+            raise ValueError(f"state: got chains {', '.join(before.states)}, expected {', '.join(chains)}")
+        time_slice = TimeSlice(self.model, predictions, frame)
+        for sender, feature in self._schedule * self.sweeps:
+            time_slice.send(sender, feature)
+        states = {
+            name: chain.update(predictions[name], time_slice.incoming(name)) for name, chain in chains.items()
+        }
+        return Belief(frame, RunState(states, frame.number, frame.time, shape), time_slice)
+
+    def run(
+        self,
+        frames: Iterable[Frame | NDArray[np.uint8] | None],
+        dt: float = 1 / 25,
+        state: RunState | None = None,
+    ) -> Iterator[Belief]:
+        """Take in frames one after the other, and give the belief after each.
+
+        Parameters
+        ----------
+        frames
+            `Frame`s, or plain images `dt` seconds apart (`None` for a missing one).
+        dt
+            seconds from one plain image to the next.
+        state
+            to go on from; `None` at the beginning.
+
+        Raises
+        ------
+        ValueError
+            as `step` does, or if something is not an image.
+        """
+        for item in frames:
+            if isinstance(item, Frame):
+                frame = item
+            else:
+                image = None if item is None else np.asarray(item)
+                time, number = (state.time + dt, state.number + 1) if state else (0.0, 1)
+                frame = Frame(image, time, number)
+            belief = self.step(state, frame)
+            state = belief.state
+            yield belief
+
+    def save(self, path: str | Path, state: RunState, about: Mapping[str, Any] | None = None) -> None:
+        """Write the state of a run to one `.npz` file: all of it, or none.
+
+        Parameters
+        ----------
+        path
+            of the file, which is replaced if it is there.
+        state
+            of the run.
+        about
+            plain JSON to be kept with it (parameters, source, versions).
+
+        Raises
+        ------
+        TypeError
+            if a chain's state is not what the return annotation of its `initial` says.
+        OSError
+            if the file cannot be written; an older one is then left as it was.
+        """
+        values = {**state.saved(), "about": dict(about or {})}
+        checkpoint.save(path, values, {**RunState.kinds(self.model.chains), "about": dict[str, Any]})
+
+    def load(self, path: str | Path) -> tuple[RunState, dict[str, Any]]:
+        """Read back what `save` wrote: the state of the run, and `about`.
+
+        Raises
+        ------
+        ValueError
+            if the file is broken, of another version, or of a model with other chains.
+        OSError
+            if the file cannot be opened.
+        """
+        values = checkpoint.load(path, {**RunState.kinds(self.model.chains), "about": dict[str, Any]})
+        about = values.pop("about")
+        return RunState.restored(values), about

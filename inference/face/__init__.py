@@ -1,0 +1,1 @@
+"""G-flow: experts of pose, and the textures that they remember."""

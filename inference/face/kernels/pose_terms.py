@@ -1,0 +1,152 @@
+"""Loops over points of a surface whose places in the picture are known, and over scans across outlines."""
+
+import numpy as np
+
+from ....models.numerics.compiled import compiled
+
+_f4 = np.float32
+
+
+@compiled
+def place_equations(
+    rotations, translations, morphs, which, bases, targets, information, energy, gradient, curvature
+):
+    """Energy, gradient and Gauss-Newton curvature of sum (x - t)' I (x - t) / 2 over points, pose by pose.
+
+    Pose m goes with row `which[m]` of `bases` `(n, n_points, n_bases, 3)`, `targets` `(n, n_points, 2)` and
+    `information` `(n, n_points, 3)` (xx, xy, yy).
+    """
+    n_points, n_bases = bases.shape[1], bases.shape[2]
+    dimension = 5 + n_bases
+    across, down = np.zeros(dimension), np.zeros(dimension)
+    across[3], down[4] = 1.0, 1.0
+    for m in range(len(rotations)):
+        r, d = rotations[m], which[m]
+        matrix, vector = curvature[m], gradient[m]
+        matrix[:] = 0.0
+        vector[:] = 0.0
+        total = 0.0
+        for i in range(n_points):
+            xx, xy, yy = information[d, i, 0], information[d, i, 1], information[d, i, 2]
+            if xx + yy == 0.0:
+                continue
+            x = y = z = 0.0
+            for j in range(n_bases):
+                c = morphs[m, j]
+                h0, h1, h2 = bases[d, i, j, 0], bases[d, i, j, 1], bases[d, i, j, 2]
+                right = r[0, 0] * h0 + r[0, 1] * h1 + r[0, 2] * h2
+                low = r[1, 0] * h0 + r[1, 1] * h1 + r[1, 2] * h2
+                across[5 + j], down[5 + j] = right, low
+                x += c * right
+                y += c * low
+                z += c * (r[2, 0] * h0 + r[2, 1] * h1 + r[2, 2] * h2)
+            across[1], across[2] = z, -y
+            down[0], down[2] = -z, x
+            ex, ey = x + translations[m, 0] - targets[d, i, 0], y + translations[m, 1] - targets[d, i, 1]
+            fx, fy = xx * ex + xy * ey, xy * ex + yy * ey
+            total += 0.5 * (ex * fx + ey * fy)
+            for p in range(dimension):
+                vector[p] += across[p] * fx + down[p] * fy
+                gx, gy = xx * across[p] + xy * down[p], xy * across[p] + yy * down[p]
+                for q in range(dimension):
+                    matrix[p, q] += gx * across[q] + gy * down[q]
+        energy[m] = total
+
+
+@compiled
+def scan(contrast, top, left, places, normals, lengths, share, reach, step, noise, targets, information):
+    """Where along their normals the edge of an object is, given what its background looks like.
+
+    `contrast` `(n_maps, height, width)` float32: log density of the background over that of the
+    object, of pixels from `(top, left)`; one map for all, or one each. Writes `targets` `(n, n_points, 2)`
+    and `information` `(n, n_points, 3)`, zero where a scan says nothing. A scan goes `reach` steps of
+    `step` px to either side, and the variance `noise` in steps is added to what it finds; `share` `(n,)` is
+    how much a px of outline counts. Nats are not tempered by it, or the edge would be found too far on the
+    side where the background speaks more softly.
+    """
+    height, width = contrast.shape[1], contrast.shape[2]
+    n_steps = 2 * reach + 1
+    outside = np.empty(n_steps + 1)
+    for m in range(len(places)):
+        image = contrast[m] if len(contrast) > 1 else contrast[0]
+        for i in range(places.shape[1]):
+            targets[m, i] = places[m, i]
+            information[m, i] = 0.0
+            if lengths[m, i] == 0.0:
+                continue
+            nx, ny = normals[m, i, 0], normals[m, i, 1]
+            # outside[k]: nats of all that lies beyond an edge between samples k - 1 and k
+            outside[n_steps] = 0.0
+            for k in range(n_steps - 1, -1, -1):
+                s = (k - reach) * step
+                x, y = places[m, i, 0] + s * nx - left, places[m, i, 1] + s * ny - top
+                value = _f4(0)
+                if (x >= 0) & (y >= 0) & (x < width - 1) & (y < height - 1):
+                    column, row = np.int64(x), np.int64(y)
+                    fx, fy = _f4(x - column), _f4(y - row)
+                    upper, lower = image[row], image[row + 1]
+                    above = upper[column] + fx * (upper[column + 1] - upper[column])
+                    below = lower[column] + fx * (lower[column + 1] - lower[column])
+                    value = above + fy * (below - above)
+                outside[k] = outside[k + 1] + step * value
+            best = outside[0]
+            for k in range(1, n_steps + 1):
+                best = max(best, outside[k])
+            total = first = second = prior = 0.0
+            for k in range(n_steps + 1):
+                s = (k - reach - 0.5) * step
+                weight = np.exp(outside[k] - best)
+                total += weight
+                first += weight * s
+                second += weight * s * s
+                prior += s * s
+            mean = first / total
+            variance = second / total - mean * mean + noise * step * step
+            gain = 1.0 / variance - (n_steps + 1) / prior
+            if gain <= 0.0:
+                continue
+            # the scan's own prior, about its middle, is taken out of the mean as well
+            at = min(max(mean / (variance * gain), -reach * step), reach * step)
+            gain *= share[m] * lengths[m, i]
+            targets[m, i, 0] += at * nx
+            targets[m, i, 1] += at * ny
+            information[m, i, 0] = gain * nx * nx
+            information[m, i, 1] = gain * nx * ny
+            information[m, i, 2] = gain * ny * ny
+
+
+@compiled
+def map_sums(positions, owner, groups, first, weights, offsets, areas, on, contrast, top, left, sums):
+    """Sums over texels that are `on` `(n_experts, n_texels)` of their area times a map at their place.
+
+    `contrast` `(n_maps, height, width)` starts at `(top, left)`, one for all or one an expert; 0 beyond it.
+    """
+    height, width = contrast.shape[1], contrast.shape[2]
+    for m in range(len(positions)):
+        d = owner[m]
+        image = contrast[d] if len(contrast) > 1 else contrast[0]
+        places = positions[m]
+        total = 0.0
+        for g in range(len(groups)):
+            a, b, c = groups[g, 0], groups[g, 1], groups[g, 2]
+            start, count = first[g], first[g + 1] - first[g]
+            ax, ay = places[a, 0] - left, places[a, 1] - top
+            bx, by = places[b, 0] - left, places[b, 1] - top
+            cx, cy = places[c, 0] - left, places[c, 1] - top
+            each = areas[g]
+            if each == _f4(0):
+                each = _f4(0.5) * abs((bx - ax) * (cy - ay) - (by - ay) * (cx - ax)) / _f4(max(count, 1))
+            in_group = _f4(0)
+            for i in range(start, start + count):
+                x = weights[i, 0] * ax + weights[i, 1] * bx + weights[i, 2] * cx + offsets[i, 0]
+                y = weights[i, 0] * ay + weights[i, 1] * by + weights[i, 2] * cy + offsets[i, 1]
+                good = on[d, i] & (x >= _f4(0)) & (y >= _f4(0)) & (x < _f4(width - 1)) & (y < _f4(height - 1))
+                if good:
+                    column, row = np.int64(x), np.int64(y)
+                    fx, fy = x - _f4(column), y - _f4(row)
+                    upper, lower = image[row], image[row + 1]
+                    above = upper[column] + fx * (upper[column + 1] - upper[column])
+                    below = lower[column] + fx * (lower[column + 1] - lower[column])
+                    in_group += above + fy * (below - above)
+            total += each * in_group
+        sums[m] = total

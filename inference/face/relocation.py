@@ -1,0 +1,49 @@
+"""Where a lost object may be: its remembered texture tried all over a coarse picture."""
+
+import numpy as np
+
+from ...models.face.pose import Poses, exponential
+from .texture_likelihood import TextureLikelihood
+
+STEP = 0.3
+"""Distance between places that are tried, in sizes of the object."""
+
+SIZES = (0.8, 1.0, 1.25)
+TURNS = (-0.35, 0.0, 0.35)
+"""rad about the upright axis, against the pose that it was last seen in."""
+
+AT_ONCE = 2000
+"""Poses that are tried at once, which bounds the memory."""
+
+
+def likely_places(likelihood: TextureLikelihood, last: Poses, n: int) -> Poses:
+    """The `n` poses, of a grid of places, sizes and turns, whose coarse texture fits the picture best.
+
+    Parameters
+    ----------
+    likelihood
+        of one expert.
+    last
+        the pose in which it was seen last, which gives turns and shape.
+    n
+        how many.
+    """
+    coarsest = len(likelihood.levels) - 1
+    height, width = likelihood.levels[0].image.shape
+    step = STEP * float(last.sizes[0])
+    columns, rows = np.arange(step / 2, width, step), np.arange(step / 2, height, step)
+    grid = np.stack(np.meshgrid(columns, rows, SIZES, TURNS, indexing="ij"), axis=-1).reshape(-1, 4)
+    centre = likelihood.surface.positions(last)[0].mean(axis=0) - last.translations[0]
+    turns = exponential(grid[:, 3:] * np.array([0.0, 1.0, 0.0]))
+    tried = Poses(
+        turns @ last.rotations[0],
+        grid[:, :2] - centre * grid[:, 2:3],
+        last.morphs * grid[:, 2:3],
+    )
+    sums = [
+        likelihood.sums(part, np.zeros(len(part), np.int64), level=coarsest)
+        for part in (tried[first : first + AT_ONCE] for first in range(0, len(tried), AT_ONCE))
+    ]
+    squares, _, areas, _ = np.concatenate(sums).T
+    misfit = np.where(areas > 0, squares / np.maximum(areas, 1e-9), np.inf)
+    return tried[np.argsort(misfit, kind="stable")[:n]]

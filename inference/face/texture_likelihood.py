@@ -1,0 +1,226 @@
+"""What a picture says of poses, given the textures that experts remember: p(y_t | u_1:t, y_1:t-1)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.last_call import LastCall
+from ...models.face.image_pyramid import Level
+from ...models.face.kernels import warp as warp_kernels
+from ...models.face.morphable_model import MorphableModel
+from ...models.face.pose import Poses
+from ...models.face.surface_texels import SurfaceTexels
+from ...models.face.visibility import visible
+from ...models.numerics.threads import over_bands
+
+Array = NDArray[np.float64]
+Map = NDArray[np.float32]
+NO_MAP: Map = np.zeros(0, np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class TexturedObject:
+    """A morphable model and where the texels of its surface are.
+
+    Parameters
+    ----------
+    model
+        shape.
+    texels
+        their places on the surface.
+    """
+
+    model: MorphableModel
+    texels: SurfaceTexels
+    _last_visible: LastCall = field(default_factory=LastCall, init=False, repr=False)
+
+    @cached_property
+    def _used(self) -> NDArray[np.int64]:
+        """Vertices that carry texels."""
+        return np.unique(self.texels.groups).astype(np.int64)
+
+    @cached_property
+    def _bases(self) -> Map:
+        return np.ascontiguousarray(self.model.bases[:, self._used], np.float32)
+
+    @cached_property
+    def groups(self) -> NDArray[np.int32]:
+        """`(n_groups, 3)`: vertices of the texels' groups among those used."""
+        return np.searchsorted(self._used, self.texels.groups).astype(np.int32)
+
+    @cached_property
+    def _corners(self) -> NDArray[np.int64]:
+        return self.texels.groups[self.texels.group_of_texel].astype(np.int64)
+
+    def rows(self, poses: Poses) -> tuple[Map, Map]:
+        """Positions `(n, n_used, 2)` px of the vertices used, and their rows `(n, n_used, 2, width)`.
+
+        The width is the poses' dimension rounded up to whole vectors, filled with zeros.
+        """
+        n, width = len(poses), -(-poses.dimension // 8) * 8
+        positions = np.empty((n, len(self._used), 2), np.float32)
+        rows = np.zeros((n, len(self._used), 2, width), np.float32)
+        single = [
+            np.ascontiguousarray(part, np.float32)
+            for part in (poses.rotations, poses.translations, poses.morphs)
+        ]
+        over_bands(
+            lambda a, b: warp_kernels.vertex_rows(
+                *(part[a:b] for part in single), self._bases, positions[a:b], rows[a:b]
+            ),
+            n,
+        )
+        return positions, rows
+
+    def positions(self, poses: Poses) -> Map:
+        """`(n, n_used, 2)` px: of the vertices used."""
+        shapes = (poses.morphs @ self._flat_bases).reshape(len(poses), -1, 3)
+        seen = shapes @ np.swapaxes(poses.rotations[:, :2], -1, -2) + poses.translations[:, None]
+        return seen.astype(np.float32)
+
+    @cached_property
+    def _flat_bases(self) -> Array:
+        return self.model.bases[:, self._used].reshape(self.model.n_bases, -1)
+
+    def visible(self, poses: Poses) -> NDArray[np.bool_]:
+        """`(n, n_texels)`: whether texels face the viewer with nothing before them.
+
+        A frame starts from the poses at which the one before ended: the last answer is remembered.
+        """
+        return self._last_visible(self._visible, poses)
+
+    def _visible(self, poses: Poses) -> NDArray[np.bool_]:
+        if not len(self.model.triangles):
+            return np.ones((len(poses), len(self.texels)), np.bool_)
+        return visible(
+            self.model.positions(poses),
+            self.model.triangles,
+            self._corners,
+            self.texels.weights.astype(np.float64),
+        )
+
+    def looks(
+        self, levels: Sequence[Level], poses: Poses, visible: NDArray[np.bool_]
+    ) -> tuple[Map, NDArray[np.bool_]]:
+        """What texels look like on each level `(n, n_levels, n_texels)`, and which are in the picture."""
+        positions = self.positions(poses)
+        n, n_texels = len(poses), len(self.texels)
+        values = np.empty((n, len(levels), n_texels), np.float32)
+        area = np.empty((n, n_texels), np.float32)
+        seen = visible.copy()
+        for number, level in enumerate(levels):
+
+            def work(a: int, b: int, number: int = number, level: Level = level) -> None:
+                warp_kernels.sample_texels(
+                    *_flat(level), positions[a:b], self.groups, self.texels.first, self.texels.weights,
+                    self.texels.offsets, self.texels.areas, visible[a:b], values[a:b, number], area[a:b],
+                )  # fmt: skip
+
+            over_bands(work, n)
+            seen &= area > 0
+        return values, seen
+
+
+@dataclass(frozen=True, eq=False)
+class TextureLikelihood:
+    """A frame seen with the textures of experts.
+
+    Parameters
+    ----------
+    surface
+        shape and texels.
+    levels
+        of the picture, fine to coarse.
+    mean
+        `(n_experts, n_levels, n_texels)` float32: predicted texture on each level.
+    temperature
+        `(n_experts, n_texels)` float32: V + sigma_w^2.
+    visible
+        `(n_experts, n_texels)` bool, held while poses change.
+    """
+
+    surface: TexturedObject
+    levels: Sequence[Level]
+    mean: Map
+    temperature: Map
+    visible: NDArray[np.bool_]
+
+    @cached_property
+    def _precision(self) -> Map:
+        return np.reciprocal(self.temperature)
+
+    @cached_property
+    def _log_temperature(self) -> Map:
+        return np.log(self.temperature).astype(np.float32)
+
+    def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
+        """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
+        positions, rows = self.surface.rows(poses)
+        n, width = len(poses), rows.shape[3]
+        matrices, vectors = np.empty((n, width, width), np.float32), np.empty((n, width), np.float32)
+        sums = np.empty((n, 3))
+        image, dimension = self.levels[level], poses.dimension
+        texels, mean = self.surface.texels, self.mean[:, level]
+
+        def work(a: int, b: int) -> None:
+            warp_kernels.normal_equations(
+                *_flat(image), positions[a:b], rows[a:b], owner[a:b], self.surface.groups, texels.first,
+                4**level, texels.weights, texels.offsets, texels.areas, self.visible, mean, self._precision,
+                self._log_temperature, dimension, matrices[a:b], vectors[a:b], sums[a:b],
+            )  # fmt: skip
+
+        over_bands(work, n)
+        return Equations(
+            matrices[:, :dimension, :dimension].astype(np.float64),
+            vectors[:, :dimension].astype(np.float64),
+            sums,
+            rows[..., :dimension],
+        )
+
+    def sums(self, poses: Poses, owner: NDArray[np.int64], behind: Map = NO_MAP, level: int = 0) -> Array:
+        """`(n, 4)`: sums over visible texels of a e^2 / tau, a log tau, a, and a times the map `behind`.
+
+        `behind` is of the size of the picture on `level`.
+        """
+        positions = self.surface.positions(poses)
+        sums = np.empty((len(poses), 4))
+        texels, image, mean = self.surface.texels, self.levels[level], self.mean[:, level]
+
+        def work(a: int, b: int) -> None:
+            warp_kernels.texel_densities(
+                *_flat(image), positions[a:b], owner[a:b], self.surface.groups, texels.first,
+                4**level, texels.weights, texels.offsets, texels.areas, self.visible, mean, self._precision,
+                self._log_temperature, behind.reshape(-1), sums[a:b],
+            )  # fmt: skip
+
+        over_bands(work, len(poses))
+        return sums
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Gauss-Newton's normal equations for poses.
+
+    Parameters
+    ----------
+    matrices, vectors
+        `(n, dimension, dimension)` and `(n, dimension)`: sums of a J'J / tau and a J'e / tau.
+    sums
+        `(n, 3)`: of a e^2 / tau, a log tau and a.
+    rows
+        `(n, n_used, 2, dimension)` float32: how vertices move with the pose.
+    """
+
+    matrices: Array
+    vectors: Array
+    sums: Array
+    rows: Map
+
+
+def _flat(level: Level) -> tuple[Any, int, int, np.float32]:
+    height, width = level.image.shape
+    return level.image.reshape(-1), width, height, np.float32(level.scale)

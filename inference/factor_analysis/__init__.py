@@ -1,0 +1,1 @@
+"""Structure from motion as factor analysis with missing data."""

@@ -1,0 +1,255 @@
+"""EM of factor analysis with missing data: RSMCM eq. (18), cameras independent or coherent by eq. (19).
+
+Model, in the units of `Observations`: position = M_t (S_i, 1) + noise of variance sigma^2 / weight; points
+S_i ~ N(0, I), which is no restriction as long as cameras are free to scale and shear; the rows of M_t
+either independent, or moving by eq. (19). The posterior is sought in the form q(M) q(S) (variational EM),
+so both sides enter each other's update with their moments: a point that is hardly determined does not pull
+at cameras, nor a camera that hardly is at points.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .anderson import Anderson
+from .kernels.camera_smoother import smooth_cameras
+from .kernels.moments import squared_error
+from .moments import Sums, camera_moments, inverses, shape_moments
+from .observations import Numbers, Observations
+
+LEAST_NOISE = 1e-9
+"""Standard deviation of the noise, in units of the spread of positions, below which rounding decides."""
+
+ORDERS = 3
+
+LEAST_VARIANCE = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPrior:
+    """What is known of cameras before the points are looked at; learned by EM.
+
+    Parameters
+    ----------
+    variance
+        independent frames: `(2,)` variances of the numbers of M that multiply the shape, and of the
+        translation. With coherence: `(3, 2)`, the same of eps_1, eps_2 and eps_3 in eq. (19).
+    coherent
+        whether frames follow eq. (19).
+    """
+
+    variance: Numbers
+    coherent: bool
+
+    @property
+    def numbers(self) -> Numbers:
+        """`(4,)` or `(12,)` variances, one for each number of a row (and its derivatives)."""
+        linear_and_shift = self.variance.reshape(-1, 2)
+        return np.repeat(linear_and_shift, (3, 1), axis=1).reshape(-1)
+
+
+def first_prior(cameras: Numbers, coherent: bool) -> CameraPrior:
+    """Prior under which cameras are usual; of noise of the motion rather too much, EM takes it away."""
+    if not coherent:
+        linear, shift = (max(float(np.mean(part**2)), LEAST_VARIANCE) for part in _parts(cameras))
+        return CameraPrior(np.array([[linear, shift]]), coherent)
+    changes = [np.diff(cameras, n=order, axis=0) for order in range(1, min(4, len(cameras)))]
+    smallest = np.min([[np.mean(part**2) for part in _parts(change)] for change in changes], axis=0)
+    return CameraPrior(np.tile(smallest + LEAST_VARIANCE, (3, 1)), coherent)
+
+
+def _parts(cameras: Numbers) -> tuple[Numbers, Numbers]:
+    return cameras[..., :3], cameras[..., 3]
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Means and covariances of cameras and points, noise, and the prior of cameras.
+
+    Parameters
+    ----------
+    cameras, camera_covariance
+        `(n_frames, 2, 4)` and `(n_frames, 4, 4)`; u and v rows have the same covariance.
+    shape, shape_covariance
+        `(n_points, 3)` and `(n_points, 3, 3)`.
+    noise
+        variance at weight 1.
+    prior
+        of the cameras.
+    """
+
+    cameras: Numbers
+    camera_covariance: Numbers
+    shape: Numbers
+    shape_covariance: Numbers
+    noise: float
+    prior: CameraPrior
+
+
+@dataclass(frozen=True, eq=False)
+class CameraEstimate:
+    """Posterior of the cameras given the moments of the points.
+
+    Parameters
+    ----------
+    cameras, covariance
+        as in `Posterior`.
+    log_evidence
+        log integral of p(M) exp(sum of (vector . m - m . information m / 2) / noise) dM.
+    better
+        prior of the cameras under which the log evidence is not less.
+    """
+
+    cameras: Numbers
+    covariance: Numbers
+    log_evidence: float
+    better: CameraPrior
+
+
+FIRST_SPREAD = (1e2, 0.1, 0.01)
+"""With coherence: variances of m, m', m'' in the first frame; broad, as shape and positions are about 1."""
+
+LEAST_JITTER = 1e-3
+"""With coherence: by what the motion's noise is expected to change rows over all frames, at the least."""
+
+
+LONGEST_STEP = 1e3
+"""Factor by which a variance of the motion may grow at once."""
+
+
+def estimate_cameras(
+    information: Numbers, vector: Numbers, noise: float, prior: CameraPrior
+) -> CameraEstimate:
+    """E-step over cameras: `information (n_frames, 4, 4)` and `vector (n_frames, 4, 2)` at noise variance 1.
+
+    With coherence the noise of the motion is learned by the multiplicative step for variance components,
+    q <- q sqrt(a / b), where a - b is twice the derivative of the log evidence by q: it never lowers the
+    evidence, as EM, but does not slow down where the motion has hardly any noise.
+    """
+    n_frames = len(information)
+    variance = prior.numbers
+    if prior.coherent:
+        first = np.repeat(FIRST_SPREAD, 4)
+        cameras, covariance, evidence, squares, counts = smooth_cameras(
+            information, vector, 1 / noise, variance, np.zeros((12, 2)), first
+        )
+        old = prior.variance
+        evidence -= float(np.sum(least_variance(n_frames) / old))
+        above = old**2 * _pooled(squares) + 2 * least_variance(n_frames)
+        # part of a step raises the evidence as well; where nothing was seen there is nothing to be learned
+        longest = LONGEST_STEP * old
+        learned = np.sqrt(above / np.maximum(_pooled(counts), above / longest**2))
+    else:
+        covariance, log_determinant = inverses(information, 1 / variance, 1 / noise)
+        means = covariance @ vector / noise
+        evidence = 0.5 * float(np.sum(means * vector)) / noise - float(log_determinant.sum())
+        evidence -= n_frames * float(np.log(variance).sum())
+        cameras = np.ascontiguousarray(means.transpose(0, 2, 1))
+        second = np.sum(means**2, axis=(0, 2)) + 2 * np.einsum("tjj->j", covariance)
+        learned = _pooled(second) / (2 * n_frames * np.array([[3, 1]]))
+    return CameraEstimate(cameras, covariance, evidence, CameraPrior(learned, prior.coherent))
+
+
+def least_variance(n_frames: int) -> Numbers:
+    """Weight of the prior exp(-b / q) on the variances q of eps_1, eps_2, eps_3 `(3, 1)`.
+
+    Noise of order k changes rows over n frames by about sqrt(q n^(2k - 1)). Without a prior the likelihood of
+    few frames may be highest where there is no noise at all, of which EM would be overconfident.
+    """
+    order = 2.0 * np.arange(ORDERS)[:, None] + 1
+    return np.asarray(LEAST_JITTER**2 / float(n_frames) ** order, np.float64)
+
+
+def _pooled(values: Numbers) -> Numbers:
+    """Sum over the three numbers of a row that multiply the shape; the translation apart: `(orders, 2)`."""
+    rows = values.reshape(-1, 4)
+    return np.stack([rows[:, :3].sum(axis=1), rows[:, 3]], axis=1)
+
+
+WINDOW = 10
+"""Iterations over which the rise of the bound is looked at."""
+
+LEARNING = 2
+"""Iterations from one to the next in which the cameras' prior is learned; it costs another smoother."""
+
+ROUNDING = 1e-9
+"""Relative error of the bound, a sum of numbers that nearly cancel."""
+
+
+def expectation_maximisation(
+    observations: Observations,
+    posterior: Posterior,
+    *,
+    iterations: int,
+    tolerance: float,
+    accelerate: bool = False,
+) -> tuple[Posterior, list[float]]:
+    """Improve a posterior until the bound of the log likelihood stands still.
+
+    Parameters
+    ----------
+    observations
+        what was seen.
+    posterior
+        the start.
+    iterations
+        at most so many.
+    tolerance
+        nats per iteration: less than that, on average over ten, is standing still.
+    accelerate
+        extrapolate the shape from the last iterations. Steps that lower the bound are taken back.
+
+    Returns
+    -------
+    posterior, history
+        and the bound at each iteration that counts, before its update of the points; it never falls.
+    """
+    sums, by_point = Sums(observations), observations.by_point.columns
+    log_weight = float(np.log(observations.by_frame.weight).sum())
+    count = observations.count
+    shape, covariance = posterior.shape, posterior.shape_covariance
+    noise, prior = posterior.noise, posterior.prior
+    log_determinant = np.linalg.slogdet(covariance)[1].sum()
+    acceleration = Anderson()
+    plain = shape
+    history: list[float] = []
+    for _ in range(max(iterations, 1)):
+        information, vector = sums.of_frames(shape, shape_moments(shape, covariance))
+        learn = len(history) % LEARNING == 0
+        better = estimate_cameras(information, vector, noise, prior).better if learn else prior
+        cameras = estimate_cameras(information, vector, noise, better)
+        divergence = 0.5 * (
+            float(np.einsum("ijj->", covariance) + np.sum(shape**2)) - shape.size - log_determinant
+        )
+        bound = log_weight - count * math.log(2 * math.pi * noise) - 0.5 * sums.total / noise
+        bound += cameras.log_evidence - divergence
+        if shape is not plain and history and bound < history[-1] - ROUNDING * abs(history[-1]):
+            shape = plain
+            acceleration.forget()
+            continue
+        history.append(bound)
+        prior, start, kept = better, shape, cameras
+        moments = camera_moments(cameras.cameras, cameras.covariance)
+        information, vector, quadratic = sums.of_points(cameras.cameras, moments)
+        covariance, determinants = inverses(information, np.ones(3), 1 / noise)
+        log_determinant = -determinants.sum()
+        shape = plain = np.einsum("ijk,ik->ij", covariance, vector) / noise
+        second = covariance + shape[:, :, None] * shape[:, None, :]
+        error = float(np.sum(quadratic) - 2 * np.sum(vector * shape) + np.sum(information * second))
+        if error < 1e-6 * sums.total:  # a difference of numbers so much larger is rounding
+            error = float(squared_error(*by_point, cameras.cameras, shape).sum())
+            error += float(np.sum(information * covariance)) + _camera_error(sums, cameras.covariance, shape)
+        noise = max(error / (2 * count), LEAST_NOISE**2)
+        if len(history) > WINDOW and history[-1] - history[-1 - WINDOW] < WINDOW * tolerance:
+            break
+        if accelerate:
+            shape = acceleration.propose(start, shape)
+    spread = np.array(kept.covariance), np.array(covariance)  # no longer one that is repeated
+    return Posterior(kept.cameras, spread[0], plain, spread[1], noise, prior), history
+
+
+def _camera_error(sums: Sums, covariance: Numbers, shape: Numbers) -> float:
+    """Expected squared error that comes of the cameras' covariances."""
+    information, _ = sums.of_frames(shape, shape_moments(shape, np.zeros((len(shape), 3, 3))))
+    return 2 * float(np.sum(information * covariance))

@@ -1,0 +1,291 @@
+"""Structure from motion as factor analysis: shape and affine cameras from point tracks with gaps.
+
+RSMCM eq. (18): position of point i in frame t = M_t (S_i, 1) + noise, M_t (2, 4), S_i (3,).
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .connectivity import determined
+from .em import CameraPrior, Posterior, expectation_maximisation, first_prior
+from .initialisation import RANK, Mask, grown, mean_filled
+from .kernels.moments import point_moments, squared_error
+from .kernels.variable_projection import eliminate_points
+from .moments import camera_moments
+from .observations import Numbers, Observations
+from .posterior import around_optimum, around_start
+from .variable_projection import FAR, NEAR, least_squares
+
+Start = Literal["grow", "svd"]
+
+
+@dataclass(frozen=True, eq=False)
+class Factorisation:
+    """Cameras and shape that explain positions of points, up to an affine change of the shape.
+
+    Parameters
+    ----------
+    cameras
+        `(n_frames, 2, 4)`: position in px = cameras[..., :3] @ shape + cameras[..., 3].
+    camera_covariance
+        `(n_frames, 4, 4)`, of the row of u and of that of v alike.
+    shape
+        `(n_points, 3)`, about white (mean 0, covariance I); the third axis is the one that moves points
+        least.
+    shape_covariance
+        `(n_points, 3, 3)`.
+    noise_variance
+        px^2, of a position of weight 1.
+    rmse
+        px, root mean square over the coordinates of all observations, weighted, at the means.
+    coherent
+        whether cameras follow eq. (19).
+    motion_noise
+        px^2. With coherence `(3, 2)`: variances of eps_1, eps_2, eps_3 for the numbers that multiply the
+        shape and for the translation. Else `(1, 2)`: variances of those numbers themselves.
+    frame_determined
+        `(n_frames,)` bool: the frame shows four points or more that other frames show too. Other cameras are
+        what the prior makes of what there is.
+    history
+        bound of the log likelihood at each iteration of EM; empty where least squares needed none.
+    """
+
+    cameras: Numbers
+    camera_covariance: Numbers
+    shape: Numbers
+    shape_covariance: Numbers
+    noise_variance: float
+    rmse: float
+    coherent: bool
+    motion_noise: Numbers
+    frame_determined: Mask
+    history: tuple[float, ...]
+
+    @property
+    def point_determined(self) -> Mask:
+        """`(n_points,)` bool: known to half a spread of the shape (one standard deviation) or better."""
+        known: Mask = np.linalg.eigvalsh(self.shape_covariance)[:, -1] < DETERMINED**2
+        return known
+
+
+DETERMINED = 0.5
+
+
+def factorise(
+    positions: ArrayLike,
+    weights: ArrayLike | None = None,
+    *,
+    coherence: bool = False,
+    start: Start | Factorisation | NDArray[np.float64] = "grow",
+    polish: bool = True,
+    iterations: int = 500,
+    tolerance: float = 0.003,
+) -> Factorisation:
+    """Find cameras and shape.
+
+    Parameters
+    ----------
+    positions
+        `(n_frames, n_points, 2)` px; anything where the weight is 0.
+    weights
+        `(n_frames, n_points)`, 1 / relative variance, 0 where nothing was seen; where left out, 1 wherever
+        the position is not NaN.
+    coherence
+        whether cameras move by eq. (19) or each frame is on its own.
+    start
+        `"grow"` from the window that shows a rigid motion best; `"svd"` of the mean-filled matrix (the
+        published start); an earlier result for the same frames and points; or cameras `(n_frames, 2, 4)`,
+        in px.
+    polish
+        go on to the optimum. Without coherence that is weighted least squares: no prior pulls at points and
+        frames that are determined. With coherence it is the bound of the likelihood that EM climbs, with
+        acceleration. If not, plain EM is all.
+    iterations, tolerance
+        of EM: at most so many, and until it gains less than so many nats in each.
+
+    Raises
+    ------
+    ValueError
+        if shapes do not fit; numbers are not finite; fewer than 3 frames share 4 points; or, without
+        coherence, frames fall into sets that share fewer than 4 points.
+    """
+    observations = Observations.from_arrays(positions, weights)
+    frames, points = determined(observations, apart=coherence)
+    part = observations.only(frames, points)
+    beginning = _beginning(observations, part, start, coherence)
+    if polish and not coherence:
+        near = isinstance(start, str | Factorisation)
+        found = least_squares(part, beginning.cameras, damping=NEAR if near else FAR)
+        posterior, history = around_optimum(observations, part, found), list[float]()
+    else:
+        posterior, history = expectation_maximisation(
+            observations, beginning, iterations=iterations, tolerance=tolerance, accelerate=polish
+        )
+    return _in_pixels(observations, posterior, frames, history)
+
+
+def _beginning(
+    observations: Observations, part: Observations, start: Start | Factorisation | Numbers, coherent: bool
+) -> Posterior:
+    n_frames = observations.n_frames
+    frames, points = np.diff(part.by_frame.edges) > 0, np.diff(part.by_point.edges) > 0
+    if isinstance(start, Factorisation):
+        return _in_units(observations, start, coherent)
+    if isinstance(start, str):
+        if start == "grow":
+            cameras, shape, frames, points = grown(part, coherent=coherent)
+        elif start == "svd":
+            cameras, shape = mean_filled(observations)
+        else:
+            raise ValueError(f'start: got {start!r}, expected "grow", "svd", cameras or a Factorisation')
+    else:
+        given = np.asarray(start, np.float64)
+        if given.shape != (n_frames, 2, 4) or not np.isfinite(given).all():
+            raise ValueError(f"start: got {given.shape} cameras, expected finite {(n_frames, 2, 4)}")
+        cameras, shape = _with_points(part, observations.scaled(given))
+    return around_start(observations, cameras, shape, frames, points, coherent=coherent)
+
+
+def _with_points(part: Observations, cameras: Numbers) -> tuple[Numbers, Numbers]:
+    """Given cameras with the points that fit them best.
+
+    Where they look past the points, as random ones do, their translations become the middles of the frames.
+    """
+    listed = part.by_frame
+    counts = np.maximum(np.diff(listed.edges), 1)
+    middles = [np.bincount(listed.own, values, part.n_frames) / counts for values in (listed.x, listed.y)]
+    centred = np.concatenate([cameras[..., :3], np.stack(middles, axis=1)[..., None]], axis=2)
+    tried = [(each, *eliminate_points(*part.by_point.columns, each)) for each in (cameras, centred)]
+    best, shape, _, _ = min(tried, key=lambda each: each[3])
+    return best, shape
+
+
+def _in_units(observations: Observations, start: Factorisation, coherent: bool) -> Posterior:
+    """An earlier result as a start, in the units of the observations."""
+    n_frames, n_points = observations.n_frames, observations.n_points
+    if len(start.cameras) != n_frames or len(start.shape) != n_points:
+        raise ValueError(
+            f"start: got a Factorisation of {len(start.cameras)} frames and {len(start.shape)} points, "
+            f"expected {n_frames} and {n_points}"
+        )
+    square = observations.scale**2
+    cameras = observations.scaled(start.cameras)
+    same = start.coherent == coherent
+    return Posterior(
+        cameras,
+        start.camera_covariance / square,
+        start.shape.copy(),
+        start.shape_covariance.copy(),
+        start.noise_variance / (square * observations.weight_unit),
+        CameraPrior(start.motion_noise / square, coherent) if same else first_prior(cameras, coherent),
+    )
+
+
+def _in_pixels(
+    observations: Observations, posterior: Posterior, frames: Mask, history: list[float]
+) -> Factorisation:
+    """The result in px, with the axes of the shape in the order in which they move points."""
+    scale, square = observations.scale, observations.scale**2
+    error = float(squared_error(*observations.by_point.columns, posterior.cameras, posterior.shape).sum())
+    turn = np.eye(4)
+    turn[:RANK, :RANK] = _axes(posterior.cameras, np.diff(observations.by_frame.edges))
+    axes = turn[:RANK, :RANK]
+    cameras = posterior.cameras @ turn * scale
+    cameras[..., 3] += observations.centre
+    return Factorisation(
+        cameras=cameras,
+        camera_covariance=turn.T @ posterior.camera_covariance @ turn * square,
+        shape=posterior.shape @ axes,
+        shape_covariance=axes.T @ posterior.shape_covariance @ axes,
+        noise_variance=posterior.noise * square * observations.weight_unit,
+        rmse=scale * float(np.sqrt(error / (2 * observations.by_point.weight.sum()))),
+        coherent=posterior.prior.coherent,
+        motion_noise=posterior.prior.variance * square,
+        frame_determined=frames,
+        history=tuple(history),
+    )
+
+
+def _axes(cameras: Numbers, counts: NDArray[np.int64]) -> Numbers:
+    """Turn of the shape `(3, 3)` after which cameras have orthogonal columns, the longest first."""
+    rows = cameras[..., :RANK]
+    _, axes = np.linalg.eigh(np.einsum("t,tcj,tck->jk", counts, rows, rows))
+    axes = axes[:, ::-1]
+    turned = rows.reshape(-1, RANK) @ axes
+    largest = turned[np.abs(turned).argmax(axis=0), np.arange(RANK)]
+    result: Numbers = axes * np.where(largest < 0, -1.0, 1.0)
+    return result
+
+
+def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
+    """Positions of all points in all frames, and how uncertain cameras and shape leave them.
+
+    Returns
+    -------
+    positions
+        `(n_frames, n_points, 2)` px.
+    covariances
+        `(n_frames, n_points, 2, 2)` px^2, without the noise of observations.
+    """
+    cameras, shape = factorisation.cameras, factorisation.shape
+    camera_covariance, shape_covariance = factorisation.camera_covariance, factorisation.shape_covariance
+    positions = np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
+    covariances = np.einsum(
+        "tcj,ijk,tdk->ticd", cameras[..., :3], shape_covariance, cameras[..., :3], optimize=True
+    )
+    homogeneous = np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
+    second = homogeneous[:, :, None] * homogeneous[:, None, :]
+    second[:, :3, :3] += shape_covariance
+    isotropic = camera_covariance.reshape(-1, 16) @ second.reshape(-1, 16).T
+    covariances[..., 0, 0] += isotropic
+    covariances[..., 1, 1] += isotropic
+    return positions, covariances
+
+
+def shape_information(
+    cameras: ArrayLike,
+    camera_covariance: ArrayLike,
+    positions: ArrayLike,
+    weights: ArrayLike,
+    noise_variance: float,
+) -> tuple[Numbers, Numbers, Numbers]:
+    """What tracks say of their points where cameras are known.
+
+    Of each point S: E over cameras of sum_t weight |position - M_t (S, 1)|^2 / noise_variance
+    = quadratic - 2 vector . S + S . information S.
+
+    Parameters
+    ----------
+    cameras, camera_covariance
+        `(n_frames, 2, 4)` and `(n_frames, 4, 4)`.
+    positions, weights
+        `(n_frames, n_points, 2)` px and `(n_frames, n_points)`, 0 where nothing was seen.
+    noise_variance
+        px^2, at weight 1.
+
+    Returns
+    -------
+    information, vector, quadratic
+        `(n_points, 3, 3)`, `(n_points, 3)`, `(n_points,)`.
+    """
+    weight = np.asarray(weights, np.float64)
+    where = np.asarray(positions, np.float64)
+    matrices = np.asarray(cameras, np.float64)
+    point, frame = np.nonzero(weight.T)
+    edges = np.zeros(weight.shape[1] + 1, np.int64)
+    np.cumsum(np.bincount(point, minlength=weight.shape[1]), out=edges[1:])
+    seen = where[frame, point]
+    moments = camera_moments(matrices, np.asarray(camera_covariance, np.float64))
+    information, vector, quadratic = point_moments(
+        edges,
+        frame,
+        np.ascontiguousarray(seen[:, 0]),
+        np.ascontiguousarray(seen[:, 1]),
+        weight[frame, point] / noise_variance,
+        np.ascontiguousarray(matrices),
+        moments,
+    )
+    return information, vector, quadratic

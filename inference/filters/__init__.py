@@ -1,0 +1,1 @@
+"""Kalman filters of many things at once, and resampling."""

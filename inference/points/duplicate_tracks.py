@@ -1,0 +1,91 @@
+"""Identities that turn out to be one point: what the shape takes for one, and what sits on one spot."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ...models.points.patches import likeness
+from ...models.points.point_tracks import PointMessage
+from .trajectory import PointTrajectory
+
+Identities = NDArray[np.int64]
+Same = Mapping[int, int]
+"""Identity, and the smaller one of the point that it is."""
+
+AGREE = 0.7
+"""Likeness of two points that are said to be one, at the looks of theirs that are most alike."""
+
+SEVERAL = 5
+"""Frames in which two points are found on one spot before they are taken for one."""
+
+
+def same_points(trajectory: PointTrajectory, told: Sequence[PointMessage]) -> dict[int, int]:
+    """Identities that were one point before, and those that other chains take for one and that look alike."""
+    same = {int(one): int(other) for one, other in trajectory.absorbed}
+    said = {
+        (int(one), int(other))
+        for message in told
+        if message.same_as is not None
+        for one, other in zip(message.positions.identities, message.same_as, strict=True)
+        if one != other
+    }
+    looks = trajectory.looks
+    if looks is None or not said:
+        return same
+    pairs = np.array(sorted(said), np.int64)
+    pairs = pairs[np.isin(pairs, looks.identities).all(axis=1)]
+    one, other = np.searchsorted(looks.identities, pairs.T)
+    alike = np.max(
+        [likeness(a[one], b[other]) for a in (looks.first, looks.last) for b in (looks.first, looks.last)],
+        axis=0,
+    )
+    return united(same, pairs[alike >= AGREE])
+
+
+def united(same: Same, pairs: Iterable[Sequence[int]]) -> dict[int, int]:
+    """Groups with some more pairs in one: each identity that is not the smallest of its group, with that."""
+    group = dict(same)
+
+    def smallest(identity: int) -> int:
+        while identity in group:
+            identity = group[identity]
+        return identity
+
+    for one, other in pairs:
+        low, high = sorted((smallest(int(one)), smallest(int(other))))
+        if low != high:
+            group[high] = low
+    return {identity: smallest(identity) for identity in group}
+
+
+def renamed(message: PointMessage, same: Same) -> PointMessage:
+    """What is said of each point once, under its smallest identity."""
+    if not same:
+        return message
+    identities = rename(message.positions.identities, same)
+    names, first = np.unique(identities, return_index=True)
+    positions = replace(message.positions.only(first), identities=names)
+    return PointMessage(positions, message.patches, message.view)
+
+
+def rename(identities: Identities, same: Same) -> Identities:
+    """`(n,)`: the smallest identity of each one's point."""
+    names: Identities = np.array(
+        [same.get(int(identity), int(identity)) for identity in identities], np.int64
+    )
+    return names
+
+
+def on_one_spot(messages: Sequence[PointMessage], spot: float) -> list[tuple[int, int]]:
+    """Pairs of identities that were found nearer to each other than `spot` px in several frames."""
+    times: Counter[tuple[int, int]] = Counter()
+    for message in messages:
+        identities, mean, _ = message.positions.moments
+        if len(identities) > 1:
+            pairs = cKDTree(mean).query_pairs(spot, output_type="ndarray")
+            times.update((int(one), int(other)) for one, other in identities[np.sort(pairs, axis=1)])
+    return sorted(pair for pair, count in times.items() if count >= SEVERAL)

@@ -1,0 +1,258 @@
+"""Points followed from frame to frame: found again, lost, recognised, and new ones taken up.
+
+Steps of the tracker of RSMCM §4.3, from one state to the next.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ...models.core.gaussian_message import GaussianMessage
+from ...models.core.mahalanobis import squared_distances
+from ...models.points.patches import Patches, likeness, lit_as
+from ...models.points.point_tracks import PointMessage, View
+from ..filters import kalman
+from ..filters.kalman import PointStates
+from .known_points import KnownPoints
+from .motion_noise import MEDIAN
+
+Numbers = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Identities = NDArray[np.int64]
+
+LEAST_ACCELERATION = 450.0
+"""px^2/s^3, to which learning goes down where there is a picture: any camera may be touched."""
+
+FIRST_SPEED = 100.0
+"""px/s, standard deviation of the velocity of a point that is new, where there is a picture."""
+
+GIVEN_ACCELERATION, GIVEN_SPEED, GIVEN_LIMIT = 3.0, 10.0, 10.0
+"""What is taken for given points, whose unit is not known. The first acceleration: noise by which a point
+leaves its way in 40 ms. The first speed: extents of the whole that a point crosses in a second. The limit:
+noise."""
+
+ENOUGH = 8
+"""Points that show how all of them move."""
+
+LEARNING, MOST_SURPRISE = 0.2, 3.0
+"""Share by which the log of the acceleration follows that of a look at all points, and the most one look
+says."""
+
+SPOT = 1.5
+"""px: points that are found nearer to each other are on one spot."""
+
+BORN = 0.3
+"""px, standard deviation of a new point's position: it is its patch that says where it is."""
+
+BLENDED = 0.1
+"""Share of what a point looks like that a find replaces."""
+
+SAME, CHANGED = 0.7, 0.95
+"""Likeness with the first look down to which a find is trusted to teach, and with the last from which on
+there is nothing to learn."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackerState:
+    """Points, and the picture that they were found in last.
+
+    Parameters
+    ----------
+    known
+        points that are followed, or were lost lately.
+    next_identity
+        number of the next new point: none is used twice.
+    acceleration
+        px^2/s^3, spectral density of the white acceleration along each coordinate.
+    limit
+        px, standard deviation of a position from which a point is lost.
+    rested
+        s since corners were looked for.
+    view
+        the last picture, or points given for it, and what was found there; `None` before the first.
+    """
+
+    known: KnownPoints
+    next_identity: int
+    acceleration: float
+    limit: float
+    rested: float
+    view: View | None
+
+
+def message_of(state: TrackerState) -> PointMessage:
+    """Where points should be, what they look like (also those that were lost), and the picture before."""
+    known = state.known
+    followed = known.only(known.alive)
+    positions = GaussianMessage.from_moments(
+        followed.identities, followed.states.position, followed.states.position_covariance
+    )
+    return PointMessage(positions, Patches(known.identities, known.patches), state.view)
+
+
+def predicted(state: TrackerState, dt: float) -> TrackerState:
+    """Points move on at their velocities for `dt` s."""
+    known = state.known
+    states = kalman.predict(known.states, dt, state.acceleration)
+    known = replace(known, states=states, unseen=known.unseen + dt)
+    return replace(state, known=known, rested=state.rested + dt)
+
+
+def followed(state: TrackerState, told: PointMessage, *, learns: bool) -> TrackerState:
+    """Points after all that is said of them: those that are found again, and without those that are lost.
+
+    Parameters
+    ----------
+    told
+        evidence, and what other chains say.
+    learns
+        whether the acceleration is learned.
+    """
+    state = _measured(state, told, learns=learns)
+    state = replace(state, view=told.view or state.view)
+    state = _ended(state)
+    return state if told.view is None or told.view.grey is None else _recognised(state, told.view)
+
+
+def with_given(state: TrackerState, told: PointMessage) -> TrackerState:
+    """With points that are given for the first time, under their own identities."""
+    view = told.view
+    if view is None:
+        return state
+    new = np.isin(told.positions.identities, view.found.identities)
+    new &= ~np.isin(told.positions.identities, state.known.identities)
+    identities, mean, covariance = told.positions.only(new).moments
+    states = starting(state, view, mean, covariance)
+    patches = np.zeros((len(identities), view.patch, view.patch), np.float32)
+    largest = int(identities.max(initial=state.next_identity - 1))
+    known = state.known.joined(KnownPoints.new(identities, states, patches))
+    return replace(state, known=known, next_identity=largest + 1)
+
+
+def refilled(state: TrackerState, most: int, spacing: float) -> TrackerState:
+    """With `most` new points where the picture has corners, `spacing` px from all that are followed."""
+    known, view = state.known, state.view
+    if view is None or most < 1:
+        return state
+    corners = view.corners(most, known.states.position[known.alive], spacing)
+    identities = state.next_identity + np.arange(len(corners))
+    states = starting(state, view, corners, BORN**2 * np.eye(2))
+    return replace(
+        state,
+        known=known.joined(KnownPoints.new(identities, states, view.patches_at(corners))),
+        next_identity=state.next_identity + len(corners),
+        rested=0.0,
+        view=view.with_found(identities, corners),
+    )
+
+
+def starting(state: TrackerState, view: View, mean: Numbers, covariance: Numbers) -> PointStates:
+    """Points that begin in a frame, and are taken to move like the others.
+
+    Parameters
+    ----------
+    view
+        of the frame.
+    mean, covariance
+        `(n, 2)` px and `(n, 2, 2)` or `(2, 2)` px^2 of their positions.
+    """
+    known = state.known
+    if view.grey is None:
+        extent = np.ptp(view.found.positions, axis=0).max()
+        states = PointStates.at_rest(mean, 0.0, GIVEN_SPEED * max(extent, view.noise))
+    else:
+        states = PointStates.at_rest(mean, 0.0, FIRST_SPEED)
+        moving = known.states.mean[known.alive & (known.unseen == 0)][:, 2:]
+        if len(moving) >= ENOUGH:
+            velocity = np.median(moving, axis=0)
+            spread = 1.4826 * np.median(np.abs(moving - velocity), axis=0)
+            states.mean[:, 2:] = velocity
+            states.covariance[:, [2, 3], [2, 3]] = (2 * spread + 0.1 * FIRST_SPEED) ** 2
+    states.covariance[:, :2, :2] = covariance
+    return states
+
+
+def _measured(state: TrackerState, told: PointMessage, *, learns: bool) -> TrackerState:
+    """With all that is said of points that are followed, and with those back that are found again."""
+    known, view = state.known, told.view
+    if view is not None and view.grey is None and not len(known):
+        state = _in_unit_of(state, view, learns=learns)
+    mentioned = np.isin(told.positions.identities, known.identities)
+    positions = told.positions.only(mentioned).among(known.identities)
+    states = kalman.update(
+        known.states,
+        positions.information * known.alive[:, None, None],
+        positions.vector * known.alive[:, None],
+    )
+    seen = np.zeros(len(known), np.bool_)
+    if view is not None:
+        seen = np.isin(known.identities, view.found.identities)
+        if learns:
+            least = 0.0 if view.grey is None else LEAST_ACCELERATION
+            acceleration = _restless(state, positions, seen & known.alive)
+            state = replace(state, acceleration=max(acceleration, least))
+    known = replace(known, states=states, unseen=np.where(seen, 0.0, known.unseen))
+    again = np.flatnonzero(seen & ~known.alive)
+    if len(again) and view is not None:
+        _, mean, covariance = positions.only(again).moments
+        known = known.with_states(again, starting(state, view, mean, covariance))
+    return replace(state, known=known)
+
+
+def _in_unit_of(state: TrackerState, view: View, *, learns: bool) -> TrackerState:
+    """With scales that suit points whose unit is not known."""
+    acceleration = 3 * (GIVEN_ACCELERATION * view.noise) ** 2 / 0.04**3 if learns else state.acceleration
+    return replace(state, acceleration=acceleration, limit=GIVEN_LIMIT * view.noise)
+
+
+def _restless(state: TrackerState, positions: GaussianMessage, seen: Mask) -> float:
+    """Acceleration, px^2/s^3, after a look at how far points are from where they were expected.
+
+    The median of the squared distances, in units of their covariances, is moved towards what it should be.
+    """
+    if seen.sum() < ENOUGH:
+        return state.acceleration
+    noise = np.linalg.inv(positions.information[seen])
+    off = (noise @ positions.vector[seen][:, :, None])[:, :, 0] - state.known.states.position[seen]
+    spread = noise + state.known.states.position_covariance[seen]
+    surprise = np.log(np.median(squared_distances(off, spread)) / MEDIAN + 1e-9)
+    return float(state.acceleration * np.exp(LEARNING * np.clip(surprise, -MOST_SURPRISE, MOST_SURPRISE)))
+
+
+def _ended(state: TrackerState) -> TrackerState:
+    """Without points that nobody knows well enough any more, that left the picture, or sit on an older
+    one."""
+    known, view = state.known, state.view
+    states = known.states
+    alive = known.alive & (0.5 * np.trace(states.position_covariance, axis1=1, axis2=2) <= state.limit**2)
+    if view is not None and view.grey is not None:
+        far = np.array([view.grey.shape[1], view.grey.shape[0]]) - 0.5
+        alive &= ((states.position >= -0.5) & (states.position <= far)).all(axis=1)
+        seen = np.flatnonzero(alive & (known.unseen == 0))
+        pairs = cKDTree(states.position[seen]).query_pairs(SPOT, output_type="ndarray")
+        alive[seen[pairs.max(axis=1)]] = False
+    return replace(state, known=replace(known, alive=alive))
+
+
+def _recognised(state: TrackerState, view: View) -> TrackerState:
+    """With what points look like now, where they were found.
+
+    Brightness and contrast are the find's. A patch that took over the rest as well would slide off its point
+    with every find's error: so a find that looks as expected teaches nothing, one that does not look like the
+    first look teaches nothing either, and others a little.
+    """
+    known = state.known
+    seen = np.flatnonzero(known.alive & (known.unseen == 0))
+    if not len(seen):
+        return state
+    place = np.searchsorted(view.found.identities, known.identities[seen])
+    now = view.patches_at(view.found.positions[place])
+    expected = lit_as(known.patches[seen], now)
+    learns = (likeness(now, expected) < CHANGED) & (likeness(now, known.first[seen]) > SAME)
+    patches = known.patches.copy()
+    patches[seen] = expected + np.where(learns, np.float32(BLENDED), np.float32(0))[:, None, None] * (
+        now - expected
+    )
+    return replace(state, known=replace(known, patches=patches))

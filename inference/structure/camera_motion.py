@@ -1,0 +1,157 @@
+"""An affine camera in motion, as a filter: RSMCM eq. (19) with time in seconds.
+
+A row of the camera has four numbers m (three that multiply the shape, in px per unit of it, and a translation
+in px), which change with velocity m' and acceleration m''. The rows of u and of v have the same dynamics and
+are seen through the same points, so they share one covariance.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..factor_analysis.em import CameraPrior, estimate_cameras
+
+Numbers = NDArray[np.float64]
+
+ROW = 4
+ORDERS = 3
+VAGUE = 1e2
+"""Standard deviation of a camera, its velocity and its acceleration before anything is seen, in extents of
+the picture of the shape (and a second)."""
+
+UNSTEADY = 1e-2
+"""Noise of a motion of which nothing is known, in extents a frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraMotion:
+    """What is known of the camera at one time.
+
+    Parameters
+    ----------
+    mean
+        `(2, 12)`: of the rows of u and v, m, m' (1/s) and m'' (1/s^2), four numbers each.
+    covariance
+        `(12, 12)`, of either row.
+    noise
+        `(3, 2)`: by how much the variances of m, m' and m'' grow in a second of themselves; of the numbers
+        that multiply the shape, and of the translation.
+    """
+
+    mean: Numbers
+    covariance: Numbers
+    noise: Numbers
+
+    @property
+    def camera(self) -> Numbers:
+        """`(2, 4)`: position in px = camera[:, :3] @ shape + camera[:, 3]."""
+        return self.mean[:, :ROW]
+
+    @property
+    def camera_covariance(self) -> Numbers:
+        """`(4, 4)`, of either row."""
+        return self.covariance[:ROW, :ROW]
+
+
+def vague(extent: float, noise: Numbers) -> CameraMotion:
+    """A camera of which nothing is known, before a shape that looks about `extent` px large."""
+    return CameraMotion(np.zeros((2, ORDERS * ROW)), (VAGUE * extent) ** 2 * np.eye(ORDERS * ROW), noise)
+
+
+def predict(motion: CameraMotion, dt: float) -> CameraMotion:
+    """The camera `dt` seconds on.
+
+    Eq. (19), with noise that acts all the time instead of once a frame: two steps do the same as one of their
+    length.
+    """
+    steps = _transition(dt)
+    added = np.einsum("kij,kn->ijn", _noise_shapes(dt), motion.noise[:, [0, 0, 0, 1]])
+    covariance = steps @ motion.covariance @ steps.T
+    for j in range(ROW):
+        covariance[j::ROW, j::ROW] += added[:, :, j]
+    return replace(motion, mean=motion.mean @ steps.T, covariance=0.5 * (covariance + covariance.T))
+
+
+def shaken(motion: CameraMotion, variance: float) -> CameraMotion:
+    """The camera after a jerk that adds `variance` (px^2) to each number of its rows."""
+    covariance = motion.covariance.copy()
+    covariance[range(ROW), range(ROW)] += variance
+    return replace(motion, covariance=covariance)
+
+
+def update(motion: CameraMotion, information: Numbers, vector: Numbers) -> CameraMotion:
+    """The camera after a look.
+
+    Parameters
+    ----------
+    information
+        `(4, 4)` of either row.
+    vector
+        `(2, 4)`, information times mean, of the rows of u and v.
+    """
+    seen = motion.covariance[:, :ROW]
+    shrink = np.linalg.inv(np.eye(ROW) + information @ seen[:ROW])
+    mean = motion.mean + (vector - motion.camera @ information) @ shrink.T @ seen.T
+    covariance = motion.covariance - seen @ (shrink @ information) @ seen.T
+    # the block that is seen as a product: a difference of large numbers would lose a sharp look
+    covariance[:ROW] = (seen @ shrink).T
+    covariance[:, :ROW] = covariance[:ROW].T
+    return replace(motion, mean=mean, covariance=0.5 * (covariance + covariance.T))
+
+
+def learned_noise(
+    noise: Numbers | None,
+    information: Numbers,
+    vector: Numbers,
+    times: Numbers,
+    extent: float,
+    rounds: int = 1,
+) -> Numbers:
+    """The motion's noise, `(3, 2)` as in `CameraMotion`, that explains a stretch of looks better.
+
+    Parameters
+    ----------
+    noise
+        to begin with; `None` where nothing is known of it.
+    information, vector
+        `(n, 4, 4)` and `(n, 2, 4)` of looks, as `update` takes them.
+    times
+        `(n,)` s, increasing, two or more; brought onto a grid of their median distance.
+    extent
+        px, about how large the shape looks.
+    rounds
+        of the smoother; none makes the likelihood of the stretch less.
+    """
+    step = float(np.median(np.diff(times)))
+    back = np.round((times[-1] - times) / step).astype(np.int64)
+    recent = back < 2 * len(times)  # a long gap ends the stretch
+    place = back[recent][0] - back[recent]
+    n_steps = int(place[-1]) + 1
+    of_grid, vector_of_grid = np.zeros((n_steps, ROW, ROW)), np.zeros((n_steps, ROW, 2))
+    np.add.at(of_grid, place, extent**2 * information[recent])
+    np.add.at(vector_of_grid, place, extent * vector[recent].transpose(0, 2, 1))
+    per_step = step ** (2 * np.arange(ORDERS)[:, None] + 1) / extent**2
+    first = np.full((ORDERS, 2), UNSTEADY**2) if noise is None else noise * per_step
+    prior = CameraPrior(first, coherent=True)
+    for _ in range(rounds):
+        prior = estimate_cameras(of_grid, vector_of_grid, 1.0, prior).better
+    return prior.variance / per_step
+
+
+def _transition(dt: float) -> Numbers:
+    """The matrix of eq. (19), `(12, 12)`."""
+    taylor = np.array([[1, dt, 0.5 * dt**2], [0, 1, dt], [0, 0, 1]])
+    return np.kron(taylor, np.eye(ROW))
+
+
+def _noise_shapes(dt: float) -> Numbers:
+    """`(3, 3, 3)`: covariances of (m, m', m'') after `dt` of unit noise in m, in m' and in m''."""
+    of_third = [
+        [dt**5 / 20, dt**4 / 8, dt**3 / 6],
+        [dt**4 / 8, dt**3 / 3, dt**2 / 2],
+        [dt**3 / 6, dt**2 / 2, dt],
+    ]
+    of_second = [[dt**3 / 3, dt**2 / 2, 0], [dt**2 / 2, dt, 0], [0, 0, 0]]
+    of_first = [[dt, 0, 0], [0, 0, 0], [0, 0, 0]]
+    return np.array([of_first, of_second, of_third])

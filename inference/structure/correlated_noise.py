@@ -1,0 +1,112 @@
+"""What a tracker's errors are like: partly new in each frame, partly drift that stays for a while."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..factor_analysis.observations import Listed
+from .kernels.track_association import track_moments
+
+Numbers = NDArray[np.float64]
+
+SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99)
+"""Of the variance, that may be drift."""
+MEMORIES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)
+"""Frames in which drift may be forgotten: longer ones cannot be told from another position of the point."""
+
+
+@dataclass(frozen=True)
+class DriftNoise:
+    """Errors of a track along one axis, as a sum of white noise and a first-order Gauss-Markov process.
+
+    A template that has slipped off its point stays off it for some frames: the RSMCM paper (§4.3) emulates
+    this as "consistent bias for five frames". Taken for white, such errors make a short track look surer than
+    it is.
+
+    Parameters
+    ----------
+    white
+        px^2, variance of what is new in each frame, at weight 1.
+    drift
+        px^2, variance of what stays.
+    memory
+        frames after which the correlation of what stays has fallen to 1/e.
+    """
+
+    white: float
+    drift: float
+    memory: float
+
+    @property
+    def decay(self) -> float:
+        """Correlation of drift from one frame to the next."""
+        return float(np.exp(-1 / self.memory))
+
+    def moments(self, tracks: Listed, cameras: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+        """What tracks say of their points where cameras are known.
+
+        -2 log p(track | its point S) = quadratic - 2 vector . S + S . information S + determinant + constant.
+
+        Parameters
+        ----------
+        tracks
+            observations by track.
+        cameras
+            `(n_frames, 2, 4)`.
+
+        Returns
+        -------
+        information, vector, quadratic, determinant
+            `(n_tracks, 3, 3)`, `(n_tracks, 3)`, `(n_tracks,)`, `(n_tracks,)`.
+        """
+        moments: tuple[Numbers, Numbers, Numbers, Numbers] = track_moments(
+            *tracks.columns, np.ascontiguousarray(cameras), self.white, self.drift, self.decay
+        )
+        return moments
+
+
+def estimate_drift_noise(
+    tracks: Listed, cameras: Numbers, point_of_track: NDArray[np.int64], prior: Numbers
+) -> DriftNoise:
+    """Find the noise under which the tracks are likeliest, whatever the points are (restricted likelihood).
+
+    The points are integrated out, so that what fitting them takes from the residuals is accounted for.
+
+    Parameters
+    ----------
+    tracks
+        observations by track.
+    cameras
+        `(n_frames, 2, 4)`.
+    point_of_track
+        `(n_tracks,)`.
+    prior
+        `(3, 3)`, covariance of the points about the origin.
+    """
+    n_points = int(point_of_track.max()) + 1
+    count = 2 * len(tracks.x)
+    best = (-np.inf, DriftNoise(1.0, 0.0, 1.0))
+    for share in SHARES:
+        for memory in MEMORIES if share else MEMORIES[:1]:
+            shape = DriftNoise(1 - share, share, memory)
+            information, vector, quadratic, determinant = shape.moments(tracks, cameras)
+            whole, sums = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3))
+            np.add.at(whole, point_of_track, information)
+            np.add.at(sums, point_of_track, vector)
+            # the scale has a closed form but for the points' prior, which two steps settle
+            scale = 1e-2 * float(np.trace(prior))
+            for _ in range(3):
+                precision = whole + scale * np.linalg.inv(prior)
+                explained = np.einsum("ni,ni->", sums, np.linalg.solve(precision, sums[..., None])[..., 0])
+                freedom = np.trace(np.linalg.solve(precision, whole), axis1=1, axis2=2).sum()
+                scale = float((quadratic.sum() - explained) / max(count - freedom, 1))
+            log_likelihood = -0.5 * (
+                determinant.sum()
+                + (count - 3 * n_points) * np.log(scale)
+                + np.linalg.slogdet(precision)[1].sum()
+                + (quadratic.sum() - explained) / scale
+            )
+            if log_likelihood > best[0]:
+                best = (float(log_likelihood), DriftNoise(scale * shape.white, scale * shape.drift, memory))
+    return best[1]

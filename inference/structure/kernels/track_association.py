@@ -1,0 +1,268 @@
+"""Compiled loops of association: what tracks with drifting errors say of points, and how well pairs agree."""
+
+import numpy as np
+
+from ....models.numerics.compiled import compiled
+
+
+@compiled
+def track_moments(edges, frame, x, y, weight, cameras, white, drift, decay):
+    """What each track says of its point, under noise that is in part remembered from frame to frame.
+
+    The error of a track along each axis is white noise of variance white / weight plus a first-order
+    Gauss-Markov process of variance drift whose correlation falls by `decay` a frame. A Kalman filter of that
+    process turns observations into independent innovations, each a row of an ordinary regression on the
+    point.
+
+    Returns information (n, 3, 3), vector (n, 3), quadratic (n,) and log determinant (n,) of the noise.
+    """
+    n = len(edges) - 1
+    information = np.zeros((n, 3, 3))
+    vector = np.zeros((n, 3))
+    quadratic = np.zeros(n)
+    determinant = np.zeros(n)
+    mean = np.empty((2, 4))  # of the drift, as a linear function of the point: three factors and a constant
+    for k in range(n):
+        mean[:] = 0.0
+        variance = drift
+        for o in range(edges[k], edges[k + 1]):
+            t = frame[o]
+            if o > edges[k]:
+                kept = decay ** (t - frame[o - 1])
+                for r in range(2):
+                    for c in range(4):
+                        mean[r, c] *= kept
+                variance = kept * kept * variance + (1.0 - kept * kept) * drift
+            spread = variance + white / weight[o]
+            gain = variance / spread
+            determinant[k] += 2.0 * np.log(spread)
+            for r in range(2):
+                seen = (x[o] if r == 0 else y[o]) - cameras[t, r, 3]
+                a0 = cameras[t, r, 0] - mean[r, 0]
+                a1 = cameras[t, r, 1] - mean[r, 1]
+                a2 = cameras[t, r, 2] - mean[r, 2]
+                rest = seen - mean[r, 3]
+                information[k, 0, 0] += a0 * a0 / spread
+                information[k, 0, 1] += a0 * a1 / spread
+                information[k, 0, 2] += a0 * a2 / spread
+                information[k, 1, 1] += a1 * a1 / spread
+                information[k, 1, 2] += a1 * a2 / spread
+                information[k, 2, 2] += a2 * a2 / spread
+                vector[k, 0] += a0 * rest / spread
+                vector[k, 1] += a1 * rest / spread
+                vector[k, 2] += a2 * rest / spread
+                quadratic[k] += rest * rest / spread
+                mean[r, 0] += gain * a0
+                mean[r, 1] += gain * a1
+                mean[r, 2] += gain * a2
+                mean[r, 3] += gain * rest
+            variance *= 1.0 - gain
+        for i in range(3):
+            for j in range(i):
+                information[k, i, j] = information[k, j, i]
+    return information, vector, quadratic, determinant
+
+
+@compiled
+def camera_coupling(edges, frame, weight, point, homogeneous, cameras, white, drift, decay, least):
+    """Second derivatives of the fit by cameras, and by cameras and points.
+
+    Of both rows of a camera alike: own (4 n_frames, 4 n_frames). With the points: cross (2, n_frames, 4,
+    n_points, 3). The noise's inverse falls off with the frames between; what is below `least` is left out.
+    """
+    n_frames, n_points = cameras.shape[0], homogeneous.shape[0]
+    own = np.zeros((n_frames, 4, n_frames, 4))
+    cross = np.zeros((2, n_frames, 4, n_points, 3))
+    longest = 0
+    for k in range(len(edges) - 1):
+        longest = max(longest, edges[k + 1] - edges[k])
+    rows = np.zeros((longest, longest))  # innovations as combinations of the track's observations
+    for k in range(len(edges) - 1):
+        first, length, p = edges[k], edges[k + 1] - edges[k], point[k]
+        mean = np.zeros(length)
+        variance = drift
+        for i in range(length):
+            if i > 0:
+                kept = decay ** (frame[first + i] - frame[first + i - 1])
+                mean *= kept
+                variance = kept * kept * variance + (1.0 - kept * kept) * drift
+            spread = variance + white / weight[first + i]
+            gain = variance / spread
+            root = 1.0 / np.sqrt(spread)
+            for j in range(i):
+                rows[i, j] = -mean[j] * root
+                mean[j] -= gain * mean[j]
+            rows[i, i] = root
+            mean[i] = gain
+            variance *= 1.0 - gain
+        for i in range(length):
+            ti = frame[first + i]
+            for j in range(i, -1, -1):
+                entry = 0.0
+                for m in range(i, length):
+                    if abs(rows[m, i]) < least * rows[i, i]:
+                        break
+                    entry += rows[m, i] * rows[m, j]
+                if abs(entry) < least * rows[i, i] * rows[i, i]:
+                    break
+                tj = frame[first + j]
+                for a in range(4):
+                    for b in range(4):
+                        product = entry * homogeneous[p, a] * homogeneous[p, b]
+                        own[ti, a, tj, b] += product
+                        if i != j:
+                            own[tj, a, ti, b] += product
+                for r in range(2):
+                    for a in range(4):
+                        for b in range(3):
+                            cross[r, ti, a, p, b] += entry * homogeneous[p, a] * cameras[tj, r, b]
+                            if i != j:
+                                cross[r, tj, a, p, b] += entry * homogeneous[p, a] * cameras[ti, r, b]
+    return own.reshape(4 * n_frames, 4 * n_frames), cross
+
+
+@compiled
+def same_point_gains(mean, covariance, apart, spread, gains):
+    """Log of how much likelier two points' estimates are if they are one point than if they are two.
+
+    covariance (n, 3, n, 3) is of all estimates together; two different points differ by a draw of covariance
+    `spread` (3, 3), beside their errors. Fills `gains` (n, n), with -1e30 for pairs that are `apart`.
+    """
+    n = mean.shape[0]
+    for i in range(n):
+        gains[i, i] = -1e30
+        for j in range(i):
+            if apart[i, j]:
+                gains[i, j] = gains[j, i] = -1e30
+                continue
+            d0, d1, d2 = mean[i, 0] - mean[j, 0], mean[i, 1] - mean[j, 1], mean[i, 2] - mean[j, 2]
+            a = _entry(covariance, i, j, 0, 0)
+            b = 0.5 * (_entry(covariance, i, j, 0, 1) + _entry(covariance, i, j, 1, 0))
+            c = 0.5 * (_entry(covariance, i, j, 0, 2) + _entry(covariance, i, j, 2, 0))
+            d = _entry(covariance, i, j, 1, 1)
+            e = 0.5 * (_entry(covariance, i, j, 1, 2) + _entry(covariance, i, j, 2, 1))
+            f = _entry(covariance, i, j, 2, 2)
+            same = _log_gaussian(d0, d1, d2, a, b, c, d, e, f)
+            other = _log_gaussian(
+                d0,
+                d1,
+                d2,
+                a + spread[0, 0],
+                b + spread[0, 1],
+                c + spread[0, 2],
+                d + spread[1, 1],
+                e + spread[1, 2],
+                f + spread[2, 2],
+            )
+            gains[i, j] = gains[j, i] = same - other
+
+
+@compiled
+def _entry(covariance, i, j, a, b):
+    return covariance[i, a, i, b] + covariance[j, a, j, b] - covariance[i, a, j, b] - covariance[j, a, i, b]
+
+
+@compiled
+def _log_gaussian(x, y, z, a, b, c, d, e, f):
+    """Log density at (x, y, z) of covariance [[a, b, c], [b, d, e], [c, e, f]], without log(2 pi)."""
+    root0 = np.sqrt(max(a, 1e-30))
+    l10, l20 = b / root0, c / root0
+    root1 = np.sqrt(max(d - l10 * l10, 1e-30))
+    l21 = (e - l20 * l10) / root1
+    root2 = np.sqrt(max(f - l20 * l20 - l21 * l21, 1e-30))
+    u = x / root0
+    v = (y - l10 * u) / root1
+    w = (z - l20 * u - l21 * v) / root2
+    return -0.5 * (u * u + v * v + w * w) - np.log(root0 * root1 * root2)
+
+
+@compiled
+def assign_tracks(
+    order, edges, frame, information, vector, prior_information, prior_vector, log_new, hard, membership, busy
+):
+    """Probabilities that tracks show points, track after track, each left out of what it is tested on.
+
+    `order` names the tracks in turn; information (n, 3, 3) and vector (n, 3) are what they say; `log_new` is
+    the log prior odds that a track shows none of the points against that it shows a certain one.
+    membership (n, n_points), the probabilities, and busy (n_points, n_frames), how many of its observations
+    each point has in a frame, are changed in place; `hard` makes each track a member of one point or none.
+    """
+    n, n_points = membership.shape
+    whole = np.empty((n_points, 3, 3))
+    sums = np.empty((n_points, 3))
+    before = np.empty(n_points)
+    others = np.zeros(n_points)  # tracks that each point has
+    for p in range(n_points):
+        whole[p] = prior_information
+        sums[p] = prior_vector
+    for k in range(n):
+        for p in range(n_points):
+            if membership[k, p] > 0.0:
+                others[p] += membership[k, p]
+                whole[p] += membership[k, p] * information[k]
+                sums[p] += membership[k, p] * vector[k]
+    for p in range(n_points):
+        before[p] = _log_partition(whole[p], sums[p])
+    nothing = _log_partition(prior_information, prior_vector)
+    scores = np.empty(n_points)
+    for k in order:
+        alone = _log_partition(prior_information + information[k], prior_vector + vector[k])
+        own, most = -1, 0.0  # the point that would be left without a track
+        highest = log_new
+        for p in range(n_points):
+            share = membership[k, p]
+            if share > 0.0:
+                others[p] -= share
+                if others[p] < 0.5 and share > most:
+                    own, most = p, share
+                whole[p] -= share * information[k]
+                sums[p] -= share * vector[k]
+                before[p] = _log_partition(whole[p], sums[p])
+                for o in range(edges[k], edges[k + 1]):
+                    busy[p, frame[o]] -= share
+            free = 1.0
+            for o in range(edges[k], edges[k + 1]):
+                free = min(free, 1.0 - busy[p, frame[o]])
+            if free < 1e-3:
+                scores[p] = -1e30
+            else:
+                together = _log_partition(whole[p] + information[k], sums[p] + vector[k])
+                scores[p] = together - before[p] - alone + nothing + np.log(free)
+            highest = max(highest, scores[p])
+        if own >= 0:  # which is what "new" means then
+            scores[own] = max(scores[own], log_new)
+        total = 0.0 if own >= 0 else np.exp(log_new - highest)
+        best = -1
+        for p in range(n_points):
+            if scores[p] == highest:
+                best = p
+            total += np.exp(max(scores[p] - highest, -80.0))
+        for p in range(n_points):
+            if hard:
+                share = 1.0 if p == best else 0.0
+            else:
+                share = np.exp(max(scores[p] - highest, -80.0)) / total
+                if share < 1e-4:
+                    share = 0.0
+            membership[k, p] = share
+            if share > 0.0:
+                others[p] += share
+                whole[p] += share * information[k]
+                sums[p] += share * vector[k]
+                before[p] = _log_partition(whole[p], sums[p])
+                for o in range(edges[k], edges[k + 1]):
+                    busy[p, frame[o]] += share
+
+
+@compiled
+def _log_partition(information, vector):
+    """Log integral of exp(vector . x - x . information x / 2), without log(2 pi)."""
+    root0 = np.sqrt(max(information[0, 0], 1e-30))
+    l10, l20 = information[1, 0] / root0, information[2, 0] / root0
+    root1 = np.sqrt(max(information[1, 1] - l10 * l10, 1e-30))
+    l21 = (information[2, 1] - l20 * l10) / root1
+    root2 = np.sqrt(max(information[2, 2] - l20 * l20 - l21 * l21, 1e-30))
+    u = vector[0] / root0
+    v = (vector[1] - l10 * u) / root1
+    w = (vector[2] - l20 * u - l21 * v) / root2
+    return 0.5 * (u * u + v * v + w * w) - np.log(root0 * root1 * root2)

@@ -1,0 +1,244 @@
+"""Non-rigid structure from motion: the shape of a deforming object, and its poses, from 2-D point tracks."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...models.face.morphable_model import MorphableModel
+from ...models.face.pose import Poses, nearest_rotation
+from .nonrigid_em import Numbers, State, Tracks, Weights, climb, moments, weights
+from .nonrigid_start import start
+
+LEAST_FRAMES = 3
+"""That a point is seen in, and that there are; two views leave depth open."""
+LEAST_POINTS = 4
+"""Of a frame, for its pose to be known."""
+
+FARTHEST = 1e7
+"""px: coordinates beyond are taken for damage; their squares would drown everything else."""
+
+
+@dataclass(frozen=True, eq=False)
+class NonrigidShape:
+    """Mean shape and modes of deformation, and in each frame the pose and the weights of modes.
+
+    Point j of frame t is seen at scale_t * (rotation_t @ (bases[0, j] + sum_k weights[t, k - 1] bases[k, j]))
+    + translation_t, of which x and y are seen, z points away from the viewer. The first basis has root mean
+    square distance 1 from its centroid, the origin, over x and y; weights are standard normal. The mean of
+    all rotations is the identity. Which of the two mirror images in depth it is, orthography cannot tell: it
+    is the one that is convex towards the viewer, as a face is.
+
+    Parameters
+    ----------
+    bases
+        `(n_bases, n_points, 3)`: mean shape, and modes in the order of their size.
+    weights
+        `(n_frames, n_bases - 1)`: posterior means.
+    rotations, scales, translations
+        `(n_frames, 3, 3)`, `(n_frames,)` px, `(n_frames, 2)` px.
+    noise
+        px: standard deviation of a coordinate.
+    rmse
+        px: root mean square, over coordinates of all that was seen, of what the shapes leave.
+    log_likelihood
+        nats, of the tracks in px, weights integrated out.
+    history
+        log likelihood with the prior of the bases, before each iteration of the last climb; never falls.
+    frame_determined
+        `(n_frames,)` bool: the frame shows four points or more. Poses and weights of others are NaN.
+    """
+
+    bases: Numbers
+    weights: Numbers
+    rotations: Numbers
+    scales: Numbers
+    translations: Numbers
+    noise: float
+    rmse: float
+    log_likelihood: float
+    history: tuple[float, ...]
+    frame_determined: NDArray[np.bool_]
+
+    @property
+    def poses(self) -> Poses:
+        """Every frame's pose of `model()`."""
+        ones = np.ones((len(self.scales), 1))
+        morphs = self.scales[:, None] * np.concatenate([ones, self.weights], axis=1)
+        return Poses(self.rotations, self.translations, morphs)
+
+    @property
+    def relative_error(self) -> float:
+        """Root mean square distance between points and where they were seen, in parts of the object's size.
+
+        The size is their root mean square distance from the centroid, as they are seen.
+        """
+        return float(np.sqrt(2) * self.rmse / np.nanmean(self.scales))
+
+    def shapes(self) -> Numbers:
+        """`(n_frames, n_points, 3)` px: where points are seen, and how far behind the object's origin."""
+        positions: Numbers = self.model().positions(self.poses)
+        return positions
+
+    def model(self) -> MorphableModel:
+        """The object's model, with triangles between neighbours as they are seen from the front."""
+        return MorphableModel(self.bases, triangles_in_front(self.bases[0]))
+
+
+def learn_shape(
+    tracks: ArrayLike,
+    bases: int,
+    *,
+    iterations: int = 300,
+    tolerance: float = 1e-6,
+    on_iteration: Callable[[], None] = lambda: None,
+) -> NonrigidShape:
+    """Learn a deformable shape by EM for probabilistic PCA (Torresani, Hertzmann and Bregler 2008).
+
+    See `nonrigid_em` for the model and the steps, `nonrigid_start` for where they start. The frames' order
+    matters only where a flat object's turns are doubtful. There are no random numbers in it.
+
+    Parameters
+    ----------
+    tracks
+        `(n_frames, n_points, 2)` px, NaN where a point was not seen.
+    bases
+        number of morph bases with the mean shape, 2 or more: one less than modes of deformation.
+    iterations, tolerance
+        of the last climb: at most so many, until one gains less than so many nats a coordinate.
+    on_iteration
+        is called after every iteration.
+
+    Raises
+    ------
+    ValueError
+        if tracks have another shape, infinities, or half positions; there are fewer than 3 frames with 4
+        points, or points seen in fewer than 3 of them; or bases are fewer than 2, or more than the tracks can
+        tell apart, min(2 n_frames, n_points - 1) / 3.
+    """
+    positions = np.array(tracks, np.float64)
+    determined = _check(positions, bases)
+    middles = np.nanmean(positions[determined], axis=1)
+    centred = positions[determined] - middles[:, None]
+    unit = float(np.sqrt(np.nanmean(centred**2)))
+    if not unit > 0:
+        raise ValueError("tracks: got points that all lie in one place, expected a shape")
+    centred /= unit
+    observed = Tracks.of(centred)
+    beginning = start(observed, centred, bases, on_iteration)
+    state, history = climb(observed, beginning, iterations, tolerance, on_iteration)
+    return _in_pixels(observed, state, history, unit, middles, determined)
+
+
+def _check(positions: Numbers, bases: int) -> NDArray[np.bool_]:
+    """Refuse what cannot be learned from; `(n_frames,)` which frames can be."""
+    if positions.ndim != 3 or positions.shape[2] != 2:
+        raise ValueError(f"tracks: got {positions.shape}, expected (n_frames, n_points, 2) px")
+    missing = np.isnan(positions)
+    for wrong, what in (
+        (~missing & ~(np.abs(positions) <= FARTHEST), f"finite px up to {FARTHEST:g}, NaN where missing"),
+        (missing[..., :1] != missing, "both coordinates or none"),
+    ):
+        if wrong.any():
+            frame, point = np.argwhere(wrong.any(axis=2))[0]
+            place = f"frame {frame}, point {point}"
+            raise ValueError(f"tracks: got {positions[frame, point].tolist()} at {place}, expected {what}")
+    seen = ~missing[..., 0]
+    determined: NDArray[np.bool_] = seen.sum(axis=1) >= LEAST_POINTS
+    n_frames, n_points = int(determined.sum()), positions.shape[1]
+    if n_frames < LEAST_FRAMES:
+        raise ValueError(
+            f"tracks: got {n_frames} frames that show {LEAST_POINTS} points or more, "
+            f"expected {LEAST_FRAMES} at least"
+        )
+    views = seen[determined].sum(axis=0)
+    if views.min() < LEAST_FRAMES:
+        raise ValueError(
+            f"tracks: got point {views.argmin()} in {views.min()} frames, expected {LEAST_FRAMES} at least"
+        )
+    most = min(2 * n_frames, n_points - 1) // 3
+    if most < 2:
+        raise ValueError(f"tracks: got {n_points} points, expected 7 at least")
+    if not 2 <= bases <= most:
+        raise ValueError(f"bases: got {bases}, expected 2 to {most} for {n_frames} frames, {n_points} points")
+    return determined
+
+
+def _in_pixels(
+    tracks: Tracks,
+    state: State,
+    history: list[float],
+    unit: float,
+    middles: Numbers,
+    determined: NDArray[np.bool_],
+) -> NonrigidShape:
+    """The result in px and in the axes and order that `NonrigidShape` promises."""
+    found = weights(state, moments(tracks, state.bases))
+    turn = nearest_rotation(state.rotations.mean(axis=0))
+    bases, rotations = state.bases @ turn.T, state.rotations @ turn.T
+    centroids = bases.mean(axis=1)
+    axes = state.scales[:, None, None] * rotations[:, :2]
+    translations = state.translations + np.einsum("nca,nk,ka->nc", axes, found.extended, centroids)
+    bases = bases - centroids[:, None]
+    if not convex(bases[0]):
+        mirror = np.array([1.0, 1.0, -1.0])
+        bases, rotations = bases * mirror, mirror[:, None] * rotations * mirror
+    flat = bases[1:, :, :2].reshape(len(bases) - 1, -1)
+    order = np.linalg.eigh(flat @ flat.T)[1][:, ::-1]
+    bases[1:] = np.tensordot(order.T, bases[1:], 1)
+    size = float(np.sqrt(np.mean(np.sum(bases[0, :, :2] ** 2, axis=1))))
+
+    def everywhere(values: Numbers) -> Numbers:
+        whole = np.full((len(determined), *values.shape[1:]), np.nan)
+        whole[determined] = values
+        return whole
+
+    return NonrigidShape(
+        bases=bases / size,
+        weights=everywhere(found.mean @ order),
+        rotations=everywhere(rotations),
+        scales=everywhere(state.scales * size * unit),
+        translations=everywhere(translations * unit + middles),
+        noise=unit * float(np.sqrt(state.noise)),
+        rmse=unit * float(np.sqrt(_squared_error(tracks, state, found) / tracks.count)),
+        log_likelihood=float(found.log_likelihood.sum()) - tracks.count * float(np.log(unit)),
+        history=tuple(value - tracks.count * float(np.log(unit)) for value in history),
+        frame_determined=determined,
+    )
+
+
+def _squared_error(tracks: Tracks, state: State, found: Weights) -> float:
+    """What the mean shapes leave of the positions."""
+    shapes = np.tensordot(found.extended, state.bases, 1)
+    predicted = shapes @ state.seen_axes.transpose(0, 2, 1) + state.translations[:, None]
+    return float(np.sum(tracks.seen[..., None] * (tracks.positions - predicted) ** 2))
+
+
+def convex(shape: Numbers) -> bool:
+    """Whether a shape `(n_points, 3)` is nearer to the viewer in its middle than at its margin."""
+    centred = shape - shape.mean(axis=0)
+    outwards = np.sum(centred[:, :2] ** 2, axis=1)
+    return bool(np.sum(centred[:, 2] * (outwards - outwards.mean())) >= 0)
+
+
+def triangles_in_front(shape: Numbers) -> NDArray[np.int64]:
+    """Delaunay triangles `(n_triangles, 3)` of a shape `(n_points, 3)` as seen from the front.
+
+    Their normals (cross products of edges) have z < 0. Of points in the very same place one has triangles.
+
+    Raises
+    ------
+    ValueError
+        if all points lie on a line, as seen from the front.
+    """
+    from scipy.spatial import Delaunay, QhullError
+
+    try:
+        triangles = Delaunay(shape[:, :2]).simplices.astype(np.int64)
+    except QhullError:
+        raise ValueError("shape: got points on a line, expected some with triangles between them") from None
+    first, second, third = (shape[triangles[:, corner]] for corner in range(3))
+    away = np.cross(second - first, third - first)[:, 2] > 0
+    triangles[away] = triangles[away][:, ::-1]
+    return triangles

@@ -1,0 +1,470 @@
+"""Which tracks show the same point: partial tracks that the shape says are one become one.
+
+A point that was lost and found again has several tracks. The RSMCM paper (§4.3) lets the shape decide which
+belong together, but gives no equations; these are ours. Cameras and points of all tracks, each a point of its
+own, have a joint posterior; pairs of which it says that they are at one place are taken for one, the surest
+first, and the posterior is conditioned on that, so that each union makes cameras of different times agree
+better and the next one surer. What is ambiguous waits until it no longer is. At the end every track is tested
+against every point, without its own part in it, and is kept where it surely belongs.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
+
+from ..factor_analysis.factorisation import Factorisation, factorise
+from ..factor_analysis.observations import Observations
+from .correlated_noise import DriftNoise, estimate_drift_noise
+from .kernels.track_association import assign_tracks, camera_coupling, same_point_gains
+
+Numbers = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+NEW = 0.1
+"""Prior probability that a track which begins shows a point that was never seen before."""
+
+MARGINS = (3.0, 1.5, 0.0)
+"""Nats by which a union has to be likelier than what it excludes: round by round, as cameras get better."""
+
+MOST_ROUNDS = 10
+SHARINGS = 4
+SURE = 0.99
+"""Probability from which a track is said to show a point."""
+
+DETERMINED = 0.15
+"""A point is one if its positions in all frames are known to this share of the spread of all points."""
+
+TORN = 0.05
+"""Product of probabilities from which a track is torn between two points."""
+
+MOST_TOGETHER = 500
+"""Tracks with most observations whose joint posterior is looked at; others are only assigned at the end."""
+
+AT_ONCE = 0.05
+"""Unions between two looks at all pairs, as a share of the points."""
+
+LEAST_CORRELATION = 1e-8
+"""Of the noise of two frames, that counts."""
+
+RIDGE = 1e-7
+"""Added to the cameras' information, of unit diagonal, for what rounding takes away."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linked:
+    """Points and the tracks that show them.
+
+    Parameters
+    ----------
+    factorisation
+        cameras and points.
+    point_of_track
+        `(n_tracks,)` int64; -1 where it is not sure enough what a track shows.
+    membership
+        `(n_tracks, n_points)`, the probability that a track shows a point.
+    noise
+        errors of the tracks, px^2.
+    """
+
+    factorisation: Factorisation
+    point_of_track: Indices
+    membership: Numbers
+    noise: DriftNoise
+
+
+def link_tracks(positions: ArrayLike, weights: ArrayLike | None = None, *, coherence: bool = False) -> Linked:
+    """Find points, cameras, and which tracks belong to which point.
+
+    Parameters
+    ----------
+    positions
+        `(n_frames, n_tracks, 2)` px; anything where the weight is 0.
+    weights
+        `(n_frames, n_tracks)`, 1 / relative variance, 0 where nothing was seen; where left out, 1 wherever
+        the position is not NaN.
+    coherence
+        whether cameras move by eq. (19).
+
+    Raises
+    ------
+    ValueError
+        as `factorise` does.
+    """
+    where = np.asarray(positions, np.float64)
+    weight = np.asarray(~np.isnan(where).any(axis=2) if weights is None else weights, np.float64)
+    where = np.where(weight[..., None] > 0, where, 0.0)
+    linking = _Linking(where, weight, coherence)
+    linking.unite()
+    linking.share()
+    return linking.result()
+
+
+class _Linking:
+    """State of the association, in the units of `Observations`."""
+
+    def __init__(self, positions: Numbers, weights: Numbers, coherence: bool) -> None:
+        self._positions, self._weights = positions, weights
+        self._coherence = coherence
+        self._observations = Observations.from_arrays(positions, weights)
+        self._tracks = self._observations.by_point
+        n_tracks = positions.shape[1]
+        self._counts = np.diff(self._tracks.edges)
+        self._seen = np.zeros((n_tracks, self._observations.n_frames))
+        self._seen[self._tracks.own, self._tracks.other] = 1
+        self._point = np.arange(n_tracks)
+        self._membership = np.eye(n_tracks)
+        self._fit = factorise(positions, weights, coherence=coherence)
+        at_once = np.bincount(self._observations.by_frame.own).max()
+        self._log_new = float(np.log(at_once * NEW / (1 - NEW)))
+        """Log prior odds of a new point against a certain one of those that there may be."""
+
+    # --- what the present cameras say ---
+
+    @property
+    def _cameras(self) -> Numbers:
+        """In the units of the observations."""
+        return self._observations.scaled(self._fit.cameras)
+
+    def _population(self) -> tuple[Numbers, Numbers]:
+        """Mean `(3,)` and covariance `(3, 3)` of the points that are well seen."""
+        seen = self._membership.T @ self._counts
+        well = seen >= min(8.0, np.median(seen[seen > 0]))
+        shape = self._fit.shape[well]
+        return shape.mean(axis=0), 1.5 * np.cov(shape.T) + 1e-6 * np.eye(3)
+
+    def _noise(self) -> DriftNoise:
+        mean, covariance = self._population()
+        return estimate_drift_noise(
+            self._tracks, self._cameras, self._point, covariance + np.outer(mean, mean)
+        )
+
+    # --- unions ---
+
+    def unite(self) -> None:
+        """Take tracks for one point, round by round, until nothing changes."""
+        for number in range(MOST_ROUNDS):
+            margin = MARGINS[min(number, len(MARGINS) - 1)]
+            before = self._point
+            self._regroup(self._united(margin))
+            if margin == 0:
+                self._reassign()
+                if np.array_equal(self._point, before):
+                    return
+
+    def _united(self, margin: float) -> Indices:
+        """Point of each track after all unions that are surer than `margin`."""
+        noise = self._noise()
+        chosen = np.sort(np.argsort(-(self._membership.T @ self._counts), kind="stable")[:MOST_TOGETHER])
+        mean, covariance = self._posterior(noise, chosen)
+        seen = np.zeros((len(chosen), self._observations.n_frames))
+        place = np.full(self._fit.shape.shape[0], -1)
+        place[chosen] = np.arange(len(chosen))
+        inside = place[self._point[self._tracks.own]]
+        seen[inside[inside >= 0], self._tracks.other[inside >= 0]] = 1
+        _, population = self._population()
+        group = unite_points(mean, covariance, seen @ seen.T > 0, 2 * population, self._log_new, margin)
+        target = np.arange(len(place))
+        target[chosen] = chosen[group]
+        return target[self._point]
+
+    def _posterior(self, noise: DriftNoise, chosen: Indices) -> tuple[Numbers, Numbers]:
+        """Mean `(n, 3)` and covariance `(n, 3, n, 3)` of chosen points, with cameras uncertain as well."""
+        fit, tracks = self._fit, self._tracks
+        cameras, n_points, n_frames = self._cameras, len(self._fit.shape), self._observations.n_frames
+        homogeneous = np.concatenate([fit.shape, np.ones((n_points, 1))], axis=1)
+        own, cross = camera_coupling(
+            tracks.edges,
+            tracks.other,
+            tracks.weight,
+            self._point,
+            homogeneous,
+            cameras,
+            noise.white,
+            noise.drift,
+            noise.decay,
+            LEAST_CORRELATION,
+        )
+        information, _, _, _ = noise.moments(tracks, cameras)
+        whole = np.tile(np.eye(3), (n_points, 1, 1))
+        np.add.at(whole, self._point, information)
+        inverse = np.linalg.inv(whole)
+        own += camera_precision(fit, n_frames) * self._observations.scale**2
+        size = 4 * n_frames
+        coupling = cross.reshape(2 * size, n_points, 3)
+        through = np.einsum("anj,njk->ank", coupling, inverse)
+        marginal = -through.reshape(2 * size, -1) @ coupling.reshape(2 * size, -1).T
+        marginal[:size, :size] += own
+        marginal[size:, size:] += own
+        # all cameras can move together with all points, which only the points' prior limits
+        unit = 1 / np.sqrt(np.diag(marginal))
+        marginal *= unit[:, None] * unit
+        marginal[np.diag_indices(2 * size)] += RIDGE
+        root = np.linalg.cholesky(marginal)
+        part = solve_triangular(root, unit[:, None] * through[:, chosen].reshape(2 * size, -1), lower=True)
+        covariance = (part.T @ part).reshape(len(chosen), 3, len(chosen), 3)
+        diagonal = np.arange(len(chosen))
+        covariance[diagonal, :, diagonal] += inverse[chosen]
+        return fit.shape[chosen], covariance
+
+    # --- assignment given cameras ---
+
+    def _assigned(self, membership: Numbers, *, hard: bool) -> Numbers:
+        """Membership after one turn of all tracks, short ones first."""
+        tracks = self._tracks
+        noise = self._noise_now
+        information, vector, _, _ = noise.moments(tracks, self._cameras)
+        mean, covariance = self._population()
+        prior = np.linalg.inv(covariance)
+        membership = np.ascontiguousarray(membership)
+        busy = membership.T @ self._seen
+        order = np.argsort(self._counts, kind="stable")
+        assign_tracks(
+            order,
+            tracks.edges,
+            tracks.other,
+            information,
+            vector,
+            prior,
+            prior @ mean,
+            self._log_new,
+            hard,
+            membership,
+            busy,
+        )
+        return membership
+
+    def _reassign(self) -> None:
+        """Move tracks to the points that they fit best."""
+        self._noise_now = self._noise()
+        membership = self._membership
+        for _ in range(3):
+            membership = self._assigned(membership.copy(), hard=True)
+        point = membership.argmax(axis=1)
+        alone = membership.max(axis=1) == 0
+        point[alone] = membership.shape[1] + np.arange(np.count_nonzero(alone))
+        self._regroup(point)
+
+    def _regroup(self, point: Indices) -> None:
+        """Number the points anew, and fit again."""
+        _, self._point = np.unique(point, return_inverse=True)
+        self._refit(np.eye(self._point.max() + 1)[self._point])
+
+    def _refit(self, membership: Numbers) -> None:
+        weights = self._weights @ membership
+        sums = np.einsum("tk,tkc,kp->tpc", self._weights, self._positions, membership, optimize=True)
+        weights[weights < 1e-3] = 0
+        positions = sums / np.maximum(weights, 1e-3)[..., None]
+        self._membership = membership
+        shape, spread = self._points_given_cameras(membership)
+        self._fit = factorise(
+            positions,
+            weights,
+            coherence=self._coherence,
+            start=replace(self._fit, shape=shape, shape_covariance=spread),
+        )
+
+    def _points_given_cameras(self, membership: Numbers) -> tuple[Numbers, Numbers]:
+        noise = DriftNoise(self._fit.noise_variance / self._observations.scale**2, 0.0, 1.0)
+        information, vector, _, _ = noise.moments(self._tracks, self._cameras)
+        whole = np.eye(3) + np.einsum("kp,kij->pij", membership, information)
+        inverse = np.linalg.inv(whole)
+        return np.einsum("pij,kp,kj->pi", inverse, membership, vector, optimize=True), inverse
+
+    # --- the end ---
+
+    def share(self) -> None:
+        """Let tracks belong to points in part, and leave out points that they do not determine."""
+        self._noise_now = self._noise()
+        membership = self._membership
+        for _ in range(SHARINGS):
+            membership = membership[:, self._determined(membership)]
+            membership = self._without_twins(membership)
+            membership = self._assigned(membership, hard=False)
+            self._refit(membership[:, membership.sum(axis=0) > 0.5])
+            membership = self._membership
+
+    def _without_twins(self, membership: Numbers) -> Numbers:
+        """Memberships after points between which the same tracks are torn have become one."""
+        information, vector, _, _ = self._noise_now.moments(self._tracks, self._cameras)
+        mean, covariance = self._population()
+        prior = np.asarray(np.linalg.inv(covariance), np.float64)
+        pull: Numbers = prior @ mean
+        while True:
+            first, second = np.nonzero(np.triu(membership.T @ membership > TORN, 1))
+            whole: Numbers = np.einsum("kp,kij->pij", membership, information, optimize=True)
+            sums: Numbers = membership.T @ vector
+            busy = membership.T @ self._seen
+            alone = log_partition(whole + prior, sums + pull)
+            together = log_partition(whole[first] + whole[second] + prior, sums[first] + sums[second] + pull)
+            gains = together - alone[first] - alone[second] + log_partition(prior, pull)
+            gains[(busy[first] * busy[second]).sum(axis=1) > 0.5] = -np.inf
+            if not len(gains) or gains.max() < self._log_new:
+                return membership
+            one, other = int(first[gains.argmax()]), int(second[gains.argmax()])
+            membership = membership.copy()
+            membership[:, one] += membership[:, other]
+            membership = np.delete(membership, other, axis=1)
+
+    def _determined(self, membership: Numbers) -> NDArray[np.bool_]:
+        """Whether tracks say where each point is, in every frame."""
+        information, _, _, _ = self._noise_now.moments(self._tracks, self._cameras)
+        _, covariance = self._population()
+        whole = np.linalg.inv(covariance) + np.einsum("kp,kij->pij", membership, information)
+        rows = self._cameras[..., :3]
+        variance = np.einsum("tcj,pjk,tck->tp", rows, np.linalg.inv(whole), rows, optimize=True)
+        spread = np.einsum("tcj,jk,tck->t", rows, covariance, rows)
+        known: NDArray[np.bool_] = (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
+        return known
+
+    def result(self) -> Linked:
+        """Points that are determined, and the tracks that surely show them; the surest one at least."""
+        membership = self._membership
+        sure = membership > SURE
+        columns = np.arange(membership.shape[1])
+        # of points that look alike tracks are never sure: the one that says most stays with its point
+        anchors = (membership * self._counts[:, None]).argmax(axis=0)
+        own = membership[anchors].argmax(axis=1) == columns
+        sure[anchors[own], columns[own]] = True
+        own &= self._determined(np.where(sure, 1.0, 0.0))
+        sure &= own
+        point = np.where(sure.any(axis=1), sure.argmax(axis=1), -1)
+        point[point >= 0] = np.cumsum(own)[point[point >= 0]] - 1
+        fit = replace(self._fit, shape=self._fit.shape[own], shape_covariance=self._fit.shape_covariance[own])
+        unit = self._observations.scale**2 * self._observations.weight_unit
+        noise = self._noise_now
+        return Linked(
+            fit, point, membership[:, own], DriftNoise(noise.white * unit, noise.drift * unit, noise.memory)
+        )
+
+
+def log_partition(information: Numbers, vector: Numbers) -> Numbers:
+    """Log integral of exp(vector . x - x . information x / 2) over x in 3-D, without log(2 pi); batched."""
+    solved = np.linalg.solve(information, vector[..., None])[..., 0]
+    result: Numbers = 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
+    return result
+
+
+def unite_points(
+    mean: Numbers,
+    covariance: Numbers,
+    apart: NDArray[np.bool_],
+    spread: Numbers,
+    log_new: float,
+    margin: float,
+) -> Indices:
+    """Take points for one, the surest first, and condition all others on it.
+
+    Parameters
+    ----------
+    mean, covariance
+        `(n, 3)` and `(n, 3, n, 3)`, of the points' joint posterior.
+    apart
+        `(n, n)`, whether two points are different for sure (both were seen in one frame).
+    spread
+        `(3, 3)`, covariance of the difference of two different points.
+    log_new
+        by how much likelier than chance a union has to be.
+    margin
+        a union waits if another one that excludes it is likelier, or less likely by no more than this.
+
+    Returns
+    -------
+    `(n,)`, for each point the smallest number of those that it is one with.
+    """
+    n = len(mean)
+    mean, covariance, apart = mean.copy(), covariance.copy(order="C"), apart.copy()
+    flat = covariance.reshape(3 * n, 3 * n)
+    group, alive = np.arange(n), np.ones(n, bool)
+    gains = np.empty((n, n))
+    while True:
+        same_point_gains(mean, covariance, apart | ~alive | ~alive[:, None], spread, gains)
+        pairs = _unambiguous(gains, apart, log_new, margin)
+        if not pairs:
+            return group
+        rows = np.concatenate([3 * i + np.arange(3) for i, _ in pairs])
+        others = np.concatenate([3 * j + np.arange(3) for _, j in pairs])
+        reach = flat[:, rows] - flat[:, others]
+        between = reach[rows] - reach[others]
+        between[np.diag_indices(len(rows))] += 1e-12 * np.trace(between) / len(rows)
+        pull = np.linalg.solve(between, reach.T).T
+        mean = (mean.reshape(-1) - pull @ (mean.reshape(-1)[rows] - mean.reshape(-1)[others])).reshape(n, 3)
+        flat -= pull @ reach.T
+        for i, j in pairs:
+            group[group == j] = i
+            alive[j] = False
+            apart[i] |= apart[j]
+            apart[:, i] |= apart[:, j]
+
+
+def _unambiguous(
+    gains: Numbers, apart: NDArray[np.bool_], log_new: float, margin: float
+) -> list[tuple[int, int]]:
+    """Unions to be made at once: no point is in two of them."""
+    n = len(gains)
+    first, second = np.nonzero(np.triu(gains > log_new, 1))
+    order = np.argsort(-gains[first, second], kind="stable")
+    touched = np.zeros(n, bool)
+    pairs: list[tuple[int, int]] = []
+    for k in order:
+        i, j = int(first[k]), int(second[k])
+        if touched[i] or touched[j]:
+            continue
+        rivals = [
+            apart[there, close] | (gains[there, close] < 0)
+            for here, there in ((i, j), (j, i))
+            for close in [_close(gains[here], there, margin)]
+        ]
+        if any(each.any() for each in rivals):
+            continue
+        touched[i] = touched[j] = True
+        pairs.append((i, j))
+        if len(pairs) >= AT_ONCE * n:
+            break
+    return pairs
+
+
+def _close(gains: Numbers, chosen: int, margin: float) -> Indices:
+    """Others that are nearly as likely as the chosen one, or likelier."""
+    near = gains > gains[chosen] - margin
+    near[chosen] = False
+    return np.flatnonzero(near).astype(np.int64)
+
+
+def camera_precision(fit: Factorisation, n_frames: int) -> Numbers:
+    """Prior information `(4 n_frames, 4 n_frames)` 1/px^2 of a row of the cameras at all times."""
+    if not fit.coherent:
+        return np.diag(np.tile(1 / np.repeat(fit.motion_noise[0], (3, 1)), n_frames))
+    linear, shift = (motion_precision(fit.motion_noise[:, k], n_frames) for k in range(2))
+    precision = np.zeros((n_frames, 4, n_frames, 4))
+    for number in range(3):
+        precision[:, number, :, number] = linear
+    precision[:, 3, :, 3] = shift
+    return precision.reshape(4 * n_frames, 4 * n_frames)
+
+
+def motion_precision(variances: Numbers, n_frames: int) -> Numbers:
+    """Information `(n_frames, n_frames)` that eq. (19) holds of one number m at all times.
+
+    `variances` are those of eps_1, eps_2 and eps_3; of the first frame nothing is known. Eq. (19) without its
+    derivatives: the third difference of m is (eps_3 + its last value) / 2 plus the first difference of eps_2
+    plus the second difference of eps_1.
+    """
+    count = n_frames - 3
+    if count < 1:
+        return np.zeros((n_frames, n_frames))
+    noise = np.zeros((count, count))
+    for weights, variance in (
+        ((0.5, 0.5), variances[2]),
+        ((-1, 1), variances[1]),
+        ((1, -2, 1), variances[0]),
+    ):
+        band = np.zeros((count, count + len(weights) - 1))
+        for k, weight in enumerate(weights):
+            band += weight * np.eye(*band.shape, k)
+        noise += variance * band @ band.T
+    noise[np.diag_indices(count)] *= 1 + 1e-6
+    rows = solve_triangular(np.linalg.cholesky(noise), np.diff(np.eye(n_frames), 3, axis=0), lower=True)
+    precision: Numbers = rows.T @ rows
+    return precision

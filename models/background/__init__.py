@@ -1,0 +1,1 @@
+"""The empty scene, pixel by pixel, and what covers it."""

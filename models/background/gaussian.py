@@ -1,0 +1,266 @@
+"""A picture of the empty scene as a prediction of pixels, and what an image says of it.
+
+Per pixel the scene shows `light * mean` plus noise where nothing stands in front of it, and anything where
+something does. Reading an image against that prediction is the one pass over all pixels of a frame; its
+result (log odds of "background", and the mean and variances that would follow) is kept with the prediction.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..numerics import array_pool
+from ..numerics.threads import over_bands
+from . import colour
+from .kernels.gaussian import (
+    ODDS_STEPS,
+    interpolate,
+    log_evidence,
+    pool_log_odds,
+    recall,
+    subtract_colour,
+    subtract_grey,
+)
+
+Planes = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class LightField:
+    """How bright the scene is lit now, relative to the picture that is remembered, on a grid of blocks.
+
+    Parameters
+    ----------
+    blocks
+        `(block_rows, block_columns)` float32, 1 where the light is as it was.
+    size
+        `(height, width)` px of the picture.
+    """
+
+    blocks: Planes
+    size: tuple[int, int]
+
+    def rows(self) -> Planes:
+        """`(block_rows + 1, width)` float32: interpolated along x at block centres; the last one twice."""
+        return self._rows
+
+    def row_positions(self) -> Planes:
+        """`(height,)` float32: where between the rows of `rows()` each pixel row lies."""
+        return _positions(self.size[0], self.blocks.shape[0])
+
+    @cached_property
+    def _rows(self) -> Planes:
+        left, share = _neighbours(self.size[1], self.blocks.shape[1])
+        rows: Planes = np.empty((self.blocks.shape[0] + 1, self.size[1]), np.float32)
+        interpolate(self.blocks, left, share, rows)
+        return rows
+
+
+@lru_cache(maxsize=16)
+def _positions(n_pixels: int, n_blocks: int) -> Planes:
+    """Where between the centres of blocks the centres of pixels lie, `(n_pixels,)` float32."""
+    position = (np.arange(n_pixels) + 0.5) * n_blocks / n_pixels - 0.5
+    return np.clip(position, 0, n_blocks - 1).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _neighbours(n_pixels: int, n_blocks: int) -> tuple[NDArray[np.intp], Planes]:
+    """The block left of every pixel, and the share of the one right of it."""
+    position = _positions(n_pixels, n_blocks)
+    left = np.minimum(position.astype(np.intp), n_blocks - 2)
+    return left, (position - left).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Subtraction:
+    """What an image says of a predicted background, each `(n_pixels,)` int8 in steps of 1/20 nat.
+
+    Parameters
+    ----------
+    log_odds
+        log of P(B=1) N(I; ...) over P(B=0) U, within +-6 nats.
+    pooled
+        the same with the neighbours' share (see `BackgroundPrediction`).
+    """
+
+    log_odds: NDArray[np.int8]
+    pooled: NDArray[np.int8]
+
+
+class BackgroundFactor(Protocol):
+    """What a message says of pixels that show background, whatever model it comes from."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """`(height, width)` px."""
+        ...
+
+    @property
+    def mean(self) -> Planes:
+        """`(channels, n_pixels)` float32 in the planes of `models.colour`: the scene's usual look."""
+        ...
+
+    @property
+    def prior(self) -> float:
+        """P(B=1), that a pixel shows background."""
+        ...
+
+    def against(self, image: NDArray[np.uint8], /) -> Subtraction:
+        """Read an image against the prediction; the same image is read only once."""
+        ...
+
+    def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None, /) -> float:
+        """Log probability of the image (nats).
+
+        `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """The background after an image, if no other chain has anything to say (see `BackgroundPrediction`)."""
+
+    mean: Planes
+    variance: Planes
+    noise: Planes
+
+
+@dataclass(frozen=True, eq=False)
+class BackgroundPrediction:
+    """Prediction of every pixel's background value: N(L; light * mean, light^2 * (variance + drift) + noise).
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px.
+    mean
+        `(channels, n_pixels)` float32 in the planes of `models.colour`.
+    variance, noise
+        `(n_pixels,)` float32, squared grey levels: of the mean, and of a single look (sensor and scene).
+    light
+        of this frame.
+    prior
+        P(B=1), that a pixel shows background.
+    drift
+        squared grey levels added to the variance since the last look.
+    noise_rate
+        share by which `noise` follows what is seen, 0 to keep it fixed.
+    pooling
+        weight of what the 5 x 5 pixels around a pixel saw in its own log odds: neighbours mostly share their
+        label, but are not independent looks. 0 makes every pixel decide for itself.
+    candidate, seen
+        `(n_pixels * channels,)` uint8 second colour of every pixel, and `(n_pixels,)` uint8 in how many looks
+        it was seen; from `trusted_looks` on, what is within `tolerance` (squared grey levels) of it is
+        background too.
+    """
+
+    size: tuple[int, int]
+    mean: Planes
+    variance: Planes
+    noise: Planes
+    light: LightField
+    prior: float
+    drift: float
+    noise_rate: float
+    pooling: float
+    candidate: NDArray[np.uint8]
+    seen: NDArray[np.uint8]
+    trusted_looks: int
+    tolerance: float
+    _readings: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
+    _updates: dict[int, Update] = field(default_factory=dict)
+
+    @property
+    def channels(self) -> int:
+        """1 for grey, 3 for colour."""
+        return int(self.mean.shape[0])
+
+    @property
+    def log_prior_odds(self) -> float:
+        """Log of P(B=1) over P(B=0) times the uniform density, in the units of the planes."""
+        return log_prior_odds(self.prior, self.channels)
+
+    def against(self, image: NDArray[np.uint8]) -> Subtraction:
+        """Read an image against the prediction; the same image is read only once."""
+        known = self._readings.get(id(image))
+        if known is None:
+            reading, update = self._subtract(image)
+            known = self._readings[id(image)] = (image, reading)
+            self._updates[id(image)] = update
+        return known[1]
+
+    def update(self, image: NDArray[np.uint8]) -> Update:
+        """The background after the image. The arrays are the caller's to change: they are forgotten here."""
+        self.against(image)
+        return self._updates.pop(id(image), None) or self._subtract(image)[1]
+
+    def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
+        """Log probability of the image, summed over its pixels as if they were independent (nats).
+
+        `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0. This is the integral
+        of the prediction as it stands: second colours and neighbours, which only help to decide labels, are
+        left out.
+        """
+        shift = np.zeros(1, np.float32) if pixel_shift is None else pixel_shift
+        total = log_evidence(
+            np.ascontiguousarray(image).reshape(-1), self.mean, self.variance, self.noise, self.light.rows(),
+            self.light.row_positions(), np.float32(self.drift), np.float32(self.log_prior_odds), shift,
+        )  # fmt: skip
+        uniform = np.log1p(-self.prior) - self.channels * np.log(256.0)
+        return float(total + uniform * self.size[0] * self.size[1])
+
+    def _subtract(self, image: NDArray[np.uint8]) -> tuple[Subtraction, Update]:
+        height, width = self.size
+        n_pixels = height * width
+        mean = array_pool.empty(self.mean.shape, np.float32)
+        variance = array_pool.empty((n_pixels,), np.float32)
+        noise = array_pool.empty((n_pixels,), np.float32)
+        log_odds = array_pool.empty((n_pixels,), np.int8)
+        pixels = np.ascontiguousarray(image).reshape(-1)
+        light_rows, row_positions = self.light.rows(), self.light.row_positions()
+        kernel = subtract_colour if self.channels == 3 else subtract_grey
+        drift, log_prior = np.float32(self.drift), np.float32(self.log_prior_odds)
+        noise_rate, tolerance = np.float32(self.noise_rate), np.float32(self.tolerance)
+
+        def subtract(first: int, end: int) -> None:
+            kernel(
+                first, end, width, pixels, self.mean, self.variance, self.noise, light_rows, row_positions,
+                drift, log_prior, noise_rate, mean, variance, noise, log_odds,
+            )  # fmt: skip
+            recall(
+                first * width, end * width, pixels, self.candidate, self.seen, self.trusted_looks,
+                self.channels, tolerance, log_odds,
+            )  # fmt: skip
+
+        over_bands(subtract, height)
+        pooled = pool(log_odds, self.size, self.prior, self.pooling)
+        return Subtraction(log_odds, pooled), Update(mean, variance, noise)
+
+
+def log_prior_odds(prior: float, channels: int) -> float:
+    """Log of P(B=1) over P(B=0) times the uniform density, in the units of the planes.
+
+    The factor of 2 pi in the density of a Gaussian is part of it.
+    """
+    odds = np.log(prior) - np.log1p(-prior)
+    return float(
+        odds + channels * (np.log(256.0) - 0.5 * np.log(2 * np.pi)) + np.log(colour.VOLUME[channels])
+    )
+
+
+def pool(log_odds: NDArray[np.int8], size: tuple[int, int], prior: float, share: float) -> NDArray[np.int8]:
+    """Give log odds with `share` of what the 5 x 5 pixels around saw, both `(n_pixels,)` int8."""
+    height, width = size
+    pooled: NDArray[np.int8] = array_pool.empty(log_odds.shape, np.int8)
+    prior_steps = np.int16(round(ODDS_STEPS * float(np.log(prior) - np.log1p(-prior))))
+    over_bands(
+        lambda first, end: pool_log_odds(
+            first, end, height, width, log_odds, prior_steps, np.float32(share), pooled
+        ),
+        height,
+    )
+    return pooled

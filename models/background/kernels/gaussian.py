@@ -1,0 +1,362 @@
+"""Loops over all pixels of the background: flat, planar, float32 within, uint8 in (one pass over the bytes).
+
+`mean` is `(channels, n_pixels)`, everything else per pixel is `(n_pixels,)`; `light_rows` is the light field
+at block rows, already interpolated along x: `(block_rows, width)`. Log odds are int8 in steps of
+`1 / ODDS_STEPS`.
+"""
+
+import numpy as np
+
+from ...numerics.compiled import compiled, exponential, inlined, logarithm, sigmoid
+
+_f4 = np.float32
+_ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
+
+ODDS_STEPS = 20.0
+"""Steps of the stored log odds per nat; they saturate at +-6 nats."""
+
+LOWEST_VARIANCE, HIGHEST_VARIANCE = 0.5, 60.0
+LOWEST_NOISE, HIGHEST_NOISE = 20.0, 400.0
+
+_UNUSABLE = _f4(1e30)
+_SIGNS = np.uint64(0x8080808080808080)
+
+
+@inlined
+def posterior(distance, light, variance, noise, drift, log_prior, channels, rate):
+    """One pixel's log odds of background, step of its mean per grey level, variance and noise afterwards.
+
+    The mean R has prediction N(m, s); seen, it shows I ~ N(light R, noise); covered, it shows anything. The
+    posterior is a mixture of "was seen" and "was covered", collapsed by its moments.
+    """
+    before = variance + drift
+    total = light * light * before + noise
+    precision = _f4(1.0) / total
+    odds = log_prior - _f4(0.5) * (channels * logarithm(total) + distance * precision)
+    odds = min(max(odds, _f4(-6.0)), _f4(6.0))
+    weight = sigmoid(odds)
+    gain = light * before * precision
+    step = weight * gain
+    per_channel = distance * (_f4(1.0) / channels)
+    after = before - step * light * before + step * (gain - step) * per_channel
+    after = min(max(after, _f4(LOWEST_VARIANCE)), _f4(HIGHEST_VARIANCE))
+    noisier = noise + rate * weight * (per_channel - total)
+    noisier = min(max(noisier, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
+    return odds, step, after, noisier
+
+
+@compiled
+def subtract_colour(
+    first, end, width, pixels, mean, variance, noise, light_rows, row_position, drift, log_prior, rate,
+    new_mean, new_variance, new_noise, log_odds,
+):  # fmt: skip
+    """Rows `first` to `end` of a colour picture: log odds of background, and the update that they imply."""
+    luma, red, blue = mean[0], mean[1], mean[2]
+    new_luma, new_red, new_blue = new_mean[0], new_mean[1], new_mean[2]
+    for y in range(first, end):
+        above = int(row_position[y])
+        below_share = row_position[y] - _f4(above)
+        upper, lower = light_rows[above], light_rows[above + 1]
+        base = np.uint64(y * width)
+        for x in range(np.uint64(width)):
+            i = base + x
+            k = _THREE * i
+            b, g, r = _f4(pixels[k]), _f4(pixels[k + _ONE]), _f4(pixels[k + _TWO])
+            grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
+            light = upper[x] + below_share * (lower[x] - upper[x])
+            d0 = grey - light * luma[i]
+            d1 = _f4(1.426) * (r - grey) - light * red[i]
+            d2 = _f4(1.128) * (b - grey) - light * blue[i]
+            distance = d0 * d0 + d1 * d1 + d2 * d2
+            odds, step, after, noisier = posterior(
+                distance, light, variance[i], noise[i], drift, log_prior, _f4(3.0), rate
+            )
+            new_luma[i] = luma[i] + step * d0
+            new_red[i] = red[i] + step * d1
+            new_blue[i] = blue[i] + step * d2
+            new_variance[i] = after
+            new_noise[i] = noisier
+            log_odds[i] = np.int8(odds * _f4(ODDS_STEPS))
+
+
+@compiled
+def subtract_grey(
+    first, end, width, pixels, mean, variance, noise, light_rows, row_position, drift, log_prior, rate,
+    new_mean, new_variance, new_noise, log_odds,
+):  # fmt: skip
+    """Rows `first` to `end` of a grey picture: log odds of background, and the update that they imply."""
+    luma, new_luma = mean[0], new_mean[0]
+    for y in range(first, end):
+        above = int(row_position[y])
+        below_share = row_position[y] - _f4(above)
+        upper, lower = light_rows[above], light_rows[above + 1]
+        base = np.uint64(y * width)
+        for x in range(np.uint64(width)):
+            i = base + x
+            light = upper[x] + below_share * (lower[x] - upper[x])
+            d0 = _f4(pixels[i]) - light * luma[i]
+            odds, step, after, noisier = posterior(
+                d0 * d0, light, variance[i], noise[i], drift, log_prior, _f4(1.0), rate
+            )
+            new_luma[i] = luma[i] + step * d0
+            new_variance[i] = after
+            new_noise[i] = noisier
+            log_odds[i] = np.int8(odds * _f4(ODDS_STEPS))
+
+
+@compiled
+def pool_log_odds(first, end, height, width, log_odds, prior, share, pooled):
+    """Rows `first` to `end`: own log odds and `share` of what the 5 x 5 pixels around saw, saturated as int8.
+
+    What a pixel saw is its log odds without the `prior` (int16, in the same steps), clipped to 4 nats.
+    """
+    column = np.zeros(width + 4, np.int16)
+    bound = np.int16(4 * ODDS_STEPS)
+    sums = column[2 : width + 2]
+    for row in range(max(first - 2, 0), min(first + 2, height)):
+        values = log_odds[row * width : (row + 1) * width]
+        for x in range(width):
+            sums[x] += min(max(np.int16(np.int16(values[x]) - prior), np.int16(-bound)), bound)
+    for y in range(first, end):
+        if y + 2 < height:
+            values = log_odds[(y + 2) * width : (y + 3) * width]
+            for x in range(width):
+                sums[x] += min(max(np.int16(np.int16(values[x]) - prior), np.int16(-bound)), bound)
+        own, out = log_odds[y * width : (y + 1) * width], pooled[y * width : (y + 1) * width]
+        for x in range(width):
+            around = column[x] + column[x + 1] + column[x + 2] + column[x + 3] + column[x + 4]
+            total = _f4(own[x]) + share * _f4(np.int32(around))
+            out[x] = np.int8(min(max(total, _f4(-127.0)), _f4(127.0)))
+        if y >= 2:
+            values = log_odds[(y - 2) * width : (y - 1) * width]
+            for x in range(width):
+                sums[x] -= min(max(np.int16(np.int16(values[x]) - prior), np.int16(-bound)), bound)
+
+
+@compiled
+def log_evidence(pixels, mean, variance, noise, light_rows, row_position, drift, log_prior, shift):
+    """Sum over pixels of log(exp(log odds + shift) + 1), the log odds neither rounded nor saturated.
+
+    `shift` has one entry a pixel, or a single one for all.
+    """
+    channels, n_pixels = mean.shape
+    height = row_position.size
+    width = n_pixels // height
+    distance, light = np.empty(width, np.float32), np.empty(width, np.float32)
+    added = np.full(width, shift[0])
+    total = 0.0
+    for y in range(height):
+        above = int(row_position[y])
+        below_share = row_position[y] - _f4(above)
+        upper, lower = light_rows[above], light_rows[above + 1]
+        row = slice(y * width, (y + 1) * width)
+        shown, luma = pixels[channels * y * width : channels * (y + 1) * width], mean[0, row]
+        for x in range(width):
+            light[x] = upper[x] + below_share * (lower[x] - upper[x])
+        if channels == 3:
+            red, blue = mean[1, row], mean[2, row]
+            for x in range(width):
+                b, g, r = _f4(shown[3 * x]), _f4(shown[3 * x + 1]), _f4(shown[3 * x + 2])
+                grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
+                d0 = grey - light[x] * luma[x]
+                d1 = _f4(1.426) * (r - grey) - light[x] * red[x]
+                d2 = _f4(1.128) * (b - grey) - light[x] * blue[x]
+                distance[x] = d0 * d0 + d1 * d1 + d2 * d2
+        else:
+            for x in range(width):
+                d0 = _f4(shown[x]) - light[x] * luma[x]
+                distance[x] = d0 * d0
+        before, looks = variance[row], noise[row]
+        if shift.size > 1:
+            added[:] = shift[row]
+        in_row = _f4(0)
+        for x in range(width):
+            spread = light[x] * light[x] * (before[x] + drift) + looks[x]
+            odds = log_prior - _f4(0.5) * (_f4(channels) * logarithm(spread) + distance[x] / spread)
+            odds += added[x]
+            in_row += max(odds, _f4(0.0)) + logarithm(_f4(1.0) + exponential(-abs(odds)))
+        total += in_row
+    return total
+
+
+@compiled
+def interpolate(blocks, left, share, rows):
+    """Rows of blocks along x: between the block `left` of every pixel and the next; the last row twice."""
+    last = blocks.shape[0] - 1
+    for row in range(last + 2):
+        values, out = blocks[min(row, last)], rows[row]
+        for x in range(out.size):
+            out[x] = values[left[x]] + share[x] * (values[left[x] + 1] - values[left[x]])
+
+
+@compiled
+def light_ratios(pixels, mean, light_rows, row_position, height, width, ratios, agreement):
+    """Robust brightness of the picture relative to the prediction, per block of the light field.
+
+    A block is sampled on a grid of 6 x 6 pixels. `ratios` gets the median of luma seen over luma predicted,
+    `agreement` the share of samples within 5 % of it.
+    """
+    channels = mean.shape[0]
+    luma = mean[0]
+    block_rows, block_columns = ratios.shape
+    samples = 6 * block_columns
+    columns = np.empty(samples, np.int64)
+    for k in range(samples):
+        columns[k] = int((k + 0.5) * width / samples)
+    values = np.empty((6, samples), np.float32)
+    block = np.full((8, 6), _UNUSABLE)
+    below = np.empty(48, np.float32)
+    for row in range(block_rows):
+        for sample_row in range(6):
+            y = int((6 * row + sample_row + 0.5) * height / (6 * block_rows))
+            above = int(row_position[y])
+            below_share = row_position[y] - _f4(above)
+            upper, lower = light_rows[above], light_rows[above + 1]
+            own = luma[y * width : (y + 1) * width]
+            shown = pixels[channels * y * width : channels * (y + 1) * width]
+            out = values[sample_row]
+            for k in range(samples):
+                x = columns[k]
+                if channels == 3:
+                    b, g, r = _f4(shown[3 * x]), _f4(shown[3 * x + 1]), _f4(shown[3 * x + 2])
+                    seen = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
+                else:
+                    seen = _f4(shown[x])
+                expected = (upper[x] + below_share * (lower[x] - upper[x])) * own[x]
+                usable = (expected > _f4(16.0)) & (seen > _f4(2.0)) & (seen < _f4(250.0))
+                out[k] = seen / expected if usable else _UNUSABLE
+        for column in range(block_columns):
+            block[:6] = values[:, 6 * column : 6 * column + 6]
+            ratios[row, column], agreement[row, column] = _agreed(block.reshape(-1), below)
+
+
+@compiled
+def _agreed(values, below):
+    """Median of the usable ones of 36 values, and the share of them within 5 % of it; 1 and 0 if under 12.
+
+    `values` has 48, the last of them unusable: a whole number of vectors. The median is the largest value
+    that has no more than half of the others below it: counting them is vector code, which sorting is not.
+    """
+    count = _f4(0)
+    for k in range(48):
+        below[k] = _f4(0)
+        count += _f4(1) if values[k] < _UNUSABLE else _f4(0)
+    if count < _f4(12):
+        return _f4(1), _f4(0)
+    for j in range(36):
+        value = values[j]
+        for k in range(48):
+            below[k] += _f4(1) if value < values[k] else _f4(0)
+    half = np.floor(count * _f4(0.5))
+    median = close = _f4(0)
+    for k in range(48):
+        median = max(median, values[k] if below[k] <= half else _f4(0))
+    for k in range(48):
+        close += _f4(1) if abs(values[k] - median) < _f4(0.05) * median else _f4(0)
+    return median, close / count
+
+
+@inlined
+def colour_gap(pixels, candidate, i, channels):
+    """Squared distance in the planes of pixel `i` of a picture and of the candidates."""
+    k = channels * i
+    if channels == 1:
+        d0 = _f4(pixels[k]) - _f4(candidate[k])
+        return d0 * d0
+    b = _f4(pixels[k]) - _f4(candidate[k])
+    g = _f4(pixels[k + 1]) - _f4(candidate[k + 1])
+    r = _f4(pixels[k + 2]) - _f4(candidate[k + 2])
+    grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
+    d1 = _f4(1.426) * (r - grey)
+    d2 = _f4(1.128) * (b - grey)
+    return grey * grey + d1 * d1 + d2 * d2
+
+
+@inlined
+def _any_negative(words, first):
+    """Whether any of the 64 numbers in eight words is negative."""
+    signs = np.uint64(0)
+    for k in range(8):
+        signs |= words[first + k]
+    return signs & _SIGNS != np.uint64(0)
+
+
+@compiled
+def foreground_spans(log_odds, spans):
+    """Starts of the runs of 64 pixels in which there is foreground; returns how many there are.
+
+    Most of a picture is background, and looking at 64 signs at once costs little more than looking at one.
+    """
+    words = log_odds[: log_odds.size // 8 * 8].view(np.uint64)
+    count = 0
+    for start in range(0, log_odds.size, 64):
+        if start + 64 > log_odds.size or _any_negative(words, start // 8):
+            spans[count] = start
+            count += 1
+    return count
+
+
+@compiled
+def recall(first, end, pixels, candidate, seen, trusted_looks, channels, tolerance, log_odds):
+    """Foreground that shows the second colour of a pixel known to have two is background after all.
+
+    `first` and `end` are pixels.
+    """
+    spans = np.empty((end - first) // 64 + 1, np.int64)
+    for k in range(foreground_spans(log_odds[first:end], spans)):
+        start = first + spans[k]
+        for i in range(start, min(start + 64, end)):
+            known = log_odds[i] < 0 and seen[i] >= trusted_looks
+            if known and colour_gap(pixels, candidate, i, channels) < tolerance:
+                log_odds[i] = np.int8(ODDS_STEPS)
+
+
+@compiled
+def second_look(
+    pixels, log_odds, covered, width, light_rows, row_position, to_planes, from_planes, tolerance,
+    settle_looks, settled_variance, unsure_variance, noise, mean, variance, candidate, seen,
+):  # fmt: skip
+    """A second hypothesis for pixels that show neither the background nor a predicted object.
+
+    A colour that stays for `settle_looks` changes places with the mean. A mean that was hardly seen itself
+    (its variance is over `unsure_variance`) gives way to one that was seen about twice as often, also behind
+    an object: it may only seem to be one because the scene was never seen without what stood there at first.
+    """
+    channels = mean.shape[0]
+    old = np.empty(channels, np.float32)
+    spans = np.empty(log_odds.size // 64 + 1, np.int64)
+    for span in range(foreground_spans(log_odds, spans)):
+        for i in range(spans[span], min(spans[span] + 64, log_odds.size)):
+            unsure = variance[i] > unsure_variance
+            if log_odds[i] >= 0 or (covered[i] != 0 and not unsure):
+                continue
+            if seen[i] == 0 or colour_gap(pixels, candidate, i, channels) >= tolerance:
+                if seen[i] > 2:
+                    seen[i] -= 2
+                else:
+                    seen[i] = 1
+                    for k in range(channels):
+                        candidate[channels * i + k] = pixels[channels * i + k]
+                continue
+            seen[i] += 1
+            enough = min(settle_looks, int(5 + 2 * noise[i] / variance[i])) if unsure else settle_looks
+            if seen[i] < enough:
+                continue
+            y = i // width
+            x = i - y * width
+            above = int(row_position[y])
+            below_share = row_position[y] - _f4(above)
+            light = light_rows[above, x] + below_share * (light_rows[above + 1, x] - light_rows[above, x])
+            for channel in range(channels):
+                old[channel] = light * mean[channel, i]
+                value = _f4(0)
+                for k in range(channels):
+                    value += to_planes[channel, k] * _f4(pixels[channels * i + k])
+                mean[channel, i] = value / light
+            for channel in range(channels):
+                value = _f4(0)
+                for k in range(channels):
+                    value += from_planes[channel, k] * old[k]
+                candidate[channels * i + channel] = np.uint8(min(max(value + _f4(0.5), _f4(0)), _f4(255)))
+            variance[i] = settled_variance
+            seen[i] = 0 if unsure else settle_looks // 2

@@ -1,0 +1,1 @@
+"""The upper body of a person: poses, joints, and how well they explain an image."""

@@ -1,0 +1,226 @@
+"""Loops over poses of an upper body: where joints are, whether they may be there, how arms reach a place."""
+
+import numpy as np
+
+from ...numerics.compiled import compiled, inlined
+
+_QUARTER = np.pi / 2
+
+
+@inlined
+def _sine_cosine(angle):
+    """Sine and cosine of a float64 angle, error below 1e-15 up to a few turns (libm's are no vector code)."""
+    quarters = np.floor(angle * (1 / _QUARTER) + 0.5)
+    rest = angle - quarters * _QUARTER
+    square = rest * rest
+    # Taylor series from -pi/4 to pi/4
+    sine = 1 / 362880.0 + square * (-1 / 39916800.0 + square * (1 / 6227020800.0 - square / 1307674368000.0))
+    sine = -1 / 6.0 + square * (1 / 120.0 + square * (-1 / 5040.0 + square * sine))
+    sine = rest + rest * square * sine
+    cosine = -1 / 3628800.0 + square * (
+        1 / 479001600.0 + square * (-1 / 87178291200.0 + square / 20922789888000.0)
+    )
+    cosine = 1 / 24.0 + square * (-1 / 720.0 + square * (1 / 40320.0 + square * cosine))
+    cosine = 1.0 + square * (-0.5 + square * cosine)
+    quadrant = quarters - 4.0 * np.floor(0.25 * quarters)
+    odd = (quadrant == 1.0) | (quadrant == 3.0)
+    upright = cosine if odd else sine
+    level = sine if odd else cosine
+    upright = -upright if quadrant >= 2.0 else upright
+    level = -level if (quadrant == 1.0) | (quadrant == 2.0) else level
+    return upright, level
+
+
+@inlined
+def _down(x, y, z):
+    """Where (0, 1, 0) is turned by a rotation vector (Rodrigues)."""
+    angle = np.sqrt(x * x + y * y + z * z)
+    sine, cosine = _sine_cosine(0.5 * angle)
+    share = sine / angle if angle > 1e-9 else 0.5
+    versine = 2.0 * share * share  # (1 - cos) / angle^2 without its cancellation
+    turn = 2.0 * share * cosine
+    return versine * y * x - turn * z, versine * y * y + (1.0 - 2.0 * sine * sine), versine * y * z + turn * x
+
+
+@compiled
+def place_joints(roots, necks, arms, neck, half, upper, fore, joints):
+    """Write the joints of each pose into `joints` `(n, 8, 3)`.
+
+    `roots` `(n, 2)`, `necks` `(n, 3)` and `arms` `(n, 2, 2, 3)` as in `BodyPoses`; `neck`, `half` of the
+    shoulders' width, `upper` and `fore` are lengths in px.
+    """
+    for k in range(len(roots)):
+        x, y = roots[k, 0], roots[k, 1]
+        dx, dy, dz = _down(necks[k, 0], necks[k, 1], necks[k, 2])
+        joints[k, 0, 0], joints[k, 0, 1], joints[k, 0, 2] = x - neck * dx, y - neck * dy, -neck * dz
+        joints[k, 1, 0], joints[k, 1, 1], joints[k, 1, 2] = x, y, 0.0
+        for side in range(2):
+            first = 2 + 3 * side
+            sx = x + (1 - 2 * side) * half
+            ex = sx + upper * arms[k, side, 0, 0]
+            ey = y + upper * arms[k, side, 0, 1]
+            ez = upper * arms[k, side, 0, 2]
+            joints[k, first, 0], joints[k, first, 1], joints[k, first, 2] = sx, y, 0.0
+            joints[k, first + 1, 0], joints[k, first + 1, 1], joints[k, first + 1, 2] = ex, ey, ez
+            joints[k, first + 2, 0] = ex + fore * arms[k, side, 1, 0]
+            joints[k, first + 2, 1] = ey + fore * arms[k, side, 1, 1]
+            joints[k, first + 2, 2] = ez + fore * arms[k, side, 1, 2]
+
+
+@compiled
+def place_parts(roots, necks, arms, neck, half, upper, fore, parts):
+    """Write where head and hands are seen into `parts` `(n, 3, 2)`; otherwise as `place_joints`."""
+    for k in range(len(roots)):
+        x, y = roots[k, 0], roots[k, 1]
+        dx, dy, _ = _down(necks[k, 0], necks[k, 1], necks[k, 2])
+        parts[k, 0, 0], parts[k, 0, 1] = x - neck * dx, y - neck * dy
+        for side in range(2):
+            sx = x + (1 - 2 * side) * half
+            parts[k, 1 + side, 0] = sx + upper * arms[k, side, 0, 0] + fore * arms[k, side, 1, 0]
+            parts[k, 1 + side, 1] = y + upper * arms[k, side, 0, 1] + fore * arms[k, side, 1, 1]
+
+
+@inlined
+def _in_torso(x, y, z, torso):
+    """Whether a point, from the root, is inside of the torso or behind it; see `within_limits`."""
+    # clothes are soft and bodies differ: what is near the border counts as outside
+    width = torso[0] + min(max(y / torso[2], 0.0), 1.0) * (torso[1] - torso[0])
+    return (abs(x) < 0.4 * width) & (y > 0.0) & (y < torso[2]) & (z > -torso[3])
+
+
+@compiled
+def within_limits(necks, arms, half, upper, fore, limits, torso, allowed):
+    """Write into `allowed` `(n,)` whether every joint is within its limits and no arm is in the torso.
+
+    Parameters
+    ----------
+    necks, arms, half, upper, fore
+        as for `place_joints`.
+    limits
+        `(9,)`: greatest rotation of the neck; middle of the left upper arm's cone (a unit vector) and cosine
+        of its half angle; middle of the range of the inwards turn and half its length; cosines of the elbow's
+        greatest flexion and of the one below which the turn is not tested. Angles in rad.
+    torso
+        `(4,)` px: width at the shoulders and at the lower end, height, and how far it reaches to the viewer.
+    """
+    cx, cy, cz, cone = limits[1], limits[2], limits[3], limits[4]
+    middle_sine, middle_cosine = np.sin(limits[5]), np.cos(limits[5])
+    edge, folded, straight = np.cos(limits[6]), limits[7], limits[8]
+    widest = limits[0] * limits[0]
+    for k in range(len(necks)):
+        x, y, z = necks[k, 0], necks[k, 1], necks[k, 2]
+        good = x * x + y * y + z * z <= widest
+        for side in range(2):
+            sign = 1.0 - 2.0 * side
+            ux, uy, uz = arms[k, side, 0, 0], arms[k, side, 0, 1], arms[k, side, 0, 2]
+            fx, fy, fz = arms[k, side, 1, 0], arms[k, side, 1, 1], arms[k, side, 1, 2]
+            bend = ux * fx + uy * fy + uz * fz
+            good &= (sign * ux * cx + uy * cy + uz * cz >= cone) & (bend >= folded)
+            x, y, z = sign * half + upper * ux, upper * uy, upper * uz
+            good &= not _in_torso(x, y, z, torso)
+            good &= not _in_torso(x + fore * fx, y + fore * fy, z + fore * fz, torso)
+            # the turn as in `body_poses.twists`: 1 / (1 + y) loses its digits near the top
+            square = ux * ux + uz * uz
+            over = (square < 1e-28) & (uy < 0.0)
+            shrink = (1.0 - uy) / max(square, 1e-28) if uy < 0.0 else 1.0 / (1.0 + uy)
+            shrink = 0.0 if over else shrink
+            ax, ay, az = fy * uz - fz * uy, fz * ux - fx * uz, fx * uy - fy * ux
+            shared = shrink * (ux * ax + uz * az) + ay
+            first, third = ax - ux * shared, az - uz * shared
+            sine = sign * (third if over else -third)
+            # an angle is within a range if its cosine from the middle is that of the end or more
+            near = first * middle_cosine + sine * middle_sine
+            within = near >= edge * np.sqrt(first * first + sine * sine)
+            good &= within | (bend > straight)
+        allowed[k] = good
+
+
+@inlined
+def _towards(x, y, z):
+    """Unit vector along a vector, any where it is 0, and its length."""
+    length = np.sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return 0.0, 1.0, 0.0, length
+    return x / length, y / length, z / length, length
+
+
+@inlined
+def _from_reference(x, y, z, sign, reference):
+    """Unit vector across a unit vector that is nearest to `reference` `(3,)`, mirrored for `sign` -1."""
+    rx, ry, rz = sign * reference[0], reference[1], reference[2]
+    along = x * rx + y * ry + z * rz
+    ox, oy, oz = rx - along * x, ry - along * y, rz - along * z
+    length = np.sqrt(ox * ox + oy * oy + oz * oz)
+    if length < 1e-9:  # any other one
+        ox, oy, oz = z * x, z * y, z * z - 1.0
+        length = np.sqrt(ox * ox + oy * oy + oz * oz)
+    return ox / length, oy / length, oz / length
+
+
+@compiled
+def reach(offsets, swivels, upper, fore, sign, reference, arms, reachable):
+    """Write arms `(n, 2, 3)` whose hands are at `offsets` `(n, 3)`, and whether there are any, `(n,)`.
+
+    `swivels` `(n,)` rad are measured from `reference` `(3,)`, for `sign` -1 from its mirror image and the
+    other way round; `upper` and `fore` are lengths.
+    """
+    for k in range(len(offsets)):
+        hx, hy, hz = offsets[k, 0], offsets[k, 1], offsets[k, 2]
+        x, y, z, distance = _towards(hx, hy, hz)
+        reachable[k] = (distance <= upper + fore) & (distance >= abs(upper - fore)) & (distance > 0.0)
+        safe = distance if distance > 0.0 else 1.0
+        cosine = (upper * upper + distance * distance - fore * fore) / (2.0 * upper * safe)
+        cosine = min(max(cosine, -1.0), 1.0)
+        sine = np.sqrt(1.0 - cosine * cosine)
+        ox, oy, oz = _from_reference(x, y, z, sign, reference)
+        turn, level = _sine_cosine(swivels[k])
+        level, turn = sine * level, sine * sign * turn
+        ux = cosine * x + level * ox + turn * (y * oz - z * oy)
+        uy = cosine * y + level * oy + turn * (z * ox - x * oz)
+        uz = cosine * z + level * oz + turn * (x * oy - y * ox)
+        arms[k, 0, 0], arms[k, 0, 1], arms[k, 0, 2] = ux, uy, uz
+        fx, fy, fz, _ = _towards(hx - upper * ux, hy - upper * uy, hz - upper * uz)
+        arms[k, 1, 0], arms[k, 1, 1], arms[k, 1, 2] = fx, fy, fz
+
+
+@compiled
+def elbows(arms, upper, fore, sign, reference, upright, level):
+    """Write sine and cosine, each `(n,)`, of the swivels of `arms` `(n, 2, 3)`, times how far elbows are out.
+
+    Otherwise as `reach`.
+    """
+    for k in range(len(arms)):
+        ux, uy, uz = arms[k, 0, 0], arms[k, 0, 1], arms[k, 0, 2]
+        x, y, z, _ = _towards(
+            upper * ux + fore * arms[k, 1, 0],
+            upper * uy + fore * arms[k, 1, 1],
+            upper * uz + fore * arms[k, 1, 2],
+        )
+        ox, oy, oz = _from_reference(x, y, z, sign, reference)
+        level[k] = ux * ox + uy * oy + uz * oz
+        across = ux * (y * oz - z * oy) + uy * (z * ox - x * oz) + uz * (x * oy - y * ox)
+        upright[k] = sign * across
+
+
+@compiled
+def lean(directions, cosines, turns, leant):
+    """Write into `leant` `(n, 3)` unit vectors at given angles from the unit vectors `directions` `(n, 3)`.
+
+    `cosines` `(n,)` are of the angles, `turns` `(n,)` rad say to which side, from an arbitrary one. The two
+    vectors across a direction need no square root: Duff et al., "Building an orthonormal basis, revisited",
+    JCGT 2017.
+    """
+    for k in range(len(directions)):
+        x, y, z = directions[k, 0], directions[k, 1], directions[k, 2]
+        sign = np.copysign(1.0, z)
+        a = -1.0 / (sign + z)
+        b = x * y * a
+        upright, level = _sine_cosine(turns[k])
+        cosine = cosines[k]
+        sine = np.sqrt(max(1.0 - cosine * cosine, 0.0))
+        one, other = sine * level, sine * upright
+        dx = cosine * x + one * (1.0 + sign * x * x * a) + other * b
+        dy = cosine * y + one * sign * b + other * (sign + y * y * a)
+        dz = cosine * z - one * sign * x - other * y
+        shrink = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+        leant[k, 0], leant[k, 1], leant[k, 2] = shrink * dx, shrink * dy, shrink * dz

@@ -1,0 +1,245 @@
+"""Compiled loops that compare poses with the maps of one image."""
+
+import numpy as np
+
+from ...numerics.compiled import compiled, exponential, inlined, logarithm
+
+_f4 = np.float32
+
+NECK = 0.62
+"""Of the way from the head's centre to the root: middle of the neck's flesh."""
+
+
+@inlined
+def _at(picture, x, y):
+    """Bilinear value of a map `(height, width)`; that of the border outside."""
+    height, width = picture.shape
+    x = min(max(x, _f4(0.0)), _f4(width - 1))
+    y = min(max(y, _f4(0.0)), _f4(height - 1))
+    column, row = min(np.int64(x), width - 2), min(np.int64(y), height - 2)
+    right, down = x - _f4(column), y - _f4(row)
+    above = picture[row, column] + right * (picture[row, column + 1] - picture[row, column])
+    below = picture[row + 1, column] + right * (picture[row + 1, column + 1] - picture[row + 1, column])
+    return above + down * (below - above)
+
+
+@inlined
+def _inside(distance, radius, spread):
+    """Share of a Gaussian window that a large disc covers whose centre is so far from the window's."""
+    steep = min(_f4(1.7) * (distance - radius) / spread, _f4(60.0))  # `exponential` ends at 80
+    return _f4(1.0) / (_f4(1.0) + exponential(steep))
+
+
+@inlined
+def _seen_or_not(nats, hidden):
+    """Log of a mixture: seen with a likelihood ratio of `nats`, or `hidden` and then of 1."""
+    return logarithm((_f4(1.0) - hidden) * exponential(min(nats, _f4(60.0))) + hidden)
+
+
+@compiled
+def hand_terms(parts, roots, centre, surround, scales, hand, windows, head, neck_radius, scores, out):
+    """Log likelihood ratios of both hands' flesh, added to `out` `(n,)`.
+
+    A hand is a disc of flesh amid none, as two Gaussian windows see it: much in the inner one, little in the
+    outer one. What head, neck and the other hand explain counts for neither; two hands at one place see the
+    same flesh, which counts once.
+
+    Parameters
+    ----------
+    parts, roots
+        `(n, 3, 2)` and `(n, 2)` px.
+    centre, surround
+        maps of flesh, from 0 to 1, in the inner and the outer window; `scales` `(2,)` are their entries a px,
+        along x and y.
+    hand, windows
+        px: its radius; the windows' standard deviations `(2,)`.
+    head, neck_radius
+        px: half width and half height `(2,)`; radius of the neck.
+    scores
+        `(3,)`: nats of a place that looks all like a hand, and of one that does not; probability of no flesh.
+    """
+    full, none, hidden = _f4(scores[0]), _f4(scores[1]), _f4(scores[2])
+    inner, outer = _f4(windows[0]), _f4(windows[1])
+    radius, wide, high, neck = _f4(hand), _f4(head[0]), _f4(head[1]), _f4(neck_radius)
+    across, down = _f4(scales[0]), _f4(scales[1])
+    head_radius = np.sqrt(wide * high)
+    # a disc of flesh of the hand's size, as the windows see it from its centre
+    ideal = exponential(_f4(-0.5) * (radius / outer) ** 2) - exponential(_f4(-0.5) * (radius / inner) ** 2)
+    width = outer * outer + _f4(0.25) * radius * radius
+    for k in range(len(parts)):
+        apart_x = _f4(parts[k, 1, 0] - parts[k, 2, 0])
+        apart_y = _f4(parts[k, 1, 1] - parts[k, 2, 1])
+        squared = apart_x * apart_x + apart_y * apart_y
+        neighbour = _f4(0.5) * radius * radius / width * exponential(_f4(-0.5) * squared / width)
+        neck_x = _f4(parts[k, 0, 0] + NECK * (roots[k, 0] - parts[k, 0, 0]))
+        neck_y = _f4(parts[k, 0, 1] + NECK * (roots[k, 1] - parts[k, 0, 1]))
+        least, total = _f4(1e9), _f4(0.0)
+        for side in range(1, 3):
+            x, y = _f4(parts[k, side, 0]), _f4(parts[k, side, 1])
+            off_x = (x - _f4(parts[k, 0, 0])) / wide
+            off_y = (y - _f4(parts[k, 0, 1])) / high
+            from_head = np.sqrt(off_x * off_x + off_y * off_y) * head_radius
+            from_neck = np.sqrt((x - neck_x) * (x - neck_x) + (y - neck_y) * (y - neck_y))
+            before_face = max(_inside(from_head, head_radius, inner), _inside(from_neck, neck, inner))
+            around = max(_inside(from_head, head_radius, outer), _inside(from_neck, neck, outer))
+            column = (x + _f4(0.5)) * across - _f4(0.5)
+            row = (y + _f4(0.5)) * down - _f4(0.5)
+            # what head and other hand explain tells nothing: it is there anyway; other flesh around the hand
+            # speaks against it
+            foreign = max(_at(surround, column, row) - neighbour - around, _f4(0.0))
+            response = (max(_at(centre, column, row) - before_face, _f4(0.0)) - foreign) / ideal
+            free = _f4(1.0) - before_face
+            nats = free * none + (full - none) * min(max(response, _f4(0.0)), free)
+            gain = _seen_or_not(nats, hidden)
+            least = min(least, gain)
+            total += gain
+        apart = np.sqrt(squared) / (_f4(2.0) * radius)
+        if apart < _f4(1.0):  # share of a disc that the other one covers: they see the same flesh once
+            shared = (np.arccos(apart) - apart * np.sqrt(_f4(1.0) - apart * apart)) * _f4(2.0 / np.pi)
+            total -= min(_f4(2.0) * shared, _f4(1.0)) * max(least, _f4(0.0))
+        out[k] += total
+
+
+@compiled
+def head_terms(heads, contrast, scales, scores, out):
+    """Log likelihood ratios of flesh where the head is to be, added to `out` `(n,)`.
+
+    `heads` are `(n, 2)` px; `contrast`, up to 1, is how much more flesh there is in a head's place than
+    around it, `scales` `(2,)` its entries a px; `scores` `(2,)`: nats of a full one, probability of none.
+    """
+    full, hidden = _f4(scores[0]), _f4(scores[1])
+    for k in range(len(heads)):
+        column = (_f4(heads[k, 0]) + _f4(0.5)) * _f4(scales[0]) - _f4(0.5)
+        row = (_f4(heads[k, 1]) + _f4(0.5)) * _f4(scales[1]) - _f4(0.5)
+        response = min(max(_at(contrast, column, row), _f4(0.0)), _f4(1.0))
+        out[k] += _seen_or_not(full * response, hidden)
+
+
+@compiled
+def blob_terms(parts, blobs, costs, reach, out):
+    """Takes from `out` `(n,)` the `costs` `(m,)` nats of `blobs` `(m, 2)` px that no part explains.
+
+    A part explains what is within about `reach` `(3,)` px of it.
+    """
+    for k in range(len(parts)):
+        total = _f4(0.0)
+        for j in range(len(blobs)):
+            left = _f4(costs[j])
+            for part in range(3):
+                x = _f4(parts[k, part, 0] - blobs[j, 0])
+                y = _f4(parts[k, part, 1] - blobs[j, 1])
+                scale = _f4(0.5) / _f4(reach[part] * reach[part])
+                left *= _f4(1.0) - exponential(-scale * (x * x + y * y))
+            total += left
+        out[k] -= total
+
+
+@compiled
+def edge_features(edges, directions, nearness, cosine, sine, steps, block, features, coarse):
+    """What is to be known of the edge near each pixel, and its means over blocks of pixels.
+
+    Parameters
+    ----------
+    edges, directions
+        `(height, width)` float32: px and rad.
+    nearness, cosine, sine
+        `(k,)` float32: tables over distances, and over directions; `steps` are their entries a px and a rad.
+    block
+        px: side of a block.
+    features
+        `(height, width, 3)` float32, written: nearness, cosine and sine.
+    coarse
+        float32, written: over blocks the means of nearness, nearness times cosine, nearness times sine.
+    """
+    height, width = edges.shape
+    last = len(nearness) - 1
+    by_distance, by_angle = _f4(steps[0]), _f4(steps[1])
+    for row in range(coarse.shape[0]):
+        top, bottom = row * block, min(row * block + block, height)
+        for column in range(coarse.shape[1]):
+            left, right = column * block, min(column * block + block, width)
+            some, along, across = _f4(0.0), _f4(0.0), _f4(0.0)
+            for y in range(top, bottom):
+                for x in range(left, right):
+                    near = nearness[min(np.int64(edges[y, x] * by_distance + _f4(0.5)), last)]
+                    angle = min(np.int64(directions[y, x] * by_angle + _f4(0.5)), last)
+                    features[y, x, 0] = near
+                    features[y, x, 1] = cosine[angle]
+                    features[y, x, 2] = sine[angle]
+                    some += near
+                    along += near * cosine[angle]
+                    across += near * sine[angle]
+            share = _f4(1.0) / _f4((bottom - top) * (right - left))
+            coarse[row, column, 0] = some * share
+            coarse[row, column, 1] = along * share
+            coarse[row, column, 2] = across * share
+
+
+@compiled
+def over_density(features, coarse, block, least, even):
+    """Divide the nearness in `features` by the density of edges of that direction thereabouts, in place.
+
+    `coarse` are smoothed means over blocks as `edge_features` gives them; the density's first harmonic is
+    some (1 + 2 <cos> cos + 2 <sin> sin), at least `least` and at least `even` times that of all directions.
+    """
+    height, width = features.shape[:2]
+    rows, columns = coarse.shape[:2]
+    scale = _f4(1.0) / _f4(block)
+    floor, share = _f4(least), _f4(even)
+    blended = np.empty((columns, 3), np.float32)
+    for y in range(height):
+        place = min(max((_f4(y) + _f4(0.5)) * scale - _f4(0.5), _f4(0.0)), _f4(rows - 1))
+        above = min(np.int64(place), rows - 2)
+        part = place - _f4(above)
+        for column in range(columns):
+            for k in range(3):
+                upper = coarse[above, column, k]
+                blended[column, k] = upper + part * (coarse[above + 1, column, k] - upper)
+        for x in range(width):
+            place = min(max((_f4(x) + _f4(0.5)) * scale - _f4(0.5), _f4(0.0)), _f4(columns - 1))
+            left = min(np.int64(place), columns - 2)
+            part = place - _f4(left)
+            some = blended[left, 0] + part * (blended[left + 1, 0] - blended[left, 0])
+            along = blended[left, 1] + part * (blended[left + 1, 1] - blended[left, 1])
+            across = blended[left, 2] + part * (blended[left + 1, 2] - blended[left, 2])
+            alike = some + _f4(2.0) * (along * features[y, x, 1] + across * features[y, x, 2])
+            features[y, x, 0] /= max(max(alike, share * some), floor)
+
+
+@compiled
+def edge_terms(points, normals, visible, ratios, independent, directions, hidden, out):
+    """Log likelihood ratios of outlines against edges, added to `out` `(n,)`.
+
+    Parameters
+    ----------
+    points, normals, visible
+        `(n, m, 2)` px, `(n, m, 2)` of unit length, `(n, m)`. What is hidden or outside of the picture says
+        nothing.
+    ratios
+        `(height, width, 3)` float32: how much more likely an edge is so near to an outline than anywhere,
+        and cosine and sine of twice the angle of that edge's normal.
+    independent
+        number of independent points that all m are worth.
+    directions
+        twice the angle scatters about the outline's by a von Mises density; its concentration and I_0 of it.
+    hidden
+        probability that a point shows no edge.
+    """
+    height, width = ratios.shape[:2]
+    kappa, normaliser = _f4(directions[0]), _f4(directions[1])
+    none = _f4(hidden)
+    scale = (_f4(1.0) - none) / normaliser
+    for k in range(len(points)):
+        total = _f4(0.0)
+        for j in range(points.shape[1]):
+            if not visible[k, j]:
+                continue
+            column = np.int64(np.floor(points[k, j, 0] + 0.5))
+            row = np.int64(np.floor(points[k, j, 1] + 0.5))
+            if column < 0 or row < 0 or column >= width or row >= height:
+                continue
+            x, y = _f4(normals[k, j, 0]), _f4(normals[k, j, 1])
+            along = (x * x - y * y) * ratios[row, column, 1] + _f4(2.0) * x * y * ratios[row, column, 2]
+            near = ratios[row, column, 0] * exponential(kappa * along)
+            total += logarithm(none + scale * near)
+        out[k] += independent / points.shape[1] * total

@@ -1,0 +1,345 @@
+"""Loops over the contours of many upper bodies: where they are, and what hides them.
+
+A body is a head (ellipsoid), a torso (flat, with a neck), two hands (spheres) and four limbs (each the union
+of spheres between its ends), seen along z. All depths are exact for these solids.
+"""
+
+import numpy as np
+
+from ...numerics.compiled import compiled
+
+_f4 = np.float32
+
+# parts, as `body_outline.OUTLINE_PARTS` names them
+_HEAD, _TORSO = 0, 1
+_ROUND = (0, 4, 7)
+_N_PARTS = 8
+
+_FAR = _f4(1e9)
+"""Depth where a part is not."""
+
+
+@compiled
+def _ellipsoid_fronts(shape, rim, xs, ys, out):
+    """Depths of an ellipsoid `(centre 3, inverse of the outline's matrix 3, slope 2, depth^2)`."""
+    cx, cy, cz, xx, xy, yy = shape[0], shape[1], shape[2], shape[3], shape[4], shape[5]
+    gx, gy, square = shape[6], shape[7], shape[8]
+    for k in range(len(xs)):
+        dx, dy = xs[k] - cx, ys[k] - cy
+        inner = _f4(1) - (xx * dx + xy * dy) * dx - (xy * dx + yy * dy) * dy
+        front = cz + gx * dx + gy * dy - np.sqrt(square * max(inner, _f4(0)))
+        out[k] = front if inner > rim else _FAR
+
+
+@compiled
+def _capsule_fronts(shape, rim, xs, ys, out):
+    """Depths of a limb `(start 3, extent 3, radius, its change, a, 1 / a, steepness)`.
+
+    Sphere t of 0 to 1 spans h(t) = r(t)^2 - |p - c(t)|^2 = h(0) + 2 b t - a t^2 in depth about its centre; of
+    z(t) - sqrt(h(t)) the least is taken.
+    """
+    cx, cy, cz, ex, ey, ez = shape[0], shape[1], shape[2], shape[3], shape[4], shape[5]
+    radius, change, a, inverse, steepness = shape[6], shape[7], shape[8], shape[9], shape[10]
+    square, growth = radius * radius, radius * change
+    for k in range(len(xs)):
+        wx, wy = xs[k] - cx, ys[k] - cy
+        start = square - wx * wx - wy * wy
+        b = wx * ex + wy * ey + growth
+        widest = b * inverse
+        nearest = min(max(widest, _f4(0)), _f4(1))
+        inner = start + nearest * (_f4(2) * b - a * nearest)
+        t = min(max(widest - steepness * np.sqrt(max(start + b * widest, _f4(0))), _f4(0)), _f4(1))
+        span = max(start + t * (_f4(2) * b - a * t), _f4(0))
+        front = cz + t * ez - np.sqrt(span)
+        out[k] = front if inner > rim * square else _FAR
+
+
+@compiled
+def _end_on_fronts(shape, rim, xs, ys, out):
+    """As `_capsule_fronts` for a limb whose one end holds the other: the nearest of its ends."""
+    cx, cy, cz, ex, ey, ez = shape[0], shape[1], shape[2], shape[3], shape[4], shape[5]
+    first, last = shape[6] * shape[6], (shape[6] + shape[7]) * (shape[6] + shape[7])
+    for k in range(len(xs)):
+        wx, wy = xs[k] - cx, ys[k] - cy
+        start = first - wx * wx - wy * wy
+        wx, wy = wx - ex, wy - ey
+        end = last - wx * wx - wy * wy
+        near = cz - np.sqrt(max(start, _f4(0))) if start > rim * first else _FAR
+        other = cz + ez - np.sqrt(max(end, _f4(0))) if end > rim * last else _FAR
+        out[k] = min(near, other)
+
+
+@compiled
+def _torso_fronts(torso, shape, xs, ys, out):
+    """Depths of a torso `(root 2, depth below and above it, lean of the neck, its upper end)`.
+
+    `torso` `(4, 4)` has, from the top, pieces (beginning and length in px below the root, half width at the
+    beginning, its increase per px); the first is the neck, which leans as the head does.
+    """
+    cx, cy, low, high, lean, top = shape[0], shape[1], shape[2], shape[3], shape[4], shape[5]
+    foot, narrow, end = torso[1, 0], torso[0, 2], torso[3, 0] + torso[3, 1]
+    length1, steep1 = torso[1, 1], torso[1, 3]
+    begin2, length2, steep2 = torso[2, 0], torso[2, 1], torso[2, 3]
+    begin3, length3, steep3 = torso[3, 0], torso[3, 1], torso[3, 3]
+    for k in range(len(xs)):
+        dy = ys[k] - cy
+        dx = abs(xs[k] - cx - lean * max(foot - dy, _f4(0)))
+        half = narrow + steep1 * min(max(dy - foot, _f4(0)), length1)
+        half += steep2 * min(max(dy - begin2, _f4(0)), length2)
+        half += steep3 * min(max(dy - begin3, _f4(0)), length3)
+        outside = max(dx - half, max(top - dy, dy - end))
+        front = low if dy > _f4(0) else high
+        out[k] = front if outside < _f4(0) else _FAR
+
+
+@compiled
+def _put_ellipsoid(shape, x, y, z, xx, xy, yy, xz, yz, zz):
+    """An ellipsoid |S^(-1/2) (p - c)| <= 1 from its centre and its matrix S."""
+    determinant = xx * yy - xy * xy
+    shape[0], shape[1], shape[2] = x, y, z
+    shape[3], shape[4], shape[5] = yy / determinant, -xy / determinant, xx / determinant
+    shape[6] = (yy * xz - xy * yz) / determinant
+    shape[7] = (xx * yz - xy * xz) / determinant
+    shape[8] = zz - shape[6] * xz - shape[7] * yz
+
+
+@compiled
+def _put_head(shape, vector, neck, axes, x, y):
+    """The head of a body with root `(x, y)`: `vector` turns it about there."""
+    vx, vy, vz = vector[0], vector[1], vector[2]
+    angle = np.sqrt(vx * vx + vy * vy + vz * vz)
+    sine = np.sin(angle) / angle if angle > 1e-9 else 1.0
+    versine = 2 * (np.sin(angle / 2) / angle) ** 2 if angle > 1e-9 else 0.5
+    cosine = np.cos(angle)
+    # columns of the rotation: where the half axes across, down and through the head point
+    r00, r10, r20 = versine * vx * vx + cosine, versine * vx * vy + sine * vz, versine * vx * vz - sine * vy
+    r01, r11, r21 = versine * vx * vy - sine * vz, versine * vy * vy + cosine, versine * vy * vz + sine * vx
+    r02, r12, r22 = versine * vx * vz + sine * vy, versine * vy * vz - sine * vx, versine * vz * vz + cosine
+    a, b, c = axes[0] * axes[0], axes[1] * axes[1], axes[2] * axes[2]
+    _put_ellipsoid(
+        shape, x - neck * r01, y - neck * r11, -neck * r21,
+        a * r00 * r00 + b * r01 * r01 + c * r02 * r02,
+        a * r00 * r10 + b * r01 * r11 + c * r02 * r12,
+        a * r10 * r10 + b * r11 * r11 + c * r12 * r12,
+        a * r00 * r20 + b * r01 * r21 + c * r02 * r22,
+        a * r10 * r20 + b * r11 * r21 + c * r12 * r22,
+        a * r20 * r20 + b * r21 * r21 + c * r22 * r22,
+    )  # fmt: skip
+
+
+@compiled
+def _put_capsule(shape, x, y, z, ex, ey, ez, first, last):
+    """A limb from `(x, y, z)` along `(ex, ey, ez)` whose radius goes from `first` to `last`."""
+    shape[0], shape[1], shape[2], shape[3], shape[4], shape[5] = x, y, z, ex, ey, ez
+    change = last - first
+    a = ex * ex + ey * ey - change * change
+    shape[6], shape[7], shape[8] = first, change, a
+    # nearly end-on counts as end-on, before the division loses all digits
+    if a > 1e-4 * first * first:
+        shape[9] = 1 / a
+        shape[10] = ez / np.sqrt(a * (a + ez * ez))
+    else:
+        shape[8] = shape[9] = shape[10] = 0.0
+
+
+@compiled
+def _put_body(root, vector, arms, lengths, torso, shapes):
+    """Describe the parts of one pose in `shapes` `(8, 11)`, see the functions `_*_fronts`.
+
+    `lengths` `(12,)` px: neck, half axes of the head (3), shoulder width, upper arm, forearm, hand, radii of
+    shoulder, elbow and wrist, depth of the torso's plane.
+    """
+    head, trunk = shapes[_HEAD], shapes[_TORSO]
+    _put_head(head, vector, lengths[0], lengths[1:4], root[0], root[1])
+    trunk[0], trunk[1], trunk[2] = root[0], root[1], lengths[11]
+    # the neck goes with the head, and the chin is always before it
+    trunk[3] = lengths[11] + max(head[2] + lengths[3], 0.0)
+    # its upper end is in the middle of the head
+    trunk[5] = min(head[1] - trunk[1], torso[1, 0])
+    trunk[4] = (head[0] - trunk[0]) / max(torso[1, 0] - trunk[5], 0.25 * lengths[0])
+    for side in range(2):
+        first = 2 + 3 * side
+        x, y, z = root[0] + (0.5 - side) * lengths[4], root[1], 0.0
+        ex, ey, ez = (
+            lengths[5] * arms[side, 0, 0],
+            lengths[5] * arms[side, 0, 1],
+            lengths[5] * arms[side, 0, 2],
+        )
+        _put_capsule(shapes[first], x, y, z, ex, ey, ez, lengths[8], lengths[9])
+        x, y, z = x + ex, y + ey, z + ez
+        ex, ey, ez = (
+            lengths[6] * arms[side, 1, 0],
+            lengths[6] * arms[side, 1, 1],
+            lengths[6] * arms[side, 1, 2],
+        )
+        _put_capsule(shapes[first + 1], x, y, z, ex, ey, ez, lengths[9], lengths[10])
+        square = lengths[7] * lengths[7]
+        _put_ellipsoid(shapes[first + 2], x + ex, y + ey, z + ez, square, 0.0, square, 0.0, 0.0, square)
+
+
+@compiled
+def _trace_ellipsoid(shape, circle, xs, ys, normals, depths):
+    """Points of an ellipsoid's outline from points of a circle `(m, 2)`."""
+    # the outline is the image of the circle under a triangular root of the matrix's inverse
+    diagonal = _f4(1) / np.sqrt(shape[3])
+    below = shape[4] * diagonal
+    last = _f4(1) / np.sqrt(shape[5] - below * below)
+    for k in range(len(circle)):
+        dy = circle[k, 1] * last
+        dx = (circle[k, 0] - below * dy) * diagonal
+        xs[k], ys[k] = shape[0] + dx, shape[1] + dy
+        nx, ny = shape[3] * dx + shape[4] * dy, shape[4] * dx + shape[5] * dy
+        shrink = _f4(1) / np.sqrt(nx * nx + ny * ny)
+        normals[k, 0], normals[k, 1] = nx * shrink, ny * shrink
+        depths[k] = shape[2] + shape[6] * dx + shape[7] * dy
+
+
+@compiled
+def _trace_capsule(shape, xs, ys, normals, depths):
+    """An even number of points along a limb's outline without the cap at its end: side, cap, other side."""
+    if shape[9] > _f4(0):
+        shrink = _f4(1) / np.sqrt(shape[3] * shape[3] + shape[4] * shape[4])
+        ex, ey = shape[3] * shrink, shape[4] * shrink
+        along = -shape[7] * shrink
+        across, side = np.sqrt(shape[8]) * shrink, np.sqrt(shape[8])
+        half_arc = _f4(np.pi) - _f4(np.arctan2(across, along))
+        x, y, z, radius = shape[0], shape[1], shape[2], shape[6]
+    else:
+        ex, ey, along, across, side, half_arc = _f4(0), _f4(-1), _f4(1), _f4(0), _f4(1), _f4(np.pi)
+        wider = _f4(1) if shape[7] > _f4(0) else _f4(0)
+        x, y = shape[0] + wider * shape[3], shape[1] + wider * shape[4]
+        z, radius = shape[2] + wider * shape[5], shape[6] + wider * shape[7]
+    half = len(xs) // 2
+    arc = radius * half_arc
+    step = (arc + (side if shape[9] > _f4(0) else _f4(0))) / _f4(half)
+    # turn from the middle of the cap, half a step at first
+    cosine, sine = _f4(np.cos(step / radius)), _f4(np.sin(step / radius))
+    forwards, sideways = -_f4(np.cos(_f4(0.5) * step / radius)), _f4(np.sin(_f4(0.5) * step / radius))
+    for k in range(half):
+        way = (_f4(k) + _f4(0.5)) * step
+        t = max(way - arc, _f4(0)) / side
+        if way >= arc:
+            forwards, sideways = along, across
+        reach = radius + t * shape[7]
+        cx, cy, depth = x + t * shape[3], y + t * shape[4], z + t * shape[5]
+        for sign in (-1, 1):
+            place = half + k if sign > 0 else half - 1 - k
+            nx, ny = forwards * ex - sign * sideways * ey, forwards * ey + sign * sideways * ex
+            xs[place], ys[place], depths[place] = cx + reach * nx, cy + reach * ny, depth
+            normals[place, 0], normals[place, 1] = nx, ny
+        forwards, sideways = forwards * cosine + sideways * sine, sideways * cosine - forwards * sine
+
+
+@compiled
+def _box(shape, kind, torso, box):
+    """What a part covers: least x, greatest x, least y, greatest y."""
+    if kind == _TORSO:
+        half = torso[2, 2]
+        box[0] = shape[0] - half + min(shape[4] * (torso[1, 0] - shape[5]), _f4(0))
+        box[1] = shape[0] + half + max(shape[4] * (torso[1, 0] - shape[5]), _f4(0))
+        box[2], box[3] = shape[1] + shape[5], shape[1] + torso[3, 0] + torso[3, 1]
+    elif kind in _ROUND:
+        determinant = shape[3] * shape[5] - shape[4] * shape[4]
+        wide, high = np.sqrt(shape[5] / determinant), np.sqrt(shape[3] / determinant)
+        box[0], box[1], box[2], box[3] = shape[0] - wide, shape[0] + wide, shape[1] - high, shape[1] + high
+    else:
+        last = shape[6] + shape[7]
+        for k in range(2):
+            box[2 * k] = min(shape[k] - shape[6], shape[k] + shape[3 + k] - last)
+            box[2 * k + 1] = max(shape[k] + shape[6], shape[k] + shape[3 + k] + last)
+
+
+@compiled
+def _fronts(shape, kind, torso, rim, xs, ys, out):
+    """Depths `out` `(m,)` of a part's front at points `(m,)`, `_FAR` where it is not.
+
+    The outermost share `rim` of a round part's squared radius counts as outside.
+    """
+    if kind == _TORSO:
+        _torso_fronts(torso, shape, xs, ys, out)
+    elif kind in _ROUND:
+        _ellipsoid_fronts(shape, rim, xs, ys, out)
+    elif shape[9] > _f4(0):
+        _capsule_fronts(shape, rim, xs, ys, out)
+    else:
+        _end_on_fronts(shape, rim, xs, ys, out)
+
+
+@compiled
+def outlines(
+    roots, necks, arms, lengths, torso, torso_points, torso_normals, circles, firsts, tolerance, rim,
+    points, normals, visible, backed,
+):  # fmt: skip
+    """Contours of the parts of each pose, and which of their points are seen.
+
+    `roots` `(n, 2)`, `necks` `(n, 3)`, `arms` `(n, 2, 2, 3)` as in `BodyPoses`; `lengths` as in `_put_body`;
+    `torso` `(4, 4)` as in `_torso_fronts`, `torso_points` and `torso_normals` `(c, 2)` its contour; `circles`
+    `(m, 2)` points of unit circles for head and hands; part j has the points `firsts[j]` to `firsts[j + 1]`.
+    A point is hidden by what is more than `tolerance` px nearer, but for the `rim`, see `_fronts`.
+    Writes `points`, `normals` `(n, m, 2)` float32, `visible` and `backed` `(n, m)` bool.
+    """
+    count = points.shape[1]
+    shapes = np.zeros((_N_PARTS, 11), np.float32)
+    xs, ys = np.zeros(count, np.float32), np.zeros(count, np.float32)
+    depths, fronts = np.zeros(count, np.float32), np.zeros(count, np.float32)
+    least = np.zeros(count, np.float32)
+    for pose in range(len(roots)):
+        _put_body(roots[pose], necks[pose], arms[pose], lengths, torso, shapes)
+        for part in range(_N_PARTS):
+            run = slice(firsts[part], firsts[part + 1])
+            shape = shapes[part]
+            if part == _TORSO:
+                for k in range(len(torso_points)):
+                    place = firsts[part] + k
+                    xs[place], ys[place] = shape[0] + torso_points[k, 0], shape[1] + torso_points[k, 1]
+                    depths[place] = shape[2]
+                    normals[pose, place, 0] = torso_normals[k, 0]
+                    normals[pose, place, 1] = torso_normals[k, 1]
+            elif part in _ROUND:
+                _trace_ellipsoid(shape, circles[run], xs[run], ys[run], normals[pose, run], depths[run])
+            else:
+                _trace_capsule(shape, xs[run], ys[run], normals[pose, run], depths[run])
+        for k in range(count):
+            least[k] = _FAR
+        for part in range(_N_PARTS):
+            _fronts(shapes[part], part, torso, rim, xs, ys, fronts)
+            for k in range(firsts[part], firsts[part + 1]):
+                fronts[k] = _FAR
+            for k in range(count):
+                least[k] = min(least[k], fronts[k])
+        at, shown, before = points[pose], visible[pose], backed[pose]
+        for k in range(count):
+            at[k, 0], at[k, 1] = xs[k], ys[k]
+        for k in range(count):
+            seen = least[k] >= depths[k] - tolerance
+            shown[k], before[k] = seen, seen & (least[k] < _FAR)
+
+
+@compiled
+def paint(roots, necks, arms, lengths, torso, labels):
+    """Write into `labels` `(n, height, width)` uint8, zero before, 1 + the nearest part at each pixel."""
+    height, width = labels.shape[1], labels.shape[2]
+    shapes = np.zeros((_N_PARTS, 11), np.float32)
+    box = np.zeros(4, np.float32)
+    nearest = np.empty((height, width), np.float32)
+    columns, row, fronts = np.empty((3, width), np.float32)
+    for x in range(width):
+        columns[x] = x
+    for pose in range(len(roots)):
+        _put_body(roots[pose], necks[pose], arms[pose], lengths, torso, shapes)
+        nearest.fill(_FAR)
+        for part in range(_N_PARTS):
+            _box(shapes[part], part, torso, box)
+            begin = max(np.int64(np.ceil(box[0])), 0)
+            stop = min(np.int64(np.floor(box[1])) + 1, width)
+            for y in range(max(np.int64(np.ceil(box[2])), 0), min(np.int64(np.floor(box[3])) + 1, height)):
+                if begin >= stop:
+                    continue
+                for x in range(begin, stop):
+                    row[x] = y
+                run = slice(begin, stop)
+                _fronts(shapes[part], part, torso, _f4(0), columns[run], row[run], fronts[run])
+                for x in range(begin, stop):
+                    if fronts[x] < nearest[y, x]:
+                        nearest[y, x] = fronts[x]
+                        labels[pose, y, x] = part + 1

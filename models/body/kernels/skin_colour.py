@@ -1,0 +1,13 @@
+"""Loop over an image's pixels that reads a table of colours."""
+
+import numpy as np
+
+from ...numerics.compiled import compiled
+
+
+@compiled
+def looked_up(luma_red_blue, table, out):
+    """`out` (n,) float32 from `table` (8 * 64 * 64,) float32 at the colours (n, 3) uint8: Y, Cr, Cb."""
+    for i in range(out.size):
+        luma, red, blue = luma_red_blue[i, 0], luma_red_blue[i, 1], luma_red_blue[i, 2]
+        out[i] = table[(np.int32(luma >> 5) << 12) | (np.int32(red >> 2) << 6) | np.int32(blue >> 2)]

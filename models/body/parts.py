@@ -1,0 +1,252 @@
+"""Where head and hands are in a picture: the feature node on which body trackers meet."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.frame import Frame
+from ..core.gaussian_mixtures import GaussianMixtures
+from ..face.detectors import HaarFaces, PartDetector
+from .image_features import BodyImage, edge_distances
+from .skin_blobs import FleshBlobs, flesh_blobs
+from .skin_colour import HIGHEST, FleshColour
+from .static_skin import still_flesh
+from .upper_body import PARTS
+
+Array = NDArray[np.float64]
+
+HEAD_OF_BOX = 1.33
+"""Head from chin to skull over the height of a detector's box."""
+
+CENTRE_OF_BOX = 0.4
+"""Of the box's height, from above: the head's centre."""
+
+HEAD_SPREAD = (0.13, 0.1)
+"""Of the head's height: standard deviation of its centre about that place. A head that is turned away reaches
+further to one side than its face."""
+
+HAND_RADIUS = 0.3
+"""Of the head's height."""
+
+EDGE_REACH = 1 / 6
+"""Of the head's height: as far as an edge is felt."""
+
+HEAD_ELLIPSE, NECK_ELLIPSE = (0.0, 0.0, 0.38, 0.49), (0.0, 0.62, 0.26, 0.32)
+"""In head heights: centres, from the head's, and half axes of what the flesh of face and throat fills."""
+
+HEAD_BLOB = 0.42
+"""Of the head's height: radius of the disc of flesh that a head is without a face detector."""
+
+KNOWN = 0.35
+"""Of the head's height: where chains know its place better than this, they show where it is."""
+
+FACE_FOUND, FALSE_FACES = 0.8, 0.05
+"""Chance that a face is detected, and number of false detections in an image."""
+
+HEAD_FLESH, FALSE_HEADS = 0.6, 3.0
+"""The same of a head's blob of flesh."""
+
+HAND_FOUND, FALSE_HANDS = 0.8, 4.0
+"""The same of a hand's blob."""
+
+CALIBRATION_FRAMES = 24
+"""Frames of a clip that are looked at for faces, evenly spread."""
+
+
+@dataclass(frozen=True, eq=False)
+class PartMessage:
+    """What is said of the parts' positions, by chains and by the image.
+
+    The two are kept apart, since who compares whole bodies with the image reads it better than its mixtures
+    can say; `mixtures` is the product of both.
+
+    Parameters
+    ----------
+    told
+        product of the chains' messages.
+    image
+        what the image says; `None` where it says nothing.
+    """
+
+    told: GaussianMixtures
+    image: BodyImage | None = None
+
+    @property
+    def mixtures(self) -> GaussianMixtures:
+        """The product of all."""
+        return self.told if self.image is None else self.told * self.image.mixtures
+
+    @property
+    def log_mass(self) -> float:
+        """Log of the integral over all parts' positions."""
+        return float(self.mixtures.log_masses.sum())
+
+    def __mul__(self, other: Self) -> Self:
+        return type(self)(self.told * other.told, self.image if other.image is None else other.image)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyParts:
+    """Feature node of the places of head and hands in a picture.
+
+    Parameters
+    ----------
+    head_height
+        px, from chin to skull: all sizes are in its units.
+    flesh
+        the person's flesh colour; without it (grey video), the image says nothing of the hands but edges.
+    detector
+        of faces; without it, the head is where a head's size of flesh is.
+    still
+        `(height, width)` nats: `still_flesh` of the clip, which hands are told from.
+    """
+
+    head_height: float
+    flesh: FleshColour | None = None
+    detector: PartDetector | None = None
+    still: NDArray[np.float32] | None = None
+    name: str = "parts"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.head_height < np.inf:
+            raise ValueError(f"head_height: got {self.head_height} px, expected more than 0")
+
+    @classmethod
+    def learned(cls, images: Sequence[NDArray[np.uint8]], detector: PartDetector) -> Self:
+        """Learn the head's size and the flesh's colour from the faces found in some frames of a clip.
+
+        Raises
+        ------
+        ValueError
+            if there is a face in none of them.
+        """
+        chosen = np.unique(
+            np.linspace(0, len(images) - 1, min(len(images), CALIBRATION_FRAMES)).round().astype(int)
+        )
+        seen, boxes = [], []
+        for number in chosen:
+            found = detector(Frame(images[number], 0.0, int(number) + 1))
+            if len(found):
+                seen.append(images[number])
+                boxes.append(found[0])
+        if not seen:
+            raise ValueError(f"images: got no face in {len(chosen)} of {len(images)}, expected one at least")
+        height = float(np.median([box[3] for box in boxes]))
+        if isinstance(detector, HaarFaces):
+            detector = replace(detector, height=height)
+        flesh = FleshColour.learned(seen, np.array(boxes))
+        still = None if flesh is None else still_flesh(flesh, [images[number] for number in chosen])
+        return cls(HEAD_OF_BOX * height, flesh, detector, still)
+
+    def uniform(self) -> PartMessage:
+        """The message that says nothing."""
+        return PartMessage(GaussianMixtures.uniform(len(PARTS)))
+
+    def evidence(self, frame: Frame, prior: PartMessage) -> PartMessage:
+        """What the image says of the three parts, and all that a likelihood of whole bodies asks of it.
+
+        Each part's mixture is the ratio of two probabilities, of what is detected with the part at F and of
+        the same as clutter: (1 - P) + sum_k P / (clutter's density per px^2) w_k N(F; m_k, S_k), P being the
+        chance of a detection. What is not detected at all is thus flat, and a frame without detections says
+        nothing of where the parts are. Both hands have the same blobs, by their numbers as labels.
+
+        Parameters
+        ----------
+        frame
+            of a missing one, nothing is said.
+        prior
+            shows where the head is when no face is detected, so that hands are told from its flesh.
+        """
+        image = frame.image
+        if image is None:
+            return self.uniform()
+        height = self.head_height
+        flesh = None if self.flesh is None else self.flesh.log_odds(image)
+        faces = np.zeros((0, 4)) if self.detector is None else self.detector(frame)
+        centres = faces[:, :2] + faces[:, 2:] * (0.5, CENTRE_OF_BOX)
+        if flesh is not None:
+            centres = _recentred(centres, flesh, height)
+        spread = np.diag(np.square(np.array(HEAD_SPREAD) * height))
+        covariances = np.broadcast_to(spread, (len(faces), 2, 2)).copy()
+        heads = FleshBlobs(centres, covariances, np.zeros(len(faces)))
+        hands, moving = FleshBlobs.none(), None
+        found, false = FACE_FOUND, FALSE_FACES
+        if flesh is not None:
+            known = centres if len(faces) else self._known_head(prior, image.shape)
+            faces_there = _ellipses(known, HEAD_ELLIPSE, height)
+            moving = self._moving(flesh, faces_there)
+            bare = (
+                [faces_there]
+                if moving is not flesh
+                else [faces_there, _ellipses(known, NECK_ELLIPSE, height)]
+            )
+            hands = flesh_blobs(moving, HAND_RADIUS * height, np.concatenate(bare))
+            if not len(faces):
+                heads, found, false = flesh_blobs(flesh, HEAD_BLOB * height), HEAD_FLESH, FALSE_HEADS
+        area = image.shape[0] * image.shape[1]
+        hand_weights = np.log(HAND_FOUND * area / FALSE_HANDS) + hands.log_weights
+        lost_head = np.log(1 - found) if len(heads.means) else 0.0
+        lost_hand = np.log(1 - HAND_FOUND) if len(hands.means) else 0.0
+        numbers = np.arange(len(hands.means))
+        mixtures = GaussianMixtures.of_parts(
+            [np.log(found * area / false) + heads.log_weights, hand_weights, hand_weights],
+            [heads.means, hands.means, hands.means],
+            [heads.covariances, hands.covariances, hands.covariances],
+            [lost_head, lost_hand, lost_hand],
+            [len(numbers) + np.arange(len(heads.means)), numbers, numbers],
+        )
+        edges, directions = edge_distances(image, EDGE_REACH * height)
+        seen = BodyImage(
+            flesh,
+            moving,
+            edges,
+            directions,
+            faces,
+            centres,
+            covariances,
+            hands.means,
+            hands.covariances,
+            hands.log_weights,
+            mixtures,
+        )
+        return PartMessage(self.uniform().told, seen)
+
+    def _moving(self, flesh: NDArray[np.float32], faces: Array) -> NDArray[np.float32]:
+        """Flesh less what is there all the time; but of faces none is lost, since heads move."""
+        if self.still is None or self.still.shape != flesh.shape:
+            return flesh
+        still = self.still.copy()
+        for x, y, across, down in faces:
+            cv2.ellipse(still, ((x, y), (2 * across, 2 * down), 0.0), 0.0, cv2.FILLED)
+        return np.asarray(np.maximum(flesh - still, np.float32(-HIGHEST)))
+
+    def _known_head(self, prior: PartMessage, shape: tuple[int, ...]) -> Array:
+        """`(k, 2)` px: the head's centre, k = 1, if the chains know it."""
+        means, covariances = prior.told.moments(float(shape[0] * shape[1]), (shape[1] / 2, shape[0] / 2))
+        known = np.linalg.eigvalsh(covariances[0])[-1] < (KNOWN * self.head_height) ** 2
+        return means[:1] if known else np.zeros((0, 2))
+
+
+def _ellipses(heads: Array, shape: tuple[float, ...], height: float) -> Array:
+    """`(k, 4)` px: an ellipse each of heads `(k, 2)`."""
+    return np.hstack([heads, np.zeros_like(heads)]) + height * np.array(shape)
+
+
+def _recentred(centres: Array, flesh: NDArray[np.float32], height: float) -> Array:
+    """Heads `(k, 2)` px moved sideways to the middle of their flesh: of one that looks away, a detector
+    finds the face, which is not its middle.
+    """
+    moved = centres.copy()
+    columns = np.arange(flesh.shape[1])
+    for centre in moved:
+        x, y = centre
+        top, bottom = (int(np.clip(y + step * height, 0, flesh.shape[0])) for step in (-0.35, 0.25))
+        odds = flesh[top:bottom]
+        share = (odds > 0).sum(axis=0) * (np.abs(columns - x) < 0.55 * height)
+        if share.any():
+            centre[0] = x + np.clip(share @ columns / share.sum() - x, -0.2 * height, 0.2 * height)
+    return moved

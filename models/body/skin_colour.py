@@ -1,0 +1,152 @@
+"""What colour a person's flesh has, learned from the person's face: no skin colour is built in."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from .kernels.skin_colour import looked_up
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+BINS = (8, 64, 64)
+"""Of luma and of the two differences of colour: shades of one skin differ in luma first of all."""
+
+SMOOTHING = (0.7, 1.5, 1.5)
+"""Of the histograms, bins: one face has too few pixels for 32,768 of them."""
+
+FLOOR = 1 / 30
+"""Added to both densities, in units of the uniform one: colours that nobody has seen say nothing."""
+
+HIGHEST = 4.0
+"""Nats: as much as one pixel can say for or against flesh."""
+
+LEAST_COLOUR = 4.0
+"""Levels that the colour of one pixel in a hundred has to differ from grey; compression makes 1 to 3."""
+
+FACE_CENTRE, FACE_AXES = 0.52, (0.33, 0.42)
+"""In a detector's box: skin without the background beside the chin, and mostly without hair."""
+
+HEAD_AXES = (0.8, 0.95)
+"""About the box's centre: beyond it there is neither face nor neck."""
+
+BLUR = 0.8
+"""px: single pixels' noise is no colour."""
+
+
+@dataclass(frozen=True, eq=False)
+class FleshColour:
+    """How much more often colours are seen in a face than elsewhere.
+
+    Parameters
+    ----------
+    table
+        `(8, 64, 64)` float32 nats, over bins of Y, Cr and Cb: log of a colour's density in the face over its
+        density in the rest of the images, between -4 and 4.
+    """
+
+    table: NDArray[np.float32]
+
+    @classmethod
+    def learned(cls, images: Sequence[Image], boxes: Array) -> Self | None:
+        """Learn from images in which the person's face was found.
+
+        The rest of the image holds the hands, too: where they cover a share s of it, the ratio stays below
+        1 / s, which the bounds of the table hide unless s is above 2 %.
+
+        Parameters
+        ----------
+        images
+            n of them, `(height, width, 3)` uint8 BGR, or `(height, width)`.
+        boxes
+            `(n, 4)` px: x, y, width, height of one face in each.
+
+        Returns
+        -------
+        FleshColour or None
+            `None` if the images have no colour: grey tells nothing of flesh.
+
+        Raises
+        ------
+        ValueError
+            if there are no images, or not as many boxes.
+        """
+        if not len(images) or np.shape(boxes) != (len(images), 4):
+            raise ValueError(
+                f"boxes: got {np.shape(boxes)} for {len(images)} images, expected one face in each: (n, 4)"
+            )
+        coloured = [(image, box) for image, box in zip(images, boxes, strict=True) if has_colour(image)]
+        if not coloured:
+            return None
+        face, rest = np.zeros(np.prod(BINS)), np.zeros(np.prod(BINS))
+        for image, box in coloured:
+            bins = _bins(_smoothed(image))
+            inside, outside = _regions(bins.shape, box)
+            face += np.bincount(bins[inside], minlength=len(face))
+            rest += np.bincount(bins[outside], minlength=len(rest))
+        ratio = np.log(_density(face) / _density(rest))
+        return cls(np.clip(ratio, -HIGHEST, HIGHEST).astype(np.float32))
+
+    def log_odds(self, image: Image) -> NDArray[np.float32]:
+        """Log odds of flesh against anything else, where both are as likely without the colour.
+
+        Parameters
+        ----------
+        image
+            `(height, width, 3)` uint8 BGR.
+
+        Returns
+        -------
+        NDArray
+            `(height, width)` float32 nats, from -4 to 4.
+
+        Raises
+        ------
+        ValueError
+            if the image has one channel.
+        """
+        if image.ndim != 3:
+            raise ValueError(f"image: got {image.shape}, expected (height, width, 3)")
+        out = np.empty(image.shape[:2], np.float32)
+        looked_up(_smoothed(image).reshape(-1, 3), self.table.reshape(-1), out.reshape(-1))
+        return out
+
+
+def has_colour(image: Image) -> bool:
+    """Whether an image differs from a grey one by more than compression makes it."""
+    if image.ndim == 2:
+        return False
+    some = image[::4, ::4].astype(np.int16)
+    return bool(np.percentile(np.ptp(some, axis=2), 99) > LEAST_COLOUR)
+
+
+def _smoothed(image: Image) -> Image:
+    """`(height, width, 3)` Y, Cr, Cb."""
+    return np.asarray(cv2.cvtColor(cv2.GaussianBlur(image, (0, 0), BLUR), cv2.COLOR_BGR2YCrCb), np.uint8)
+
+
+def _bins(picture: Image) -> NDArray[np.int64]:
+    luma, red, blue = np.moveaxis(picture.astype(np.int64), 2, 0)
+    bins: NDArray[np.int64] = (luma >> 5 << 12) | (red >> 2 << 6) | (blue >> 2)
+    return bins
+
+
+def _density(counts: Array) -> Array:
+    """Density relative to the uniform one, `BINS`."""
+    smooth = gaussian_filter(counts.reshape(BINS), SMOOTHING)
+    return np.asarray(smooth * (smooth.size / max(smooth.sum(), 1.0)) + FLOOR)
+
+
+def _regions(shape: tuple[int, ...], box: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Pixels in the face, and those outside of the head."""
+    x, y, width, height = box
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    across = (columns - x - width / 2) / width
+    face = np.hypot(across / FACE_AXES[0], (rows - y - FACE_CENTRE * height) / (FACE_AXES[1] * height)) < 1
+    head = np.hypot(across / HEAD_AXES[0], (rows - y - height / 2) / (HEAD_AXES[1] * height)) < 1
+    return face, ~head

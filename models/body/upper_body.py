@@ -1,0 +1,198 @@
+"""The upper body of a person: lengths and widths of its segments, where its joints are, how far they turn."""
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import silhouette
+from .kernels.kinematics import place_joints, place_parts, within_limits
+from .poses import BodyPoses
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+PARTS = ("head", "left_hand", "right_hand")
+"""Parts that have features of their own in the picture."""
+
+JOINTS = (
+    "head", "neck", "left_shoulder", "left_elbow", "left_hand", "right_shoulder", "right_elbow", "right_hand",
+)  # fmt: skip
+"""Points of the kinematic tree; "neck" is its root, between the shoulders; hands and head are centres."""
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """How far the joints turn, in rad; of the right arm everything is mirrored.
+
+    The limits are wide: they are to exclude what no person does, not to tell what is usual.
+
+    Parameters
+    ----------
+    neck
+        largest rotation of the head.
+    swing_centre, swing
+        middle of the cone in which the left upper arm points (outwards, down, towards the viewer), not of
+        unit length, and the largest angle from it: not far across the back nor the chest.
+    outwards, inwards
+        least (external) and greatest (internal) turn of the upper arm about its own axis, from `transport`:
+        0 bends the elbow of a hanging arm towards the viewer, pi/2 across the belly.
+    elbow
+        greatest flexion: muscles meet.
+    straight
+        flexion below which the turn of the upper arm cannot be told, so that it is not tested.
+    """
+
+    neck: float = np.radians(50)
+    swing_centre: tuple[float, float, float] = (0.35, 0.6, -0.6)
+    swing: float = np.radians(105)
+    outwards: float = np.radians(-100)
+    inwards: float = np.radians(100)
+    elbow: float = 2.6
+    straight: float = 0.15
+
+    @cached_property
+    def numbers(self) -> Array:
+        """`(9,)`: the limits as `within_limits` takes them."""
+        centre = np.array(self.swing_centre) / np.linalg.norm(self.swing_centre)
+        middle, half = 0.5 * (self.inwards + self.outwards), 0.5 * (self.inwards - self.outwards)
+        bends = np.cos([self.elbow, self.straight])
+        return np.array([self.neck, *centre, np.cos(self.swing), middle, half, *bends])
+
+
+LIMITS = JointLimits()
+
+
+@dataclass(frozen=True)
+class UpperBody:
+    """Lengths and widths of an upper body that faces the camera, all in px.
+
+    Parameters
+    ----------
+    head_height, head_width
+        chin to top of the skull, and across.
+    neck
+        root (between the shoulder joints) to the centre of the head.
+    shoulder_width
+        from one shoulder joint to the other.
+    upper_arm, forearm
+        shoulder to elbow; elbow to the centre of the hand.
+    hand
+        radius.
+    upper_arm_width, forearm_width, wrist_width
+        across the arm at the shoulder, at the elbow and at the wrist.
+    torso_height, torso_width
+        root to the lap or the waist, where the torso ends, and across there.
+
+    Raises
+    ------
+    ValueError
+        for a length that is no positive number or that no person has beside the others.
+    """
+
+    head_height: float
+    head_width: float
+    neck: float
+    shoulder_width: float
+    upper_arm: float
+    forearm: float
+    hand: float
+    upper_arm_width: float
+    forearm_width: float
+    wrist_width: float
+    torso_height: float
+    torso_width: float
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            length = getattr(self, field.name)
+            if not (np.isfinite(length) and length > 0):
+                raise ValueError(f"{field.name} must be a positive length in px, got {length}")
+            usual = PROPORTIONS.get(field.name, 1.0) * self.head_height
+            if not usual / 4 < length < 4 * usual:
+                raise ValueError(
+                    f"{field.name} is impossible: {length:g} px beside a head of "
+                    f"{self.head_height:g} px, where about {usual:.3g} px are usual"
+                )
+
+    @classmethod
+    def from_head(cls, head_height: float) -> Self:
+        """A body of usual proportions with a head of `head_height` px, chin to top of the skull."""
+        if not (np.isfinite(head_height) and head_height > 0):
+            raise ValueError(f"head_height must be a positive length in px, got {head_height}")
+        lengths = {name: float(share * head_height) for name, share in PROPORTIONS.items()}
+        return cls(head_height=float(head_height), **lengths)
+
+    @classmethod
+    def fit(cls, joints: Array, head_heights: Array | None = None) -> Self:
+        """A body from joints seen in a few pictures: what they do not tell has usual proportions.
+
+        Parameters
+        ----------
+        joints
+            `(n_frames, 8, 2)` px: the `JOINTS` in each picture, clicked or detected, NaN where they are not.
+        head_heights
+            `(n_frames,)` px, chin to top of the skull, NaN where unknown; None: from the place of the head.
+
+        Raises
+        ------
+        ValueError
+            if the joints have another shape, tell of no length, or lead to lengths that no person has.
+        """
+        from .segment_lengths import segment_lengths
+
+        return cls(**segment_lengths(joints, head_heights))
+
+    def joints(self, poses: BodyPoses) -> Array:
+        """`(n, 8, 3)` px: where the `JOINTS` are; z is 0 at the root and grows away from the viewer."""
+        joints = np.empty((len(poses), 8, 3))
+        place_joints(
+            poses.roots, poses.necks, poses.arms,
+            self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, joints,
+        )  # fmt: skip
+        return joints
+
+    def parts(self, poses: BodyPoses) -> Array:
+        """`(n, 3, 2)` px: where head, left hand and right hand are seen."""
+        parts = np.empty((len(poses), 3, 2))
+        place_parts(
+            poses.roots, poses.necks, poses.arms,
+            self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, parts,
+        )  # fmt: skip
+        return parts
+
+    def silhouettes(self, poses: BodyPoses) -> silhouette.Silhouettes:
+        """Outlines of `poses` in the picture, and which of their points are seen."""
+        return silhouette.silhouettes(self, poses)
+
+    def masks(self, poses: BodyPoses, size: tuple[int, int]) -> NDArray[np.uint8]:
+        """`(n, h, w)` pictures of the parts, of `size` (h, w), see `body_outline.masks`."""
+        return silhouette.masks(self, poses, size)
+
+    def allowed(self, poses: BodyPoses) -> Mask:
+        """`(n,)`: whether every joint is within its limits and no arm goes through or behind the torso."""
+        allowed = np.empty(len(poses), np.bool_)
+        torso = np.array([self.shoulder_width, self.torso_width, self.torso_height, 0.45 * self.head_height])
+        within_limits(
+            poses.necks, poses.arms, self.shoulder_width / 2, self.upper_arm, self.forearm,
+            LIMITS.numbers, torso, allowed,
+        )  # fmt: skip
+        return allowed
+
+
+PROPORTIONS = {
+    "head_width": 0.72,
+    "neck": 0.89,
+    "shoulder_width": 1.45,
+    "upper_arm": 1.4,
+    "forearm": 1.5,
+    "hand": 0.3,
+    "upper_arm_width": 0.45,
+    "forearm_width": 0.36,
+    "wrist_width": 0.25,
+    "torso_height": 2.0,
+    "torso_width": 1.25,
+}
+"""Lengths of a usual body over the height of its head."""

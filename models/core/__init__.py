@@ -1,0 +1,1 @@
+"""Frames, messages and the files that they come from: what every domain uses."""

@@ -1,0 +1,108 @@
+"""Loops over the components of mixtures of Gaussians in the picture, at many points or in products."""
+
+import numpy as np
+
+from ...numerics.compiled import compiled, inlined
+
+_LOG_TWO_PI = np.log(2 * np.pi)
+
+
+@inlined
+def _falling(x):
+    """exp(x) for float64 x <= 0, error below 1e-13 (libm's is no vector code)."""
+    # to the 256th part, where a short series is enough, and back by squaring
+    small = max(x, -80.0) * (1 / 256)
+    power = 1 / 24 + small * (1 / 120 + small / 720)
+    power = 1.0 + small * (1.0 + small * (0.5 + small * (1 / 6 + small * power)))
+    power *= power
+    power *= power
+    power *= power
+    power *= power
+    power *= power
+    power *= power
+    power *= power
+    return power * power
+
+
+@compiled
+def sums_of_densities(points, heights, means, precisions, peaks, sums):
+    """Sums over components of exp(height) times an unnormalised Gaussian, by their largest term.
+
+    Parameters
+    ----------
+    points
+        `(n, n_parts, 2)`.
+    heights
+        `(n_parts, m)` finite: logs of the components' values in their middles.
+    means, precisions
+        `(n_parts, 2, m)`; `(n_parts, 3, m)`: xx, xy and yy of half the inverse covariances, 0 of flat ones.
+    peaks, sums
+        `(n, n_parts)` written: log of the largest term, sum of all by it.
+    """
+    n_parts, m = heights.shape
+    logs = np.empty(m)
+    for part in range(n_parts):
+        height = heights[part]
+        mx, my = means[part, 0], means[part, 1]
+        xx, xy, yy = precisions[part, 0], precisions[part, 1], precisions[part, 2]
+        for k in range(len(points)):
+            px, py = points[k, part, 0], points[k, part, 1]
+            best = -1e300
+            for j in range(m):
+                x, y = px - mx[j], py - my[j]
+                value = height[j] - (xx[j] * x + 2.0 * xy[j] * y) * x - yy[j] * y * y
+                logs[j] = value
+                best = max(best, value)
+            total = 0.0
+            for j in range(m):
+                total += _falling(logs[j] - best)
+            peaks[k, part], sums[k, part] = best, total
+
+
+@compiled
+def products(a_means, a_covariances, a_flat, b_means, b_covariances, b_flat, means, covariances, overlaps):
+    """Products of each component of one mixture with each of another one.
+
+    Parameters
+    ----------
+    a_means, a_covariances, a_flat
+        `(n_parts, n, 2)`, `(n_parts, n, 2, 2)`, `(n_parts, n)`; likewise of the other one, with m components.
+    means, covariances
+        `(n_parts, n * m, 2)`, `(n_parts, n * m, 2, 2)` written; those of the other factor if one is flat, of
+        the first if both are.
+    overlaps
+        `(n_parts, n * m)` written: log of the integral of the product, 0 where a factor is flat.
+    """
+    n_parts, n = a_flat.shape
+    m = b_flat.shape[1]
+    for part in range(n_parts):
+        for i in range(n):
+            ax, ay = a_means[part, i, 0], a_means[part, i, 1]
+            axx, ayy = a_covariances[part, i, 0, 0], a_covariances[part, i, 1, 1]
+            axy = a_covariances[part, i, 0, 1]
+            for j in range(m):
+                bx, by = b_means[part, j, 0], b_means[part, j, 1]
+                bxx, byy = b_covariances[part, j, 0, 0], b_covariances[part, j, 1, 1]
+                bxy = b_covariances[part, j, 0, 1]
+                overlap = 0.0
+                if b_flat[part, j]:
+                    x, y, xx, xy, yy = ax, ay, axx, axy, ayy
+                elif a_flat[part, i]:
+                    x, y, xx, xy, yy = bx, by, bxx, bxy, byy
+                else:
+                    cxx, cxy, cyy = axx + bxx, axy + bxy, ayy + byy
+                    determinant = cxx * cyy - cxy * cxy
+                    ixx, ixy, iyy = cyy / determinant, -cxy / determinant, cxx / determinant
+                    dx, dy = bx - ax, by - ay
+                    rx, ry = ixx * dx + ixy * dy, ixy * dx + iyy * dy
+                    x, y = ax + axx * rx + axy * ry, ay + axy * rx + ayy * ry
+                    # A (A + B)^-1 B as a sum of positive definite matrices, which rounding leaves so
+                    of_a = (bxx * byy - bxy * bxy) / determinant
+                    of_b = (axx * ayy - axy * axy) / determinant
+                    xx, xy, yy = of_a * axx + of_b * bxx, of_a * axy + of_b * bxy, of_a * ayy + of_b * byy
+                    overlap = -_LOG_TWO_PI - 0.5 * np.log(determinant) - 0.5 * (rx * dx + ry * dy)
+                place = i * m + j
+                means[part, place, 0], means[part, place, 1] = x, y
+                covariances[part, place, 0, 0], covariances[part, place, 0, 1] = xx, xy
+                covariances[part, place, 1, 0], covariances[part, place, 1, 1] = xy, yy
+                overlaps[part, place] = overlap

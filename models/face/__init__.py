@@ -1,0 +1,1 @@
+"""Deformable surfaces under weak perspective: shapes, poses, textures, outlines."""

@@ -1,0 +1,1 @@
+"""Compiled loops over the texels and triangles of a surface."""

@@ -1,0 +1,102 @@
+"""Loops over triangles and edges of projected meshes: which pixels they cover, where the outline is."""
+
+import numpy as np
+
+from ...numerics.compiled import compiled
+
+_f4 = np.float32
+
+
+@compiled
+def cover(positions, triangles, top, left, covered):
+    """Mark the pixels whose centres lie in a triangle, pose by pose.
+
+    `positions` `(n, n_vertices, 2)` float32 px, `covered` `(n, height, width)` uint8, zero before, of which
+    `(top, left)` is the first pixel.
+    """
+    height, width = covered.shape[1], covered.shape[2]
+    for pose in range(len(positions)):
+        places, out = positions[pose], covered[pose]
+        for number in range(len(triangles)):
+            a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
+            ax, ay = places[a, 0] - left, places[a, 1] - top
+            bx, by = places[b, 0] - left, places[b, 1] - top
+            cx, cy = places[c, 0] - left, places[c, 1] - top
+            first = max(np.int64(np.ceil(min(ay, by, cy))), 0)
+            last = min(np.int64(np.floor(max(ay, by, cy))), height - 1)
+            for row in range(first, last + 1):
+                y = _f4(row)
+                begin, end = _f4(1e9), _f4(-1e9)
+                # where the row enters and leaves the triangle
+                if (ay <= y) != (by <= y):
+                    x = ax + (y - ay) * (bx - ax) / (by - ay)
+                    begin, end = min(begin, x), max(end, x)
+                if (by <= y) != (cy <= y):
+                    x = bx + (y - by) * (cx - bx) / (cy - by)
+                    begin, end = min(begin, x), max(end, x)
+                if (cy <= y) != (ay <= y):
+                    x = cx + (y - cy) * (ax - cx) / (ay - cy)
+                    begin, end = min(begin, x), max(end, x)
+                if begin > end:
+                    continue
+                start = max(np.int64(np.ceil(max(begin, _f4(0)))), 0)
+                stop = np.int64(np.floor(min(end, _f4(width - 1))))
+                for column in range(start, stop + 1):
+                    out[row, column] = 1
+
+
+@compiled
+def _inside(covered, x, y):
+    column, row = np.int64(np.floor(x + _f4(0.5))), np.int64(np.floor(y + _f4(0.5)))
+    if row < 0 or column < 0 or row >= covered.shape[0] or column >= covered.shape[1]:
+        return False
+    return covered[row, column] != 0
+
+
+@compiled
+def trace(
+    positions, triangles, ends, sides, covered, top, left, spacing, depth, vertices, weights, normals, count
+):
+    """Points along the outline about every `spacing` px, at most as many as there is room for.
+
+    An edge is on the outline where only one of its triangles faces the viewer, or where it has but one, and
+    what is `depth` px outside it is not covered but what is inside is. Writes into `vertices` `(n, room, 2)`,
+    `weights` `(n, room, 3)` (shares of the two vertices, and px of outline that the point stands for),
+    `normals` `(n, room, 2)` (of unit length, outwards) and `count` `(n,)`.
+    """
+    room = vertices.shape[1]
+    turned = np.empty(len(triangles), np.bool_)
+    for pose in range(len(positions)):
+        places = positions[pose]
+        for number in range(len(triangles)):
+            a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
+            area = (places[b, 0] - places[a, 0]) * (places[c, 1] - places[a, 1])
+            area -= (places[b, 1] - places[a, 1]) * (places[c, 0] - places[a, 0])
+            turned[number] = area > _f4(0)
+        found = 0
+        for edge in range(len(ends)):
+            one, other = sides[edge, 0], sides[edge, 1]
+            if other >= 0 and turned[one] == turned[other]:
+                continue
+            a, b = ends[edge, 0], ends[edge, 1]
+            ax, ay = places[a, 0] - left, places[a, 1] - top
+            along, down = places[b, 0] - places[a, 0], places[b, 1] - places[a, 1]
+            length = np.sqrt(along * along + down * down)
+            if length < _f4(1e-3):
+                continue
+            nx, ny = down / length, -along / length
+            parts = max(np.int64(np.floor(length / spacing + _f4(0.5))), 1)
+            for k in range(parts):
+                share = _f4(k + 0.5) / _f4(parts)
+                x, y = ax + share * along, ay + share * down
+                before = _inside(covered[pose], x + depth * nx, y + depth * ny)
+                behind = _inside(covered[pose], x - depth * nx, y - depth * ny)
+                if before == behind or found == room:
+                    continue
+                sign = _f4(-1) if before else _f4(1)
+                vertices[pose, found, 0], vertices[pose, found, 1] = a, b
+                weights[pose, found, 0], weights[pose, found, 1] = _f4(1) - share, share
+                normals[pose, found, 0], normals[pose, found, 1] = sign * nx, sign * ny
+                weights[pose, found, 2] = length / _f4(parts)
+                found += 1
+        count[pose] = found

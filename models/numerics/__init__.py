@@ -1,0 +1,1 @@
+"""Compiling, threads and arrays that are used again."""

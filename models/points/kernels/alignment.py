@@ -1,0 +1,176 @@
+"""Loops that move small patches by fractions of a pixel until they fit a grey picture."""
+
+import numpy as np
+
+from ...numerics.compiled import compiled, inlined
+
+STEPS = 8
+"""Gauss-Newton steps at most."""
+
+SMALL = 0.005
+"""px: a step after which there is no other."""
+
+FLAT = 1e-3
+"""Squared grey values: the variance of what has no texture at all."""
+
+LONGEST = 0.5
+"""px of one coordinate in one step: gradients say nothing of what lies farther away."""
+
+
+@inlined
+def _cubic(f, k):
+    """Weight of the k-th of four neighbours at the fraction f between the middle two (Catmull and Rom)."""
+    return (
+        0.5 * f * (f * (2.0 - f) - 1.0)
+        if k == 0
+        else 0.5 * (f * f * (3.0 * f - 5.0) + 2.0)
+        if k == 1
+        else 0.5 * f * (f * (4.0 - 3.0 * f) + 1.0)
+        if k == 2
+        else 0.5 * f * f * (f - 1.0)
+    )
+
+
+@compiled
+def sample_about(grey, x, y, along, out):
+    """Grey values on a grid of `out`'s size with its middle at (x, y); beyond the edge they are the edge's.
+
+    `along` is room for as many columns as `out` has, and three more rows.
+    """
+    height, width = grey.shape
+    side = out.shape[0]
+    left, top = int(np.floor(x)), int(np.floor(y))
+    fx, fy = x - left, y - top
+    left, top = left - side // 2 - 1, top - side // 2 - 1
+    w0, w1, w2, w3 = _cubic(fx, 0), _cubic(fx, 1), _cubic(fx, 2), _cubic(fx, 3)
+    for i in range(side + 3):
+        row = grey[min(max(top + i, 0), height - 1)]
+        for j in range(side):
+            a, b = min(max(left + j, 0), width - 1), min(max(left + j + 1, 0), width - 1)
+            c, d = min(max(left + j + 2, 0), width - 1), min(max(left + j + 3, 0), width - 1)
+            along[i, j] = w0 * row[a] + w1 * row[b] + w2 * row[c] + w3 * row[d]
+    w0, w1, w2, w3 = _cubic(fy, 0), _cubic(fy, 1), _cubic(fy, 2), _cubic(fy, 3)
+    for i in range(side):
+        for j in range(side):
+            out[i, j] = w0 * along[i, j] + w1 * along[i + 1, j] + w2 * along[i + 2, j] + w3 * along[i + 3, j]
+
+
+@compiled
+def sample_all(grey, positions, patches):
+    """Patches `(n, side, side)` about positions `(n, 2)`."""
+    side = patches.shape[1]
+    along, out = np.empty((side + 3, side)), np.empty((side, side))
+    for n in range(patches.shape[0]):
+        sample_about(grey, positions[n, 0], positions[n, 1], along, out)
+        patches[n] = out
+
+
+@compiled
+def _eliminate(a, b, first, last):
+    """Make zeros below the diagonal of a x = b in the columns from `first` to before `last`.
+
+    What is then left at the lower right is the system of the other unknowns alone.
+    """
+    for k in range(first, last):
+        for i in range(k + 1, b.size):
+            share = a[i, k] / a[k, k]
+            for j in range(k + 1, b.size):
+                a[i, j] -= share * a[k, j]
+            b[i] -= share * b[k]
+
+
+@compiled
+def _normal_equations(patch, mean, wide, normal, right):
+    """Sums over a patch of products of what changes its pixels, and with what they are off by.
+
+    The rows: offset, gain, rotation, scale, stretch along the axes and along the diagonals, then columns and
+    rows by which it moves. Returned: the sums of squares of what is off and of the patch, of its product with
+    the picture, and of the picture and its square.
+    """
+    size = right.size
+    side = patch.shape[0]
+    half = side // 2
+    change = np.empty(size)
+    normal[:] = 0.0
+    right[:] = 0.0
+    squares = own = cross = level = total = 0.0
+    for i in range(side):
+        for j in range(side):
+            value, centred = wide[i + 1, j + 1], patch[i, j] - mean
+            gx, gy = 0.5 * (wide[i + 1, j + 2] - wide[i + 1, j]), 0.5 * (wide[i + 2, j + 1] - wide[i, j + 1])
+            x, y = j - half, i - half
+            change[0], change[1] = 1.0, centred
+            change[2], change[3] = x * gy - y * gx, x * gx + y * gy
+            change[4], change[5] = x * gx - y * gy, x * gy + y * gx
+            change[6], change[7] = gx, gy
+            off = value - patch[i, j]
+            squares += off * off
+            own += centred * centred
+            cross += centred * value
+            level += value
+            total += value * value
+            for k in range(size):
+                right[k] += change[k] * off
+                for m in range(k + 1):
+                    normal[k, m] += change[k] * change[m]
+    for k in range(size):
+        for m in range(k):
+            normal[m, k] = normal[k, m]
+    return squares, own, cross, level, total
+
+
+@compiled
+def align_all(grey, patches, positions, precisions, farthest, information, residual, likeness):
+    """Move `positions` `(n, 2)` to where the picture is like `patches` `(n, side, side)`.
+
+    Picture = patch + offset + gain (patch - its mean) + its change by a small linear map + noise; offset,
+    gain and map have inverse variances `precisions`, `(6,)`, in units of the noise's. Written:
+    `information` `(n, 2, 2)` for noise of variance 1, with all these integrated out; the variance of what
+    is left and the normalised correlation, -1 where the way is longer than `farthest` px or picture or
+    patch are flat.
+    """
+    side = patches.shape[1]
+    count = side * side
+    moves = precisions.size
+    size = moves + 2
+    along, wide = np.empty((side + 5, side + 2)), np.empty((side + 2, side + 2))
+    normal, right, given = np.empty((size, size)), np.empty(size), np.empty(size)
+    for n in range(patches.shape[0]):
+        patch = patches[n]
+        mean = 0.0
+        for i in range(side):
+            for j in range(side):
+                mean += patch[i, j]
+        mean /= count
+        x, y = positions[n, 0], positions[n, 1]
+        for step in range(STEPS + 1):
+            sample_about(grey, x, y, along, wide)
+            squares, own, cross, level, total = _normal_equations(patch, mean, wide, normal, right)
+            for k in range(moves):
+                normal[k, k] += precisions[k]
+            least = 1e-6 * (normal[moves, moves] + normal[moves + 1, moves + 1]) + 1e-12
+            normal[moves, moves] += least
+            normal[moves + 1, moves + 1] += least
+            given[:] = right
+            _eliminate(normal, right, 0, moves)
+            xx, xy, yy = normal[moves, moves], normal[moves, moves + 1], normal[moves + 1, moves + 1]
+            _eliminate(normal, right, moves, size)
+            left = squares
+            for k in range(size - 1, -1, -1):
+                for j in range(k + 1, size):
+                    right[k] -= normal[k, j] * right[j]
+                right[k] /= normal[k, k]
+                left -= right[k] * given[k]
+            dx, dy = right[moves], right[moves + 1]
+            if step == STEPS or (abs(dx) < SMALL and abs(dy) < SMALL):
+                break
+            x -= min(max(dx, -LONGEST), LONGEST)
+            y -= min(max(dy, -LONGEST), LONGEST)
+        spread = total - level * level / count
+        near = abs(x - positions[n, 0]) <= farthest and abs(y - positions[n, 1]) <= farthest
+        textured = spread > FLAT * count and own > FLAT * count
+        likeness[n] = cross / np.sqrt(spread * own) if near and textured else -1.0
+        residual[n] = max(left, 0.0) / (count - 4)
+        information[n, 0, 0], information[n, 1, 1] = xx, yy
+        information[n, 0, 1] = information[n, 1, 0] = xy
+        positions[n, 0], positions[n, 1] = x, y

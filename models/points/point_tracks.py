@@ -1,0 +1,262 @@
+"""Points in the picture as a feature node: where each one is and what it looks like, by identity.
+
+F = {(u_i, v_i, a_i)} of RSMCM §4.3. A tracker that follows single points meets here what knows how all of
+them move together.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.frame import Frame, GivenPoints
+from ..core.gaussian_message import GaussianMessage
+from .alignment import sample_patches
+from .corners import find_corners
+from .patches import Patches
+from .search import find_points, leads_back
+
+Numbers = NDArray[np.float64]
+
+PLANE = 2
+
+NOWHERE = GivenPoints(np.zeros((0, PLANE)), np.zeros(0, np.int64))
+"""No points."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A picture that has been searched, and what was found in it.
+
+    Parameters
+    ----------
+    time
+        s, of the frame.
+    found
+        points that were found, or were given.
+    grey
+        `(height, width)` uint8; `None` where points were given instead of a picture.
+    noise
+        px, standard deviation of each coordinate of points that were given.
+    patch
+        px, side of the patches that are cut from it.
+    """
+
+    time: float
+    found: GivenPoints
+    grey: NDArray[np.uint8] | None
+    noise: float
+    patch: int
+
+    def with_found(self, identities: NDArray[np.int64], positions: Numbers) -> "View":
+        """As it is, but with more points found in it, of larger identities."""
+        found = GivenPoints(
+            np.concatenate([self.found.positions, positions]),
+            np.concatenate([self.found.identities, identities]),
+        )
+        return replace(self, found=found)
+
+    def patches_at(self, positions: Numbers) -> NDArray[np.float32]:
+        """Grey values `(n, patch, patch)` about `positions`, `(n, 2)` px; there has to be a picture."""
+        assert self.grey is not None
+        return sample_patches(self.grey, positions, self.patch)
+
+    def corners(self, most: int, away_from: Numbers, spacing: float) -> Numbers:
+        """Corners of the picture; see `find_corners`."""
+        assert self.grey is not None
+        return find_corners(self.grey, most, away_from, spacing, self.patch)
+
+
+@dataclass(frozen=True, eq=False)
+class PointMessage:
+    """Independent Gaussians over positions by identity, and what goes with them.
+
+    Parameters
+    ----------
+    positions
+        px; see `GaussianMessage`.
+    patches
+        what points look like; also of points of whose position nothing is known.
+    view
+        from the evidence: of this frame; from a tracker: of the frame it comes from, to search back there. It
+        is not saved: who goes on with a saved message has the frame.
+    same_as
+        `(n,)` int64 beside `positions.identities`: the point that each one is taken for, the smallest of its
+        group; `None` where nobody takes two for one.
+    """
+
+    positions: GaussianMessage
+    patches: Patches | None = None
+    view: View | None = field(default=None, metadata={"saved": False})
+    same_as: NDArray[np.int64] | None = None
+
+    @classmethod
+    def uniform(cls) -> Self:
+        """The constant 1, which mentions nothing."""
+        return cls(GaussianMessage.uniform(PLANE))
+
+    @property
+    def log_mass(self) -> float:
+        """Log of the integral over all positions; see `GaussianMessage.log_mass`."""
+        return self.positions.log_mass
+
+    def __mul__(self, other: Self) -> Self:
+        """Positions multiply; of two views the later one stays, two groupings keep the smaller numbers.
+
+        Raises
+        ------
+        ValueError
+            if both say what points look like: appearance is one tracker's.
+        """
+        if self.patches is not None and other.patches is not None:
+            raise ValueError("patches: got them from two chains at one feature, expected them from one")
+        positions = self.positions * other.positions
+        views = [view for view in (self.view, other.view) if view is not None]
+        return replace(
+            self,
+            positions=positions,
+            patches=other.patches if self.patches is None else self.patches,
+            view=max(views, key=lambda view: view.time) if views else None,
+            same_as=_grouped(positions.identities, self, other),
+        )
+
+
+def _grouped(
+    identities: NDArray[np.int64], one: PointMessage, other: PointMessage
+) -> NDArray[np.int64] | None:
+    """`same_as` of a product that mentions `identities`."""
+    if one.same_as is None and other.same_as is None:
+        return None
+    groups = identities.copy()
+    for message in (one, other):
+        if message.same_as is not None:
+            place = np.searchsorted(identities, message.positions.identities)
+            groups[place] = np.minimum(groups[place], message.same_as)
+    return groups
+
+
+@dataclass(frozen=True)
+class PointTracks:
+    """Feature node of points in the picture, shared by trackers and by what knows how points move together.
+
+    Parameters
+    ----------
+    patch
+        px, odd: side of the patches that say what a point looks like.
+    noise
+        px, standard deviation of each coordinate of points that are given; see `noise_of_tracks`.
+    false_alarms
+        share of the windows without the point in which something is as like it as is asked for; what has a
+        rival, or leads back to another place in the picture before, is refused as well.
+    farthest
+        px from the middle of a prior beyond which nothing is looked for.
+    """
+
+    patch: int = 5
+    noise: float = 1.0
+    false_alarms: float = 0.05
+    farthest: float = 24.0
+    name: str = "points"
+
+    def __post_init__(self) -> None:
+        if self.patch < 3 or self.patch % 2 == 0:
+            raise ValueError(f"patch: got {self.patch} px, expected an odd number from 3")
+        if not 0 < self.false_alarms < 1:
+            raise ValueError(f"false_alarms: got {self.false_alarms}, expected a share between 0 and 1")
+        for name in ("farthest", "noise"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)} px, expected more than 0")
+
+    def uniform(self) -> PointMessage:
+        """The message that mentions no point."""
+        return PointMessage.uniform()
+
+    def evidence(self, frame: Frame, prior: PointMessage) -> PointMessage:
+        """Where the frame shows points of `prior`; or all points that are given with the frame.
+
+        A given point is N(z; F, noise^2 I), whatever the prior. Otherwise every point of which `prior` knows
+        the look, and the place to a standard deviation of `farthest`, is looked for by normalised
+        correlation. One that is found is area * N(z; F, R), as against being anywhere in the picture; one
+        that is not found is no information.
+        """
+        if frame.points is not None:
+            return self._given(frame.points, frame.time)
+        if frame.image is None:
+            return self.uniform()
+        image = frame.image
+        one_channel = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        grey = np.ascontiguousarray(one_channel, np.uint8)
+        positions, found = self._looked_for(grey, prior)
+        return PointMessage(positions, view=View(frame.time, found, grey, self.noise, self.patch))
+
+    def _looked_for(
+        self, grey: NDArray[np.uint8], prior: PointMessage
+    ) -> tuple[GaussianMessage, GivenPoints]:
+        """Points of `prior` that are found in the picture."""
+        identities, mean, covariance = prior.positions.moments
+        if prior.patches is None:
+            return GaussianMessage.uniform(PLANE), NOWHERE
+        known = np.isin(identities, prior.patches.identities)
+        known &= 0.5 * np.trace(covariance, axis1=1, axis2=2) <= self.farthest**2
+        if not known.any():
+            return GaussianMessage.uniform(PLANE), NOWHERE
+        identities, mean, covariance = identities[known], mean[known], covariance[known]
+        patches = prior.patches.pixels[np.searchsorted(prior.patches.identities, identities)]
+        found = find_points(grey, patches, mean, covariance, self.false_alarms, self.farthest)
+        seen, position, spread = identities[found.seen], found.position, found.covariance
+        before = prior.view
+        if before is not None and before.grey is not None:
+            again = np.isin(seen, before.found.identities)
+            origin = before.found.positions[np.searchsorted(before.found.identities, seen[again])]
+            kept = np.ones(len(seen), bool)
+            kept[again] = leads_back(
+                grey, position[again], before.grey, origin, covariance[found.seen][again], self.patch,
+                self.farthest,
+            )  # fmt: skip
+            seen, position, spread = seen[kept], position[kept], spread[kept]
+        positions = GaussianMessage.from_moments(seen, position, spread)
+        positions = replace(positions, log_scale=positions.log_scale + np.log(grey.size))
+        return positions, GivenPoints(position, seen)
+
+    def _given(self, points: GivenPoints, time: float) -> PointMessage:
+        covariance = np.broadcast_to(self.noise**2 * np.eye(PLANE), (len(points.identities), PLANE, PLANE))
+        positions = GaussianMessage.from_moments(points.identities, points.positions, covariance)
+        return PointMessage(positions, view=View(time, points, None, self.noise, self.patch))
+
+
+def noise_of_tracks(frames: Iterable[Frame]) -> float:
+    """Standard deviation of each coordinate of the points that are given with frames, px.
+
+    Estimated from third differences, which a motion that is smooth from frame to frame does not enter: their
+    variance is 20 times that of independent noise. The median over all of them is not moved by tracks that
+    jump or slip. Frames are taken to be evenly spaced.
+
+    Returns
+    -------
+    noise
+        at least a millionth of the points' spread; a hundredth of it when no track lasts four frames.
+
+    Raises
+    ------
+    ValueError
+        if no frame has points.
+    """
+    given = [frame.points for frame in frames if frame.points is not None]
+    if not any(len(points.identities) for points in given):
+        raise ValueError("frames: got none with points, expected some")
+    places = np.concatenate([points.positions for points in given])
+    spread = float(np.sqrt(places.var(axis=0).sum())) or 1.0
+    off = []
+    for four in zip(given, given[1:], given[2:], given[3:], strict=False):
+        common = four[0].identities
+        for points in four[1:]:
+            common = np.intersect1d(common, points.identities, assume_unique=True)
+        a, b, c, d = (points.positions[np.searchsorted(points.identities, common)] for points in four)
+        off.append(np.abs(d - a + 3 * (b - c)).ravel())
+    thirds = np.concatenate(off) if off else np.zeros(0)
+    if not len(thirds):
+        return 0.01 * spread
+    return float(max(np.median(thirds) / (0.6745 * np.sqrt(20)), 1e-6 * spread))

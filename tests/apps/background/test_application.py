@@ -1,0 +1,303 @@
+"""The background application: whole results, missing frames, regions, runs that are cut off and resumed."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.apps.background.application import ENGINES, Job, build_model, run_background
+from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.background.parameters import SECTIONS, read_parameters, with_defaults
+from rsmcm.apps.evaluation.scoring import Scoring, track_rows
+from rsmcm.apps.io.ground_truth import MaskTruth, read_ground_truth
+from rsmcm.apps.io.results import read_tracks
+from rsmcm.apps.io.sources.open_source import open_source
+from rsmcm.apps.runs.interruption import Interruption
+from rsmcm.apps.runs.region import read_region, stands_inside
+from rsmcm.apps.scenes import sleeping_man
+from rsmcm.chains import MixtureBackground
+from rsmcm.models.core.frame import Frame
+
+from ...conftest import modified, names
+
+SIZE = (128, 96)
+N_FRAMES = 60
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A person walks in; in CDnet's layout."""
+    folder = tmp_path_factory.mktemp("scene")
+    write_scene(sleeping_man(N_FRAMES, size=SIZE, enter=5, car_leaves=20), folder)
+    return folder
+
+
+def masks_of(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((folder / "foreground").glob("*.png"))}
+
+
+def assert_same(one: Path, other: Path) -> None:
+    assert (one / "tracks.txt").read_bytes() == (other / "tracks.txt").read_bytes()
+    assert masks_of(one) == masks_of(other)
+    assert masks_of(one)
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return content
+
+
+def count_frames(video: Path) -> int:
+    with open_source(str(video)) as source:
+        return sum(frame.image is not None for frame in source)
+
+
+@pytest.fixture(scope="module")
+def whole(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of a run that nothing interrupts."""
+    out = tmp_path_factory.mktemp("whole")
+    outcome = run_background(Job(str(scene / "input"), out, ground_truth=scene, every=25))
+    assert outcome.signal is None
+    return out
+
+
+def test_all_results_are_there_and_readable(whole: Path, scene: Path) -> None:
+    expected = {"foreground", "tracks.txt", "background.png", "overlay.mp4", "summary.json", "report.html"}
+    assert names(whole) == expected | {"state.npz", "manifest.json"}, "and no segments or unfinished files"
+    assert list(masks_of(whole)) == [f"bin{number:06d}.png" for number in range(1, N_FRAMES + 1)]
+    for path in (whole / "foreground").glob("*.png"):
+        mask = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert mask is not None
+        assert mask.shape == (SIZE[1], SIZE[0])
+        assert set(np.unique(mask)) <= {0, 255}
+    background = cv2.imread(str(whole / "background.png"))
+    assert background is not None
+    assert background.shape == (SIZE[1], SIZE[0], 3)
+    assert count_frames(whole / "overlay.mp4") == N_FRAMES
+    summary = summary_of(whole)
+    assert summary["frames"] == N_FRAMES
+    assert summary["seed"] == 0
+    assert summary["parameters"]["background"] == with_defaults({})["background"]
+    assert summary["versions"]["numpy"] == np.__version__
+    assert summary["metrics"]["frames compared"] == N_FRAMES
+    assert len(read_tracks(whole / "tracks.txt")) > 0, "the person is tracked"
+    truth = read_ground_truth(scene)
+    assert isinstance(truth, MaskTruth)
+    scoring = Scoring(truth)
+    for number in truth.frames:
+        mask = cv2.imread(str(whole / "foreground" / f"bin{number:06d}.png"), cv2.IMREAD_UNCHANGED)
+        scoring.add(number, np.asarray(mask, np.uint8))
+    assert scoring.measures(None)["pixels"] == pytest.approx(summary["metrics"]["pixels"])
+
+
+@pytest.mark.parametrize("stop_after", [1, 37, N_FRAMES])
+def test_interrupted_and_resumed_is_as_if_never_interrupted(
+    stop_after: int, scene: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = Job(str(scene / "input"), tmp_path, ground_truth=scene, every=10)
+    items = Interruption.items
+
+    def interrupted(self: Interruption, source: Iterator[Frame]) -> Iterator[Frame]:
+        for count, frame in enumerate(items(self, source), 1):
+            yield frame
+            if count == stop_after:
+                signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Interruption, "items", interrupted)
+        outcome = run_background(job)
+    assert outcome.signal == signal.SIGINT
+    assert summary_of(tmp_path)["frames"] == stop_after
+    assert summary_of(tmp_path)["ended_early"]
+    assert count_frames(tmp_path / "overlay.mp4") == stop_after
+    assert len(masks_of(tmp_path)) == stop_after
+    assert (tmp_path / "report.html").exists()
+
+    assert run_background(replace(job, resume=True)).signal is None
+    assert_same(tmp_path, whole)
+    assert count_frames(tmp_path / "overlay.mp4") == N_FRAMES
+    summary = summary_of(tmp_path)
+    assert summary["metrics"] == summary_of(whole)["metrics"]
+    assert summary["frames"] == N_FRAMES
+    assert not summary["ended_early"]
+    assert not list(tmp_path.glob("*.part*"))
+
+
+def test_a_finished_run_is_resumed_by_doing_nothing(scene: Path, whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(whole, out)
+    before = modified(out)
+    outcome = run_background(Job(str(scene / "input"), out, ground_truth=scene, resume=True))
+    assert outcome.summary["frames"] == N_FRAMES
+    assert modified(out) == before
+
+
+def test_killed_in_the_middle(scene: Path, tmp_path: Path) -> None:
+    """The state is saved every 5 frames, slowly enough that kill -9 comes in between."""
+    slow = (
+        "import sys, time\n"
+        "from rsmcm.apps import background, command_line\n"
+        "before = background.found_in\n"
+        "def found_in(*arguments):\n"
+        "    time.sleep(0.05)\n"
+        "    return before(*arguments)\n"
+        "background.found_in = found_in\n"
+        "command_line.main(sys.argv[1:])\n"
+    )
+    arguments = ["background", str(scene / "input"), "--out", str(tmp_path / "out"), "--every", "5"]
+    process = subprocess.Popen([sys.executable, "-c", slow, *arguments], stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "out" / "foreground" / "bin000018.png").exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.kill()
+    assert process.wait() == -signal.SIGKILL
+    assert len(masks_of(tmp_path / "out")) < N_FRAMES
+    job = Job(str(scene / "input"), tmp_path / "out", every=5)
+    run_background(replace(job, resume=True))
+    run_background(replace(job, out=tmp_path / "whole"))
+    assert_same(tmp_path / "out", tmp_path / "whole")
+    assert count_frames(tmp_path / "out" / "overlay.mp4") == N_FRAMES
+
+
+def test_resume_where_nothing_is_starts_a_run(scene: Path, tmp_path: Path) -> None:
+    run_background(Job(str(scene / "input"), tmp_path / "new", stop=3, resume=True))
+    assert summary_of(tmp_path / "new")["frames"] == 3
+
+
+def test_damaged_images_are_missing_frames(scene: Path, tmp_path: Path) -> None:
+    source = tmp_path / "input"
+    shutil.copytree(scene / "input", source)
+    for number in (1, 30, 31):
+        path = source / f"in{number:06d}.png"
+        path.write_bytes(path.read_bytes()[:100])
+    run_background(Job(str(source), tmp_path / "out"))
+    summary = summary_of(tmp_path / "out")
+    assert summary["missing"] == [1, 30, 31]
+    assert summary["missing_frames"] == 3
+    assert len(masks_of(tmp_path / "out")) == N_FRAMES, "chains predict, and the prediction is written"
+    assert count_frames(tmp_path / "out" / "overlay.mp4") == N_FRAMES - 1, "nothing to show before frame 2"
+
+
+def test_frames_of_another_size_end_the_run_with_results_until_there(scene: Path, tmp_path: Path) -> None:
+    source = tmp_path / "input"
+    shutil.copytree(scene / "input", source)
+    cv2.imwrite(str(source / "in000012.png"), np.zeros((50, 60, 3), np.uint8))
+    with pytest.raises(ValueError, match="frame 12 is 60x50 colour, expected 128x96"):
+        run_background(Job(str(source), tmp_path / "out"))
+    assert summary_of(tmp_path / "out")["frames"] == 11
+    assert count_frames(tmp_path / "out" / "overlay.mp4") == 11
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("masks", ["none", "video"])
+def test_other_engines_and_forms_of_masks(engine: Any, masks: Any, scene: Path, tmp_path: Path) -> None:
+    run_background(Job(str(scene / "input"), tmp_path, engine, stop=25, step=2, masks=masks))
+    assert summary_of(tmp_path)["frames"] == 13
+    assert summary_of(tmp_path)["last_frame"] == 25
+    assert (tmp_path / "foreground.mkv").exists() == (masks == "video")
+    assert not (tmp_path / "foreground").exists()
+    if engine == "stand-alone":
+        assert (tmp_path / "tracks.txt").read_text() == ""
+
+
+def test_one_frame_is_enough(scene: Path, tmp_path: Path) -> None:
+    run_background(Job(str(scene / "input" / "in000001.png"), tmp_path))
+    assert summary_of(tmp_path)["frames"] == 1
+    assert count_frames(tmp_path / "overlay.mp4") == 1
+
+
+def test_region_of_interest(scene: Path, whole: Path, tmp_path: Path) -> None:
+    run_background(Job(str(scene / "input"), tmp_path, roi="0,0,64,96"))
+    for name, data in masks_of(tmp_path).items():
+        inside = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        everywhere = cv2.imread(str(whole / "foreground" / name), cv2.IMREAD_UNCHANGED)
+        assert inside is not None
+        assert everywhere is not None
+        np.testing.assert_array_equal(inside[:, :64], everywhere[:, :64])
+        assert not inside[:, 64:].any()
+    inside_boxes = read_tracks(tmp_path / "tracks.txt")["box"]
+    all_boxes = read_tracks(whole / "tracks.txt")["box"]
+    feet = all_boxes[:, 0] + all_boxes[:, 2] / 2
+    assert len(inside_boxes) == np.count_nonzero(feet.astype(int) < 64)
+
+
+def test_region_from_a_picture(tmp_path: Path) -> None:
+    picture = np.zeros((48, 64), np.uint8)
+    picture[:, 32:] = 1
+    cv2.imwrite(str(tmp_path / "roi.png"), picture)
+    region = read_region(str(tmp_path / "roi.png"), (64, 48))
+    np.testing.assert_array_equal(region, picture * 255)
+    assert stands_inside(region, (40, 10, 4, 8))
+    assert not stands_inside(region, (10, 10, 4, 8))
+    assert stands_inside(region, (60, 40, 20, 30)), "feet below the picture count at its edge"
+
+
+def test_parameters_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text("[background]\nprior = 0.6\nnoise = 40\nfollow_light = false\n")
+    parameters = read_parameters(path)
+    complete = with_defaults(parameters)
+    assert complete["background"]["prior"] == 0.6
+    assert complete["background"]["drift"] == with_defaults({})["background"]["drift"]
+    background: Any = build_model("stand-alone", parameters).chains["background"]
+    assert (background.prior, background.noise, background.follow_light) == (0.6, 40, False)
+    assert set(complete) == set(SECTIONS)
+
+
+def test_the_background_can_be_a_mixture(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text('[background]\nmodel = "mixture"\ncomponents = 4\n')
+    parameters = read_parameters(path)
+    background = build_model("recursive-bp", parameters).chains["background"]
+    assert isinstance(background, MixtureBackground)
+    assert background.components == 4
+    complete = with_defaults(parameters)["background"]
+    assert (complete["model"], complete["components"], complete["rate"]) == ("mixture", 4, background.rate)
+    assert with_defaults({})["background"]["model"] == "gaussian"
+
+
+@pytest.mark.parametrize(
+    "line", ['model = "median"', "model = [1]", 'model = "mixture"\nfollow_light = true']
+)
+def test_a_background_that_does_not_exist(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text(f"[background]\n{line}\n")
+    with pytest.raises(ValueError, match=r"\[background\].*(gaussian, mixture|follow_light)"):
+        read_parameters(path)
+
+
+def test_engines_differ_in_feedback_only() -> None:
+    dual, forward = (build_model(engine) for engine in ("recursive-bp", "feed-forward"))
+    assert dual.chains.keys() == forward.chains.keys()
+    assert set(dual.speakers("pixels")) - set(forward.speakers("pixels")) == {"blobs"}
+    assert list(build_model("stand-alone").chains) == ["background"]
+
+
+def test_scores_are_restored(scene: Path) -> None:
+    truth = read_ground_truth(scene)
+    one, whole = Scoring(truth), Scoring(truth)
+    masks = {number: np.full((SIZE[1], SIZE[0]), 255, np.uint8) for number in range(1, 21)}
+    for number, mask in masks.items():
+        whole.add(number, mask)
+        if number == 10:
+            after = Scoring(truth)
+            after.restore(json.loads(json.dumps(one.saved())))
+            one = after
+        one.add(number, mask)
+    assert one.measures(None) == whole.measures(None)
+
+
+def test_track_rows_keep_what_was_read(whole: Path) -> None:
+    boxes = read_tracks(whole / "tracks.txt")
+    rows = track_rows(boxes)
+    assert rows.shape == (len(boxes), 6)
+    np.testing.assert_array_equal(rows[:, 2:], boxes["box"])

@@ -1,0 +1,533 @@
+"""`rsmcm body`, as a user runs it: on rendered films of a signer, and with what can be wrong about them."""
+
+import signal
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.body.application import application as application
+from rsmcm.apps.body.application import report as body_report
+from rsmcm.apps.body.application import start as body_start
+from rsmcm.apps.body.report import BodyRecord
+from rsmcm.apps.body.start import read_head, start_from_head
+from rsmcm.apps.body.writer import ANGLE_NAMES, N_DRAWN
+from rsmcm.apps.io.results import PLAYABLE, SegmentedVideo
+from rsmcm.apps.io.sources.open_source import Source, open_source
+from rsmcm.apps.reports import time_plots
+from rsmcm.apps.reports.report import Html
+from rsmcm.apps.runs import blank_frames
+from rsmcm.apps.scenes import SignerScene, signer
+from rsmcm.inference.body.samples import BodyMoments
+from rsmcm.models import Frame
+from rsmcm.models.body.poses import BodyPoses
+from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
+
+from ...conftest import Command, names, summary_of
+
+run = Command("body")
+complaint = run.complaint
+
+Image = NDArray[np.uint8]
+
+RESULTS = {"overlay.mp4", "poses.npz", "summary.json", "report.html", "state.npz", "manifest.json"}
+N_FRAMES = 16
+SIZE = (320, 180)
+FEW = ("--samples", "100")
+HEAD = JOINTS.index("head")
+
+
+def poses_of(out: Path) -> dict[str, NDArray[Any]]:
+    with np.load(out / "poses.npz", allow_pickle=False) as content:
+        return dict(content)
+
+
+def write_pictures(folder: Path, images: list[Image]) -> Path:
+    folder.mkdir()
+    for number, image in enumerate(images, start=1):
+        cv2.imwrite(str(folder / f"frame{number}.png"), image)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most of a short run's time; `finished` is made before, and has them."""
+    for module in (time_plots, body_report):
+        monkeypatch.setattr(module, "figure", lambda *_: Html(""))
+
+
+@pytest.fixture(scope="module")
+def scene() -> SignerScene:
+    return signer(N_FRAMES, 3, 0.0, 0.3, SIZE)
+
+
+@pytest.fixture(scope="module")
+def images(scene: SignerScene) -> list[Image]:
+    return list(scene.images())
+
+
+@pytest.fixture(scope="module")
+def film(images: list[Image], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_pictures(tmp_path_factory.mktemp("film") / "film", images)
+
+
+@pytest.fixture(scope="module")
+def video(images: list[Image], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("video") / "signer.mp4"
+    writer = SegmentedVideo(path, 25.0, PLAYABLE)
+    for index, image in enumerate(images):
+        writer.write(image, index + 1, index / 25)
+    writer.close(finished=True)
+    return path
+
+
+def head_of(scene: SignerScene, index: int = 0) -> str:
+    """The head in a frame, as somebody marks it."""
+    body, (x, y) = scene.body, scene.joints[index, HEAD, :2]
+    box = (x - body.head_width / 2, y - body.head_height / 2, body.head_width, body.head_height)
+    return ",".join(f"{number:.0f}" for number in box)
+
+
+@pytest.fixture(scope="module")
+def head(scene: SignerScene) -> tuple[str, str]:
+    return "--head", head_of(scene)
+
+
+@pytest.fixture
+def faces(scene: SignerScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scene's own detector: rendered faces of this size are no training data of real ones."""
+    monkeypatch.setattr(body_start, "default_faces", lambda _: scene.detector)
+
+
+@pytest.fixture(scope="module")
+def finished(video: Path, head: tuple[str, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out") / "deep" / "er"
+    assert run(video, *head, "--out", out, "--samples", 300) == 0
+    return out
+
+
+def apart(out: Path, scene: SignerScene, joint: int) -> NDArray[np.float64]:
+    """Distances of a joint's posterior means from the truth, px, a frame each."""
+    poses = poses_of(out)
+    truth = scene.joints[poses["frames"] - 1, joint, :2]
+    distance: NDArray[np.float64] = np.linalg.norm(poses["joints_2d"][:, joint] - truth, axis=1)
+    return distance
+
+
+# --- results ------------------------------------------------------------------------------------------------
+
+
+def test_results(finished: Path) -> None:
+    assert names(finished) == RESULTS
+    summary = summary_of(finished)
+    assert (summary["frames"], summary["first_frame"], summary["last_frame"]) == (N_FRAMES, 1, N_FRAMES)
+    assert summary["size"] == list(SIZE)
+    assert set(summary["seen"]) == set(PARTS)
+    assert summary["flesh_colour"]
+    assert not summary["ended_early"]
+    assert summary["body"]["lengths"].keys() == {field.name for field in fields(UpperBody)}
+    assert "given" in summary["body"]["origin"]
+    assert summary["parameters"]["samples"] == 300
+
+
+def test_poses(finished: Path, scene: SignerScene) -> None:
+    poses = poses_of(finished)
+    n = N_FRAMES
+    shapes = {
+        "frames": (n,), "times": (n,), "joints_2d": (n, 8, 2), "joints_2d_covariances": (n, 8, 2, 2),
+        "joints_3d": (n, 8, 3), "joints_3d_covariances": (n, 8, 3, 3), "angles": (n, 13),
+        "angle_covariances": (n, 13, 13), "samples": (n, N_DRAWN, 8, 3), "seen": (n, 3), "stationary": (n,),
+        "missing": (n,), "joint_names": (8,), "part_names": (3,), "angle_names": (13,),
+        "length_names": (len(fields(UpperBody)),), "lengths": (len(fields(UpperBody)),),
+    }  # fmt: skip
+    assert {name: array.shape for name, array in poses.items()} == shapes
+    assert poses["joint_names"].tolist() == list(JOINTS)
+    assert poses["part_names"].tolist() == list(PARTS)
+    assert poses["angle_names"].tolist() == list(ANGLE_NAMES)
+    assert poses["seen"].dtype == poses["missing"].dtype == np.bool_
+    assert poses["frames"].tolist() == list(range(1, n + 1))
+    np.testing.assert_allclose(poses["times"], np.arange(n) / 25, atol=1e-6)
+    np.testing.assert_array_equal(poses["joints_2d"], poses["joints_3d"][..., :2])
+    np.testing.assert_array_equal(poses["joints_2d_covariances"], poses["joints_3d_covariances"][..., :2, :2])
+    for name in ("joints_3d_covariances", "angle_covariances"):
+        assert np.linalg.eigvalsh(poses[name]).min() > -1e-6 * np.abs(poses[name]).max()
+    body = UpperBody(**dict(zip(poses["length_names"].tolist(), poses["lengths"].tolist(), strict=True)))
+    upper_arms = poses["samples"][:, :, JOINTS.index("left_elbow")] - poses["samples"][:, :, 2]
+    np.testing.assert_allclose(np.linalg.norm(upper_arms, axis=-1), body.upper_arm, rtol=1e-4)
+
+
+def test_samples_are_of_the_posterior(finished: Path) -> None:
+    """Their mean is the posterior's within what 40 draws allow."""
+    poses = poses_of(finished)
+    off = poses["samples"].mean(axis=1) - poses["joints_3d"]
+    deviation = np.sqrt(np.diagonal(poses["joints_3d_covariances"], axis1=2, axis2=3))
+    error = deviation / np.sqrt(N_DRAWN) + 1e-3
+    assert np.mean(np.abs(off) < 2 * error) > 0.9
+
+
+def test_the_body_is_followed(finished: Path, scene: SignerScene) -> None:
+    """Not how well, which is tested elsewhere, but that it is this film's body."""
+    for name in ("head", "neck", "left_shoulder", "right_shoulder"):
+        assert np.median(apart(finished, scene, JOINTS.index(name))) < 0.35 * scene.body.head_height
+
+
+def test_the_video(finished: Path) -> None:
+    film = cv2.VideoCapture(str(finished / "overlay.mp4"))
+    size = [film.get(each) for each in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
+    assert size[1] == 360, "twice as large"
+    assert 640 < size[0] <= 1280, "with the side view"
+    assert sum(iter(lambda: film.read()[0], False)) == N_FRAMES
+
+
+def test_report(finished: Path) -> None:
+    page = (finished / "report.html").read_text()
+    for heading in ("Pictures over time", "Head and hands", "Tracker", "Body"):
+        assert f"<h2>{heading}</h2>" in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert page.count('src="data:image') >= 4
+    assert page.count("<svg ") == 3
+
+
+@pytest.mark.usefixtures("faces")
+def test_what_is_printed(film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(film, "--out", tmp_path, "--stop", 3, *FEW) == 0
+    out = capfd.readouterr().out
+    assert "3 frames, " in out
+    assert "seen: head 100 %, left hand " in out
+    assert f"results: {tmp_path / 'report.html'}" in out
+
+
+@pytest.mark.usefixtures("faces")
+def test_same_seed_same_run(film: Path, tmp_path: Path) -> None:
+    found = []
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        assert run(film, "--out", tmp_path / name, "--stop", 5, "--seed", seed, *FEW) == 0
+        found.append(poses_of(tmp_path / name))
+    for name, array in found[0].items():
+        np.testing.assert_array_equal(array, found[1][name])
+    assert (found[0]["samples"] != found[2]["samples"]).any()
+
+
+@pytest.mark.usefixtures("faces")
+def test_some_of_the_frames(film: Path, tmp_path: Path) -> None:
+    assert run(film, "--out", tmp_path, "--start", 2, "--stop", 11, "--step", 3, *FEW) == 0
+    poses = poses_of(tmp_path)
+    assert poses["frames"].tolist() == [2, 5, 8, 11]
+    np.testing.assert_allclose(poses["times"], np.array([1, 4, 7, 10]) / 25)
+
+
+# --- who is tracked -----------------------------------------------------------------------------------------
+
+
+def write_joints(path: Path, scene: SignerScene, scale: float = 1.0) -> Path:
+    lines = [
+        f"{index + 1},{name},{scale * x:.1f},{scale * y:.1f}"
+        for index in (0, 8, 15)
+        for name, (x, y) in zip(JOINTS, scene.joints[index, :, :2], strict=True)
+    ]
+    path.write_text("\n".join(["frame,joint,x,y", *lines]))
+    return path
+
+
+def test_clicked_joints(film: Path, head: tuple[str, str], scene: SignerScene, tmp_path: Path) -> None:
+    joints = write_joints(tmp_path / "joints.csv", scene)
+    out = tmp_path / "out"
+    assert run(film, *head, "--out", out, "--joints", joints, "--stop", 3, *FEW) == 0
+    body = summary_of(out)["body"]
+    assert "clicked in 3 frames" in body["origin"]
+    assert body["lengths"]["shoulder_width"] == pytest.approx(scene.body.shoulder_width, rel=0.02)
+    assert body["lengths"]["upper_arm"] == pytest.approx(scene.body.upper_arm, rel=0.2)
+
+
+def test_a_given_head_is_a_detected_one(images: list[Image]) -> None:
+    """Size and colour come from it; a grey image has no colour."""
+    start = start_from_head(Frame(images[0], 0.0, 1), (120.0, 27.0, 28.0, 39.0), images[:1], None)
+    assert start.parts.head_height == start.body.head_height == 39
+    assert start.parts.flesh is not None
+    assert start.notes == []
+    assert start.parts.detector is not None
+    assert [len(start.parts.detector(Frame(images[0], 0.0, number))) for number in (1, 2)] == [1, 0]
+    odds = start.parts.flesh.log_odds(images[0])
+    assert odds[45:60, 130:150].mean() > odds[:, 200:].mean() + 1
+    grey = start_from_head(Frame(images[0][..., 1], 0.0, 1), (120.0, 27.0, 28.0, 39.0), images[:1], None)
+    assert grey.parts.flesh is None
+    assert "grey" in grey.notes[0]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "1,2,3", "1,2,3,x", "1;2;3;4", "1,2,0,4", "1,2,3,-4", "nan,2,3,4", "1,2,3,inf", "1,2,3,4,5"]
+)
+def test_heads_that_are_none(text: str) -> None:
+    with pytest.raises(ValueError, match="--head: got"):
+        read_head(text)
+
+
+def test_a_stream_is_read_once(
+    film: Path, scene: SignerScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its first frames are looked at, and then tracked."""
+    opened = []
+
+    def stream(*arguments: Any, **options: Any) -> Source:
+        source = open_source(*arguments, **options)
+        source.kind = "stream"
+        opened.append(source)
+        return source
+
+    looked_at = []
+
+    def faces(frame: Frame) -> NDArray[np.float64]:
+        looked_at.append(frame.number)
+        return scene.detector(frame)
+
+    monkeypatch.setattr(application, "open_source", stream)
+    monkeypatch.setattr(application, "CALIBRATION_FRAMES", 6)
+    monkeypatch.setattr(body_start, "default_faces", lambda _: faces)
+    assert run(film, "--out", tmp_path, *FEW) == 0
+    assert len(opened) == 1
+    assert max(looked_at[:-N_FRAMES]) == 6
+    assert poses_of(tmp_path)["frames"].tolist() == list(range(1, N_FRAMES + 1))
+
+
+# --- hard input ---------------------------------------------------------------------------------------------
+
+
+def test_missing_and_blank_frames(images: list[Image], head: tuple[str, str], tmp_path: Path) -> None:
+    changed = list(images[:12])
+    changed[6], changed[9] = np.zeros_like(images[0]), np.full_like(images[0], 255)
+    folder = write_pictures(tmp_path / "film", changed)
+    unreadable = folder / "frame4.png"
+    unreadable.write_bytes(unreadable.read_bytes()[:60])
+    out = tmp_path / "out"
+    assert run(folder, *head, "--out", out, *FEW) == 0
+    summary, poses = summary_of(out), poses_of(out)
+    assert summary["missing"] == [4, 7, 10]
+    assert summary["blank"] == [7, 10]
+    assert np.flatnonzero(poses["missing"]).tolist() == [3, 6, 9]
+    assert not poses["seen"][[3, 6, 9]].any()
+    assert np.isfinite(poses["joints_3d"]).all()
+    assert any("frames 4, 7, 10" in note for note in summary["notes"])
+    film = cv2.VideoCapture(str(out / "overlay.mp4"))
+    assert sum(iter(lambda: film.read()[0], False)) == 12
+
+
+@pytest.mark.usefixtures("faces")
+def test_the_first_frames_are_black(images: list[Image], tmp_path: Path) -> None:
+    black = np.zeros_like(images[0])
+    folder = write_pictures(tmp_path / "film", [black, black, *images[2:6]])
+    out = tmp_path / "out"
+    assert run(folder, "--out", out, *FEW) == 0
+    summary = summary_of(out)
+    assert (summary["before_the_start"], summary["first_frame"], summary["frames"]) == ([1, 2], 3, 4)
+    assert poses_of(out)["frames"].tolist() == [3, 4, 5, 6]
+
+
+def test_nothing_to_see(tmp_path: Path, head: tuple[str, str], capfd: pytest.CaptureFixture[str]) -> None:
+    folder = write_pictures(tmp_path / "film", [np.zeros((180, 320), np.uint8)] * 3)
+    for arguments in (head, ()):
+        message = complaint(capfd, folder, "--out", tmp_path / "out", *arguments)
+        assert "holds no frame in which anything is to be seen" in message
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(not hasattr(cv2, "CascadeClassifier"), reason="this OpenCV has no cascade")
+def test_nobody_in_view(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    random = np.random.default_rng(0)
+    wall = cv2.GaussianBlur(random.integers(0, 255, (180, 320, 3)).astype(np.uint8), (0, 0), 3)
+    folder = write_pictures(tmp_path / "film", [np.asarray(wall, np.uint8)] * 3)
+    message = complaint(capfd, folder, "--out", tmp_path / "out")
+    assert (
+        "film: no face is found in the 3 frames looked at, expected a person who faces the camera" in message
+    )
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("faces")
+def test_a_grey_film(images: list[Image], scene: SignerScene, tmp_path: Path) -> None:
+    """The head is followed by its detector, hands by edges, and it is said."""
+    grey = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
+    out = tmp_path / "out"
+    assert run(write_pictures(tmp_path / "film", grey), "--out", out, *FEW) == 0
+    summary = summary_of(out)
+    assert not summary["flesh_colour"]
+    assert summary["notes"][0].startswith("The video is grey")
+    assert "grey" in (out / "report.html").read_text()
+    assert np.median(apart(out, scene, HEAD)) < 0.35 * scene.body.head_height
+
+
+@pytest.mark.usefixtures("faces")
+def test_a_face_only(images: list[Image], scene: SignerScene, tmp_path: Path) -> None:
+    """All below the chin is one colour."""
+    covered = []
+    for index, image in enumerate(images[:8]):
+        image = image.copy()
+        image[round(scene.joints[index, HEAD, 1] + 0.6 * scene.body.head_height) :] = (120, 60, 20)
+        covered.append(image)
+    out = tmp_path / "out"
+    assert run(write_pictures(tmp_path / "film", covered), "--out", out, *FEW) == 0
+    summary = summary_of(out)
+    assert summary["seen"]["head"] > 0.9
+    assert np.median(apart(out, scene, HEAD)) < 0.35 * scene.body.head_height
+    for name in ("left hand", "right hand"):
+        assert any(
+            f"The {name} was not seen, or not" in note and "guess" in note for note in summary["notes"]
+        )
+
+
+def test_wrong_arguments(
+    film: Path,
+    head: tuple[str, str],
+    scene: SignerScene,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delattr(cv2, "CascadeClassifier", raising=False)
+    out = ("--out", tmp_path / "out")
+    bad = tmp_path / "bad.onnx"
+    bad.write_bytes(b"no network")
+    nonsense = tmp_path / "nonsense.csv"
+    nonsense.write_text("frame,joint,x,y\n1,nose,3,4\n")
+    giant = write_joints(tmp_path / "giant.csv", scene, 9.0)
+    lonely = tmp_path / "lonely.csv"
+    lonely.write_text("frame,joint,x,y\n1,left_hand,3,4\n")
+    for arguments, words in (
+        ((film, *out), "no face detector along, expected a model file of YuNet as --detector, or the head"),
+        ((film, *out, "--detector", bad), "bad.onnx: is no model"),
+        ((film, *out, "--detector", tmp_path / "nowhere.onnx"), "nowhere.onnx: no such file"),
+        ((film, *out, *head, "--detector", bad), "--head: got --detector as well"),
+        ((film, *out, "--head", "1,2,3"), "--head: got '1,2,3', expected x,y,width,height in px"),
+        ((film, *out, "--head", "400,10,30,40"), "expected the head inside the picture of 320x180 px"),
+        ((film, *out, "--head=-90,10,30,40"), "expected the head inside the picture of 320x180 px"),
+        ((film, *out, *head, "--joints", tmp_path / "nowhere.csv"), "nowhere.csv: No such file"),
+        ((film, *out, *head, "--joints", nonsense), "nonsense.csv, line 2: got the joint 'nose'"),
+        ((film, *out, *head, "--joints", giant), "giant.csv: "),
+        ((film, *out, *head, "--joints", lonely), "lonely.csv: tells of no length"),
+        ((film, *out, *head, "--samples", 9), "--samples: got 9, expected 10 or more"),
+        ((film, *out, *head, "--samples", "many"), "--samples"),
+        ((film, *out, *head, "--start", 99), "start: got 99"),
+        ((tmp_path / "nowhere", *out, *head), "no such file or folder"),
+        ((film, *head), "--out is needed"),
+    ):
+        assert words in complaint(capfd, *arguments), arguments
+        assert not (tmp_path / "out").exists()
+
+
+def test_a_source_that_breaks(
+    images: list[Image], head: tuple[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Results of what was read, and the error."""
+    folder = write_pictures(tmp_path / "film", [*images[:5], images[5][:100]])
+    out = tmp_path / "out"
+    assert "frame 6 is" in complaint(capfd, folder, *head, "--out", out, *FEW)
+    assert names(out) == {*RESULTS, "overlay.part000000005.mp4", "poses.part000000005.npz"}
+    assert summary_of(out)["frames"] == 5
+    assert summary_of(out)["ended_early"]
+
+
+# --- output -------------------------------------------------------------------------------------------------
+
+
+def test_existing_results(
+    film: Path, head: tuple[str, str], finished: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    before = {path: path.read_bytes() for path in finished.iterdir()}
+    assert "already holds results: use --overwrite or --resume\n" in complaint(
+        capfd, film, *head, "--out", finished
+    )
+    complaint(capfd, film, *head, "--out", finished, "--overwrite", "--start", 99)
+    assert {path: path.read_bytes() for path in finished.iterdir()} == before
+
+
+def test_a_full_disk(film: Path, head: tuple[str, str], tmp_path: Path) -> None:
+    run.on_a_full_disk(tmp_path / "out", 20_000, film, *head, *FEW)
+
+
+@pytest.mark.parametrize("n_frames", [0, 5])
+def test_control_c(
+    n_frames: int,
+    film: Path,
+    head: tuple[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """The run ends after the current frame, with complete results if there are any."""
+    is_blank = blank_frames.is_blank
+    seen: list[int] = []
+
+    def interrupting(image: Image) -> bool:
+        seen.append(1)
+        if len(seen) == (n_frames + N_FRAMES if n_frames else 1):  # all are looked at once before
+            signal.raise_signal(signal.SIGINT)
+        return is_blank(image) or n_frames == 0
+
+    monkeypatch.setattr(blank_frames, "is_blank", interrupting)
+    out = tmp_path / "out"
+    assert run(film, *head, "--out", out, *FEW) == 130
+    line = "" if n_frames else "rsmcm: interrupted before there was any result\n"
+    assert capfd.readouterr().err == line
+    assert out.exists() == bool(n_frames)
+    if n_frames:
+        assert names(out) == {*RESULTS, "overlay.part000000005.mp4", "poses.part000000005.npz"}
+        summary = summary_of(out)
+        assert summary["ended_early"]
+        assert summary["frames"] == n_frames
+        assert len(poses_of(out)["joints_2d"]) == n_frames
+
+
+@pytest.mark.usefixtures("faces")
+def test_control_c_while_faces_are_looked_for(
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    is_blank = blank_frames.is_blank
+    seen: list[int] = []
+
+    def interrupting(image: Image) -> bool:
+        seen.append(1)
+        if len(seen) == 4:
+            signal.raise_signal(signal.SIGINT)
+        return is_blank(image)
+
+    monkeypatch.setattr(blank_frames, "is_blank", interrupting)
+    assert run(film, "--out", tmp_path / "out", *FEW) == 130
+    assert capfd.readouterr().err == "rsmcm: interrupted before there was any result\n"
+    assert not (tmp_path / "out").exists()
+
+
+# --- record -------------------------------------------------------------------------------------------------
+
+
+def test_a_record_of_any_length() -> None:
+    record = BodyRecord()
+    picture = np.zeros((48, 64, 3), np.uint8)
+    body = UpperBody.from_head(50.0)
+    joints = body.joints(BodyPoses.resting(np.array([[30.0, 20.0]])))[0]
+    found = BodyMoments(joints, np.tile(4 * np.eye(3), (8, 1, 1)), np.zeros(13), np.eye(13))
+    for number in range(1, 101):
+
+        class Samples:
+            stationary = number in (5, 6, 7, 20)
+            log_evidence = float(-number)
+            effective = 50.0
+
+        seen = np.array([True, number % 4 != 0, number % 4 == 0]) & (number != 9)
+        frame = Frame(None if number == 9 else picture, number / 25, number)
+        record.add(frame, found, seen, Samples(), 0.1, overlay=lambda: picture)  # type: ignore[arg-type]
+    assert record.stationary_periods == [(5, 7), (20, 20)]
+    assert record.missing == [9]
+    assert record.shares_seen == {"head": 1.0, "left_hand": 74 / 99, "right_hand": 25 / 99}
+    notes = record.notes
+    assert notes[0] == "Missing, unreadable or blank, and only predicted: frame 9."
+    assert notes[1].endswith("only predicted, in frames 5 to 7, 20.")
+    assert notes[2].startswith(
+        "The right hand was not seen, or not told from the face, in 75 % of the frames: "
+    )
+    assert len(notes) == 3
+    assert np.flatnonzero(np.isnan(record.log_evidence)).tolist() == [4, 5, 6, 8, 19]
+    np.testing.assert_allclose(record.places[0][0], joints[HEAD])
+    np.testing.assert_allclose(record.spreads, 2.0)
+    assert 5 <= len(record.snapshots) <= 8

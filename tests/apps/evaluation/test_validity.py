@@ -1,0 +1,576 @@
+"""When combining two chains pays: closed forms, against Monte Carlo and brute force, and the estimates."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.apps.command_line import main
+from rsmcm.apps.evaluation.predictions import (
+    FILE,
+    MOST_ROWS,
+    PairRecord,
+    PairRecorder,
+    read_predictions,
+    write_predictions,
+)
+from rsmcm.inference.validity.estimate import (
+    FEWEST_GROUPS,
+    Comparison,
+    PredictionErrors,
+    RecordedPredictions,
+    compare,
+    cost,
+    scalar_condition,
+)
+from rsmcm.models.core.gaussian_message import GaussianMessage
+from scipy.optimize import minimize
+
+Numbers = NDArray[np.float64]
+SEEDS = st.integers(0, 2**32 - 1)
+MOMENT = np.array([[1.0, 0.2], [0.2, 1.5]])
+
+
+def random_errors(d: int, random: np.random.Generator, cases: tuple[int, ...] = ()) -> PredictionErrors:
+    """Errors of chains of very different quality, noises of very different size."""
+
+    def covariance(size: int, spread: float) -> Numbers:
+        root = random.normal(size=(*cases, size, size + 1)) * np.exp(
+            spread * random.normal(size=(*cases, size, 1))
+        )
+        return root @ np.swapaxes(root, -1, -2) / size
+
+    joint = covariance(2 * d, 0.7)
+    return PredictionErrors(
+        joint[..., :d, :d], joint[..., d:, d:], joint[..., :d, d:], covariance(d, 1.0), covariance(d, 1.0)
+    )
+
+
+def scalars(first: float, second: float, cross: float, process: float, noise: float) -> PredictionErrors:
+    return PredictionErrors(*(np.full((1, 1), value) for value in (first, second, cross, process, noise)))
+
+
+# --- theory -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+@pytest.mark.parametrize("optimal", [True, False])
+def test_costs_are_the_mean_divergence_of_posteriors(d: int, optimal: bool) -> None:
+    """Eq. (16) as it stands: sample errors, features and observations. Within four standard errors."""
+    random = np.random.default_rng(10 * d + optimal)
+    errors = random_errors(d, random)
+    noises = errors.optimal_noises
+    if not optimal:
+        noises = 0.3 * errors.first + 1.7 * errors.process, 2 * errors.second + 0.2 * errors.process
+    count = 40_000
+    joint = np.block([[errors.first, errors.cross], [errors.cross.T, errors.second]])
+    off = random.multivariate_normal(np.zeros(2 * d), joint, count)
+    features = random.multivariate_normal(np.zeros(d), errors.process, count)
+    observed = features + random.multivariate_normal(np.zeros(d), errors.observation, count)
+
+    def posterior(means: Numbers, covariance: Numbers) -> tuple[Numbers, Numbers]:
+        information, seen = np.linalg.inv(covariance), np.linalg.inv(errors.observation)
+        result = np.linalg.inv(information + seen)
+        return (means @ information + observed @ seen) @ result, result
+
+    one, two = map(np.linalg.inv, noises)
+    both = np.linalg.inv(one + two)
+    right, right_covariance = posterior(np.zeros((count, d)), errors.process)
+    costs = errors.costs(None if optimal else noises)
+    for exact, means, covariance in (
+        (costs.first, off[:, :d], noises[0]),
+        (costs.second, off[:, d:], noises[1]),
+        (costs.product, (off[:, :d] @ one + off[:, d:] @ two) @ both, both),
+    ):
+        mean, spread = posterior(means, covariance)
+        information = np.linalg.inv(spread)
+        fixed = np.linalg.slogdet(spread)[1] - np.linalg.slogdet(right_covariance)[1] - d
+        fixed += np.trace(information @ right_covariance)
+        divergences = 0.5 * (fixed + np.einsum("ni,ij,nj->n", mean - right, information, mean - right))
+        assert abs(divergences.mean() - exact) < 4 * divergences.std() / np.sqrt(count)
+
+
+def test_costs_by_brute_force_on_a_grid() -> None:
+    """One dimension without any formula for Gaussians but their density: sums over mu, I and F."""
+    errors = scalars(0.8, 1.5, 0.5, 0.6, 0.9)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(24)
+    weights = weights / weights.sum()
+    feature = np.linspace(-14, 14, 1401)
+
+    def density(x: Numbers, mean: Numbers | float, variance: float) -> Numbers:
+        return np.exp(-0.5 * (x - mean) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
+
+    observed = np.sqrt(0.6 + 0.9) * nodes  # under p(I | F before)
+    likelihood = density(observed[:, None], feature, 0.9)
+    prior = density(feature, 0.0, 0.6)
+    right = likelihood * prior
+    right /= right.sum(axis=1, keepdims=True)
+    root = np.linalg.cholesky([[0.8, 0.5], [0.5, 1.5]])
+    found = np.zeros(3)
+    for a, of_a in zip(nodes, weights, strict=True):
+        for b, of_b in zip(nodes, weights, strict=True):
+            first, second = root @ (a, b)
+            one, two = density(feature, first, 0.6 + 0.8), density(feature, second, 0.6 + 1.5)
+            for k, predicted in enumerate((one, two, one * two)):
+                wrong = likelihood * predicted
+                wrong /= wrong.sum(axis=1, keepdims=True)
+                divergence = (right * np.log((right + 1e-300) / (wrong + 1e-300))).sum(axis=1)
+                found[k] += of_a * of_b * (weights @ divergence)
+    costs = errors.costs()
+    expected = [costs.first.item(), costs.second.item(), costs.product.item()]
+    assert found == pytest.approx(expected, rel=1e-6)  # sums of smooth functions converge fast
+
+
+@given(SEEDS)
+@settings(max_examples=50)
+def test_lemma_1_no_noise_is_better_than_the_optimal_one(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    errors, other = random_errors(2, random), random_errors(2, random).process
+    best = cost(errors.optimal_noises[0], errors.first, errors.process, errors.observation)
+    worse = cost(other, errors.first, errors.process, errors.observation)
+    assert worse >= best - 1e-9 * (1 + abs(best))
+
+
+def test_lemma_1_search_ends_at_the_optimal_noise() -> None:
+    errors = PredictionErrors(MOMENT, MOMENT, 0 * MOMENT, np.diag([0.3, 0.6]), np.diag([1.0, 0.5]))
+
+    def noise(parameters: Numbers) -> Numbers:
+        root = np.array([[np.exp(parameters[0]), 0], [parameters[1], np.exp(parameters[2])]])
+        return root @ root.T
+
+    found = minimize(
+        lambda p: float(cost(noise(p), errors.first, errors.process, errors.observation)),
+        np.zeros(3),
+        method="Nelder-Mead",
+        options={"xatol": 1e-8, "fatol": 1e-13, "maxiter": 4000},
+    )
+    assert noise(found.x) == pytest.approx(errors.optimal_noises[0], rel=1e-4)
+
+
+@given(SEEDS, st.integers(1, 3))
+@settings(max_examples=50)
+def test_gains_are_differences_of_costs(seed: int, d: int) -> None:
+    errors = random_errors(d, np.random.default_rng(seed))
+    costs, (over_first, over_second) = errors.costs(), errors.gains
+    tolerance = 1e-8 * (1 + abs(costs.product))
+    assert over_first == pytest.approx(costs.first - costs.product, abs=tolerance)
+    assert over_second == pytest.approx(costs.second - costs.product, abs=tolerance)
+    assert costs.gain == pytest.approx(min(over_first, over_second), abs=tolerance)
+
+
+def test_printed_formulas_and_their_slips() -> None:
+    """What the module's page says of the paper's print."""
+    errors = random_errors(2, np.random.default_rng(5))
+    total, noise, process = errors.optimal_noises[0], errors.observation, errors.process
+    logs = [np.linalg.slogdet(matrix)[1] for matrix in (total, process, total + noise, process + noise)]
+    printed_a4 = logs[0] - logs[1] - (logs[2] - logs[3])
+    assert printed_a4 == pytest.approx(2 * float(errors.costs().first))
+    d = 2
+    printed_a2 = 0.5 * (
+        logs[0] - logs[1] + d - (logs[2] - logs[3]) + d
+    )  # the last trace with its printed sign
+    assert printed_a2 == pytest.approx(float(errors.costs().first) + d)
+
+    weight = np.linalg.inv(np.eye(2) + total @ np.linalg.inv(noise))
+    crossed = weight @ errors.cross
+    printed_gamma = weight @ errors.first - (crossed + crossed.T + (weight @ process).T)
+    assert printed_gamma == pytest.approx(errors.gammas[0])
+    assert printed_gamma == pytest.approx(printed_gamma.T)
+    alike = replace(errors, second=errors.first, cross=errors.first)
+    assert alike.gammas[0] == pytest.approx(-(weight @ total))
+    assert alike.gammas[0] != pytest.approx(-(weight.T @ total).T)  # as printed below Theorem 2
+
+
+def test_theorem_2_is_sufficient_but_not_necessary() -> None:
+    """No counterexample among 200,000 cases; benefit without its condition is common."""
+    errors = random_errors(2, np.random.default_rng(6), (200_000,))
+    helps = np.minimum(*errors.gains) > 0
+    assert errors.theorem_holds.sum() > 1000
+    assert helps[errors.theorem_holds].all()
+    assert (helps & ~errors.theorem_holds).sum() > 10_000
+
+
+def test_theorem_2_needs_optimal_noises() -> None:
+    """Chains that are too sure of themselves: the condition holds, and the product is the worst."""
+    errors = scalars(1.0, 1.0, 0.4, 0.1, 1.0)
+    assert errors.theorem_holds
+    assert errors.costs().gain > 0
+    sure = tuple(0.1 * noise for noise in errors.optimal_noises)
+    assert errors.costs(sure).gain < 0
+
+
+def test_scalar_condition_is_theorem_2_in_one_dimension() -> None:
+    random = np.random.default_rng(7)
+    for _ in range(300):
+        errors = random_errors(1, random)
+        values = [part.item() for part in (errors.first, errors.second, errors.cross, errors.process)]
+        assert scalar_condition(*values) == errors.theorem_holds
+    assert scalar_condition(1.0, 1.0, 0.5, 0.0)  # so the correlation need not be less than 0.5
+
+
+def test_correlation_that_can_be_borne_in_one_dimension() -> None:
+    """At most log 2, for equal errors when the observation says nothing; eq. (17) asks for 1/2."""
+    ratio, noise = np.meshgrid(np.geomspace(0.01, 100, 81), np.geomspace(1e-3, 1e6, 60))
+    one = np.ones_like(ratio)
+    errors = PredictionErrors(*(part[..., None, None] for part in (one, ratio, 1e-3 * one, 0 * one, noise)))
+    most = errors.bearable * errors.correlation
+    assert most.max() == pytest.approx(np.log(2), abs=1e-4)
+    equal = most[:, 40]
+    assert equal.min() == pytest.approx(0.5, abs=1e-3)
+    assert (np.diff(equal) > 0).all()  # the less is observed, the more correlation can be borne
+
+
+@given(SEEDS, st.integers(1, 3))
+@settings(max_examples=50)
+def test_identical_chains_never_help_and_independent_ones_always_do(seed: int, d: int) -> None:
+    """Independent of the feature's own noise, that is: K = 0."""
+    errors = random_errors(d, np.random.default_rng(seed))
+    alike = replace(errors, second=errors.first, cross=errors.first)
+    assert max(alike.gains) < 0
+    assert not alike.theorem_holds
+    independent = replace(errors, cross=-errors.process)
+    assert min(independent.gains) > 0
+    assert independent.bearable == np.inf
+    without_process = replace(errors, cross=np.zeros((d, d)), process=np.zeros((d, d)))
+    assert without_process.theorem_holds
+    assert min(without_process.gains) > 0
+
+
+@given(SEEDS, st.integers(1, 3))
+@settings(max_examples=50)
+def test_invariances(seed: int, d: int) -> None:
+    """Chains exchanged, coordinates changed linearly, and, of gains, noise of the process taken for error."""
+    random = np.random.default_rng(seed)
+    errors = random_errors(d, random)
+    costs, swapped = errors.costs(), errors.swapped.costs()
+    near = {"rel": 1e-6, "abs": 1e-6}
+    assert swapped.first == pytest.approx(costs.second, **near)
+    assert swapped.second == pytest.approx(costs.first, **near)
+    assert swapped.product == pytest.approx(costs.product, **near)
+
+    change, _ = np.linalg.qr(random.normal(size=(d, d)))
+    change = change * np.exp(random.normal(size=d))
+    parts = (errors.first, errors.second, errors.cross, errors.process, errors.observation)
+    other = PredictionErrors(*(change @ part @ change.T for part in parts))
+    assert other.costs().product == pytest.approx(costs.product, **near)
+    assert other.gains == pytest.approx(errors.gains, **near)
+    assert other.correlation == pytest.approx(errors.correlation, **near)
+    assert other.theorem_holds == errors.theorem_holds
+
+    moved = PredictionErrors(
+        errors.first + errors.process,
+        errors.second + errors.process,
+        errors.cross + errors.process,
+        0 * errors.process,
+        errors.observation,
+    )
+    assert moved.gains == pytest.approx(errors.gains, **near)
+    assert moved.bearable == pytest.approx(errors.bearable, **near)
+    assert moved.correlation == pytest.approx(errors.correlation, **near)
+
+
+@given(SEEDS)
+@settings(max_examples=30)
+def test_bearable_is_where_the_gain_ends(seed: int) -> None:
+    errors = random_errors(2, np.random.default_rng(seed))
+    if np.isfinite(errors.bearable):
+        both = errors.bearable * (errors.cross + errors.process)
+        edge = replace(errors, cross=both - errors.process)
+        assert min(edge.gains) == pytest.approx(0, abs=1e-8 * (1 + max(abs(g) for g in errors.gains)))
+
+
+# --- estimates ----------------------------------------------------------------------------------------------
+
+
+def recorded(
+    errors: PredictionErrors,
+    random: np.random.Generator,
+    n_tracks: int = 50,
+    length: int = 20,
+    memory: float = 0.7,
+) -> tuple[RecordedPredictions, NDArray[np.int64]]:
+    """Predictions along tracks, whose errors fade with `memory` from frame to frame, honestly stated."""
+    d = errors.first.shape[0]
+    joint = np.block([[errors.first, errors.cross], [errors.cross.T, errors.second]])
+    root = np.linalg.cholesky(joint + 1e-12 * np.eye(2 * d))
+    state = random.normal(size=(n_tracks, 2 * d))
+    off = np.empty((n_tracks, length, 2 * d))
+    for t in range(length):
+        off[:, t] = state @ root.T
+        state = memory * state + np.sqrt(1 - memory**2) * random.normal(size=state.shape)
+    off = off.reshape(-1, 2 * d)
+    feature = 100 * random.normal(size=(len(off), d))
+    observed = feature + random.normal(size=feature.shape) @ np.linalg.cholesky(errors.observation).T
+    stated = (np.tile(noise, (len(off), 1, 1)) for noise in errors.optimal_noises)
+    predictions = RecordedPredictions(
+        feature + off[:, :d], feature + off[:, d:], observed, errors.observation, *stated
+    )
+    return predictions, np.repeat(np.arange(n_tracks), length)
+
+
+def without_process(
+    first: Numbers, second: Numbers, cross: Numbers, noise: float | Numbers
+) -> PredictionErrors:
+    observation = noise * np.eye(len(first)) if np.isscalar(noise) else np.asarray(noise)
+    return PredictionErrors(first, second, cross, np.zeros_like(first), observation)
+
+
+def test_estimates_are_near_the_truth() -> None:
+    """With 4000 independent rows the relative error of a moment is about 2 %; five times that is allowed."""
+    cross = np.array([[0.3, 0.0], [0.2, 0.1]])
+    errors = without_process(MOMENT, 2 * MOMENT, cross, np.array([[0.5, 0.1], [0.1, 0.3]]))
+    predictions, groups = recorded(errors, np.random.default_rng(0), 400, 10, memory=0.0)
+    found = compare(predictions, groups)
+    assert found.first.estimate == pytest.approx(MOMENT, abs=0.15)
+    assert found.second.estimate == pytest.approx(2 * MOMENT, abs=0.3)
+    assert found.cross.estimate == pytest.approx(cross, abs=0.2)
+    assert found.correlation.estimate == pytest.approx(float(errors.correlation), abs=0.05)
+    assert found.rms_first.estimate == pytest.approx(np.sqrt(1.25), rel=0.05)
+    assert found.gain.estimate == pytest.approx(float(min(errors.gains)), abs=0.03)
+    assert found.worth_product.estimate - found.worth_first.estimate == pytest.approx(
+        found.gain_first.estimate
+    )
+    assert (found.count, found.groups, found.verdict) == (4000, 400, "helps")
+    stated = found.stated
+    assert stated is not None
+    assert stated.excess_first.estimate == pytest.approx(1, abs=0.1)
+    assert stated.excess_second.estimate == pytest.approx(1, abs=0.1)
+    assert stated.gain.estimate == pytest.approx(float(min(errors.gains)), abs=0.1)
+
+
+def test_worth_is_cost_below_no_prediction() -> None:
+    """A prediction without information leaves what is observed: its cost less the chain's is the worth."""
+    errors = PredictionErrors(MOMENT, 2 * MOMENT, 0.2 * MOMENT, np.diag([0.3, 0.6]), np.diag([1.0, 0.5]))
+    flat = cost(1e9 * np.eye(2), errors.first, errors.process, errors.observation)
+    total = errors.optimal_noises[0]
+    worth = 0.5 * np.linalg.slogdet(np.eye(2) + errors.observation @ np.linalg.inv(total))[1]
+    assert flat - errors.costs().first == pytest.approx(worth, rel=1e-5)
+    predictions, groups = recorded(
+        without_process(*errors.optimal_noises, errors.cross + errors.process, errors.observation),
+        np.random.default_rng(2),
+        2000,
+        2,
+    )
+    assert compare(predictions, groups).worth_first.estimate == pytest.approx(worth, rel=0.1)
+
+
+@pytest.mark.parametrize("correlation", [0.1, 0.5])
+def test_intervals_hold_the_truth(correlation: float) -> None:
+    """150 simulated runs of 50 tracks with errors related over time: 95 % intervals hold the true gain and
+    correlation in at least 86 % (five standard errors below 0.95 would be 86.1 %).
+    """
+    errors = without_process(np.eye(1), 1.5 * np.eye(1), correlation * np.sqrt(1.5) * np.eye(1), 0.5)
+    hits = np.zeros(3)
+    for seed in range(150):
+        random = np.random.default_rng(seed)
+        predictions, groups = recorded(errors, random)
+        found = compare(predictions, groups, random, resamples=300)
+        truth = (*(float(gain) for gain in errors.gains), float(errors.correlation))
+        intervals = (found.gain_first, found.gain_second, found.correlation)
+        hits += [i.low <= value <= i.high for i, value in zip(intervals, truth, strict=True)]
+    assert (hits / 150 >= 0.86).all()
+
+
+def test_rows_of_a_track_taken_for_independent_would_mislead() -> None:
+    errors = without_process(np.eye(1), np.eye(1), 0.5 * np.eye(1), 0.5)
+    predictions, groups = recorded(errors, np.random.default_rng(0), memory=0.95)
+    by_track, by_row = compare(predictions, groups), compare(predictions, np.arange(len(predictions)))
+    assert by_track.correlation.estimate == pytest.approx(by_row.correlation.estimate)
+    width, narrow = (i.high - i.low for i in (by_track.correlation, by_row.correlation))
+    assert width > 1.5 * narrow
+
+
+def judged(cross: Numbers | float, n_tracks: int = 200, second: float = 1.0) -> Comparison:
+    of_both = cross * np.eye(2) if np.isscalar(cross) else np.asarray(cross)
+    errors = without_process(np.eye(2), second * np.eye(2), of_both, 0.5)
+    return compare(*recorded(errors, np.random.default_rng(4), n_tracks))
+
+
+def test_verdicts_and_their_reasons() -> None:
+    helping, alike, between, few = judged(0.1), judged(0.999), judged(0.55), judged(0.1, FEWEST_GROUPS - 1)
+    assert helping.verdict == "helps"
+    assert helping.theorem_holds
+    assert "combining pays below 0.5" in helping.reason
+    assert alike.verdict == "does not help"
+    assert alike.stated is not None
+    assert alike.stated.score_gain.high < 0
+    assert alike.stated.gain.high < 0
+    assert alike.stated.excess_product.low > 1.2, "the product is surer than it should be"
+    assert between.verdict == "not sure"
+    assert few.verdict == "not sure"
+    assert f"only from {FEWEST_GROUPS - 1} independent groups" in few.reason
+    opposed = judged(-0.5)
+    assert opposed.verdict == "helps"
+    assert "combining pays at any rate" in opposed.reason
+
+
+def test_errors_that_vanish_in_the_noise_give_no_verdict() -> None:
+    """Both chains are right to a thousandth of the observation's noise: nothing can be said of them."""
+    errors = without_process(1e-6 * np.eye(2), 1e-6 * np.eye(2), np.zeros((2, 2)), 1.0)
+    found = compare(*recorded(errors, np.random.default_rng(5)))
+    assert np.isfinite([found.gain.low, found.gain.high]).all()
+    assert found.verdict == "not sure"
+
+
+def test_same_seed_same_intervals() -> None:
+    predictions, groups = recorded(
+        without_process(np.eye(1), np.eye(1), 0.3 * np.eye(1), 1.0), np.random.default_rng(0)
+    )
+    assert compare(predictions, groups).gain == compare(predictions, groups).gain
+    other = compare(predictions, groups, np.random.default_rng(1)).gain
+    assert other.estimate == compare(predictions, groups).gain.estimate
+    assert other.low != compare(predictions, groups).gain.low
+
+
+def test_wrong_arrays() -> None:
+    ones, noise = np.ones((3, 2)), np.eye(2)
+    with pytest.raises(ValueError, match=r"observed: got \(3,\), expected \(n, d\)"):
+        RecordedPredictions(ones, ones, np.ones(3), noise)
+    with pytest.raises(ValueError, match=r"first: got \(2, 2\), expected \(3, 2\)"):
+        RecordedPredictions(np.ones((2, 2)), ones, ones, noise)
+    with pytest.raises(ValueError, match=r"second: got \[1.0, nan\] in row 1"):
+        RecordedPredictions(ones, np.array([[1, 1], [1, np.nan], [1, 1]]), ones, noise)
+    with pytest.raises(ValueError, match="noise: got one that is not positive definite"):
+        RecordedPredictions(ones, ones, ones, np.diag([1.0, -1]))
+    with pytest.raises(ValueError, match="noise: got one that is not symmetric"):
+        RecordedPredictions(ones, ones, ones, np.array([[1.0, 0.5], [0, 1]]))
+    with pytest.raises(ValueError, match="of one chain only"):
+        RecordedPredictions(ones, ones, ones, noise, np.tile(noise, (3, 1, 1)))
+    predictions = RecordedPredictions(ones, ones, ones, noise)
+    with pytest.raises(ValueError, match=r"groups: got \(2,\) for 3 predictions"):
+        compare(predictions, [1, 2])
+    with pytest.raises(ValueError, match="groups: got 1 of 3 rows, expected two or more"):
+        compare(predictions, [7, 7, 7])
+
+
+# --- files and command --------------------------------------------------------------------------------------
+
+
+def pair(seed: int = 0, n_tracks: int = 60, correlation: float = 0.1, names: str = "ab") -> PairRecord:
+    errors = without_process(np.eye(2), np.eye(2), correlation * np.eye(2), 0.25)
+    predictions, tracks = recorded(errors, np.random.default_rng(seed), n_tracks)
+    frames = np.tile(np.arange(1, 21), n_tracks)
+    return PairRecord(*(f"chain-{name}" for name in names), "points", "px", predictions, tracks, frames)
+
+
+def test_files_hold_what_was_recorded(tmp_path: Path) -> None:
+    bare = pair(1, names="bc")
+    bare = replace(bare, predictions=replace(bare.predictions, first_covariance=None, second_covariance=None))
+    write_predictions(tmp_path, [pair(), bare])
+    assert [path.name for path in tmp_path.iterdir()] == [FILE]
+    first, second = read_predictions(tmp_path)
+    assert (first.first, first.second, first.feature, first.unit) == ("chain-a", "chain-b", "points", "px")
+    assert second.predictions.first_covariance is None
+    for written, read in ((pair(), first), (bare, second)):
+        np.testing.assert_array_equal(read.tracks, written.tracks)
+        np.testing.assert_array_equal(read.frames, written.frames)
+        np.testing.assert_array_equal(read.predictions.observed, written.predictions.observed)
+        np.testing.assert_array_equal(read.predictions.noise, written.predictions.noise)
+
+
+def test_long_records_are_thinned_evenly() -> None:
+    count = 3 * MOST_ROWS + 17
+    numbers = np.arange(count)
+    values = numbers[:, None].astype(float)
+    record = PairRecord(
+        "a", "b", "f", "px", RecordedPredictions(values, values, values, np.eye(1)), numbers, numbers
+    )
+    thin = record.thinned(MOST_ROWS)
+    assert len(thin.tracks) == len(thin.predictions) == MOST_ROWS
+    assert (thin.tracks[0], thin.tracks[-1]) == (0, count - 1)
+    assert set(np.diff(thin.tracks)) == {3, 4}
+    np.testing.assert_array_equal(thin.predictions.first[:, 0], thin.tracks)
+
+
+def test_recorder_keeps_points_that_all_speak_of() -> None:
+    def message(identities: list[int], shift: float) -> GaussianMessage:
+        count = len(identities)
+        means = np.array(identities, np.float64)[:, None] + np.array([shift, 0])
+        return GaussianMessage.from_moments(identities, means, np.tile(np.eye(2), (count, 1, 1)))
+
+    recorder = PairRecorder("tracker", "structure", "points")
+    assert recorder.record() is None
+    recorder.add(1, message([1, 2, 5], 0.1), GaussianMessage.uniform(2), message([1, 2], 0.0))
+    assert recorder.record() is None
+    recorder.add(2, message([1, 2, 5], 0.1), message([2, 5, 7], 0.2), message([1, 2, 5, 7], 0.0))
+    record = recorder.record()
+    assert record is not None
+    np.testing.assert_array_equal(record.tracks, [2, 5])
+    np.testing.assert_array_equal(record.frames, [2, 2])
+    np.testing.assert_allclose(record.predictions.first, [[2.1, 2], [5.1, 5]])
+    np.testing.assert_allclose(record.predictions.second, [[2.2, 2], [5.2, 5]])
+
+    many = list(range(1000))
+    for number in range(3, 403):
+        recorder.add(number, message(many, 0.1), message(many, 0.2), message(many, 0.0))
+    record = recorder.record()
+    assert record is not None
+    assert len(record.tracks) <= 2 * MOST_ROWS
+    assert record.frames[-1] > 390
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return int(ended.value.code or 0), out, err
+
+
+def test_command_prints_verdicts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_predictions(tmp_path, [pair(), pair(2, correlation=0.99, names="bc")])
+    code, out, err = run(capsys, "validity", tmp_path)
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].split()[:3] == ["chains", "feature", "predictions"]
+    assert lines[2].startswith("chain-a + chain-b")
+    assert lines[2].endswith("helps")
+    assert lines[3].endswith("does not help")
+    assert "chain-a + chain-b on points: helps. Errors of " in out
+    assert "Theorem 2 is met" in out
+    assert "chain-a states honest covariances" in out
+    assert "predicts what is observed better" in out
+    assert "predicts what is observed worse" in out
+
+
+def test_command_without_pairs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_predictions(tmp_path, [])
+    assert run(capsys, "validity", tmp_path)[:2] == (
+        0,
+        "No two chains of this run predicted the same feature.\n",
+    )
+
+
+def test_command_on_wrong_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def complaint(folder: Path) -> str:
+        code, out, err = run(capsys, "validity", folder)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        return err
+
+    assert "nowhere: no such folder" in complaint(tmp_path / "nowhere")
+    assert "holds no predictions.npz; it is written by: rsmcm structure" in complaint(tmp_path)
+    path = tmp_path / FILE
+    path.write_bytes(b"PK nonsense")
+    assert "predictions.npz: got neither .npy nor .npz" in complaint(tmp_path)
+    assert "expected the folder of a finished run" in complaint(path)
+    np.savez(path, about=np.array('{"format": "other 3", "pairs": []}'))
+    assert "got format 'other 3', expected 'rsmcm predictions 1'" in complaint(tmp_path)
+    write_predictions(tmp_path, [pair()])
+    with np.load(path) as members:
+        arrays = {name: members[name] for name in members.files}
+    np.savez(path, **{**arrays, "0/tracks": arrays["0/tracks"][:-1]})
+    assert "pair 0: got (1199,) tracks" in complaint(tmp_path)
+    for name, factor, words in (
+        ("first", 1e200, "pair 0, first: got float64, expected numbers up to 1e+14"),
+        ("noise", 1e-310, "pair 0, noise: got less than 1e-14"),
+    ):
+        np.savez(path, **{**arrays, f"0/{name}": arrays[f"0/{name}"] * factor})
+        assert words in complaint(tmp_path)
+    np.savez(path, **{**arrays, "0/first": arrays["0/first"] * np.nan})
+    assert "first: got [nan, nan] in row 0" in complaint(tmp_path)
+    np.savez(path, **{name: array for name, array in arrays.items() if name != "0/observed"})
+    assert "0/observed" in complaint(tmp_path)
+    write_predictions(tmp_path, [pair().thinned(1)])
+    assert "predictions of one track in one frame" in complaint(tmp_path)

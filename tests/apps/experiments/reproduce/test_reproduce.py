@@ -1,0 +1,133 @@
+"""What the experiments are put together from: tables, figures, methods, and the check against enumeration."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rsmcm.apps.background.compare import COLUMNS, Gallery
+from rsmcm.apps.background.methods import Model, ModelSubtractor, Usual
+from rsmcm.apps.drawing.mosaic import mosaic
+from rsmcm.apps.evaluation.metrics import PixelScore, joined
+from rsmcm.apps.experiments.bench.__main__ import enumeration_error, in_turns, stages
+from rsmcm.apps.experiments.reproduce import sleeping_man as experiment
+from rsmcm.apps.experiments.trials.baselines import SETTINGS, CleanUp, OpenCVSubtractor
+from rsmcm.apps.reports.claims import Claim, in_columns
+from rsmcm.apps.scenes import sleeping_man
+from rsmcm.models.core.frame import Frame
+
+SIZE = (96, 72)
+
+
+def test_claims_say_whether_they_hold() -> None:
+    assert Claim("x", 0.3, "<=", 0.35).verdict == "pass"
+    assert Claim("x", 0.4, "<=", 0.35).verdict == "short"
+    assert Claim("x", 1.3, ">=", 1.25).cells == ("x", ">= 1.25", "1.3", "pass")
+    assert Claim("x", 12345.6).cells == ("x", "", "12346", "")
+    assert Claim("x", float("nan"), "<=", 1).verdict == "short"
+
+
+def test_tables_as_text() -> None:
+    text = in_columns(("name", "value"), [("a", 1.23456), ("long name", 22)])
+    assert text.splitlines() == [
+        "name       value",
+        "---------  -----",
+        "a           1.23",
+        "long name     22",
+    ]
+
+
+def test_enumeration_agrees_with_the_engine() -> None:
+    assert enumeration_error() <= 1e-12
+
+
+def test_methods_take_turns_in_order() -> None:
+    frames = [Frame(None, number / 25, number) for number in range(1, 51)]
+    seen: dict[str, list[int]] = {"a": [], "b": []}
+    seconds = in_turns({name: lambda f, name=name: seen[name].append(f.number) for name in seen}, frames)  # type: ignore[misc]
+    assert seen["a"] == seen["b"] == [*range(1, 51), *range(1, 51)]
+    assert set(seconds) == {"a", "b"}
+
+
+def test_stages_add_up_to_the_whole() -> None:
+    rows = stages(list(sleeping_man(45, size=SIZE)))
+    assert {"background: message", "blobs: update", "mask"} <= {name for name, _, _ in rows}
+    assert sum(share for _, _, share in rows) == pytest.approx(100)
+
+
+@given(st.integers(1, 300))
+def test_gallery_shows_evenly_spaced_moments(n_frames: int) -> None:
+    gallery = Gallery()
+    for number in range(1, n_frames + 1):
+        gallery.add(number, np.zeros((4, 5), np.uint8), [])
+    numbers = [moment.number for moment in gallery.chosen()]
+    assert len(numbers) == min(COLUMNS, len(gallery.moments))
+    assert numbers[0] == 1
+    assert numbers == sorted(set(numbers))
+    assert len(gallery.moments) <= 2 * COLUMNS
+    assert numbers[-1] > n_frames / 2 or n_frames < 2
+
+
+def test_mosaic_shows_every_picture() -> None:
+    grey = np.full((30, 40), 77, np.uint8)
+    colour = np.full((30, 40, 3), (10, 200, 30), np.uint8)
+    sheet = mosaic([("one", [grey, grey]), ("two", [colour, colour])], ("a", "b"), 40)
+    assert np.count_nonzero((sheet == 77).all(axis=2)) >= 2 * 30 * 40
+    assert np.count_nonzero((sheet == (10, 200, 30)).all(axis=2)) >= 2 * 30 * 40
+
+
+def test_a_model_as_subtractor_gives_the_same_masks() -> None:
+    scene = sleeping_man(20, size=SIZE, enter=0)
+    model = Model("RSMCM", "recursive-bp", SIZE)
+    subtractor = ModelSubtractor("recursive-bp", SIZE, 25.0)
+    for frame in scene:
+        assert frame.image is not None
+        np.testing.assert_array_equal(model.step(frame).foreground, subtractor.apply(frame.image))
+    assert model.background().shape == (72, 96, 3)
+
+
+def test_the_usual_pipeline_survives_missing_frames() -> None:
+    usual = Usual("MOG2", OpenCVSubtractor("MOG2", 100, 16), CleanUp(), SIZE)
+    scene = sleeping_man(30, size=SIZE, enter=0)
+    masks = [
+        usual.step(Frame(None, frame.time, frame.number) if frame.number in (1, 20) else frame).foreground
+        for frame in scene
+    ]
+    assert not masks[0].any()
+    np.testing.assert_array_equal(masks[18], masks[19])
+
+
+def test_scores_of_a_scene_name_all_methods() -> None:
+    frames, truth = experiment._rendered(sleeping_man(8, size=SIZE, enter=0), "scene")
+    scored = list(experiment._scores_of_scene(frames, truth, SETTINGS[:1]))
+    assert [name for name, _, _ in scored] == ["feed-forward", "RSMCM", "MOG2", "MOG2"]
+    assert all(len(score.numbers) == 8 for _, _, score in scored)
+    first, second = (joined([score]) for _, _, score in scored[:2])
+    both = joined([first, second])
+    assert len(both.counts) == 16
+    assert joined([]).total() == PixelScore().total()
+
+
+def test_sleeping_man_figures() -> None:
+    figures = experiment._sleeping_figures(sleeping_man(61, size=SIZE))
+    assert set(figures) == {"Fig. 1", "Fig. 7"}
+    assert figures["Fig. 1"].shape == figures["Fig. 7"].shape
+    assert figures["Fig. 1"].shape[1] > 2 * 160
+
+
+def test_nothing_is_found_before_the_first_image() -> None:
+    model = Model("RSMCM", "recursive-bp", SIZE)
+    found = model.step(Frame(None, 0.0, 1))
+    assert found.foreground.shape == (72, 96)
+    assert not found.foreground.any()
+    assert found.tracks == []
+
+
+@pytest.mark.slow
+def test_sleeping_man_orders_the_methods(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    experiment.reproduce_sleeping_man(tmp_path, long=False)
+    printed = capsys.readouterr().out
+    assert "short" not in printed, printed
+    assert (tmp_path / "fig-1.png").exists()
+    assert (tmp_path / "fig-7.png").exists()

@@ -1,0 +1,643 @@
+"""`rsmcm face`, as a user runs it: on rendered films of a face, and with what can be wrong about them."""
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.face.application import application as application
+from rsmcm.apps.face.application import start as face_start
+from rsmcm.apps.face.report import FaceRecord, angles
+from rsmcm.apps.face.start import find_face, start_from_box, start_from_landmarks
+from rsmcm.apps.reports import time_plots
+from rsmcm.apps.reports.report import Html
+from rsmcm.apps.runs import blank_frames
+from rsmcm.apps.scenes import face
+from rsmcm.models import Frame
+from rsmcm.models.face import detectors
+from rsmcm.models.face.built_in_model import face_model
+from rsmcm.models.face.model_files import write_model
+from rsmcm.models.face.morphable_model import MorphableModel
+from rsmcm.models.face.pose import Poses, exponential
+
+from ...conftest import Command, names, summary_of
+
+run = Command("face")
+complaint = run.complaint
+
+RESULTS = {
+    "overlay.mp4",
+    "poses.npz",
+    "texture.png",
+    "texture_variance.png",
+    "summary.json",
+    "report.html",
+    "state.npz",
+    "manifest.json",
+}
+N_FRAMES = 16
+SIZE = (200, 160)
+FEW = ("--experts", "4")
+
+
+def poses_of(out: Path) -> dict[str, NDArray[Any]]:
+    with np.load(out / "poses.npz", allow_pickle=False) as content:
+        return dict(content)
+
+
+def saved(path: Path, array: Any) -> Path:
+    np.save(path, array)
+    return path
+
+
+def write_pictures(folder: Path, images: list[NDArray[np.uint8]]) -> Path:
+    folder.mkdir()
+    for number, image in enumerate(images, start=1):
+        cv2.imwrite(str(folder / f"frame{number}.png"), image)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most of a short run's time; `finished` is made before, and has them."""
+    monkeypatch.setattr(time_plots, "figure", lambda *_: Html(""))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Any:
+    return face(N_FRAMES, 3, SIZE)
+
+
+@pytest.fixture(scope="module")
+def images(scene: Any) -> list[NDArray[np.uint8]]:
+    return list(scene.images())
+
+
+@pytest.fixture(scope="module")
+def film(images: list[NDArray[np.uint8]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_pictures(tmp_path_factory.mktemp("film") / "film", images)
+
+
+@pytest.fixture(scope="module")
+def truth(scene: Any, film: Path) -> Path:
+    """Landmarks of all frames: the vertices of the built-in model, in its order."""
+    return saved(film.parent / "truth.npy", scene.vertices.astype(np.float32))
+
+
+@pytest.fixture(scope="module")
+def start(scene: Any, film: Path) -> Path:
+    """Landmarks of the first frame only."""
+    return saved(film.parent / "start.npy", scene.vertices[0])
+
+
+@pytest.fixture(scope="module")
+def finished(film: Path, truth: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out") / "deep" / "er"
+    assert run(film, "--landmarks", truth, "--out", out) == 0
+    return out
+
+
+# --- results ------------------------------------------------------------------------------------------------
+
+
+def test_results(finished: Path) -> None:
+    assert names(finished) == RESULTS
+    summary = summary_of(finished)
+    assert (summary["frames"], summary["first_frame"], summary["last_frame"]) == (N_FRAMES, 1, N_FRAMES)
+    assert summary["start"] == "landmarks"
+    assert summary["start_fit_error_px"] < 0.5
+    assert (summary["lost_frames"], summary["lost"], summary["reinitialised"]) == (0, [], [])
+    assert not summary["ended_early"]
+    assert summary["notes"] == []
+    assert summary["parameters"]["experts"] == 20
+    assert summary["error"]["frames"] == N_FRAMES
+    assert summary["error"]["mean_px"] < 0.6
+    assert summary["log_evidence"]["lowest"] <= summary["log_evidence"]["median"] < 0
+    assert summary["log_evidence"]["lowest_frame"] > 1
+
+
+def test_poses(finished: Path, scene: Any) -> None:
+    poses = poses_of(finished)
+    n, experts = N_FRAMES, 20
+    nv, k = scene.model.n_vertices, scene.model.n_bases
+    shapes = {
+        "frame_numbers": (n,), "times": (n,), "weights": (n, experts), "rotations": (n, experts, 3, 3),
+        "translations": (n, experts, 2), "morphs": (n, experts, k), "mean_rotation": (n, 3, 3),
+        "mean_translation": (n, 2), "mean_morphs": (n, k),
+        "vertices_2d": (n, nv, 2), "vertices_3d": (n, nv, 3),
+        "covariance": (n, nv, 3, 3), "landmarks": (n, nv, 2), "log_evidence": (n,), "fit": (n,), "lost": (n,),
+        "reinitialised": (n,), "missing": (n,), "bases": (k, nv, 3), "triangles": scene.model.triangles.shape,
+    }  # fmt: skip
+    assert {name: array.shape for name, array in poses.items()} == shapes
+    assert poses["frame_numbers"].tolist() == list(range(1, n + 1))
+    np.testing.assert_allclose(poses["times"], np.arange(n) / 25)
+    np.testing.assert_allclose(poses["weights"].sum(axis=1), 1)
+    assert np.isnan(poses["log_evidence"]).tolist() == [True] + [False] * (n - 1)
+    np.testing.assert_array_equal(poses["vertices_2d"], poses["vertices_3d"][..., :2])
+    assert np.linalg.eigvalsh(poses["covariance"].astype(float)).min() > -1e-4
+    np.testing.assert_allclose(poses["landmarks"][0], scene.vertices[0], atol=1e-3)
+    for what in ("landmarks", "vertices_2d"):
+        error = np.linalg.norm(poses[what] - scene.vertices, axis=2)
+        assert error.mean() < 0.6, what
+    turns = poses["mean_rotation"] @ np.swapaxes(scene.poses.rotations, 1, 2)
+    off = np.degrees(np.arccos(np.clip((np.trace(turns, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    assert off.mean() < 2.5
+
+
+def test_poses_say_where_vertices_are(finished: Path) -> None:
+    poses = poses_of(finished)
+    model = MorphableModel(poses["bases"], poses["triangles"])
+    for frame in (0, 7, N_FRAMES - 1):
+        experts = Poses(poses["rotations"][frame], poses["translations"][frame], poses["morphs"][frame])
+        places = model.positions(experts)
+        mean = np.tensordot(poses["weights"][frame], places, 1)
+        np.testing.assert_allclose(poses["vertices_3d"][frame], mean, atol=1e-3)
+        off = places - mean
+        spread = np.einsum("n,nva,nvb->vab", poses["weights"][frame], off, off)
+        left_open = np.linalg.eigvalsh(poses["covariance"][frame] - spread)
+        assert (left_open > -1e-3).all()
+        assert (left_open[:, -1] > 1e-3).all() == (frame > 0)
+
+
+def test_pictures(finished: Path) -> None:
+    video = cv2.VideoCapture(str(finished / "overlay.mp4"))
+    size = [video.get(each) for each in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
+    assert size == [600, 480], "three times as large"
+    assert sum(iter(lambda: video.read()[0], False)) == N_FRAMES
+    texture, variance = (
+        cv2.imread(str(finished / name), cv2.IMREAD_UNCHANGED)
+        for name in ("texture.png", "texture_variance.png")
+    )
+    assert texture is not None
+    assert variance is not None
+    assert texture.shape == variance.shape
+    assert texture.std() > 10
+    assert variance.max() == 255
+
+
+def test_report(finished: Path) -> None:
+    page = (finished / "report.html").read_text()
+    for heading in (
+        "Pictures over time",
+        "Pose",
+        "Evidence",
+        "Against the given landmarks",
+        "Expression",
+        "Texture",
+    ):
+        assert f"<h2>{heading}</h2>" in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert page.count('src="data:image') >= 6
+
+
+def test_what_is_printed(film: Path, start: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(film, "--landmarks", start, "--out", tmp_path, "--stop", 3, *FEW) == 0
+    out = capfd.readouterr().out
+    assert "3 frames, " in out
+    assert "0 lost, 0 re-initialisations" in out
+    assert "error" not in out, "one frame's landmarks are no truth"
+    assert summary_of(tmp_path)["error"] is None
+    assert "Against the given landmarks" not in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize("gain", ["0", "1", "learned"])
+def test_gains(gain: str, film: Path, truth: Path, tmp_path: Path) -> None:
+    assert run(film, "--landmarks", truth, "--out", tmp_path, "--gain", gain, "--stop", 6, *FEW) == 0
+    summary = summary_of(tmp_path)
+    assert summary["parameters"]["gain"] == (gain if gain == "learned" else float(gain))
+    assert summary["error"]["mean_px"] < 1.5
+
+
+def test_one_expert(film: Path, truth: Path, tmp_path: Path) -> None:
+    assert run(film, "--landmarks", truth, "--out", tmp_path, "--experts", 1, "--stop", 6) == 0
+    assert poses_of(tmp_path)["weights"].shape == (6, 1)
+    assert summary_of(tmp_path)["error"]["mean_px"] < 1
+
+
+def test_same_seed_same_run(film: Path, start: Path, tmp_path: Path) -> None:
+    found = []
+    for name in ("a", "b"):
+        assert run(film, "--landmarks", start, "--out", tmp_path / name, "--stop", 7, *FEW) == 0
+        found.append(poses_of(tmp_path / name))
+    for name, array in found[0].items():
+        np.testing.assert_array_equal(array, found[1][name])
+
+
+# --- landmarks ----------------------------------------------------------------------------------------------
+
+
+def test_landmarks_in_another_order(film: Path, scene: Any, tmp_path: Path) -> None:
+    """Some of the vertices, shuffled, and a point that the model does not know."""
+    chosen = np.random.default_rng(0).permutation(scene.model.n_vertices)[:30]
+    unknown = scene.vertices[:, chosen[:1]] + (3.0, 2.0)
+    truth = saved(tmp_path / "l.npy", np.concatenate([unknown, scene.vertices[:, chosen]], axis=1))
+    pairs = tmp_path / "pairs.txt"
+    lines = [f"{index} = {vertex + 1}  # a comment" for index, vertex in enumerate(chosen, start=1)]
+    pairs.write_text("\n".join(["# landmarks", *lines]))
+    out = tmp_path / "out"
+    assert run(film, "--landmarks", truth, "--correspondences", pairs, "--out", out, "--stop", 6, *FEW) == 0
+    assert poses_of(out)["landmarks"].shape == (6, 31, 2)
+    assert summary_of(out)["error"]["mean_px"] < 1
+
+
+def test_missing_landmarks(film: Path, scene: Any, tmp_path: Path) -> None:
+    landmarks = scene.vertices.copy()
+    landmarks[0, 5:40] = np.nan
+    landmarks[4] = np.nan
+    out = tmp_path / "out"
+    given = saved(tmp_path / "l.npy", landmarks)
+    assert run(film, "--landmarks", given, "--out", out, "--stop", 6, *FEW) == 0
+    missing = np.isnan(poses_of(out)["landmarks"][..., 0])
+    assert missing[:, 5:40].all()
+    assert np.count_nonzero(missing) == 35 * 6
+    assert summary_of(out)["error"]["frames"] == 5
+    assert summary_of(out)["error"]["mean_px"] < 1
+
+
+def test_which_frame_landmarks_belong_to(film: Path, scene: Any, truth: Path, tmp_path: Path) -> None:
+    """As many rows as the source has frames count from its beginning, others from the first frame chosen."""
+    out = tmp_path / "out"
+    assert run(film, "--landmarks", truth, "--out", out, "--start", 5, "--step", 2, *FEW) == 0
+    assert summary_of(out)["error"]["mean_px"] < 1
+    np.testing.assert_allclose(poses_of(out)["landmarks"][0], scene.vertices[4], atol=1e-3)
+    cut = saved(tmp_path / "cut.npy", scene.vertices[4:9])
+    assert run(film, "--landmarks", cut, "--out", out, "--start", 5, "--overwrite", *FEW) == 0
+    summary = summary_of(out)
+    assert summary["error"]["frames"] == 5
+    assert summary["error"]["mean_px"] < 1
+
+
+def test_a_model_of_the_users_own(film: Path, truth: Path, scene: Any, tmp_path: Path) -> None:
+    """With one basis only it is a rigid mask, which follows all the same."""
+    model = scene.model
+    own = MorphableModel(model.bases[:1], model.triangles)
+    path = tmp_path / "own.npz"
+    write_model(own, path)
+    out = tmp_path / "out"
+    assert run(film, "--landmarks", truth, "--model", path, "--out", out, "--stop", 6, *FEW) == 0
+    assert poses_of(out)["morphs"].shape == (6, 4, 1)
+    assert summary_of(out)["error"]["mean_px"] < 2.5
+    assert "<h2>Expression</h2>" not in (out / "report.html").read_text()
+
+
+# --- hard input ---------------------------------------------------------------------------------------------
+
+
+def test_missing_and_blank_frames(images: list[NDArray[np.uint8]], truth: Path, tmp_path: Path) -> None:
+    changed = list(images)
+    changed[6], changed[9] = np.zeros_like(images[0]), np.full_like(images[0], 255)
+    folder = write_pictures(tmp_path / "film", changed)
+    unreadable = folder / "frame4.png"
+    unreadable.write_bytes(unreadable.read_bytes()[:60])
+    out = tmp_path / "out"
+    assert run(folder, "--landmarks", truth, "--out", out, *FEW) == 0
+    summary, poses = summary_of(out), poses_of(out)
+    assert summary["missing"] == [4, 7, 10]
+    assert summary["blank"] == [7, 10]
+    assert np.flatnonzero(poses["missing"]).tolist() == [3, 6, 9]
+    assert np.isnan(poses["log_evidence"][[0, 3, 6, 9]]).all()
+    assert np.isfinite(poses["vertices_3d"]).all()
+    assert summary["error"]["mean_px"] < 1.5
+    assert any("frames 4, 7, 10" in note for note in summary["notes"])
+    video = cv2.VideoCapture(str(out / "overlay.mp4"))
+    assert sum(iter(lambda: video.read()[0], False)) == N_FRAMES
+
+
+def test_the_first_frames_are_black(images: list[NDArray[np.uint8]], scene: Any, tmp_path: Path) -> None:
+    black = np.zeros_like(images[0])
+    folder = write_pictures(tmp_path / "film", [black, black, *images[2:6]])
+    out = tmp_path / "out"
+    landmarks = saved(tmp_path / "l.npy", scene.vertices[:6])
+    assert run(folder, "--landmarks", landmarks, "--out", out, *FEW) == 0
+    summary = summary_of(out)
+    assert (summary["before_the_start"], summary["first_frame"], summary["frames"]) == ([1, 2], 3, 4)
+    assert summary["error"]["mean_px"] < 1
+    one = saved(tmp_path / "one.npy", scene.vertices[2])
+    assert run(folder, "--landmarks", one, "--out", out, "--overwrite", *FEW) == 0
+    assert any("no landmarks of frame 3" in note for note in summary_of(out)["notes"])
+
+
+def test_nothing_to_see(tmp_path: Path, start: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    folder = write_pictures(tmp_path / "film", [np.zeros((160, 200), np.uint8)] * 3)
+    for arguments in (("--landmarks", start), ()):
+        message = complaint(capfd, folder, "--out", tmp_path / "out", *arguments)
+        assert "holds no frame in which anything is to be seen" in message
+    assert not (tmp_path / "out").exists()
+
+
+def elsewhere(images: list[NDArray[np.uint8]], scene: Any) -> list[NDArray[np.uint8]]:
+    """The pictures without the face: all that it covers is even."""
+    room = []
+    for index, image in enumerate(images):
+        low, high = (
+            scene.vertices[index].min(axis=0).astype(int) - 12,
+            scene.vertices[index].max(axis=0).astype(int) + 12,
+        )
+        empty = image.copy()
+        empty[max(low[1], 0) : high[1], max(low[0], 0) : high[0]] = 120
+        room.append(empty)
+    return room
+
+
+def test_a_cut(images: list[NDArray[np.uint8]], scene: Any, tmp_path: Path) -> None:
+    """Nobody there for a while: lost, said so, and found again when the face is back at another place."""
+    moved = [np.roll(image, (12, -20), axis=(0, 1)) for image in images[4:8]]
+    folder = write_pictures(tmp_path / "film", [*images[:4], *elsewhere(images, scene)[4:10], *moved])
+    nowhere = np.full((6, *scene.vertices[0].shape), np.nan)
+    landmarks = np.concatenate([scene.vertices[:4], nowhere, scene.vertices[4:8] + np.array([-20.0, 12.0])])
+    out = tmp_path / "out"
+    given = saved(tmp_path / "l.npy", landmarks)
+    assert run(folder, "--landmarks", given, "--out", out, *FEW) == 0
+    summary, poses = summary_of(out), poses_of(out)
+    ((first, last),) = summary["lost"]
+    assert 5 <= first <= 8
+    assert 10 <= last <= 11
+    assert summary["lost_frames"] == last - first + 1
+    assert summary["reinitialised"] == [last + 1]
+    assert np.flatnonzero(poses["lost"]).tolist() == list(range(first - 1, last))
+    assert np.flatnonzero(poses["reinitialised"]).tolist() == [last]
+    np.testing.assert_allclose(poses["landmarks"][-1], landmarks[-1], atol=3)
+    assert any(note.startswith("Lost in frames") for note in summary["notes"])
+
+
+def test_a_face_that_leaves_and_comes_back(
+    images: list[NDArray[np.uint8]], scene: Any, tmp_path: Path
+) -> None:
+    """It is pushed out to the right, frame by frame, and comes back."""
+    shifts = np.array([0, 0, 25, 50, 75, 100, 125, 150, 150, 150, 150, 100, 60, 25, 25, 25])
+    shifted = [
+        cv2.warpAffine(image, np.array([[1.0, 0, shift], [0, 1, 0]]), SIZE, borderValue=[110])
+        for image, shift in zip(images, shifts, strict=True)
+    ]
+    folder = write_pictures(tmp_path / "film", [np.asarray(each, np.uint8) for each in shifted])
+    landmarks = scene.vertices + np.stack([shifts, np.zeros_like(shifts)], axis=1)[:, None]
+    out = tmp_path / "out"
+    given = saved(tmp_path / "l.npy", landmarks)
+    assert run(folder, "--landmarks", given, "--out", out, *FEW) == 0
+    poses = poses_of(out)
+    assert np.isfinite(poses["vertices_3d"]).all()
+    assert poses["lost"][8:11].all(), "nothing of it is in the picture"
+    assert np.linalg.norm(poses["landmarks"][-1] - landmarks[-1], axis=1).mean() < 4
+    assert summary_of(out)["reinitialised"]
+
+
+def test_wrong_arguments(
+    film: Path, start: Path, scene: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = ("--out", tmp_path / "out")
+    vertices = scene.vertices[0]
+    text = tmp_path / "model.npz"
+    text.write_text("a face")
+    flat = tmp_path / "flat.npz"
+    write_model(MorphableModel(scene.model.bases, np.zeros((0, 3), np.int64)), flat)
+    pairs = tmp_path / "pairs.txt"
+    pairs.write_text("0 = 400\n")
+    far = tmp_path / "far.txt"
+    far.write_text("900 = 4\n")
+    nonsense = tmp_path / "nonsense.txt"
+    nonsense.write_text("0 = 4\nzero = 1\n")
+
+    def landmarks(name: str, array: Any) -> tuple[str, Path]:
+        return "--landmarks", saved(tmp_path / f"{name}.npy", array)
+
+    for arguments, words in (
+        ((film, *out, "--landmarks", tmp_path / "nowhere.npy"), "nowhere.npy: No such file"),
+        ((film, *out, *landmarks("few", vertices[:7])), "got 7, but the model has"),
+        ((film, *out, *landmarks("nan", vertices * np.nan)), "got NaN for all in the first frame"),
+        ((film, *out, *landmarks("big", vertices * 4)), "outside the picture of 200x160 px"),
+        (
+            (film, *out, *landmarks("half", np.where(np.arange(2) == 0, np.nan, vertices))),
+            "expected both coordinates",
+        ),
+        (
+            (
+                film,
+                *out,
+                *landmarks("three", np.where(np.arange(len(vertices))[:, None] < 3, vertices, np.nan)),
+            ),
+            "expected 4 or more",
+        ),
+        ((film, *out, *landmarks("point", np.full_like(vertices, 50.0))), "at one place"),
+        ((film, *out, "--correspondences", pairs), "without landmarks"),
+        ((film, *out, "--landmarks", start, "--correspondences", pairs), "got vertex 400, expected 1 to"),
+        ((film, *out, "--landmarks", start, "--correspondences", far), "got landmark 900, expected 0 to"),
+        ((film, *out, "--landmarks", start, "--correspondences", nonsense), "nonsense.txt, line 2"),
+        ((film, *out, "--landmarks", start, "--model", tmp_path / "no.npz"), "no.npz"),
+        ((film, *out, "--landmarks", start, "--model", text), "model.npz"),
+        ((film, *out, "--landmarks", start, "--model", flat), "without triangles"),
+        ((film, *out, "--landmarks", start, "--experts", 0), "--experts: got 0"),
+        ((film, *out, "--landmarks", start, "--gain", 1.5), "--gain: got 1.5"),
+        ((film, *out, "--landmarks", start, "--gain", "nan"), "--gain: got nan"),
+        ((film, *out, "--landmarks", start, "--gain", "quick"), "--gain"),
+        ((film, *out, "--landmarks", start, "--start", 99), "start: got 99"),
+        ((tmp_path / "nowhere", *out, "--landmarks", start), "no such file or folder"),
+        ((film, "--landmarks", start), "--out is needed"),
+    ):
+        assert words in complaint(capfd, *arguments), arguments
+        assert not (tmp_path / "out").exists()
+
+
+def test_a_source_that_breaks(
+    images: list[NDArray[np.uint8]], start: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Results of what was read, and the error."""
+    folder = write_pictures(tmp_path / "film", [*images[:5], images[5][:100]])
+    out = tmp_path / "out"
+    assert "frame 6 is" in complaint(capfd, folder, "--landmarks", start, "--out", out, *FEW)
+    assert names(out) == {*RESULTS, "overlay.part000000005.mp4", "poses.part000000005.npz"}
+    assert summary_of(out)["frames"] == 5
+    assert summary_of(out)["ended_early"]
+
+
+# --- without landmarks --------------------------------------------------------------------------------------
+
+
+def box_of(scene: Any, index: int) -> tuple[float, float, float, float]:
+    low, high = scene.vertices[index].min(axis=0), scene.vertices[index].max(axis=0)
+    wide = (high - low)[0] / face_start.WIDTH_OF_FACE
+    return (
+        float((low + high)[0] / 2 - wide / 2),
+        float((low + high)[1] / 2 - wide / 2),
+        float(wide),
+        float(wide),
+    )
+
+
+def test_started_by_a_detector(
+    film: Path, scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The track starts where the detector finds a face at last; a typical shape follows it."""
+    answers = iter([None, None, box_of(scene, 2)])
+    monkeypatch.setattr(application, "find_face", lambda *_: next(answers))
+    out = tmp_path / "out"
+    assert run(film, "--out", out, *FEW) == 0
+    summary, poses = summary_of(out), poses_of(out)
+    assert summary["start"] == "face detector"
+    assert (summary["before_the_start"], summary["first_frame"]) == ([1, 2], 3)
+    assert poses["landmarks"].shape == (N_FRAMES - 2, 0, 2)
+    assert summary["error"] is None
+    assert np.linalg.norm(poses["vertices_2d"] - scene.vertices[2:], axis=2).mean() < 4
+
+
+def test_no_face_and_no_detector(
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.onnx"
+    bad.write_bytes(b"no network")
+    out = ("--out", tmp_path / "out")
+    assert "bad.onnx: is no model" in complaint(capfd, film, *out, "--detector", bad)
+    assert "nowhere.onnx: no such file" in complaint(
+        capfd, film, *out, "--detector", tmp_path / "nowhere.onnx"
+    )
+    monkeypatch.delattr(cv2, "CascadeClassifier", raising=False)
+    message = complaint(capfd, film, *out)
+    assert "no face detector along: give --landmarks" in message
+    monkeypatch.setattr(application, "find_face", lambda *_: None)
+    assert "no face is found in it" in complaint(capfd, film, *out)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_largest_face_is_taken(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    found = np.array([[1, 2, 30, 40] + 11 * [0], [5, 6, 50, 60] + 11 * [0]], np.float32)
+
+    class Network:
+        @staticmethod
+        def create(*_: object) -> "Network":
+            return Network()
+
+        def detect(self, image: NDArray[np.uint8]) -> tuple[int, NDArray[np.float32] | None]:
+            assert image.ndim == 3
+            return (1, found) if image.any() else (1, None)
+
+    path = tmp_path / "yunet.onnx"
+    path.touch()
+    monkeypatch.setattr(cv2, "FaceDetectorYN", Network)
+    monkeypatch.setattr(detectors, "_is_survived", lambda *_: True)  # another process has OpenCV's
+    assert find_face(np.ones((90, 120), np.uint8), path) == (5, 6, 50, 60)
+    assert find_face(np.zeros((90, 120, 3), np.uint8), path) is None
+
+
+def test_a_typical_shape_fills_the_box() -> None:
+    model = face_model()
+    begun = start_from_box(model, (40.0, 30.0, 100.0, 120.0))
+    places = begun.model.project(begun.pose)[0]
+    low, high = places.min(axis=0), places.max(axis=0)
+    np.testing.assert_allclose((low + high) / 2, (90, 90))
+    assert (high - low)[0] == pytest.approx(100 * face_start.WIDTH_OF_FACE)
+    with pytest.raises(ValueError, match="box: got"):
+        start_from_box(model, (40.0, 30.0, 0.0, 10.0))
+
+
+def test_a_start_meets_all_landmarks() -> None:
+    """Also those that the model does not know, and whoever it is."""
+    model = face_model()
+    model = MorphableModel(model.bases, model.triangles, identity=2)
+    random = np.random.default_rng(5)
+    pose = Poses.upright(np.array([[100.0, 80.0]]), np.array([30.0]), model.n_bases)
+    pose = pose.moved(
+        np.concatenate([0.2 * random.normal(size=3), np.zeros(3), 9 * random.normal(size=model.n_bases - 1)])[
+            None
+        ]
+    )
+    landmarks = model.project(pose)[0] + 0.2 * random.normal(size=(model.n_vertices, 2))
+    landmarks[3] = np.nan
+    landmarks = np.concatenate([landmarks, [[4.0, 5.0]]])
+    pairs = np.stack([np.arange(model.n_vertices), np.arange(1, model.n_vertices + 1)], axis=1)
+    begun = start_from_landmarks(model, landmarks, pairs)
+    assert begun.model.n_bases == model.n_bases - 2
+    assert begun.fit_error is not None
+    assert begun.fit_error < 0.5
+    assert np.flatnonzero(~begun.present).tolist() == [3]
+    places = begun.points.project(begun.model, begun.pose)[0]
+    np.testing.assert_allclose(places, landmarks[begun.present], atol=1e-6)
+
+
+# --- report -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("axis", "number"), [(1, 0), (0, 1), (2, 2)])
+def test_angles(axis: int, number: int) -> None:
+    """Each by itself, in the direction that its name says."""
+    vector = np.zeros((1, 3))
+    vector[0, axis] = 0.3
+    rotation = exponential(vector)[0]
+    expected = np.zeros(3)
+    expected[number] = np.degrees(0.3)
+    np.testing.assert_allclose(angles(rotation), expected, atol=1e-9)
+    gaze, up = rotation @ (0, 0, -1), rotation @ (0, -1, 0)
+    assert (gaze[0] < 0, gaze[1] > 0, up[0] > 0)[number], "to the left, down, clockwise"
+
+
+def test_a_record_of_any_length() -> None:
+    record = FaceRecord()
+    mean = Poses.upright(np.zeros((1, 2)), np.ones(1), 2)
+    picture = np.zeros((48, 64, 3), np.uint8)
+    for number in range(1, 101):
+        record.add(
+            Frame(None if number == 9 else picture, number / 25, number), mean, np.full(4, 0.25), -number,
+            0.9, np.nan, 0.1, lost=number in (5, 6, 7, 20, 100), restarted=number == 8,
+            overlay=lambda: picture,
+        )  # fmt: skip
+    assert record.lost_periods == [(5, 7), (20, 20), (100, 100)]
+    assert record.missing == [9]
+    assert record.notes == [
+        "Missing, unreadable or blank, and only predicted: frame 9.",
+        "Lost in frames 5 to 7, 20, 100.",
+        "Found again: frame 8.",
+    ]
+    assert record.evidence_measures == {"mean": -50.5, "median": -50.5, "lowest": -100, "lowest_frame": 100}
+    assert record.error_measures(10.0) is None
+    assert set(record.experts) == {4.0}
+    assert 5 <= len(record.snapshots) <= 8
+
+
+# --- output -------------------------------------------------------------------------------------------------
+
+
+def test_existing_results(film: Path, start: Path, finished: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    before = {path: path.read_bytes() for path in finished.iterdir()}
+    assert "already holds results: use --overwrite or --resume\n" in complaint(
+        capfd, film, "--landmarks", start, "--out", finished
+    )
+    complaint(capfd, film, "--landmarks", start, "--out", finished, "--overwrite", "--start", 99)
+    assert {path: path.read_bytes() for path in finished.iterdir()} == before
+
+
+def test_a_full_disk(film: Path, start: Path, tmp_path: Path) -> None:
+    run.on_a_full_disk(tmp_path / "out", 20_000, film, "--landmarks", start, *FEW)
+
+
+@pytest.mark.parametrize("n_frames", [0, 5])
+def test_control_c(
+    n_frames: int,
+    film: Path,
+    truth: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """The run ends after the current frame, with complete results if there are any."""
+    is_blank = blank_frames.is_blank
+    seen: list[int] = []
+
+    def interrupting(image: NDArray[np.uint8]) -> bool:
+        seen.append(1)
+        if len(seen) == max(n_frames, 1):
+            signal.raise_signal(signal.SIGINT)
+        return is_blank(image) or n_frames == 0
+
+    monkeypatch.setattr(blank_frames, "is_blank", interrupting)
+    out = tmp_path / "out"
+    assert run(film, "--landmarks", truth, "--out", out, *FEW) == 130
+    line = "" if n_frames else "rsmcm: interrupted before there was any result\n"
+    assert capfd.readouterr().err == line
+    assert out.exists() == bool(n_frames)
+    if n_frames:
+        assert names(out) == {*RESULTS, "overlay.part000000005.mp4", "poses.part000000005.npz"}
+        summary = summary_of(out)
+        assert summary["ended_early"]
+        assert summary["frames"] == n_frames
+        assert len(poses_of(out)["landmarks"]) == n_frames

@@ -1,0 +1,229 @@
+"""Still pictures: as OpenCV and Pillow read them, upright, and none that memory does not hold."""
+
+import io
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from PIL import Image, ImageOps
+from rsmcm.apps.io.sources.image_reader import SCALED
+from rsmcm.apps.io.sources.images import IMAGE_SUFFIXES, read_grey, read_image, to_8_bits
+from rsmcm.apps.io.sources.open_source import open_source
+
+from ....conftest import Command, with_peak
+
+HEIGHT, WIDTH = 64, 80
+SUFFIXES = sorted(IMAGE_SUFFIXES - {".pbm"})  # OpenCV writes that with one bit only
+
+
+def picture(kind: type = np.uint8, channels: int = 3) -> NDArray[Any]:
+    """Smooth, so that lossy formats keep it."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    planes = [rows * 4, columns * 3, rows + columns][:channels]
+    scale = 257 if kind is np.uint16 else 1
+    return np.asarray(np.squeeze(np.dstack(planes)) * scale, kind)
+
+
+def write(path: Path, image: NDArray[Any]) -> Path:
+    assert cv2.imwrite(str(path), image)
+    return path
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_as_opencv_reads_it(tmp_path: Path, suffix: str, channels: int) -> None:
+    if (suffix, channels) in ((".pgm", 3), (".ppm", 1)):
+        pytest.skip("no such form")
+    path = write(tmp_path / f"a{suffix}", picture(channels=channels))
+    image, grey = read_image(path), read_grey(path)
+    assert image is not None
+    assert grey is not None
+    np.testing.assert_array_equal(image, cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
+    np.testing.assert_array_equal(grey, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+
+
+def test_one_bit_and_transparent_pictures(tmp_path: Path) -> None:
+    bits = np.indices((HEIGHT, WIDTH)).sum(0) % 2 * np.uint8(255)
+    for suffix in (".pbm", ".png", ".tif"):
+        path = tmp_path / f"bits{suffix}"
+        Image.fromarray(bits.astype(np.uint8)).convert("1").save(path)
+        np.testing.assert_array_equal(read_image(path), bits)
+    transparent = np.dstack([picture(), np.full((HEIGHT, WIDTH), 9, np.uint8)])
+    np.testing.assert_array_equal(read_image(write(tmp_path / "transparent.png", transparent)), picture())
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_turned_as_exif_says(tmp_path: Path, orientation: int) -> None:
+    path = tmp_path / "turned.jpg"
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.fromarray(picture()[:, :, ::-1]).save(path, exif=exif, quality=95)
+    with Image.open(path) as stored:
+        expected = np.asarray(ImageOps.exif_transpose(stored))
+    image, grey = read_image(path), read_grey(path)
+    assert image is not None
+    assert grey is not None
+    assert image.shape == expected.shape
+    assert grey.shape == expected.shape[:2]
+    assert np.abs(image[:, :, ::-1].astype(int) - expected).max() <= 2, "decoders round differently"
+    with open_source(str(path)) as source:
+        assert source.size == (expected.shape[1], expected.shape[0])
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".jp2"])
+def test_16_bits_are_scaled_and_that_is_said_once(tmp_path: Path, suffix: str) -> None:
+    for number in (1, 2):
+        write(tmp_path / f"deep{number}{suffix}", picture(np.uint16, channels=1))
+    with open_source(str(tmp_path)) as source:
+        frames = list(source)
+        assert source.notes == [SCALED]
+    for frame in frames:
+        np.testing.assert_array_equal(frame.image, picture(channels=1))
+    np.testing.assert_array_equal(read_grey(tmp_path / f"deep1{suffix}"), picture(channels=1))
+
+
+@given(st.integers(0, 65535))
+def test_scaling_is_even_from_black_to_white(value: int) -> None:
+    (scaled,) = to_8_bits(np.array([[value]], np.uint16)).ravel()
+    assert abs(int(scaled) - value / 257) <= 0.5
+
+
+def test_float_pictures_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", picture(channels=1).astype(np.float32))
+    with pytest.raises(ValueError, match=r"a\.tif: has float32 values, expected 8 or 16 bits a channel$"):
+        open_source(str(path))
+
+
+# --- pictures that are too large ----------------------------------------------------------------------------
+
+
+def png(width: int, height: int) -> bytes:
+    """A whole black picture of one bit a pixel."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+        )
+
+    deflate = zlib.compressobj(9)
+    row = bytes(1 + -(-width // 8))
+    data = b"".join(deflate.compress(row) for _ in range(height)) + deflate.flush()
+    header = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+def patched(suffix: str, position: Callable[[bytes], int], form: str, *sizes: int) -> bytes:
+    """A small picture whose header says that it is a large one."""
+    data = bytearray(cv2.imencode(suffix, picture(), [cv2.IMWRITE_WEBP_QUALITY, 90])[1].tobytes())
+    struct.pack_into(form, data, position(bytes(data)), *sizes)
+    return bytes(data)
+
+
+def tiff(width: int, height: int) -> bytes:
+    """One black strip for a large picture."""
+    file = io.BytesIO()
+    Image.new("L", (WIDTH, HEIGHT)).save(file, "TIFF")
+    data = bytearray(file.getvalue())
+    (directory,) = struct.unpack_from("<I", data, 4)
+    (n_entries,) = struct.unpack_from("<H", data, directory)
+    for entry in range(directory + 2, directory + 2 + 12 * n_entries, 12):
+        (tag,) = struct.unpack_from("<H", data, entry)
+        if tag in (256, 257):
+            struct.pack_into("<HII", data, entry + 2, 4, 1, width if tag == 256 else height)
+    return bytes(data)
+
+
+LARGE = {
+    ".png": lambda: png(25_000, 25_000),
+    ".jpg": lambda: patched(".jpg", lambda data: data.index(b"\xff\xc0") + 5, ">HH", 25_000, 25_000),
+    ".bmp": lambda: patched(".bmp", lambda _: 18, "<ii", 25_000, 25_000),
+    ".ppm": lambda: b"P6\n25000 25000\n255\n" + bytes(1000),
+    ".pgm": lambda: b"P2\n25000 25000\n255\n" + b"0 " * 1000,
+    ".pbm": lambda: b"P4\n25000 25000\n" + bytes(1000),
+    ".tif": lambda: tiff(25_000, 25_000),
+    ".jp2": lambda: patched(".jp2", lambda data: data.index(b"ihdr") + 4, ">II", 25_000, 25_000),
+    ".webp": lambda: patched(".webp", lambda data: data.index(b"\x9d\x01\x2a") + 3, "<HH", 16_000, 16_000),
+}
+
+
+@pytest.mark.parametrize("suffix", LARGE)
+def test_large_pictures_are_refused_before_they_are_decoded(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / f"large{suffix}"
+    path.write_bytes(LARGE[suffix]())
+
+    def decoded(*_: object) -> None:
+        raise AssertionError("decoded")
+
+    monkeypatch.setattr(cv2, "imdecode", decoded)
+    words = Command("background").complaint(capfd, path, "--out", tmp_path / "out")
+    assert words.startswith(f"rsmcm: {path}: has more than 134217728 pixels")
+    assert not (tmp_path / "out").exists()
+
+
+def test_large_regions_and_truths_are_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    frame, large = write(tmp_path / "a.png", picture()), tmp_path / "large.png"
+    large.write_bytes(LARGE[".png"]())
+    given = ["background", frame, "--out", tmp_path / "out"]
+    words = Command("background").complaint(capfd, *given[1:], "--roi", large)
+    assert words.startswith(f"rsmcm: --roi: {large}: has more than")
+    truth = tmp_path / "truth" / "groundtruth"
+    truth.mkdir(parents=True)
+    large.rename(truth / "gt000001.png")
+    words = Command("background").complaint(capfd, *given[1:], "--ground-truth", truth.parent)
+    assert "gt000001.png: has more than" in words
+
+
+def test_refusal_takes_little_memory(tmp_path: Path) -> None:
+    path = tmp_path / "large.png"
+    path.write_bytes(LARGE[".png"]())
+    done, peak = with_peak("background", path, "--out", tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert peak < 1 << 30
+
+
+# --- damaged pictures ---------------------------------------------------------------------------------------
+
+
+SEEDS = {suffix: cv2.imencode(suffix, picture())[1].tobytes() for suffix in SUFFIXES if suffix != ".pgm"}
+
+
+@given(
+    suffix=st.sampled_from(sorted(SEEDS)),
+    changes=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), max_size=4),
+    share=st.floats(0.3, 1.5),
+    early=st.booleans(),
+)
+def test_whatever_the_bytes_a_picture_none_or_one_line(
+    tmp_path_factory: pytest.TempPathFactory,
+    suffix: str,
+    changes: list[tuple[float, int]],
+    share: float,
+    early: bool,
+) -> None:
+    data = bytearray(SEEDS[suffix])
+    reach = 64 if early else len(data)
+    for place, value in changes:
+        data[min(int(place * reach), len(data) - 1)] = value
+    path = tmp_path_factory.getbasetemp() / f"damaged{suffix}"
+    path.write_bytes(data[: int(share * len(data))])
+    for reader in (read_image, read_grey):
+        words = f"{path}: "
+        try:
+            image = reader(path)
+        except ValueError as error:
+            words = str(error)
+        else:
+            assert image is None or image.ndim in (2, 3)
+        assert words.startswith(f"{path}: ")
+        assert "\n" not in words

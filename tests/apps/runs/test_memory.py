@@ -1,0 +1,92 @@
+"""What a run says that it needs in memory is what it takes."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.apps.runs import memory
+from rsmcm.apps.scenes import face, signer
+
+from ...conftest import Command, with_peak
+
+SCALES = (2, 4)
+AT_MOST, AT_LEAST = 1.15, 0.4
+"""Of what is stated."""
+
+
+def film(folder: Path, images: list[np.ndarray], scale: int) -> tuple[Path, int]:
+    """A film whose pictures are magnified, and its pixels."""
+    path = folder / f"film{scale}"
+    path.mkdir()
+    for number, image in enumerate(images):
+        large = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+        cv2.imwrite(str(path / f"{number}.jpg"), large)
+    return path, large.shape[0] * large.shape[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "options", "stated"),
+    [
+        ("background", (), memory.BACKGROUND["gaussian"]),
+        ("background", ("--config", "mixture.toml"), memory.BACKGROUND["mixture"]),
+        ("structure", ("--stop", 4), memory.STRUCTURE + 4 * memory.STRUCTURE_FRAME),
+        ("body", ("--head", "{0},{1},{2},{3}"), memory.BODY),
+        (
+            "face",
+            ("--landmarks", "landmarks{scale}.npy", "--experts", 100),
+            memory.FACE + 100 * memory.FACE_EXPERT,
+        ),
+    ],
+)
+def test_bytes_per_pixel(name: str, options: tuple[object, ...], stated: float, tmp_path: Path) -> None:
+    (tmp_path / "mixture.toml").write_text('[background]\nmodel = "mixture"\n')
+    scene = face(8, light=0.5) if name == "face" else signer(8, 2)
+    found = []
+    for scale in SCALES:
+        path, pixels = film(tmp_path, list(scene.images()), scale)
+        if name == "face":
+            np.save(tmp_path / f"landmarks{scale}.npy", (scene.vertices + 0.5) * scale - 0.5)
+        head = [scale * number for number in (354, 74, 58, 82)]
+        filled = [str(option).format(*head, scale=scale) for option in options]
+        given = [tmp_path / each if each.endswith((".toml", ".npy")) else each for each in filled]
+        done, peak = with_peak(name, path, "--out", tmp_path / f"out{scale}", *given)
+        assert done.returncode == 0, done.stderr
+        found.append((pixels, peak))
+    (few, less), (many, more) = found
+    assert AT_LEAST * stated < (more - less) / (many - few) < AT_MOST * stated
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("background", ()),
+        ("structure", ()),
+        ("body", ("--head", "354,74,58,82")),
+        ("face", ()),
+    ],
+)
+def test_a_run_that_needs_more_than_there_is(
+    name: str,
+    options: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    path, _ = film(tmp_path, list(signer(4, 2).images()), 1)
+    monkeypatch.setattr(memory.psutil, "virtual_memory", lambda: SimpleNamespace(available=2_000_000))
+    message = Command(name).complaint(capfd, path, "--out", tmp_path / "out", *options)
+    assert f"{path}: a run on 640x360 px with these settings needs about" in message
+    assert "0.002 GB that are available" in message
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("name", "option"), [("face", "--experts"), ("body", "--samples")])
+def test_numbers_beyond_any_memory(
+    name: str, option: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path, _ = film(tmp_path, list(signer(4, 2).images()), 1)
+    message = Command(name).complaint(capfd, path, "--out", tmp_path / "out", option, 10**9)
+    assert "GB that are available" in message

@@ -1,0 +1,297 @@
+"""The synthetic signer: exact truth, faults as often as asked for, pictures that show what the truth says."""
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.apps.scenes import signer
+from rsmcm.apps.scenes.signing.faults import BOX_NOISE, FACE_BELOW, FACE_BOX, MISSING, bursts
+from rsmcm.apps.scenes.signing.kernels import draw_solid
+from rsmcm.models.core.frame import Frame
+
+HANDS = (4, 7)  # of JOINTS
+SEEDS = range(5)
+
+
+def disc(size, centre, radius):
+    columns, rows = np.arange(size[0]), np.arange(size[1])[:, None]
+    return (columns - centre[0]) ** 2 + (rows - centre[1]) ** 2 < radius**2
+
+
+def hues(image):
+    """Shares of blue and red in all light, which shading leaves as they are."""
+    smooth = cv2.blur(image, (3, 3)).astype(np.float64)
+    return smooth[..., [0, 2]] / (smooth.sum(axis=-1, keepdims=True) + 1)
+
+
+@cache
+def flesh_hue(scene):
+    face = disc(scene.size, scene.joints[0, 0, :2], 0.25 * scene.body.head_height)
+    return np.median(hues(scene.image(0))[face], axis=0)
+
+
+def flesh(scene, image):
+    """Pixels whose hue is near to that of the middle of the face."""
+    return np.linalg.norm(hues(image) - flesh_hue(scene), axis=-1) < 0.035
+
+
+# Truth
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_poses_are_within_limits_and_in_the_picture(seed):
+    scene = signer(120, seed)
+    assert scene.body.allowed(scene.poses).all()
+    assert len(scene.poses) == 120
+    assert scene.joints.shape == (120, 8, 3)
+    np.testing.assert_array_equal(scene.joints, scene.body.joints(scene.poses))
+    np.testing.assert_allclose(np.linalg.norm(scene.poses.arms, axis=-1), 1, atol=1e-12)
+    inside = (scene.joints[..., :2] > 0) & (scene.joints[..., :2] < np.array(scene.size) - 1)
+    assert inside.all(axis=-1).mean() > 0.99
+    assert inside[:, [0, *HANDS]].all()
+    assert 0.2 * 360 < scene.body.head_height < 0.28 * 360
+
+
+def test_hands_are_as_fast_as_a_signers():
+    fastest, means = [], []
+    for seed in SEEDS:
+        scene = signer(120, seed)
+        steps = np.diff(scene.joints[:, HANDS], axis=0)[..., :2] * 90 / scene.body.head_height
+        speeds = np.linalg.norm(steps, axis=-1)
+        fastest.append(speeds.max())
+        means.append(speeds.mean())
+        # smooth: no jump of velocity as large as the fastest movement
+        assert np.linalg.norm(np.diff(steps, axis=0), axis=-1).max() < 17
+    assert max(fastest) < 36
+    assert np.median(fastest) > 20
+    assert 4 < np.mean(means) < 9
+
+
+def test_hands_cross_the_face_and_each_other_and_reach_out():
+    face, crossed, near, ahead, raised, still = [], [], [], [], [], []
+    for seed in range(9):
+        scene = signer(120, seed)
+        body, joints = scene.body, scene.joints
+        half = np.array([body.head_width, body.head_height]) / 2
+        away = (joints[:, HANDS, :2] - joints[:, :1, :2]) / half
+        face.append((np.linalg.norm(away, axis=-1) < 1).any(axis=1).mean())
+        crossed.append((joints[:, HANDS[0], 0] < joints[:, HANDS[1], 0]).mean())
+        near.append((np.linalg.norm(np.diff(joints[:, HANDS, :2], axis=1), axis=-1) < 2 * body.hand).mean())
+        ahead.append((np.abs(scene.poses.arms[..., 2]).max(axis=2) > 0.8).mean())
+        raised.append(((joints[:, [3, 6], 1] - joints[:, [2, 5], 1]) < 0.3 * body.upper_arm).mean())
+        still.append(np.abs(np.diff(joints[:, 0, :2], axis=0)).max())
+    assert np.mean(np.array(face) > 0) > 0.7
+    assert np.mean(np.array(crossed) > 0) > 0.5
+    assert np.mean(np.array(near) > 0) > 0.7
+    assert np.mean(ahead) > 0.2
+    assert np.mean(np.array(raised) > 0) > 0.4
+    assert min(still) > 0.3
+    assert max(still) < 10
+
+
+def test_hands_do_not_pass_through_head_or_each_other():
+    for seed in SEEDS:
+        scene = signer(120, seed)
+        body, joints = scene.body, scene.joints
+        half = np.array([body.head_width, body.head_height, 0.9 * body.head_height]) / 2
+        away = (joints[:, HANDS] - joints[:, :1]) / half
+        assert (np.linalg.norm(away, axis=-1) > 1).all()
+        assert np.linalg.norm(joints[:, HANDS[0]] - joints[:, HANDS[1]], axis=-1).min() > 0.8 * body.hand
+
+
+def test_scenes_differ_and_longer_ones_begin_like_shorter_ones():
+    short, long, other = signer(20, 3), signer(45, 3), signer(20, 4)
+    np.testing.assert_array_equal(short.poses.angles, long.poses.angles[:20])
+    np.testing.assert_array_equal(short.hidden, long.hidden[:20])
+    for index in (0, 19):
+        np.testing.assert_array_equal(short.image(index), long.image(index))
+    for mine, theirs in zip(short.detector.boxes, long.detector.boxes, strict=False):
+        np.testing.assert_array_equal(mine, theirs)
+    assert short.body != other.body
+    assert not np.array_equal(short.image(0), other.image(0))
+
+
+def test_any_frame_can_be_rendered_on_its_own():
+    scene = signer(6, 5)
+    forwards = [frame.image for frame in scene]
+    again = signer(6, 5)
+    for index in (4, 1, 5, 0):
+        np.testing.assert_array_equal(again.image(index), forwards[index])
+    np.testing.assert_array_equal(scene.image(-1), forwards[5])
+    assert [frame.number for frame in scene] == [1, 2, 3, 4, 5, 6]
+    assert scene.frame(2).time == pytest.approx(0.08)
+    with pytest.raises(IndexError):
+        scene.image(6)
+
+
+@pytest.mark.parametrize("size", [(160, 120), (640, 360), (480, 480)])
+def test_sizes(size):
+    scene = signer(3, 1, size=size)
+    image = scene.image(1)
+    assert image.shape == (size[1], size[0], 3)
+    assert image.dtype == np.uint8
+    assert image.std() > 15
+
+
+# Faults
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.5, 0.9])
+def test_features_are_missing_in_bursts_as_often_as_asked_for(share):
+    scene = signer(6000, 2, detector_dropout=share)
+    np.testing.assert_allclose(scene.hidden.mean(axis=0), share, atol=0.025)
+    # each part on its own
+    together = (scene.hidden[:, 1] & scene.hidden[:, 2]).mean()
+    assert together == pytest.approx(share**2, abs=0.03)
+    numbers = bursts(6000, share, MISSING, np.random.default_rng(1))
+    lengths = np.bincount(numbers)[1:-1]
+    assert lengths.min() >= (MISSING[0] if share < 0.8 else 1)  # short pauses vanish, then bursts overlap
+    assert lengths.max() <= MISSING[1]
+
+
+def test_no_and_full_dropout():
+    assert not signer(200, 1, detector_dropout=0.0).hidden.any()
+    assert signer(200, 1, detector_dropout=1.0).hidden.all()
+
+
+def test_a_short_scene_has_nearly_its_share():
+    shares = [signer(120, seed).hidden.mean() for seed in range(30)]
+    assert np.mean(shares) == pytest.approx(0.2, abs=0.03)
+    assert np.std(shares) < 0.05
+
+
+def test_detector_finds_the_face_unless_it_is_hidden():
+    scene = signer(1000, 3, clutter=0.0)
+    boxes = [scene.detector(Frame(np.zeros((360, 640, 3), np.uint8), 0.0, k + 1)) for k in range(1000)]
+    np.testing.assert_array_equal([len(found) == 0 for found in boxes], scene.hidden[:, 0])
+    seen = ~scene.hidden[:, 0]
+    found = np.concatenate(boxes)
+    side = FACE_BOX * scene.body.head_height
+    centres = found[:, :2] + found[:, 2:] / 2
+    errors = np.column_stack(
+        [centres - scene.joints[seen, 0, :2] - [0, FACE_BELOW * side], found[:, 2] - side]
+    )
+    n = len(found)
+    np.testing.assert_allclose(errors.mean(axis=0) / side, 0, atol=4 * BOX_NOISE / np.sqrt(n))
+    np.testing.assert_allclose(errors.std(axis=0) / side, BOX_NOISE, rtol=4 / np.sqrt(2 * n))
+
+
+def test_false_alarms_grow_with_clutter():
+    counts = [
+        sum(len(boxes) for boxes in signer(1000, 1, 1.0, clutter).detector.boxes) for clutter in (0, 1, 2.5)
+    ]
+    assert counts[0] == 0
+    assert counts[1] == pytest.approx(40, abs=4 * np.sqrt(40))
+    assert counts[2] == pytest.approx(100, abs=40)
+
+
+def test_detector_of_another_scene_and_of_no_picture():
+    detector = signer(5, 1).detector
+    with pytest.raises(ValueError, match="frame 6, expected one of its own scene, 1 to 5"):
+        detector(Frame(np.zeros((360, 640, 3), np.uint8), 0.0, 6))
+    assert detector(Frame(None, 0.0, 1)).shape == (0, 4)
+
+
+def test_false_flesh_comes_as_often_as_asked_for():
+    assert signer(200, 1, clutter=0.0).distractors == ()
+    for clutter in (0.5, 2.0):
+        scene = signer(2000, 1, clutter=clutter)
+        there = np.zeros(2000, bool)
+        for thing in scene.distractors:
+            there[thing.first : thing.last + 1] = True
+            assert ((thing.start > 0) & (thing.start < scene.size)).all()
+            assert 0.1 < thing.radius / scene.body.head_height < 0.35
+        assert there.mean() == pytest.approx(0.15 * clutter, abs=0.03)
+
+
+# Pictures
+
+
+@pytest.mark.parametrize("seed", [3, 6])
+def test_hands_are_flesh_where_the_truth_says_unless_they_are_hidden(seed):
+    scene = signer(120, seed, detector_dropout=0.4, clutter=0.0)
+    body = scene.body
+    shown, gone, off = [], [], []
+    for index in range(0, 120, 6):
+        image = scene.image(index)
+        like_flesh = flesh(scene, image)
+        head, hands = scene.joints[index, 0], scene.joints[index, HANDS, :]
+        for side in (0, 1):
+            hand, other = hands[side], hands[1 - side]
+            elbow = scene.joints[index, 3 + 3 * (1 - side)]
+            # parts that may be in front of this hand, or flesh beside it
+            near = [np.linalg.norm((thing - hand)[:2]) for thing in (head, other, elbow, (other + elbow) / 2)]
+            if min(near) < 1.2 * body.head_height:
+                continue
+            around = disc(scene.size, hand, 1.3 * body.hand)
+            share = like_flesh[around].mean()
+            (gone if scene.hidden[index, 1 + side] else shown).append(share)
+            if not scene.hidden[index, 1 + side]:
+                rows, columns = np.nonzero(like_flesh & around)
+                off.append(np.array([columns.mean(), rows.mean()]) - hand[:2])
+    assert min(len(shown), len(gone)) >= 2
+    assert np.median(shown) > 0.25
+    assert max(gone) < 0.02
+    assert np.median(np.linalg.norm(off, axis=1)) < 0.09 * body.head_height
+
+
+def test_head_is_flesh_and_false_flesh_is_too():
+    scene = signer(200, 3, detector_dropout=0.0)
+    thing = next(each for each in scene.distractors if each.in_front)
+    index = (thing.first + thing.last) // 2
+    image = scene.image(index)
+    head = disc(scene.size, scene.joints[index, 0, :2], 0.25 * scene.body.head_height)
+    assert flesh(scene, image)[head].mean() > 0.5
+    false = disc(scene.size, thing.place(index), 0.7 * thing.radius)
+    assert flesh(scene, image)[false].mean() > 0.5
+
+
+def test_clutter_and_noise_do_what_they_say():
+    plain, full = (
+        signer(2, 1, clutter=clutter, noise=0.0).image(0).astype(float)[:40, :640] for clutter in (0.0, 2.0)
+    )
+    assert np.abs(np.diff(plain, axis=1)).mean() < 0.5 * np.abs(np.diff(full, axis=1)).mean()
+    calm, noisy = (signer(2, 1, noise=noise).image(0).astype(float) for noise in (0.0, 2.5))
+    assert np.std(noisy - calm) == pytest.approx(2.5, rel=0.05)
+
+
+def test_near_triangles_hide_far_ones():
+    colours, depths = np.zeros((20, 30, 3), np.float32), np.full((20, 30), 1e30, np.float32)
+    nearer = np.array([0.0, 0.0, -1.0])
+    corners = np.array([[2.0, 2.0, 5.0], [27.0, 3.0, 5.0], [10.0, 18.0, 5.0]])
+    texture = np.full((4, 4, 3), 100, np.float32)
+    attributes = np.column_stack([np.full((3, 2), 1.5), [1.0, 0.5, 0.5]])
+    one = np.array([[0, 1, 2]])
+    draw_solid(colours, depths, corners, attributes, one, texture)
+    columns, rows = np.meshgrid(np.arange(30), np.arange(20))
+    # shares of the corners from the linear equations they obey
+    system = np.vstack([corners[:, :2].T, np.ones(3)])
+    shares = np.linalg.solve(system, np.stack([columns, rows, np.ones((20, 30))]).reshape(3, -1))
+    inside = (shares >= -1e-9).all(axis=0).reshape(20, 30)
+    np.testing.assert_array_equal(depths < 1e30, inside)
+    light = (shares.T @ attributes[:, 2]).reshape(20, 30)
+    np.testing.assert_allclose(colours[inside], 100 * light[inside][:, None].repeat(3, axis=1), rtol=1e-5)
+    before = colours.copy()
+    draw_solid(colours, depths, corners - nearer, attributes, one, 2 * texture)
+    np.testing.assert_array_equal(colours, before)
+    draw_solid(colours, depths, corners + nearer, attributes, one, 2 * texture)
+    np.testing.assert_allclose(colours, 2 * before, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"n_frames": 0}, "n_frames: got 0, expected 1 or more"),
+        ({"detector_dropout": 1.5}, "detector_dropout: got 1.5, expected 0 to 1"),
+        ({"detector_dropout": float("nan")}, "detector_dropout: got nan, expected 0 to 1"),
+        ({"clutter": -1.0}, "clutter: got -1.0, expected 0 or more"),
+        ({"noise": float("inf")}, "noise: got inf, expected 0 or more"),
+        ({"size": (100, 100)}, "size: got"),
+        ({"size": (300, 400)}, "size: got"),
+        ({"seed": -1}, "seed: got -1, expected 0 or more"),
+    ],
+)
+def test_bad_parameters(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        signer(**arguments)

@@ -1,0 +1,315 @@
+"""The rendered face: its truth is exact, light and noise are as wanted, and the seed decides all."""
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.apps.scenes import FaceScene, face
+from rsmcm.apps.scenes.face_paint import SKIN, mottle, skin_texels
+from rsmcm.apps.scenes.rendering_kernels import FARTHEST, average_samples, draw_mesh
+from rsmcm.apps.scenes.talking_face import FINENESS, TEXELS
+from rsmcm.models.face.built_in_model import face_model, face_plane
+
+Array = NDArray[np.float64]
+PLAIN: dict[str, Any] = {"texture": 0, "light": 0, "noise": 0, "background": 0}
+
+
+def normals(scene: FaceScene, index: int, fineness: int) -> Array:
+    """Unit normals at the vertices of the scene's model, from a mesh of its own."""
+    mesh = face_model(fineness, shields=scene.shields)
+    corners = mesh.positions(scene.poses[index])[0][mesh.triangles]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    unit = np.zeros((mesh.n_vertices, 3))
+    for corner in range(3):
+        np.add.at(unit, mesh.triangles[:, corner], cross)
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    return unit[: scene.model.n_vertices]
+
+
+def at(picture: NDArray[Any], places: Array) -> Array:
+    """The picture at `(n, 2)` px, bilinear."""
+    x, y = (places[:, axis].astype(np.float32)[None] for axis in range(2))
+    seen: Array = cv2.remap(picture.astype(np.float32), x, y, cv2.INTER_LINEAR)[0].astype(np.float64)
+    return seen
+
+
+# Truth
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("index", [0, 60, 140])
+def test_the_skin_is_drawn_where_the_truth_has_it(axis: int, index: int) -> None:
+    # A skin whose grey level is the column (row) of its texel: the picture then says which texel it shows.
+    scene = face(200, 3, **PLAIN)
+    columns = np.indices(scene._skin.shape, dtype=np.float32)[1 - axis]
+    scene.__dict__["_skin"] = columns
+    picture = scene._drawn(index)[0]
+    expected = skin_texels(face_plane(), scene._density)[:, axis]
+    inside = cv2.erode(scene.foreground(index).astype(np.uint8), np.ones((7, 7))) > 0
+    facing = scene.visible[index] & (normals(scene, index, 4)[:, 2] < -0.5)
+    facing &= at(inside, scene.vertices[index]) == 1
+    assert facing.sum() > 50
+    error = at(picture, scene.vertices[index]) - expected
+    # A pixel averages over a facetted, curved surface and is read between pixels: 0.3 px, mean below 0.03.
+    assert np.abs(error[facing]).max() < 0.3 * TEXELS
+    assert abs(error[facing].mean()) < 0.03 * TEXELS
+
+
+def test_poses_are_those_of_the_trackers_model() -> None:
+    scene = face(30, 1, motion="fast")
+    np.testing.assert_array_equal(scene.vertices, scene.model.project(scene.poses))
+    np.testing.assert_allclose(scene._mesh.project(scene.poses)[:, : scene.model.n_vertices], scene.vertices)
+    assert len(scene) == len(scene.poses) == len(scene.visible) == 30
+    assert scene.visible.shape == scene.vertices.shape[:2]
+    assert scene._mesh.n_vertices > 10 * scene.model.n_vertices
+
+
+def test_the_face_covers_what_its_outline_encloses() -> None:
+    # From the front nothing hides anything: the covered area is the sum of the triangles' areas.
+    scene = face(1, 0, noise=0)
+    covered = scene._drawn(0)[1]
+    corners = scene._mesh.project(scene.poses)[0][scene._mesh.triangles]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum() / 2
+    # each of about 350 outline pixels is counted in ninths: an error of at most 0.1 px^2, independent
+    assert covered.sum() == pytest.approx(area, abs=5 * 0.1 * np.sqrt(350))
+    assert set(np.unique(np.rint(covered * 9))) <= set(range(10))
+    np.testing.assert_array_equal(scene.foreground(0), covered > 0.5)
+
+
+@pytest.mark.parametrize("shields", [False, True])
+def test_visibility_agrees_with_the_drawn_depths(shields: bool) -> None:
+    # An oracle of another kind: draw the mesh at 12 samples a px and compare a vertex with the depth there.
+    scene = face(120, 1, max_yaw=60, shields=shields)
+    mesh = scene._mesh
+    disagreements = compared = hidden = 0
+    for index in range(0, 120, 10):
+        places = mesh.positions(scene.poses[index])[0].copy()
+        places[:, :2] = (places[:, :2] - places[:, :2].min(axis=0)) * 12 + 3
+        columns, rows = np.ceil(places[:, :2].max(axis=0)).astype(int) + 3
+        depth = np.full((rows, columns), FARTHEST, np.float32)
+        blank = np.zeros((2, 2), np.float32)
+        draw_mesh(depth.copy(), depth, places, np.zeros_like(places), mesh.triangles, blank)
+        front = np.rint(places[: scene.model.n_vertices, :2]).astype(int)
+        behind = places[: scene.model.n_vertices, 2] - depth[front[:, 1], front[:, 0]]
+        facing = normals(scene, index, FINENESS)[:, 2]
+        clear = np.abs(facing) > 0.25  # at grazing angles a sample beside a vertex has another depth
+        disagreements += ((behind < 0.5) & (facing < 0) != scene.visible[index])[clear].sum()
+        compared += clear.sum()
+        hidden += (~scene.visible[index] & clear & (facing < 0)).sum()
+    assert disagreements <= 0.01 * compared
+    assert (hidden > 50) == shields  # these are not only turned away
+
+
+def test_vertices_outside_the_picture_are_not_visible() -> None:
+    scene = face(40, 0, (64, 64), motion="fast")
+    moved = replace(scene)
+    poses = scene.poses
+    moved.__dict__["poses"] = type(poses)(poses.rotations, poses.translations + 50, poses.morphs)
+    assert moved.visible.sum() < scene.visible.sum()
+    assert (moved.vertices[moved.visible] < 63.5).all()
+    assert not moved.foreground(0)[:, 0].any()
+    moved.__dict__["poses"] = type(poses)(poses.rotations, poses.translations + 500, poses.morphs)
+    assert not moved.foreground(0).any()
+
+
+# Drawing
+
+
+@settings(deadline=None, max_examples=20)
+@given(seed=st.integers(0, 1000))
+def test_the_nearer_triangle_wins_whatever_the_order(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    places = generator.uniform(0, 30, (30, 3))
+    attributes = np.column_stack([np.zeros((30, 2)), np.repeat(generator.uniform(0.1, 1, 10), 3)])
+    triangles = np.arange(30).reshape(10, 3)
+    texture = np.ones((2, 2), np.float32)
+    pictures = []
+    for order in (np.arange(10), generator.permutation(10)):
+        grey, depth = np.zeros((30, 30), np.float32), np.full((30, 30), FARTHEST, np.float32)
+        draw_mesh(grey, depth, places, attributes, triangles[order], texture)
+        pictures.append(grey)
+        for row, column in generator.integers(0, 30, (40, 2)):
+            nearest, light = FARTHEST, 0.0
+            for a, b, c in triangles:  # the plain way: solve for barycentric coordinates
+                matrix = np.vstack([places[[a, b, c], :2].T, np.ones(3)])
+                shares = np.linalg.solve(matrix, [column, row, 1])
+                if shares.min() >= 0 and shares @ places[[a, b, c], 2] < nearest:
+                    nearest, light = shares @ places[[a, b, c], 2], attributes[a, 2]
+            assert grey[row, column] == pytest.approx(light, rel=1e-5)
+    np.testing.assert_array_equal(*pictures)
+
+
+def test_samples_are_averaged_over_what_was_there() -> None:
+    grey = np.array([[10, 20, 0, 0], [30, 0, 0, 0]], np.float32)
+    depth = np.where(grey > 0, 1, FARTHEST).astype(np.float32)
+    picture, covered = np.full((3, 4), 100, np.float32), np.zeros((3, 4), np.float32)
+    average_samples(picture, covered, grey, depth, 2, 1, 2)
+    expected = np.full((3, 4), 100.0)
+    expected[2, 1] = (10 + 20 + 30 + 100) / 4
+    np.testing.assert_allclose(picture, expected)
+    assert covered[2, 1] == 0.75
+    assert covered.sum() == 0.75
+
+
+# Light, texture, noise
+
+
+def test_without_light_and_texture_the_face_is_even() -> None:
+    scene = face(60, 0, max_yaw=60, **PLAIN)
+    for index in (0, 50):
+        inside = cv2.erode(scene.foreground(index).astype(np.uint8), np.ones((3, 3))) > 0
+        assert (scene.image(index)[inside] == SKIN).all()
+        assert (np.unique(scene.image(index)[~scene.foreground(index)]).size) < 15  # wall and outline only
+
+
+def test_light_follows_lamberts_law_on_the_true_surface() -> None:
+    scene = face(150, 2, **{**PLAIN, "light": 1})
+    for index in (0, 70, 149):
+        # normals of a mesh twice as fine as the renderer's
+        normal = normals(scene, index, 2 * FINENESS)
+        direction, gain = scene._lights[0][index], scene._lights[1][index]
+        expected = SKIN * gain * (0.4 + 0.75 * np.maximum(normal @ direction, 0))
+        inside = cv2.erode(scene.foreground(index).astype(np.uint8), np.ones((7, 7))) > 0
+        chosen = scene.visible[index] & (at(inside, scene.vertices[index]) == 1)
+        error = at(scene._drawn(index)[0], scene.vertices[index]) - expected
+        # facets turn by up to 20 degrees about the nose: a few grey levels there, less than 2 on average
+        assert np.abs(error[chosen]).mean() < 2
+    directions, gains = scene._lights
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
+    assert (directions[:, 2] < 0).all()  # the lamp is on the viewer's side
+    assert np.abs(np.diff(gains)).max() < 0.05
+    assert np.ptp(gains) > 0.1
+
+
+@pytest.mark.parametrize("noise", [2.0, 5.0])
+def test_noise_has_the_wanted_deviation_and_is_new_in_every_frame(noise: float) -> None:
+    scene = face(2, 0, noise=noise)
+    clean = [scene._drawn(index)[0] for index in range(2)]
+    errors = np.stack([scene.image(index) - clean[index] for index in range(2)])
+    # rounding adds 1/12; standard error of the deviation is 1 / sqrt(2 n) of it: 5 of these
+    assert errors.std() == pytest.approx(np.sqrt(noise**2 + 1 / 12), rel=5 / np.sqrt(2 * errors.size))
+    correlation = np.corrcoef(errors[0].ravel(), errors[1].ravel())[0, 1]
+    assert abs(correlation) < 5 / np.sqrt(errors[0].size)
+
+
+def test_texture_scales_contrast_and_change_moves_it() -> None:
+    full, weak = face(3, 0), face(3, 0, texture=0.2)
+    assert weak._skin.std() == pytest.approx(0.2 * full._skin.std(), rel=0.02)  # but for clipping
+    still, changing = face(300, 0, texture=0.5), face(300, 0, texture=0.5, change=12)
+    np.testing.assert_array_equal(still._albedo(0), still._albedo(250))
+    drift = np.stack([changing._albedo(index) - still._skin for index in range(0, 300, 10)])
+    # eight sines of unequal periods over 12 s: their mean square comes within a quarter
+    assert drift.std() == pytest.approx(12, rel=0.25)
+    steps = changing._albedo(51) - changing._albedo(50)
+    assert 0.2 < steps.std() < 3  # it changes slowly
+
+
+def test_blur_softens() -> None:
+    sharp, soft = (face(1, 0, noise=0, blur=blur).image(0).astype(float) for blur in (0.0, 1.5))
+    assert np.abs(np.diff(soft)).mean() < 0.7 * np.abs(np.diff(sharp)).mean()
+
+
+@pytest.mark.parametrize(("coarsest", "finest"), [(40.0, 1.0), (60.0, 8.0)])
+def test_mottle_has_unit_variance_and_no_detail_below_its_finest(coarsest: float, finest: float) -> None:
+    field = mottle((120, 200), coarsest, finest, np.random.default_rng(0))
+    assert field.shape == (120, 200)
+    assert field.std() == pytest.approx(1, rel=1e-5)
+    assert abs(field.mean()) < 1e-5
+    spectrum = np.abs(np.fft.fft2(field)) ** 2
+    frequency = np.hypot(np.fft.fftfreq(120)[:, None], np.fft.fftfreq(200)[None])
+    assert spectrum[frequency > 1.2 / finest].sum() < 1e-3 * spectrum.sum()
+
+
+# Motion
+
+
+def test_it_begins_at_rest_from_the_front() -> None:
+    scene = face(5, 4)
+    np.testing.assert_allclose(scene.poses.rotations[0], np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(scene.poses.morphs[0], [0.18 * 240, 0, 0, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(scene.poses.translations[0], [159.5, 119.5])
+    np.testing.assert_allclose(np.linalg.det(scene.poses.rotations), 1)
+
+
+@pytest.mark.parametrize("max_yaw", [35.0, 60.0])
+def test_it_turns_as_far_as_wanted(max_yaw: float) -> None:
+    most = []
+    for seed in range(5):
+        rotations = face(200, seed, max_yaw=max_yaw).poses.rotations
+        most.append(np.degrees(np.arcsin(rotations[:, 2, 0])))
+    most_of_all = np.abs(most).max(axis=1)
+    assert (most_of_all > 0.8 * max_yaw).all()
+    assert (most_of_all <= max_yaw + 3).all()  # nodding adds a little
+
+
+def test_fast_is_faster_and_both_stay_in_the_picture() -> None:
+    medians = {}
+    for motion in ("natural", "fast"):
+        steps = []
+        for seed in range(5):
+            scene = face(200, seed, motion=motion)  # type: ignore[arg-type]
+            steps.append(np.linalg.norm(np.diff(scene.vertices, axis=0), axis=2).mean(axis=1))
+            assert (scene.vertices > 0).mean() > 0.995
+            assert (scene.vertices < np.array(scene.size) - 1).mean() > 0.995
+            strengths = scene.poses.morphs[:, 1:] / scene.poses.morphs[:, :1]
+            assert np.abs(strengths).max() <= 3
+        medians[motion] = np.median(steps)
+    assert 0.5 < medians["natural"] < 2
+    assert medians["fast"] > 2 * medians["natural"]
+
+
+# Frames
+
+
+def test_frames_are_the_same_in_any_order_and_length() -> None:
+    scene, again, longer = face(6, 5, change=5), face(6, 5, change=5), face(50, 5, change=5)
+    forward = list(scene.images())
+    for index in (4, 0, 5, 2):
+        np.testing.assert_array_equal(again.image(index), forward[index])
+        np.testing.assert_array_equal(longer.image(index), forward[index])
+    assert (face(6, 6, change=5).image(0) != forward[0]).mean() > 0.5
+
+
+def test_frames_know_their_time_and_number() -> None:
+    scene = face(4, 0)
+    frames = list(scene)
+    assert [frame.number for frame in frames] == [1, 2, 3, 4]
+    assert frames[3].time == pytest.approx(3 / 25)
+    last = scene.frame(-1)
+    assert last.number == 4
+    assert last.image is not None
+    np.testing.assert_array_equal(last.image, scene.image(3))
+    assert last.image.shape == (240, 320)
+    assert last.image.dtype == np.uint8
+    with pytest.raises(IndexError):
+        scene.image(4)
+
+
+def test_pictures_scale_with_their_size() -> None:
+    small, large = face(30, 1, noise=0), face(30, 1, (640, 480), noise=0)
+    np.testing.assert_allclose(large.poses.sizes, 2 * small.poses.sizes)
+    assert large.foreground(20).sum() == pytest.approx(4 * small.foreground(20).sum(), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"n_frames": 0}, "n_frames: got 0"),
+        ({"size": (60, 240)}, r"size: got \(60, 240\)"),
+        ({"motion": "wild"}, "motion: got 'wild', expected one of natural, fast"),
+        ({"max_yaw": 90}, "max_yaw: got 90"),
+        ({"light": 2}, "light: got 2"),
+        ({"noise": -1}, "noise: got -1"),
+        ({"blur": float("nan")}, "blur: got nan"),
+        ({"texture": float("inf")}, "texture: got inf"),
+    ],
+)
+def test_parameters_out_of_range_are_named(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        face(**options)

@@ -1,0 +1,327 @@
+"""`rsmcm structure`, as a user runs it: on track files, on films, and with what can be wrong about them."""
+
+import json
+import shutil
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.scenes import Cylinder, cylinder
+from rsmcm.inference import CoordinateAscent
+
+from ...conftest import Command, names, summary_of
+from ...support.reconstructions import write_film
+
+run = Command("structure")
+complaint = run.complaint
+
+ALWAYS = {
+    "cameras.json", "tracks.npz", "predictions.npz", "summary.json", "report.html", "state.npz",
+    "manifest.json",
+}  # fmt: skip
+ALONE = ("--association", "none")  # quicker, where it makes no difference
+PX = 60.0  # per radius
+CENTRE = np.array([100.0, 80.0])
+
+
+def in_px(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    return PX * positions + CENTRE
+
+
+def track_file(path: Path, tracks: NDArray[np.float64]) -> Path:
+    np.savez(path, tracks=tracks)
+    return path
+
+
+@pytest.fixture(scope="module")
+def truth() -> Cylinder:
+    return cylinder(n_points=20, n_frames=24, p_loose=0.03, p_drift=0.0, seed=4, degrees_per_frame=4)
+
+
+@pytest.fixture(scope="module")
+def tracks(truth: Cylinder) -> NDArray[np.float64]:
+    return in_px(truth.tracks())
+
+
+@pytest.fixture(scope="module")
+def source(tracks: NDArray[np.float64], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return track_file(tmp_path_factory.mktemp("tracks") / "tracks.npz", tracks)
+
+
+@pytest.fixture(scope="module")
+def finished(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("finished") / "out"
+    assert run(source, "--out", out) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("film")
+    write_film(folder, n_frames=16)
+    return folder
+
+
+# --- what a run leaves --------------------------------------------------------------------------------------
+
+
+def test_files_of_a_run_on_tracks(finished: Path, tracks: NDArray[np.float64]) -> None:
+    assert names(finished) == {*ALWAYS, "structure.ply"}
+    summary = summary_of(finished)
+    with np.load(finished / "tracks.npz") as content:
+        found = dict(content)
+    n_frames, n_points = found["observed"].shape
+    assert found["position"].shape == (n_frames, n_points, 2)
+    assert found["covariance"].shape == (n_frames, n_points, 2, 2)
+    assert found["point_of_track"].shape == (tracks.shape[1],)
+    assert np.isfinite(found["position"]).all()
+    assert (np.linalg.eigvalsh(found["covariance"]) > 0).all()
+    assert summary["frames"] == n_frames == 24
+    assert summary["points"] == n_points
+    assert summary["tracks"] == tracks.shape[1]
+    assert summary["observations"] == np.count_nonzero(found["observed"])
+    assert f"element vertex {n_points}\n".encode() in (finished / "structure.ply").read_bytes()
+    assert (finished / "report.html").read_text().endswith("</html>\n")
+
+
+def test_partial_tracks_become_points(finished: Path, truth: Cylinder, tracks: NDArray[np.float64]) -> None:
+    summary = summary_of(finished)
+    assert tracks.shape[1] > 25
+    assert 20 <= summary["points"] <= 22
+    assert summary["shape"] == "euclidean"
+    assert summary["reprojection_rmse_px"] == pytest.approx(0.01 * PX * np.sqrt(2), rel=0.25)
+    assert summary["noise_px"] == pytest.approx(0.01 * PX, rel=0.25)
+
+
+def test_error_in_the_summary_is_that_of_the_tracks(finished: Path, tracks: NDArray[np.float64]) -> None:
+    """Root mean square distance between input and `position`, where a track was taken."""
+    with np.load(finished / "tracks.npz") as content:
+        taken = content["point_of_track"] >= 0
+        expected = content["position"][:, content["point_of_track"][taken]]
+    distances = np.linalg.norm(tracks[:, taken] - expected, axis=2)
+    measured = np.sqrt(np.nanmean(distances**2))
+    assert summary_of(finished)["reprojection_rmse_px"] == pytest.approx(measured, rel=0.05)
+
+
+def test_cameras_and_shape_project_to_the_positions(finished: Path) -> None:
+    head, body = (finished / "structure.ply").read_bytes().split(b"end_header\n", 1)
+    n_properties = head.count(b"\nproperty")
+    assert n_properties == 8
+    kinds = [("xyz", "<f4", 3), ("bgr", "u1", 3), ("deviation", "<f4"), ("count", "<i4")]
+    points = np.frombuffer(body, np.dtype(kinds))["xyz"].astype(float)
+    cameras = json.loads((finished / "cameras.json").read_text())["frames"]
+    with np.load(finished / "tracks.npz") as content:
+        positions = content["position"]
+    for camera, expected in zip(cameras, positions, strict=True):
+        matrix = np.array(camera["matrix"])
+        np.testing.assert_allclose(points @ matrix[:, :3].T + matrix[:, 3], expected, atol=0.5)
+        np.testing.assert_allclose(np.linalg.norm(np.array(camera["rotation"]), axis=1), 1)
+
+
+def test_every_track_a_point(source: Path, tracks: NDArray[np.float64], tmp_path: Path) -> None:
+    assert run(source, "--out", tmp_path, "--association", "none") == 0
+    with np.load(tmp_path / "tracks.npz") as content:
+        kept = content["point_of_track"][content["point_of_track"] >= 0]
+    assert len(np.unique(kept)) == len(kept) == summary_of(tmp_path)["points"]
+    assert len(kept) > 20
+
+
+def test_without_coherence(source: Path, tmp_path: Path) -> None:
+    assert run(source, "--out", tmp_path, "--coherence", "none", *ALONE) == 0
+    assert summary_of(tmp_path)["parameters"]["coherence"] == "none"
+
+
+def test_a_film(film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert run(film, "--out", out) == 0
+    assert names(out) >= {*ALWAYS, "structure.ply", "overlay.mp4"}
+    summary = summary_of(out)
+    assert summary["frames"] == 16
+    assert summary["points"] >= 20
+    assert summary["reprojection_rmse_px"] < 0.5
+    video = cv2.VideoCapture(str(out / "overlay.mp4"))
+    assert sum(iter(lambda: video.read()[0], False)) == 16
+    assert "16 frames" in capfd.readouterr().out
+
+
+def test_missing_pictures_and_a_selection(film: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "film"
+    folder.mkdir()
+    for path in film.iterdir():
+        (folder / path.name).write_bytes(path.read_bytes()[: 60 if path.name == "frame7.png" else None])
+    assert run(folder, "--out", tmp_path / "out", "--start", 3, "--stop", 14, *ALONE) == 0
+    summary = summary_of(tmp_path / "out")
+    assert (summary["first_frame"], summary["last_frame"], summary["missing"]) == (3, 14, [7])
+    assert "Missing or unreadable: frame 7." in summary["notes"]
+
+
+def test_selected_frames_of_a_track_file(source: Path, tmp_path: Path) -> None:
+    assert run(source, "--out", tmp_path, "--start", 2, "--stop", 20, "--step", 2, *ALONE) == 0
+    with np.load(tmp_path / "tracks.npz") as content:
+        assert content["frame"].tolist() == list(range(2, 21, 2))
+
+
+# --- hard input ---------------------------------------------------------------------------------------------
+
+
+def test_a_frame_without_any_point(tracks: NDArray[np.float64], tmp_path: Path) -> None:
+    holed = tracks.copy()
+    holed[9:11] = np.nan
+    assert run(track_file(tmp_path / "t.npz", holed), "--out", tmp_path / "out", *ALONE) == 0
+    summary = summary_of(tmp_path / "out")
+    assert any("frames 10, 11" in note for note in summary["notes"])
+    with np.load(tmp_path / "out" / "tracks.npz") as content:
+        assert not content["observed"][9:11].any()
+        assert np.isfinite(content["position"]).all(), "the camera moves on smoothly"
+
+
+@pytest.mark.parametrize("association", ["dual-chain", "none"])
+def test_points_seen_once_never_and_twice(
+    association: str, tracks: NDArray[np.float64], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    once, never = np.full((2, len(tracks), 1, 2), np.nan)
+    once[5] = 70.0
+    longest = int(np.argmax((~np.isnan(tracks[:, :, 0])).sum(axis=0)))
+    odd = np.concatenate([tracks, once, never, tracks[:, [longest]]], axis=1)
+    source = track_file(tmp_path / "t.npz", odd)
+    assert run(source, "--out", tmp_path / "out", "--association", association) == 0
+    with np.load(tmp_path / "out" / "tracks.npz") as content:
+        points = content["point_of_track"]
+        assert np.isfinite(content["position"]).all()
+    assert len(points) == odd.shape[1]
+    assert points[-2] == -1, "never seen"
+    assert points[-1] >= 0, "the double is a point, or the same one"
+    assert "tracks belong to no point" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("association", ["dual-chain", "none"])
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_static_camera(
+    association: str, noise: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    generator = np.random.default_rng(0)
+    still = generator.uniform(20, 140, (1, 15, 2)) + noise * generator.normal(size=(12, 15, 2))
+    source = track_file(tmp_path / "t.npz", still)
+    assert run(source, "--out", tmp_path / "out", "--association", association) == 0
+    assert names(tmp_path / "out") == ALWAYS, "no structure.ply"
+    assert summary_of(tmp_path / "out")["shape"] == "none"
+    assert "The shape is undetermined, and none is given" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda t: t[:2], "got 2 frames, expected 3 or more"),
+        (lambda t: t[:0], "got tracks (0, 37, 2) float64, expected"),
+        (lambda t: t[:, :3], "got 3 points with an observation in 24 frames, expected 4 or more"),
+        (lambda t: t * np.nan, "got 0 points with an observation in 24 frames, expected 4 or more"),
+        (
+            lambda t: np.where(np.arange(24)[:, None, None] == 4, np.inf, t),
+            "[inf, inf] at point 0 of frame 4",
+        ),
+        (lambda t: t[..., 0], "float64, expected (n_frames, n_points, 2) px, NaN where missing"),
+        (lambda t: t.astype(str), "expected (n_frames, n_points, 2) px"),
+    ],
+)
+def test_wrong_track_files(
+    wrong: Any, words: str, tracks: NDArray[np.float64], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    source = track_file(tmp_path / "t.npz", wrong(tracks))
+    message = complaint(capfd, source, "--out", tmp_path / "out")
+    assert words in message
+    assert "t.npz" in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_wrong_sources(film: Path, source: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = ("--out", tmp_path / "out")
+    np.savez(tmp_path / "other.npz", points=np.zeros(3))
+    (tmp_path / "text.npz").write_text("text")
+    for arguments, words in (
+        ((tmp_path / "nowhere.npz", *out), "nowhere.npz: No such file"),
+        ((tmp_path / "nowhere", *out), "no such file or folder"),
+        ((tmp_path / "text.npz", *out), "got neither .npy nor .npz"),
+        ((tmp_path / "other.npz", *out), "got points (3,) float64, expected"),
+        ((film, *out, "--stop", 2), "got 2 frames, expected 3 or more"),
+        ((source, *out, "--start", 23), "got 2 frames, expected 3 or more"),
+        ((source, *out, "--start", 25), "start: got 25, but"),
+        ((source, *out, "--start", 0), "start: got 0"),
+        ((source, *out, "--step", 0), "step: got 0"),
+        ((source, *out, "--stop", 2, "--start", 3), "stop: got 2"),
+        ((source, *out, "--coherence", "first"), "--coherence: got 'first', expected second-order or none"),
+        ((source,), "--out is needed"),
+    ):
+        assert words in complaint(capfd, *arguments)
+        assert not (tmp_path / "out").exists()
+
+
+def test_pictures_without_corners(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "film"
+    folder.mkdir()
+    for number in range(5):
+        cv2.imwrite(str(folder / f"{number}.png"), np.full((60, 80, 3), 90, np.uint8))
+    message = complaint(capfd, folder, "--out", tmp_path / "out")
+    assert "no shape can be found in what is followed: got" in message
+    assert "0 points, expected 3 frames and 4 points or more" in message
+    assert not (tmp_path / "out").exists()
+
+
+# --- output -------------------------------------------------------------------------------------------------
+
+
+def test_existing_results(
+    source: Path, finished: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    before = {path: path.read_bytes() for path in finished.iterdir()}
+    message = complaint(capfd, source, "--out", finished)
+    assert "already holds results: use --overwrite or --resume\n" in message
+    complaint(capfd, source, "--out", finished, "--overwrite", "--start", 99)
+    assert {path: path.read_bytes() for path in finished.iterdir()} == before
+    file = tmp_path / "file"
+    file.touch()
+    assert "expected a folder" in complaint(capfd, source, "--out", file)
+
+
+def test_overwriting_leaves_nothing_of_the_old_run(source: Path, finished: Path, tmp_path: Path) -> None:
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
+    for name in ("structure.ply", "mine.txt"):
+        (tmp_path / name).write_text("old")
+    assert run(source, "--out", tmp_path, "--overwrite", *ALONE) == 0
+    assert names(tmp_path) == {*ALWAYS, "structure.ply", "mine.txt"}
+    assert (tmp_path / "structure.ply").read_bytes() != b"old"
+
+
+def test_a_full_disk(source: Path, tmp_path: Path) -> None:
+    run.on_a_full_disk(tmp_path / "out", 4_000, source, *ALONE)
+
+
+@pytest.mark.parametrize("n_rounds", [0, 1])
+def test_control_c(
+    n_rounds: int,
+    source: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """A signal in the middle of a round ends the run with the last whole one, if there was any."""
+    rounds = CoordinateAscent.rounds
+
+    def interrupted(*arguments: Any, **more: Any) -> Iterator[Any]:
+        for number, solution in enumerate(rounds(*arguments, **more)):
+            if number == n_rounds:
+                signal.raise_signal(signal.SIGINT)
+            yield solution
+
+    monkeypatch.setattr(CoordinateAscent, "rounds", interrupted)
+    out = tmp_path / "out"
+    assert run(source, "--out", out) == 130
+    assert out.exists() == bool(n_rounds)
+    if n_rounds:
+        assert summary_of(out)["ended_early"]
+        assert names(out) >= ALWAYS
+    assert capfd.readouterr().err == ("" if n_rounds else "rsmcm: interrupted before there was any result\n")

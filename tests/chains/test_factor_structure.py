@@ -1,0 +1,77 @@
+"""The chain of shape and motion: what it takes from a feature node, and what it says there."""
+
+import numpy as np
+import pytest
+from rsmcm.apps.io.track_files import frames_of_tracks
+from rsmcm.apps.scenes import cylinder
+from rsmcm.chains import FactorStructure
+from rsmcm.chains.factor_structure import StructureTrajectory
+from rsmcm.inference import CoordinateAscent, MultiChain, Solution
+from rsmcm.inference.factor_analysis.factorisation import factorise
+from rsmcm.models import Frame
+from rsmcm.models.points.point_tracks import PointTracks
+
+SCENE = cylinder(n_points=20, n_frames=30, p_loose=0.06, p_drift=0.0, seed=4)
+POINTS = PointTracks(noise=0.01)
+
+
+def solved(chain: FactorStructure, frames: list[Frame]) -> Solution:
+    return CoordinateAscent(MultiChain().connect(chain, POINTS)).run(frames)
+
+
+def test_without_association_it_is_factor_analysis_of_the_tracks() -> None:
+    tracks = SCENE.tracks()
+    solution = solved(FactorStructure(associate=False), frames_of_tracks(tracks))
+    found: StructureTrajectory = solution["structure"]
+    expected = factorise(tracks, np.where(np.isnan(tracks[..., 0]), 0.0, 1e4), coherence=True)
+    np.testing.assert_allclose(found.factorisation.cameras, expected.cameras, rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(found.point_of_track, np.arange(tracks.shape[1]))
+    assert found.noise == pytest.approx(0.01**2, rel=0.3)
+
+
+def test_messages_predict_points_where_they_were_not_seen() -> None:
+    frames = frames_of_tracks(SCENE.tracks())
+    solution = solved(FactorStructure(), frames)
+    found: StructureTrajectory = solution["structure"]
+    errors = []
+    for time, message in enumerate(solution.messages("structure", POINTS)):
+        identities, means, covariances = message.positions.moments
+        truth = SCENE.positions[time, SCENE.point_of_track[identities]]
+        given = frames[time].points
+        assert given is not None
+        hidden = ~np.isin(identities, given.identities)
+        off = (means - truth)[hidden]
+        errors.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariances[hidden]), off))
+    # squared errors in units of what is stated, which also allows for features scattering about the shape
+    assert np.mean(np.concatenate(errors)) < 2
+    assert (found.point_of_track >= 0).mean() > 0.9
+
+
+def test_tracks_of_one_point_are_named_as_one() -> None:
+    solution = solved(FactorStructure(), frames_of_tracks(SCENE.tracks()))
+    found: StructureTrajectory = solution["structure"]
+    message = solution.messages("structure", POINTS)[0]
+    known = found.point_of_track >= 0
+    np.testing.assert_array_equal(message.positions.identities, found.identities[known])
+    assert message.same_as is not None
+    for point in range(found.point_of_track.max() + 1):
+        members = found.identities[found.point_of_track == point]
+        named = message.same_as[np.isin(message.positions.identities, members)]
+        np.testing.assert_array_equal(named, np.full(len(members), members.min()))
+
+
+def test_missing_frames_have_cameras_too() -> None:
+    frames = frames_of_tracks(SCENE.observed)
+    frames[10] = Frame(None, frames[10].time, frames[10].number)
+    solution = solved(FactorStructure(associate=False), frames)
+    _, means, _ = solution.messages("structure", POINTS)[10].positions.moments
+    error = np.sqrt(np.square(means - SCENE.positions[10]).sum(axis=1).mean())
+    assert error < 0.02
+
+
+def test_too_little_to_go_by() -> None:
+    tracks = SCENE.observed
+    with pytest.raises(ValueError, match="got 2 frames and 20 points, expected 3 frames and 4 points"):
+        solved(FactorStructure(), frames_of_tracks(tracks[:2]))
+    with pytest.raises(ValueError, match="3 points, expected"):
+        solved(FactorStructure(), frames_of_tracks(tracks[:, :3]))

@@ -1,0 +1,179 @@
+"""G-flow as a chain in the engine: follows, says when it is lost, finds again, can be saved and resumed."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.scenes import FaceScene, face
+from rsmcm.chains.gflow import GFlow, GFlowState
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference.core.checkpoint import load, save
+from rsmcm.inference.core.recursive_bp import BEGINNING
+from rsmcm.models import Frame, PixelLabels
+from rsmcm.models.face.pose import Poses
+from rsmcm.models.face.surface_points import SurfacePoints
+
+N_FRAMES = 24
+
+
+@pytest.fixture(scope="module")
+def scene() -> FaceScene:
+    return face(N_FRAMES, seed=3)
+
+
+@pytest.fixture(scope="module")
+def images(scene: FaceScene) -> list[NDArray[np.uint8] | None]:
+    return [scene.image(number) for number in range(N_FRAMES)]
+
+
+def chain_for(scene: FaceScene, **settings: object) -> GFlow:
+    return GFlow(scene.model, scene.poses[0], **{"experts": 6, "texels": 800, **settings})  # type: ignore[arg-type]
+
+
+def states(chain: GFlow, images: list[NDArray[np.uint8] | None]) -> list[GFlowState]:
+    engine = RecursiveBP(MultiChain().connect(chain, PixelLabels()))
+    return [belief[chain.name] for belief in engine.run(images, dt=1 / 25)]
+
+
+def error(chain: GFlow, scene: FaceScene, state: GFlowState, number: int) -> float:
+    seen = scene.model.project(chain.mean_pose(state))[0]
+    return float(np.linalg.norm(seen - scene.vertices[number], axis=1).mean())
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"surface": "patches"}, {"gain": "learned"}, {"experts": 1, "spread": 0.0}]
+)
+def test_follows_a_face(
+    scene: FaceScene, images: list[NDArray[np.uint8] | None], settings: dict[str, object]
+) -> None:
+    chain = chain_for(scene, **settings)
+    last = states(chain, images)[-1]
+    stayed = np.linalg.norm(scene.vertices[0] - scene.vertices[-1], axis=1).mean()
+    assert not last.lost
+    assert error(chain, scene, last, N_FRAMES - 1) < min(2.0, 0.4 * stayed)
+    assert last.weights.sum() == pytest.approx(1)
+    assert np.isfinite(last.log_evidence)
+
+
+def test_same_seed_same_run(scene: FaceScene, images: list[NDArray[np.uint8] | None]) -> None:
+    first, second = (states(chain_for(scene), images[:12])[-1] for _ in range(2))
+    other = states(chain_for(scene, seed=1), images[:12])[-1]
+    np.testing.assert_array_equal(first.poses.morphs, second.poses.morphs)
+    assert (first.poses.morphs != other.poses.morphs).any()
+
+
+def test_resumes_from_a_file(
+    scene: FaceScene, images: list[NDArray[np.uint8] | None], tmp_path: Path
+) -> None:
+    whole = states(chain_for(scene), images[:14])
+    save(tmp_path / "state.npz", {"face": whole[7]}, {"face": GFlowState})
+    resumed = load(tmp_path / "state.npz", {"face": GFlowState})["face"]
+    chain = chain_for(scene)
+    engine = RecursiveBP(MultiChain().connect(chain, PixelLabels()))
+    state = replace(BEGINNING, states={chain.name: resumed}, time=7 / 25)
+    for number in range(8, 14):
+        belief = engine.step(state, Frame(images[number], number / 25, number + 1))
+        state = belief.state
+    np.testing.assert_allclose(belief[chain.name].poses.morphs, whole[13].poses.morphs, atol=1e-9)
+
+
+def test_missing_frames_are_predicted(scene: FaceScene, images: list[NDArray[np.uint8] | None]) -> None:
+    chain = chain_for(scene)
+    gap = [*images[:8], None, None, *images[10:16]]
+    followed = states(chain, gap)
+    assert followed[9].elapsed == pytest.approx(2 / 25)
+    np.testing.assert_array_equal(followed[9].poses.morphs, followed[7].poses.morphs)
+    assert error(chain, scene, followed[-1], 15) < 2
+
+
+def test_says_that_it_is_lost_and_finds_the_face_elsewhere(
+    scene: FaceScene, images: list[NDArray[np.uint8] | None]
+) -> None:
+    chain = chain_for(scene, experts=10)
+    height, width = images[0].shape  # type: ignore[union-attr]
+    noise = np.random.default_rng(0).integers(0, 255, (6, height, width)).astype(np.uint8)
+    shift = 50
+    moved = [np.roll(image, shift, axis=1) for image in images[14:] if image is not None]
+    cut = states(chain, [*images[:14], *noise, *moved])
+    assert not any(state.lost for state in cut[:16])
+    assert all(state.lost for state in cut[16:20])
+    last = cut[-1]
+    assert not last.lost
+    assert last.relocations == 1
+    seen = scene.model.project(chain.mean_pose(last))[0] - [shift, 0]
+    assert np.linalg.norm(seen - scene.vertices[-1], axis=1).mean() < 2.5
+
+
+@pytest.mark.parametrize("value", [0, 255])
+def test_blank_pictures_do_no_harm(
+    scene: FaceScene, images: list[NDArray[np.uint8] | None], value: int
+) -> None:
+    chain = chain_for(scene)
+    blank = [np.full_like(images[0], value)] * 5
+    after = states(chain, [*images[:10], *blank, *images[10:18]])
+    assert all(state.lost for state in after[12:15])
+    assert not after[-1].lost
+    assert error(chain, scene, after[-1], 17) < 2.5
+
+
+def test_a_face_that_leaves_the_picture_is_lost(
+    scene: FaceScene, images: list[NDArray[np.uint8] | None]
+) -> None:
+    chain = chain_for(scene)
+    image = images[0]
+    assert image is not None
+    leaving = []
+    for step in range(16):
+        away = np.full_like(image, 90)
+        away[:, 20 * step :] = image[:, : image.shape[1] - 20 * step]
+        leaving.append(away)
+    assert states(chain, leaving)[-1].lost
+
+
+def test_experts_agree_with_their_summary(scene: FaceScene, images: list[NDArray[np.uint8] | None]) -> None:
+    chain = chain_for(scene)
+    state = states(chain, images[:11])[-1]
+    mean, covariance = chain.vertices(state)
+    positions = scene.model.positions(state.poses)
+    np.testing.assert_allclose(mean, np.average(positions, axis=0, weights=state.weights), atol=1e-9)
+    assert (np.linalg.eigvalsh(covariance) > 0).all()
+    drawn = scene.model.positions(_drawn(state, 4000))
+    np.testing.assert_allclose(
+        covariance, np.stack([np.cov(v.T) for v in drawn.swapaxes(0, 1)]), atol=0.15 * covariance.max()
+    )
+    corners = SurfacePoints.of_vertices(np.arange(5))
+    np.testing.assert_allclose(
+        chain.points(state, corners), scene.model.project(chain.mean_pose(state))[0, :5], atol=1e-9
+    )
+
+
+def _drawn(state: GFlowState, n: int) -> Poses:
+    """Poses from the mixture of what experts believe."""
+    random = np.random.default_rng(0)
+    expert = random.choice(len(state.weights), n, p=state.weights)
+    lower = np.linalg.cholesky(state.covariance)[expert]
+    return state.poses[expert].moved((lower @ random.standard_normal((n, lower.shape[1], 1)))[..., 0])
+
+
+def test_starts_where_a_function_finds_the_face(
+    scene: FaceScene, images: list[NDArray[np.uint8] | None]
+) -> None:
+    chain = GFlow(scene.model, lambda frame: scene.poses[0], experts=2, texels=500)
+    assert error(chain, scene, states(chain, images[:5])[-1], 4) < 2
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("experts", 0), ("gain", 1.5), ("gain", "much"), ("temperature", 0.0), ("texels", 0), ("radius", 0.0),
+     ("effective_pixels", 0.0), ("samples", 0), ("spread", -1.0), ("resample_every", 0), ("levels", 4)],
+)  # fmt: skip
+def test_settings_that_make_no_sense_are_refused(scene: FaceScene, setting: str, value: object) -> None:
+    with pytest.raises(ValueError, match=setting):
+        chain_for(scene, **{setting: value})
+
+
+def test_starts_of_another_number_are_refused(scene: FaceScene) -> None:
+    with pytest.raises(ValueError, match="start"):
+        GFlow(scene.model, scene.poses[:3], experts=5)

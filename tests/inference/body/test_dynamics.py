@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+from rsmcm.inference.body.dynamics import USUAL_UPPER_ARMS, BodyDynamics, anywhere, around
+from rsmcm.models.body.poses import BodyPoses
+from rsmcm.models.body.upper_body import UpperBody
+
+BODY = UpperBody.from_head(90.0)
+DT = 0.04
+
+
+def some_poses(n, random):
+    dynamics = BodyDynamics(BODY)
+    return dynamics.draw_anywhere(n, (360, 640), random)
+
+
+def plain_log_density(dynamics, poses, ancestors, weights, dt):
+    """Entry by entry, in double precision."""
+    place = dynamics.place * dynamics.body.head_height * np.sqrt(dt)
+    kept = np.exp(-dt / dynamics.neck_time)
+    neck = dynamics.neck * np.sqrt(1 - kept**2)
+    jump = 1 - np.exp(-dynamics.jumps * dt)
+    total = np.zeros((len(poses), len(ancestors)))
+    for name, spread, share in (("roots", place, 1.0), ("necks", neck, kept)):
+        step = getattr(poses, name)[:, None] - share * getattr(ancestors, name)[None]
+        total += (-0.5 * (step / spread) ** 2 - 0.5 * np.log(2 * np.pi * spread**2)).sum(axis=2)
+    for side in (0, 1):
+        smooth = 0.0
+        for part, rate in enumerate((dynamics.upper_arm, dynamics.forearm)):
+            kappa = 1 / (rate**2 * dt)
+            cosine = poses.arms[:, side, part] @ ancestors.arms[:, side, part].T
+            smooth = (
+                smooth
+                + kappa * cosine
+                + np.log(kappa / (4 * np.pi))
+                - (kappa + np.log(-np.expm1(-2 * kappa) / 2))
+            )
+        usual = 2 * poses.arms[:, side, 0] @ USUAL_UPPER_ARMS[side] + np.log(2 / (4 * np.pi * np.sinh(2)))
+        jumped = np.log(jump) + usual - np.log(4 * np.pi)
+        total += np.logaddexp(np.log1p(-jump) + smooth, jumped[:, None])
+    return np.log(np.exp(total - total.max(axis=1, keepdims=True)) @ weights) + total.max(axis=1)
+
+
+def test_mixture_is_that_of_the_plain_formula():
+    random = np.random.default_rng(1)
+    dynamics = BodyDynamics(BODY)
+    ancestors = some_poses(60, random)
+    weights = random.dirichlet(np.ones(60))
+    near = dynamics.draw(ancestors.take(random.integers(60, size=150)), DT, random)
+    far = some_poses(50, random)
+    for poses in (near, far):
+        found = dynamics.log_density(poses, ancestors, weights, DT) - dynamics.log_posture(poses)
+        assert found == pytest.approx(plain_log_density(dynamics, poses, ancestors, weights, DT), abs=2e-3)
+
+
+def test_nothing_underflows_far_from_all_ancestors():
+    random = np.random.default_rng(2)
+    dynamics = BodyDynamics(BODY, jumps=0.0)
+    ancestors = some_poses(20, random)
+    poses = some_poses(30, random)
+    poses.roots[:] += 1e4
+    assert np.isfinite(dynamics.log_density(poses, ancestors, np.full(20, 0.05), DT)).all()
+
+
+def test_draws_have_the_density_that_is_evaluated():
+    """By importance: the mean of any other density over ours is 1."""
+    random = np.random.default_rng(3)
+    dynamics = BodyDynamics(BODY, jumps=4.0)
+    other = BodyDynamics(BODY, place=0.22, neck=0.2, upper_arm=0.5, forearm=0.8, jumps=2.0)
+    start = some_poses(2, random)
+    weights = np.array([0.3, 0.7])
+    n = 40_000
+    poses = dynamics.draw(start.take(random.choice(2, n, p=weights)), DT, random)
+    ratio = np.exp(
+        other.log_density(poses, start, weights, DT) - dynamics.log_density(poses, start, weights, DT)
+    )
+    assert ratio.mean() == pytest.approx(1.0, abs=5 * ratio.std() / np.sqrt(n))
+    assert ratio.std() < 5  # so that the bar above means something
+
+
+@pytest.mark.parametrize("concentration", [0.5, 20.0, 2000.0])
+def test_directions_around_another_have_the_known_mean_cosine(concentration):
+    random = np.random.default_rng(4)
+    middle = anywhere((1,), random)
+    drawn = around(np.repeat(middle, 20_000, axis=0), concentration, random)
+    cosine = drawn @ middle[0]
+    expected = 1 / np.tanh(concentration) - 1 / concentration
+    assert cosine.mean() == pytest.approx(expected, abs=5 * cosine.std() / np.sqrt(len(drawn)))
+    assert np.linalg.norm(drawn, axis=1) == pytest.approx(1.0, abs=1e-12)
+    across = drawn - cosine[:, None] * middle
+    assert np.abs(across.mean(axis=0)).max() < 5 * across.std() / np.sqrt(len(drawn))
+
+
+def test_anywhere_is_within_the_limits_and_the_picture():
+    random = np.random.default_rng(5)
+    dynamics = BodyDynamics(BODY)
+    poses = dynamics.draw_anywhere(200, (360, 640), random)
+    assert BODY.allowed(poses).all()
+    assert ((poses.roots >= 0) & (poses.roots <= (640, 360))).all()
+    density = dynamics.log_density_anywhere(poses, (360, 640))
+    rest = BodyPoses(poses.roots, np.zeros_like(poses.necks), poses.arms)
+    assert (dynamics.log_density_anywhere(rest, (360, 640)) >= density).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [({"place": 0.0}, "place: got 0.0, expected more than 0"), ({"jumps": -1.0}, "jumps: got -1.0 a second")],
+)
+def test_impossible_dynamics_are_refused(settings, words):
+    with pytest.raises(ValueError, match=words):
+        BodyDynamics(BODY, **settings)

@@ -1,0 +1,221 @@
+"""Tempering and moving of poses, against plain importance sampling and against what must not change."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.inference.body import tempering
+from rsmcm.inference.body.dynamics import BodyDynamics
+from rsmcm.inference.body.tempering import Tempered, temper
+from rsmcm.models.body.poses import BodyPoses
+from rsmcm.models.body.upper_body import JOINTS, UpperBody
+from scipy.stats import ks_2samp
+
+Array = NDArray[np.float64]
+LogDensity = Callable[[BodyPoses], Array]
+
+BODY = UpperBody.from_head(90.0)
+SIZE = (360, 640)
+DT = 0.04
+HANDS = [JOINTS.index("left_hand"), JOINTS.index("right_hand")]
+RUNS = 12
+
+
+class Past:
+    """A few poses of the frame before, and the prior that the dynamics make of them."""
+
+    def __init__(self, seed: int, jumps: float = 2.0, elapsed: float = 4 * DT) -> None:
+        random = np.random.default_rng(seed)
+        self.dynamics = BodyDynamics(BODY, jumps=jumps)
+        middle = self.dynamics.draw_anywhere(1, SIZE, random)
+        self.poses = self.dynamics.draw(middle.take(np.zeros(5, np.int64)), DT, random)
+        self.weights = random.dirichlet(np.full(5, 2.0))
+        self.elapsed = elapsed
+
+    def drawn(self, n: int, random: np.random.Generator) -> BodyPoses:
+        """Poses of the prior: allowed by the joints, unusual postures as seldom as they are."""
+        found: list[BodyPoses] = []
+        while sum(map(len, found)) < n:
+            ancestors = self.poses.take(random.choice(5, n, p=self.weights))
+            poses = self.dynamics.draw(ancestors, self.elapsed, random)
+            usual = random.random(n) < np.exp(self.dynamics.log_posture(poses))
+            found.append(poses.take(BODY.allowed(poses) & usual))
+        return BodyPoses.concatenated(found).take(slice(n))
+
+    def log_density(self, poses: BodyPoses) -> Array:
+        """Minus infinity where joints forbid a pose."""
+        density = self.dynamics.log_density(poses, self.poses, self.weights, self.elapsed)
+        return np.where(BODY.allowed(poses), density, -np.inf)
+
+
+def looks(places: Array, spread: float) -> LogDensity:
+    """Log likelihood of both hands seen at `places` `(2, 2)` px, with Gaussian errors."""
+
+    def log_likelihood(poses: BodyPoses) -> Array:
+        off = BODY.parts(poses)[:, 1:] - places
+        return np.asarray(-0.5 * (off**2).sum(axis=(1, 2)) / spread**2)
+
+    return log_likelihood
+
+
+def nothing(poses: BodyPoses) -> Array:
+    """Log likelihood of an image that says nothing."""
+    return np.zeros(len(poses))
+
+
+def hands(poses: BodyPoses) -> Array:
+    """`(n, 6)` px: both hands in space."""
+    return BODY.joints(poses)[:, HANDS].reshape(len(poses), 6)
+
+
+def summary(poses: BodyPoses, weights: Array) -> Array:
+    """Means and covariances of the hands, `(27,)`."""
+    places = hands(poses)
+    mean = weights @ places
+    covariance = np.cov(places.T, aweights=weights, ddof=0)
+    return np.concatenate([mean, covariance[np.triu_indices(6)]])
+
+
+def tempered(past: Past, likelihood: LogDensity, n: int, seed: int) -> Tempered:
+    random = np.random.default_rng(seed)
+    poses = past.drawn(n, random)
+    return temper(past.dynamics, poses, np.zeros(n), past.log_density, likelihood, n, random)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_posterior_and_evidence_are_those_of_importance_sampling(seed: int) -> None:
+    """Hands' means and covariances over 12 runs, beside 300 000 weighted draws of the prior.
+
+    The bar is five standard errors: of the runs by their differences, and of the weighted draws by those
+    of 20 pieces.
+    """
+    past = Past(seed, jumps=0.5)
+    random = np.random.default_rng(seed + 100)
+    target = np.median(BODY.parts(past.drawn(1000, random))[:, 1:], axis=0) + random.normal(0, 15, (2, 2))
+    likelihood = looks(target, 12.0)
+
+    draws = past.drawn(300_000, random)
+    log_likelihood = likelihood(draws)
+    weights = np.exp(log_likelihood)
+    assert weights.sum() ** 2 / (weights**2).sum() > 500
+    pieces = np.array_split(np.arange(len(draws)), 20)
+    parts = [summary(draws.take(piece), weights[piece] / weights[piece].sum()) for piece in pieces]
+    expected = summary(draws, weights / weights.sum())
+    error = np.std(parts, axis=0) / np.sqrt(len(parts))
+
+    runs = [tempered(past, likelihood, 2000, 1000 * seed + run) for run in range(RUNS)]
+    found = np.stack([summary(run.poses, np.exp(run.log_weights)) for run in runs])
+    bar = 5 * np.hypot(found.std(axis=0, ddof=1) / np.sqrt(RUNS), error)
+    spread = np.sqrt(expected[6:][np.cumsum([0, 6, 5, 4, 3, 2])])
+    assert (np.abs(found.mean(axis=0) - expected) < bar + 1e-3).all()
+    assert (bar[:6] < 0.5 * spread).all()  # so that the bars mean something
+
+    evidence = np.log(weights.mean())
+    relative = weights.std() / weights.mean() / np.sqrt(len(weights))
+    own = np.array([run.log_evidence for run in runs])
+    assert abs(own.mean() - evidence) < 5 * np.hypot(own.std(ddof=1) / np.sqrt(RUNS), relative) + 0.02
+
+
+def test_samples_are_many_where_weights_would_leave_a_few() -> None:
+    past = Past(3, jumps=0.0)
+    random = np.random.default_rng(3)
+    target = BODY.parts(past.drawn(1, random))[0, 1:] + 15.0
+    likelihood = looks(target, 5.0)
+    draws = past.drawn(1000, random)
+    weights = np.exp(likelihood(draws) - likelihood(draws).max())
+    assert weights.sum() ** 2 / (weights**2).sum() < 30
+    found = temper(past.dynamics, draws, np.zeros(1000), past.log_density, likelihood, 1000, random)
+    assert len(found.poses) == 1000
+    assert 1 / np.exp(2 * found.log_weights).sum() > tempering.KEPT * 1000
+    assert len(np.unique(found.poses.roots[:, 0])) > 200  # not only copies
+    assert 0.02 < found.accepted < 0.9
+    assert BODY.allowed(found.poses).all()
+
+
+def test_without_a_likelihood_samples_stay_as_they_are() -> None:
+    past = Past(4)
+    random = np.random.default_rng(4)
+    poses = past.drawn(1000, random)
+    found = temper(past.dynamics, poses, np.zeros(len(poses)), past.log_density, nothing, len(poses), random)
+    assert found.poses is poses
+    np.testing.assert_allclose(found.log_weights, -np.log(len(poses)))
+    assert found.log_evidence == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_moves_leave_the_prior_as_it_is(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After 40 of them independent draws of the prior are still such draws: Kolmogorov and Smirnov.
+
+    Nothing is drawn again, since all weigh the same; hence they stay independent.
+    """
+    monkeypatch.setattr(tempering, "MOVES", 40)
+    monkeypatch.setattr(tempering, "KEPT", 2.0)  # more than there are: moves are never left out
+    past = Past(seed)
+    random = np.random.default_rng(seed)
+    poses, others = (past.drawn(2000, random) for _ in range(2))
+    found = temper(past.dynamics, poses, np.zeros(len(poses)), past.log_density, nothing, len(poses), random)
+    assert found.accepted > 0.1
+    moved = (found.poses.arms != poses.arms).any(axis=(1, 2, 3))
+    assert moved.mean() > 0.9
+
+    def features(some: BodyPoses) -> Array:
+        flexions = (some.arms[:, :, 0] * some.arms[:, :, 1]).sum(axis=2)
+        joints = BODY.joints(some).reshape(len(some), -1)
+        return np.concatenate([joints, some.necks, flexions], axis=1)
+
+    after, fresh = features(found.poses), features(others)
+    varies = fresh.std(axis=0) > 0
+    values = [ks_2samp(after[:, one], fresh[:, one]).pvalue for one in np.flatnonzero(varies)]
+    assert min(values) > 1e-3 / len(values)
+
+
+def test_weights_that_come_in_count() -> None:
+    """Draws of a wider density with weights are draws of the prior."""
+    past, wide = Past(5, jumps=0.5), Past(5, jumps=0.5, elapsed=6 * DT)
+    random = np.random.default_rng(5)
+    direct = past.drawn(100_000, random)
+    expected = hands(direct).mean(axis=0)
+    found = []
+    for run in range(RUNS):
+        random = np.random.default_rng(50 + run)
+        poses = wide.drawn(3000, random)
+        log_weights = past.log_density(poses) - wide.log_density(poses)
+        after = temper(past.dynamics, poses, log_weights, past.log_density, nothing, 3000, random)
+        found.append(np.exp(after.log_weights) @ hands(after.poses))
+    bar = 5 * np.std(found, axis=0, ddof=1) / np.sqrt(RUNS)
+    bar = np.hypot(bar, 5 * hands(direct).std(axis=0) / np.sqrt(len(direct)))
+    assert (np.abs(np.mean(found, axis=0) - expected) < bar).all()
+
+
+def test_of_many_candidates_as_many_are_left_as_are_wanted() -> None:
+    past = Past(8)
+    random = np.random.default_rng(8)
+    poses = past.drawn(900, random)
+    for likelihood in (nothing, looks(BODY.parts(poses)[0, 1:], 8.0)):
+        found = temper(past.dynamics, poses, np.zeros(900), past.log_density, likelihood, 300, random)
+        assert len(found.poses) == 300
+        assert np.exp(found.log_weights).sum() == pytest.approx(1.0)
+    few = temper(past.dynamics, poses.take(slice(5)), np.zeros(5), past.log_density, nothing, 300, random)
+    assert len(few.poses) == 300
+
+
+def test_impossible_poses_are_never_taken() -> None:
+    """Not even if the image asks for them: hands behind the back."""
+    past = Past(6)
+
+    def likelihood(poses: BodyPoses) -> Array:
+        return np.asarray(0.2 * BODY.joints(poses)[:, HANDS, 2].sum(axis=1))
+
+    found = tempered(past, likelihood, 500, 6)
+    assert BODY.allowed(found.poses).all()
+    assert np.isfinite(past.log_density(found.poses)).all()
+
+
+def test_seeds_decide() -> None:
+    past = Past(7)
+    likelihood = looks(BODY.parts(past.poses)[0, 1:], 4.0)
+    one, same, other = (tempered(past, likelihood, 300, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.poses.angles, same.poses.angles)
+    assert one.log_evidence == same.log_evidence
+    assert not np.array_equal(one.poses.angles, other.poses.angles)

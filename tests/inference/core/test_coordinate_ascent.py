@@ -1,0 +1,224 @@
+"""Coordinate ascent on chains whose joint optimum has a closed form, and on chains that misbehave."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.inference import CoordinateAscent, MultiChain, RecursiveBP
+from rsmcm.inference.core.protocols import BatchIncoming
+from rsmcm.models import Frame
+from rsmcm.models.core.gaussian_message import GaussianMessage
+
+Numbers = NDArray[np.float64]
+
+RANDOM = np.random.default_rng(5)
+N_FRAMES = 12
+SEEN = np.cumsum(RANDOM.normal(size=N_FRAMES)) + RANDOM.normal(size=N_FRAMES)
+NOISE = 0.5
+
+
+def gaussian(mean: float, variance: float) -> GaussianMessage:
+    return GaussianMessage.from_moments([1], [[mean]], [[[variance]]])
+
+
+@dataclass(frozen=True)
+class Level:
+    """A number in each frame, seen with noise; frames tell by their number which."""
+
+    name: str = "level"
+
+    def uniform(self) -> GaussianMessage:
+        return GaussianMessage.uniform(1)
+
+    def evidence(self, frame: Frame, prior: GaussianMessage) -> GaussianMessage:
+        return gaussian(SEEN[frame.number - 1], NOISE)
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Value at each time, and the log density of the chain's own dynamics there."""
+
+    values: Numbers
+    log_prior: float
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """A chain X with log p(X) = -X . precision X / 2 + pull . X and p(F_t | X) = N(F_t; X_t, spread)."""
+
+    name: str
+    precision: Numbers
+    pull: Numbers
+    spread: float
+
+    def smooth(self, incoming_over_time: Sequence[BatchIncoming], current: Path | None = None) -> Path:
+        information, vector = self.precision.copy(), self.pull.copy()
+        for time, incoming in enumerate(incoming_over_time):
+            message = incoming["level"]
+            if len(message):
+                (_, means, covariances) = message.moments
+                variance = covariances[0, 0, 0] + self.spread
+                information[time, time] += 1 / variance
+                vector[time] += means[0, 0] / variance
+        values = np.linalg.solve(information, vector)
+        return Path(values, float(self.pull @ values - 0.5 * values @ self.precision @ values))
+
+    def messages(self, trajectory: Path, feature: Level) -> list[GaussianMessage]:
+        return [gaussian(value, self.spread) for value in trajectory.values]
+
+
+def second_differences(weight: float) -> Numbers:
+    rows = np.diff(np.eye(N_FRAMES), 2, axis=0)
+    return weight * rows.T @ rows + 1e-3 * np.eye(N_FRAMES)
+
+
+SMOOTH = Quadratic("smooth", second_differences(20.0), np.zeros(N_FRAMES), 0.3)
+CALM = Quadratic("calm", 0.5 * np.eye(N_FRAMES), np.full(N_FRAMES, 0.7), 0.6)
+THIRD = Quadratic("third", 0.1 * np.eye(N_FRAMES), np.zeros(N_FRAMES), 0.9)
+FRAMES = [Frame(np.zeros((4, 4), np.uint8), k / 10, k + 1) for k in range(N_FRAMES)]
+
+
+def joint_optimum(*chains: Quadratic) -> list[Numbers]:
+    """Means of all chains' values in the joint Gaussian of chains, features and observations."""
+    size, level = N_FRAMES, len(chains) * N_FRAMES
+    information, vector = np.zeros((level + size, level + size)), np.zeros(level + size)
+    for place, chain in enumerate(chains):
+        own = slice(place * size, (place + 1) * size)
+        information[own, own] += chain.precision + np.eye(size) / chain.spread
+        information[own, level:] -= np.eye(size) / chain.spread
+        information[level:, own] -= np.eye(size) / chain.spread
+        information[level:, level:] += np.eye(size) / chain.spread
+        vector[own] += chain.pull
+    information[level:, level:] += np.eye(size) / NOISE
+    vector[level:] += SEEN / NOISE
+    solution = np.linalg.solve(information, vector)
+    return [solution[place * size : (place + 1) * size] for place in range(len(chains))]
+
+
+@pytest.mark.parametrize("chains", [(SMOOTH,), (SMOOTH, CALM), (CALM, SMOOTH, THIRD)])
+def test_ascent_ends_at_the_joint_optimum(chains: tuple[Quadratic, ...]) -> None:
+    level, model = Level(), MultiChain()
+    for chain in chains:
+        model.connect(chain, level)
+    solution = CoordinateAscent(model, most_rounds=500, tolerance=1e-15).run(FRAMES)
+    assert solution.converged
+    for chain, expected in zip(chains, joint_optimum(*chains), strict=True):
+        np.testing.assert_allclose(solution[chain].values, expected, atol=1e-5)
+    objectives = [report.objective for report in solution.rounds]
+    assert (np.diff(objectives) >= -1e-9).all()
+    assert solution.objective == max(objectives)
+    assert len(solution[level]) == N_FRAMES
+    assert [len(message) for message in solution.evidence(level)] == [1] * N_FRAMES
+
+
+def test_without_feedback_one_round_is_all() -> None:
+    level = Level()
+    model = MultiChain().connect(SMOOTH, level).connect(CALM, level, feedback=False)
+    solution = CoordinateAscent(model).run(FRAMES)
+    assert solution.converged
+    assert [report.smoothed for report in solution.rounds] == [("smooth", "calm")]
+    alone = CoordinateAscent(MultiChain().connect(SMOOTH, level)).run(FRAMES)
+    np.testing.assert_array_equal(solution["smooth"].values, alone["smooth"].values)
+    assert len(solution.messages("calm", level)) == N_FRAMES  # spoken, though nobody hears it
+
+
+def test_wall_on_the_rounds() -> None:
+    level = Level()
+    engine = CoordinateAscent(MultiChain().connect(SMOOTH, level).connect(CALM, level), 2, 1e-15)
+    solution = engine.run(FRAMES)
+    assert not solution.converged
+    assert len(solution.rounds) == 2
+
+
+def test_missing_frames_bring_no_evidence() -> None:
+    level = Level()
+    frames = [Frame(None, frame.time, frame.number) if frame.number == 4 else frame for frame in FRAMES]
+    solution = CoordinateAscent(MultiChain().connect(SMOOTH, level)).run(frames)
+    assert not len(solution.evidence(level)[3])
+
+
+@dataclass(frozen=True)
+class Looking:
+    """Looks where it was told to, and notes how much it saw in each round."""
+
+    seen: list[int]
+    name: str = "looking"
+
+    def smooth(self, incoming_over_time: Sequence[BatchIncoming], current: Path | None = None) -> Path:
+        looks = [incoming.look("level", incoming.told("level")) for incoming in incoming_over_time]
+        self.seen.append(sum(len(look) for look in looks))
+        return Path(np.zeros(N_FRAMES), 0.0)
+
+    def messages(self, trajectory: Path, feature: Level) -> list[GaussianMessage]:
+        return [feature.uniform() for _ in trajectory.values]
+
+
+@dataclass(frozen=True)
+class Narrow(Level):
+    """Sees nothing beyond a distance of 1 from where it is told to look."""
+
+    def evidence(self, frame: Frame, prior: GaussianMessage) -> GaussianMessage:
+        if len(prior) and abs(prior.moments[1][0, 0] - SEEN[frame.number - 1]) > 1:
+            return self.uniform()
+        return super().evidence(frame, prior)
+
+
+def test_a_chain_that_looks_sees_anew_in_each_round_and_others_see_the_same() -> None:
+    level, looking = Narrow(), Looking([])
+    model = MultiChain().connect(looking, level).connect(SMOOTH, level)
+    first, second = CoordinateAscent(model, most_rounds=2, tolerance=-1).rounds(FRAMES)
+    near = np.abs(first["smooth"].values - SEEN) <= 1
+    assert 0 < np.count_nonzero(near) < N_FRAMES
+    assert looking.seen == [N_FRAMES, np.count_nonzero(near)]
+    assert first.objective == first.rounds[0].objective
+    assert [len(message) for message in first.evidence(level)] == [1] * N_FRAMES
+    assert len(second.rounds) == 2
+
+
+@dataclass(frozen=True)
+class Worsening(Quadratic):
+    """Gets worse each time."""
+
+    def smooth(self, incoming_over_time: Sequence[BatchIncoming], current: Path | None = None) -> Path:
+        best = super().smooth(incoming_over_time, current)
+        return best if current is None else Path(current.values + 1, best.log_prior - 5)
+
+
+def test_the_best_round_is_kept() -> None:
+    level = Level()
+    worsening = Worsening("worsening", CALM.precision, CALM.pull, CALM.spread)
+    model = MultiChain().connect(worsening, level).connect(SMOOTH, level)
+    solutions = list(CoordinateAscent(model).rounds(FRAMES))
+    assert len(solutions) == 2
+    assert solutions[1].rounds[1].objective < solutions[1].rounds[0].objective
+    np.testing.assert_array_equal(solutions[1]["worsening"].values, solutions[0]["worsening"].values)
+
+
+def test_plain_images_are_frames() -> None:
+    images: list[Any] = [np.zeros((4, 4), np.uint8)] * 3
+    images[1] = None
+    solution = CoordinateAscent(
+        MultiChain().connect(Quadratic("calm", np.eye(3), np.zeros(3), 1.0), Level())
+    ).run(images, dt=0.5)
+    assert [frame.time for frame in solution.frames] == [0.0, 0.5, 1.0]
+    assert solution.frames[1].missing
+
+
+def test_bad_models_and_frames() -> None:
+    level = Level()
+    model = MultiChain().connect(SMOOTH, level)
+    with pytest.raises(ValueError, match="got no chain"):
+        CoordinateAscent(MultiChain())
+    with pytest.raises(ValueError, match="most_rounds: got 0"):
+        CoordinateAscent(model, most_rounds=0)
+    with pytest.raises(ValueError, match="frames: got none"):
+        CoordinateAscent(model).run([])
+    with pytest.raises(ValueError, match=r"got time 0.0 s at frame 1, expected later than 0.1 s"):
+        CoordinateAscent(model).run([FRAMES[1], FRAMES[0]])
+    with pytest.raises(TypeError, match=r"'smooth': got .* a Chain \(it lacks initial, predict, message, "):
+        RecursiveBP(model)
+    with pytest.raises(KeyError, match="not part of the model, expected one of smooth, level"):
+        CoordinateAscent(model).run(FRAMES)["other"]

@@ -1,0 +1,278 @@
+"""Recursive belief propagation against the sum over all states of small graphs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rsmcm.inference import Belief, Incoming, MultiChain, RecursiveBP
+from rsmcm.models.core.categorical import Categorical, CategoricalMessage
+from rsmcm.models.core.frame import Frame
+
+from ...support.discrete import (
+    CavityChain,
+    DiscreteChain,
+    DiscreteState,
+    enumerate_slice,
+    image,
+    random_model,
+)
+
+GRAPHS = {
+    "one chain": [("a", "f")],
+    "two chains": [("a", "f"), ("b", "f")],
+    "two features": [("a", "f"), ("a", "g"), ("b", "g")],
+    "three chains": [("a", "f"), ("b", "f"), ("b", "g"), ("c", "g")],
+    "three at one": [("a", "f"), ("b", "f"), ("c", "f"), ("c", "g")],
+    "two components": [("a", "f"), ("b", "g"), ("c", "g")],
+}
+FRAMES = [image(0, 3), image(4, 1), None, image(2, 2), image(0, 0)]
+EXACT = 1e-12  # a few hundred roundings of numbers between 0 and 1
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def log_evidences(beliefs: Sequence[Belief]) -> list[float]:
+    return [belief.log_evidence for belief in beliefs]
+
+
+@pytest.mark.parametrize("sweeps", [1, 2])
+@pytest.mark.parametrize("cavity", ["", "a", "b", "abc"])
+@pytest.mark.parametrize("links", GRAPHS.values(), ids=GRAPHS)
+def test_every_frame_equals_enumeration(links: list[tuple[str, str]], cavity: str, sweeps: int) -> None:
+    for seed in range(3):
+        model = random_model(rng(seed), links, dict.fromkeys(cavity, CavityChain))
+        predictions = {name: chain.prior for name, chain in model.chains.items()}
+        for belief in RecursiveBP(model, sweeps).run(FRAMES):
+            posteriors, features, log_evidence = enumerate_slice(model, predictions, belief.frame)
+            for name, expected in posteriors.items():
+                np.testing.assert_allclose(belief[name].probabilities, expected, rtol=0, atol=EXACT)
+            for name, expected in features.items():
+                np.testing.assert_allclose(belief[name].probabilities(), expected, rtol=0, atol=EXACT)
+            assert belief.log_evidence == pytest.approx(log_evidence, rel=0, abs=EXACT)
+            predictions = {n: belief[n].probabilities @ c.transition for n, c in model.chains.items()}
+
+
+@given(st.permutations(GRAPHS["three chains"]), st.sets(st.sampled_from("abc")))
+@settings(max_examples=30)
+def test_order_of_connection_does_not_matter(links: list[tuple[str, str]], cavity: set[str]) -> None:
+    kinds = dict.fromkeys(cavity, CavityChain)
+    usual = list(RecursiveBP(random_model(rng(), GRAPHS["three chains"], kinds)).run(FRAMES))
+    tables = random_model(rng(), GRAPHS["three chains"], kinds)
+    model = MultiChain()
+    for chain, feature in links:
+        model.connect(tables.chains[chain], tables.features[feature])
+    permuted = list(RecursiveBP(model).run(FRAMES))
+    for one, other in zip(usual, permuted, strict=True):
+        for name in one.states:
+            np.testing.assert_allclose(one[name].probabilities, other[name].probabilities, rtol=0, atol=EXACT)
+    assert log_evidences(usual) == pytest.approx(log_evidences(permuted), rel=0, abs=EXACT)
+
+
+def test_a_chain_that_knows_nothing_sends_the_uniform_message() -> None:
+    size = 3
+    nothing = DiscreteChain("nothing", np.full(2, 0.5), np.eye(2), {"f": np.full((2, size), 1 / size)})
+    feature = Categorical("f", size)
+    message = nothing.message(
+        nothing.initial(Frame(None, 0.0, 1)), feature, Incoming({"f": feature.uniform()})
+    )
+    np.testing.assert_allclose(message.probabilities(), 1 / size)
+    assert message.log_mass == pytest.approx(0)
+
+
+def cut(links: Sequence[tuple[str, str]], *edges: tuple[str, str], seed: int = 0) -> MultiChain:
+    whole = random_model(rng(seed), links)
+    model = MultiChain()
+    for chain, feature in links:
+        model.connect(whole.chains[chain], whole.features[feature], feedback=(chain, feature) not in edges)
+    return model
+
+
+def test_feed_forward_equals_the_stand_alone_modules_bit_for_bit() -> None:
+    model = cut([("a", "f"), ("b", "f")], ("b", "f"))
+    chains, feature = model.chains, model.features["f"]
+    alone = list(RecursiveBP(MultiChain().connect(chains["a"], feature)).run(FRAMES))
+    state: Any = None
+    for low, both in zip(alone, RecursiveBP(model).run(FRAMES), strict=True):
+        np.testing.assert_array_equal(low["a"].probabilities, both["a"].probabilities)
+        np.testing.assert_array_equal(low["f"].log_weights, both["f"].log_weights)
+        assert low.log_evidence == both.log_evidence
+        state = chains["b"].initial(low.frame) if state is None else chains["b"].predict(state, 0.04)
+        state = chains["b"].update(state, Incoming({"f": low["f"]}))
+        np.testing.assert_array_equal(state.probabilities, both["b"].probabilities)
+
+
+def test_evidence_behind_a_cut_edge_is_counted_once() -> None:
+    # b reads f and speaks to g: the second component is p(I_g | I_f), seen through b's posterior given f.
+    model = cut([("a", "f"), ("b", "f"), ("b", "g"), ("c", "g")], ("b", "f"))
+    chains, features = model.chains, model.features
+    frame = Frame(image(3, 1), 0.0, 1)
+    belief = RecursiveBP(model).step(None, frame)
+
+    low = RecursiveBP(MultiChain().connect(chains["a"], features["f"])).step(None, frame)
+    read = chains["b"].tables["f"] @ np.exp(low["f"].log_weights) * chains["b"].prior
+    tables = {"g": chains["b"].tables["g"]}
+    given_f = DiscreteChain("b", read / read.sum(), np.eye(len(read)), tables)
+    high = MultiChain().connect(given_f, features["g"]).connect(chains["c"], features["g"])
+    expected = low.log_evidence + RecursiveBP(high).step(None, frame).log_evidence
+    assert belief.log_evidence == pytest.approx(expected, rel=0, abs=EXACT)
+
+
+def test_a_feature_that_is_only_read_has_no_evidence() -> None:
+    model = cut([("a", "f")], ("a", "f"))
+    assert log_evidences(list(RecursiveBP(model).run(FRAMES))) == [0.0] * len(FRAMES)
+
+
+class Listener(DiscreteChain):
+    """Keeps what it was given."""
+
+    uses_cavity = True
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.heard: list[tuple[str, CategoricalMessage]] = []
+
+    def message(self, state: DiscreteState, feature: Categorical, incoming: Incoming) -> CategoricalMessage:
+        self.heard.append(("message", incoming[feature]))
+        return super().message(state, feature, incoming)
+
+    def update(self, state: DiscreteState, incoming: Incoming) -> DiscreteState:
+        self.heard.append(("update", incoming["f"]))
+        return super().update(state, incoming)
+
+
+def test_a_chain_gets_the_same_product_object_for_message_and_update() -> None:
+    for sweeps in (1, 3):
+        model = random_model(rng(), [("a", "f"), ("b", "f")], {"b": Listener})
+        RecursiveBP(model, sweeps).step(None, Frame(image(1), 0.0, 1))
+        (first, asked), (second, updated) = model.chains["b"].heard  # and no repetition that changes nothing
+        assert (first, second) == ("message", "update")
+        assert asked is updated
+
+
+def test_later_sweeps_bring_the_latest_messages_of_the_others() -> None:
+    model = random_model(rng(), [("a", "f"), ("b", "f")], {"a": Listener, "b": Listener})
+    RecursiveBP(model, sweeps=2).step(None, Frame(image(1), 0.0, 1))
+    first, second, _ = (message for _, message in model.chains["a"].heard)
+    assert not np.allclose(first.probabilities(), second.probabilities())
+
+
+def test_a_single_message_is_handed_on_as_it_is() -> None:
+    class Speaker(DiscreteChain):
+        def message(
+            self, state: DiscreteState, feature: Categorical, incoming: Incoming
+        ) -> CategoricalMessage:
+            return said
+
+    model = random_model(rng(), [("a", "f"), ("b", "f")], {"a": Listener, "b": Speaker})
+    said = CategoricalMessage(np.zeros(model.features["f"].size))
+    engine = RecursiveBP(model)
+    engine.step(engine.step(None, Frame(image(1), 0.0, 1)).state, Frame(None, 1.0, 2))
+    assert model.chains["a"].heard[-1][1] is said
+
+
+@dataclass(frozen=True)
+class Looking(Categorical):
+    """Evidence that notes where it was told to look."""
+
+    asked: list[CategoricalMessage] | None = None
+
+    def evidence(self, frame: Frame, prior: CategoricalMessage) -> CategoricalMessage:
+        assert self.asked is not None
+        self.asked.append(prior)
+        return super().evidence(frame, prior)
+
+
+def test_evidence_is_asked_once_a_frame_with_what_the_quick_chains_say() -> None:
+    tables = random_model(rng(), [("a", "f"), ("b", "f"), ("c", "f")], {"b": CavityChain})
+    node = tables.features["f"]
+    looking = Looking("f", node.size, node.log_likelihood, [])
+    model = MultiChain()
+    for name in "bac":
+        model.connect(tables.chains[name], looking)
+    list(RecursiveBP(model, sweeps=3).run(FRAMES[:3]))
+    assert looking.asked is not None
+    assert len(looking.asked) == 2  # the third frame is missing
+    expected = [np.log(tables.chains[name].prior @ tables.chains[name].tables["f"]) for name in "ac"]
+    np.testing.assert_array_equal(looking.asked[0].log_weights, sum(expected))
+
+
+def test_leading_missing_frames_believe_nothing() -> None:
+    model = random_model(rng(), GRAPHS["two chains"])
+    late = list(RecursiveBP(model).run([None, None, *FRAMES]))
+    for belief in late[:2]:
+        assert belief.states == {}
+        assert belief.log_evidence == 0
+        with pytest.raises(KeyError, match="before the first frame"):
+            belief["a"]
+    usual = list(RecursiveBP(model).run(FRAMES))
+    assert log_evidences(late[2:]) == log_evidences(usual)
+    assert [belief.frame.number for belief in late] == list(range(1, 8))
+
+
+def test_a_run_goes_on_from_any_state_and_leaves_it_as_it_was() -> None:
+    model = random_model(rng(), GRAPHS["three chains"])
+    engine = RecursiveBP(model)
+    whole = list(engine.run(FRAMES))
+    for start in range(1, len(FRAMES)):
+        rest = list(engine.run(FRAMES[start:], state=whole[start - 1].state))
+        assert log_evidences(rest) == log_evidences(whole[start:])
+        assert [belief.state.time for belief in rest] == [belief.state.time for belief in whole[start:]]
+
+
+def test_frames_and_plain_images_are_the_same() -> None:
+    engine = RecursiveBP(random_model(rng(), GRAPHS["two chains"]))
+    frames = [Frame(picture, 0.5 * n, n + 1) for n, picture in enumerate(FRAMES)]
+    assert log_evidences(list(engine.run(frames))) == log_evidences(list(engine.run(FRAMES, dt=0.5)))
+
+
+def test_a_belief_is_asked_by_object_or_name() -> None:
+    model = random_model(rng(), GRAPHS["two chains"])
+    belief = RecursiveBP(model).step(None, Frame(image(1), 0.0, 1))
+    assert belief[model.chains["a"]] is belief["a"] is belief.states["a"]
+    assert belief[model.features["f"]] is belief["f"]
+    with pytest.raises(KeyError, match="blobs: not part of the model, expected one of a, b, f"):
+        belief["blobs"]
+
+
+def test_bad_frames_are_refused_with_their_number() -> None:
+    engine = RecursiveBP(random_model(rng(), GRAPHS["one chain"]))
+    state = engine.step(None, Frame(image(1, 2), 1.0, 7)).state
+    with pytest.raises(ValueError, match=r"got \(1, 3\) uint8 at frame 8, expected \(1, 2\) uint8"):
+        engine.step(state, Frame(image(1, 2, 3), 2.0, 8))
+    with pytest.raises(ValueError, match=r"got \(1, 2, 3\) uint8 at frame 8"):
+        engine.step(state, Frame(np.zeros((1, 2, 3), np.uint8), 2.0, 8))
+    with pytest.raises(ValueError, match=r"float64 at frame 8"):
+        list(engine.run([np.zeros((1, 2))], state=state))  # type: ignore[list-item]
+    for time in (1.0, 0.5, np.nan):
+        with pytest.raises(ValueError, match=r"at frame 8, expected later than 1.0 s at frame 7"):
+            engine.step(state, Frame(image(1, 2), time, 8))
+
+
+def test_states_of_other_chains_are_refused() -> None:
+    state = RecursiveBP(random_model(rng(), [("z", "f")])).step(None, Frame(image(1), 0.0, 1)).state
+    with pytest.raises(ValueError, match="got chains z, expected a"):
+        RecursiveBP(random_model(rng(), [("a", "f")])).step(state, Frame(image(1), 1.0, 2))
+
+
+def test_a_model_is_checked_before_the_first_frame() -> None:
+    with pytest.raises(ValueError, match="no chain"):
+        RecursiveBP(MultiChain())
+    with pytest.raises(ValueError, match="loop"):
+        RecursiveBP(random_model(rng(), [("a", "f"), ("b", "f"), ("b", "g"), ("a", "g")]))
+    with pytest.raises(ValueError, match="sweeps: got 0"):
+        RecursiveBP(random_model(rng(), [("a", "f")]), sweeps=0)
+
+
+def test_impossible_values_and_wrong_likelihoods_are_named() -> None:
+    with pytest.raises(ValueError, match="weight 0 for every value"):
+        CategoricalMessage([-np.inf, -np.inf]).probabilities()
+    with pytest.raises(ValueError, match=r"log_likelihood of 'door': got \(3,\) at frame 1, expected \(2,\)"):
+        Categorical("door", 2, lambda frame: np.zeros(3)).evidence(
+            Frame(image(1), 0.0, 1), Categorical("door", 2).uniform()
+        )

@@ -1,0 +1,327 @@
+"""The picture of the empty scene against plain float64 formulas, quadrature and Monte Carlo."""
+
+import numpy as np
+import pytest
+from rsmcm.models.background.gaussian import BackgroundPrediction, LightField, colour
+from rsmcm.models.background.gaussian.kernels import gaussian as kernels
+from rsmcm.models.numerics.threads import set_threads, thread_count
+from scipy.integrate import quad
+from scipy.stats import norm
+
+STEP = 1 / kernels.ODDS_STEPS
+QUANTISATION = STEP + 2e-3  # a stored step, and float32 with approximate exp and log
+
+
+@pytest.fixture(autouse=True)
+def _threads():
+    before = thread_count()
+    yield
+    set_threads(before)
+
+
+def scene(channels, seed=0, size=(23, 37), prior=0.9, **changes):
+    """A prediction and an image that agrees with it in most places."""
+    rng = np.random.default_rng(seed)
+    height, width = size
+    n_pixels = height * width
+    shape = size if channels == 1 else (*size, 3)
+    remembered = rng.integers(30, 220, shape).astype(np.uint8)
+    values = {
+        "size": size,
+        "mean": colour.to_planes(remembered) + rng.normal(0, 2, (channels, n_pixels)).astype(np.float32),
+        "variance": rng.uniform(0.5, 60, n_pixels).astype(np.float32),
+        "noise": rng.uniform(20, 400, n_pixels).astype(np.float32),
+        "light": LightField(rng.uniform(0.8, 1.2, (3, 4)).astype(np.float32), size),
+        "prior": prior,
+        "drift": 1.5,
+        "noise_rate": 0.03,
+        "pooling": 0.3,
+        "candidate": np.zeros(n_pixels * channels, np.uint8),
+        "seen": np.zeros(n_pixels, np.uint8),
+        "trusted_looks": 10,
+        "tolerance": 100.0,
+    }
+    image = np.clip(remembered + rng.normal(0, 6, shape), 0, 255)
+    strange = image[5:15, 10:20]
+    strange[:] = rng.integers(0, 256, strange.shape)
+    return BackgroundPrediction(**{**values, **changes}), image.astype(np.uint8)
+
+
+def light_of(field):
+    """The light of every pixel, written as interpolation between the centres of blocks."""
+    blocks, (height, width) = field.blocks.astype(np.float64), field.size
+    rows, columns = ((np.arange(n) + 0.5) * m / n for n, m in zip(blocks.shape, field.size, strict=True))
+    across = np.array([np.interp(np.arange(width) + 0.5, columns, row) for row in blocks])
+    return np.array([np.interp(np.arange(height) + 0.5, rows, column) for column in across.T]).T.reshape(-1)
+
+
+def exact(prediction, image):
+    """Log odds and the quantities of the update in plain float64."""
+    light = light_of(prediction.light)
+    channels = prediction.channels
+    seen = colour.FROM_BGR @ image.reshape(-1, 3).T if channels == 3 else image.reshape(1, -1).astype(float)
+    before = prediction.variance + prediction.drift
+    total = light**2 * before + prediction.noise
+    difference = seen - light * prediction.mean
+    density = norm.logpdf(difference, 0, np.sqrt(total)).sum(axis=0) + np.log(colour.VOLUME[channels])
+    odds = np.log(prediction.prior) - np.log1p(-prediction.prior) + density + channels * np.log(256)
+    return light, before, total, difference, odds
+
+
+def reading_of(prediction, image):
+    """Own log odds before second colours and neighbours, and the update."""
+    return prediction.against(image), prediction.update(image)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_log_odds(channels, seed):
+    prediction, image = scene(channels, seed)
+    expected = np.clip(exact(prediction, image)[-1], -6, 6)
+    np.testing.assert_allclose(prediction.against(image).log_odds * STEP, expected, atol=QUANTISATION)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_update(channels):
+    prediction, image = scene(channels)
+    light, before, total, difference, odds = exact(prediction, image)
+    weight = 1 / (1 + np.exp(-np.clip(odds, -6, 6)))
+    gain = light * before / total
+    square = (difference**2).mean(axis=0)
+    after = prediction.update(image)
+    np.testing.assert_allclose(after.mean, prediction.mean + weight * gain * difference, rtol=1e-4, atol=5e-3)
+    variance = (1 - weight * gain * light) * before + weight * (1 - weight) * gain**2 * square
+    np.testing.assert_allclose(after.variance, np.clip(variance, 0.5, 60), rtol=1e-3)
+    noise = prediction.noise + prediction.noise_rate * weight * (square - total)
+    np.testing.assert_allclose(after.noise, np.clip(noise, 20, 400), rtol=1e-3)
+
+
+def test_the_update_is_the_moments_of_a_mixture():
+    """Seen with probability r, covered otherwise: drawn values have the mean and variance that are stored."""
+    rng = np.random.default_rng(3)
+    mean, variance, noise, shown, prior = 100.0, 40.0, 60.0, 118.0, 0.3
+    prediction, _ = scene(
+        1, size=(4, 4), prior=prior, drift=0.0, noise_rate=0.0,
+        mean=np.full((1, 16), mean, np.float32), variance=np.full(16, variance, np.float32),
+        noise=np.full(16, noise, np.float32), light=LightField(np.ones((2, 2), np.float32), (4, 4)),
+    )  # fmt: skip
+    image = np.full((4, 4), shown, np.uint8)
+    weights = np.array([prior * norm.pdf(shown, mean, np.sqrt(variance + noise)), (1 - prior) / 256])
+    seen = rng.random(400_000) < weights[0] / weights.sum()
+    precision = 1 / variance + 1 / noise
+    drawn_if_seen = rng.normal((mean / variance + shown / noise) / precision, precision**-0.5, seen.size)
+    drawn = np.where(seen, drawn_if_seen, rng.normal(mean, variance**0.5, seen.size))
+    after = prediction.update(image)
+    assert after.mean[0, 0] == pytest.approx(drawn.mean(), abs=4 * drawn.std() / seen.size**0.5)
+    assert after.variance[0] == pytest.approx(drawn.var(), rel=0.02)
+
+
+def test_likelihood_is_the_integral_over_labels_and_values():
+    prediction, image = scene(1, size=(3, 4))
+    light, before, _, _, _ = exact(prediction, image)
+    total = 0.0
+    for k, shown in enumerate(image.reshape(-1).astype(float)):
+        mean, deviation = light[k] * prediction.mean[0, k], light[k] * before[k] ** 0.5
+        of_background, _ = quad(
+            lambda value, m=mean, d=deviation, s=shown, n=prediction.noise[k]: (
+                norm.pdf(value, m, d) * norm.pdf(s, value, n**0.5)
+            ),
+            mean - 12 * deviation, mean + 12 * deviation, limit=200,
+        )  # fmt: skip
+        total += np.log(prediction.prior * of_background + (1 - prediction.prior) / 256)
+    assert prediction.log_likelihood(image) == pytest.approx(total, abs=1e-3 * image.size)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_likelihood_with_what_others_say(channels):
+    prediction, image = scene(channels)
+    odds = exact(prediction, image)[-1]
+    shift = np.random.default_rng(5).normal(0, 3, odds.size).astype(np.float32)
+    for added in (None, shift):
+        expected = np.logaddexp(0, odds + (0 if added is None else shift)).sum()
+        expected += odds.size * (np.log1p(-prediction.prior) - channels * np.log(256))
+        # float32 sums over rows: 1e-3 nat a pixel
+        assert prediction.log_likelihood(image, added) == pytest.approx(expected, abs=1e-3 * odds.size)
+
+
+def pooled_plainly(log_odds, prior, share):
+    said = np.pad(np.clip(log_odds.astype(int) - prior, -80, 80), 2)
+    height, width = log_odds.shape
+    around = sum(said[dy : dy + height, dx : dx + width] for dy in range(5) for dx in range(5))
+    return np.clip(log_odds + np.float32(share) * around, -127, 127)
+
+
+@pytest.mark.parametrize("size", [(23, 37), (1, 40), (3, 3), (2, 64), (40, 1)])
+def test_pooling(size):
+    log_odds = np.random.default_rng(6).integers(-120, 121, size).astype(np.int8)
+    pooled = np.empty(log_odds.size, np.int8)
+    kernels.pool_log_odds(0, size[0], *size, log_odds.reshape(-1), np.int16(44), np.float32(0.3), pooled)
+    np.testing.assert_allclose(pooled.reshape(size), pooled_plainly(log_odds, 44, 0.3), atol=1)
+
+
+def test_no_pooling_leaves_every_pixel_alone():
+    prediction, image = scene(3, pooling=0.0)
+    reading = prediction.against(image)
+    np.testing.assert_array_equal(reading.pooled, reading.log_odds)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_bands_and_threads_change_nothing(channels):
+    image = scene(channels)[1]
+    results = []
+    for threads in (1, 2, 3, 23, 50):
+        set_threads(threads)
+        prediction = scene(channels)[0]
+        reading, after = reading_of(prediction, image)
+        results.append((reading.log_odds, reading.pooled, after.mean, after.variance, after.noise))
+    for other in results[1:]:
+        assert [a.tobytes() for a in other] == [a.tobytes() for a in results[0]]
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_second_colour_that_was_seen_often_is_background(channels):
+    prediction, image = scene(channels)
+    own = prediction.against(image).log_odds.copy()
+    rng = np.random.default_rng(8)
+    candidate = np.clip(image.astype(int) + rng.integers(-6, 7, image.shape), 0, 255).astype(np.uint8)
+    seen = rng.integers(0, 20, own.size).astype(np.uint8)
+    recalled, _ = scene(channels, candidate=candidate.reshape(-1), seen=seen)
+    gap = np.square(colour.to_planes(image).astype(float) - colour.to_planes(candidate)).sum(axis=0)
+    known = (own < 0) & (seen >= 10) & (gap < 100.0)
+    assert 5 < known.sum() < (own < 0).sum()
+    np.testing.assert_array_equal(recalled.against(image).log_odds, np.where(known, 20, own))
+
+
+def second_look(channels, candidate, seen, looks, covered=None, odds=-40, tolerance=100.0, known=1.0):
+    """One look at a picture of nine pixels of one colour, all foreground."""
+    image = np.full(9 * channels, 90, np.uint8)
+    mean = colour.to_planes(np.full((3, 3) if channels == 1 else (3, 3, 3), 200, np.uint8))
+    variance, noise = np.full(9, known, np.float32), np.full(9, 30, np.float32)
+    covered = np.zeros(9, np.uint8) if covered is None else covered
+    to_planes = colour.from_pixels(channels)
+    kernels.second_look(
+        image, np.full(9, odds, np.int8), covered, 3, np.full((3, 3), 2, np.float32), np.zeros(3, np.float32),
+        to_planes, np.linalg.inv(to_planes), np.float32(tolerance), looks, np.float32(20), np.float32(4),
+        noise, mean, variance, candidate, seen,
+    )  # fmt: skip
+    return mean, variance
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_new_colour_becomes_a_candidate_and_lasts(channels):
+    candidate, seen = np.zeros(9 * channels, np.uint8), np.zeros(9, np.uint8)
+    for looks in range(1, 4):
+        mean, _ = second_look(channels, candidate, seen, 10)
+        assert (seen == looks).all()
+        assert (candidate == 90).all()
+        np.testing.assert_allclose(mean[0], 200, atol=1e-3)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_lasting_colour_changes_places_with_the_mean(channels):
+    candidate, seen = np.full(9 * channels, 92, np.uint8), np.full(9, 9, np.uint8)
+    mean, variance = second_look(channels, candidate, seen, 10)
+    np.testing.assert_allclose(mean[0], 90 / 2, atol=1e-3)  # under a light of 2
+    assert (variance == 20).all()
+    assert (seen == 5).all()
+    assert (candidate == 255).all()  # 2 * 200, as it would look today
+
+
+def test_another_colour_wears_the_candidate_out():
+    candidate, seen = np.full(9, 30, np.uint8), np.full(9, 7, np.uint8)
+    for looks in (5, 3, 1):
+        second_look(1, candidate, seen, 50)
+        assert (seen == looks).all()
+        assert (candidate == 30).all()
+    second_look(1, candidate, seen, 50)
+    assert (candidate == 90).all()
+
+
+def test_a_colour_that_is_not_the_candidate_never_becomes_background():
+    """Also when fewer looks are asked for than were counted before, because frames come more slowly."""
+    candidate, seen = np.full(9, 30, np.uint8), np.full(9, 100, np.uint8)
+    mean, _ = second_look(1, candidate, seen, 10)
+    np.testing.assert_allclose(mean, 200)
+
+
+def test_no_second_look_at_objects_and_background():
+    candidate, seen = np.zeros(9, np.uint8), np.zeros(9, np.uint8)
+    second_look(1, candidate, seen, 10, covered=np.ones(9, np.uint8))
+    second_look(1, candidate, seen, 10, odds=0)
+    assert not seen.any()
+
+
+@pytest.mark.parametrize("size", [(23, 37), (576, 768), (2, 2), (5, 1000)])
+def test_light_is_interpolated_between_block_centres(size):
+    blocks = np.random.default_rng(9).uniform(0.5, 2, (3, 4)).astype(np.float32)
+    field = LightField(blocks, size)
+    rows, position = field.rows(), field.row_positions()
+    above = position.astype(int)
+    share = (position - above)[:, None]
+    light = rows[above] * (1 - share) + rows[above + 1] * share
+    assert light.shape == size
+    np.testing.assert_allclose(light.reshape(-1), light_of(field), rtol=1e-5)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_light_ratios_are_medians_of_samples(channels):
+    prediction, image = scene(channels, size=(61, 83))
+    image = np.clip(image * 1.2, 0, 255).astype(np.uint8)
+    image[:20, :20] = 255  # nothing to be learned from saturated pixels
+    ratios, agreement = np.empty((3, 4), np.float32), np.empty((3, 4), np.float32)
+    rows, position = prediction.light.rows(), prediction.light.row_positions()
+    kernels.light_ratios(image.reshape(-1), prediction.mean, rows, position, 61, 83, ratios, agreement)
+    luma = colour.to_planes(image)[0].reshape(61, 83)
+    expected = (light_of(prediction.light) * prediction.mean[0]).reshape(61, 83)
+    for row in range(3):
+        for column in range(4):
+            ys = [int((6 * row + k + 0.5) * 61 / 18) for k in range(6)]
+            xs = [int((6 * column + k + 0.5) * 83 / 24) for k in range(6)]
+            seen, told = luma[np.ix_(ys, xs)].ravel(), expected[np.ix_(ys, xs)].ravel()
+            usable = (told > 16) & (seen > 2) & (seen < 250)
+            values = np.sort(seen[usable] / told[usable])
+            if len(values) < 12:
+                assert (ratios[row, column], agreement[row, column]) == (1, 0)
+                continue
+            median = values[len(values) // 2]
+            assert ratios[row, column] == pytest.approx(median, rel=1e-5)
+            close = np.abs(values / median - 1)
+            bounds = (close < 0.0499).mean() - 1e-6, (close < 0.0501).mean() + 1e-6
+            assert bounds[0] <= agreement[row, column] <= bounds[1]
+    assert agreement.max() > 0
+    assert agreement[0, 0] == 0
+
+
+def test_spans_are_where_there_is_foreground():
+    rng = np.random.default_rng(10)
+    for size in (1, 63, 64, 65, 640, 1003):
+        log_odds = np.where(rng.random(size) < 0.01, -1, 5).astype(np.int8)
+        spans = np.empty(size // 64 + 1, np.int64)
+        found = {int(start) for start in spans[: kernels.foreground_spans(log_odds, spans)]}
+        wanted = {int(i) // 64 * 64 for i in np.flatnonzero(log_odds < 0)}
+        assert wanted <= found <= wanted | {size // 64 * 64}
+
+
+def test_the_same_image_is_read_once_and_its_update_given_away():
+    prediction, image = scene(3)
+    assert prediction.against(image) is prediction.against(image)
+    first, second = prediction.update(image), prediction.update(image)
+    assert first.mean is not second.mean
+    np.testing.assert_array_equal(first.mean, second.mean)
+
+
+def test_a_view_of_a_picture():
+    prediction, image = scene(3)
+    wide = np.repeat(image, 2, axis=1)[:, ::2]
+    np.testing.assert_array_equal(scene(3)[0].against(wide).pooled, prediction.against(image).pooled)
+
+
+def test_a_mean_that_was_hardly_seen_gives_way_soon_and_behind_objects_too():
+    candidate, seen = np.full(9, 90, np.uint8), np.full(9, 9, np.uint8)
+    mean, variance = second_look(1, candidate, seen, 50, covered=np.ones(9, np.uint8), known=15.0)
+    assert (mean == 45).all()
+    assert (variance == 20).all()
+    assert (candidate == 255).all()
+    seen[:] = 7
+    mean, _ = second_look(1, np.full(9, 90, np.uint8), seen, 50, known=15.0)
+    assert (mean == 200).all()

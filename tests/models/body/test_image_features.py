@@ -1,0 +1,88 @@
+"""Distances to edges and which way the edges face."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models.body.image_features import edge_distances
+from rsmcm.models.numerics.threads import set_threads, thread_count
+from scipy.ndimage import distance_transform_edt
+
+Image = NDArray[np.uint8]
+
+
+def disc(contrast: float, size: tuple[int, int] = (120, 160), radius: float = 35.0) -> Image:
+    """A soft disc in the middle on grey 60."""
+    rows, columns = np.mgrid[: size[0], : size[1]]
+    distance = np.hypot(columns - size[1] / 2, rows - size[0] / 2)
+    return (60 + contrast / (1 + np.exp(distance - radius))).astype(np.uint8)
+
+
+@pytest.mark.parametrize("contrast", [12, 60, 180])
+def test_a_disc_has_its_circle_as_edge(contrast: float) -> None:
+    """Thresholds are relative to the image's own gradients, so the contrast does not matter."""
+    distances, directions = edge_distances(disc(contrast), 12.0)
+    rows, columns = np.mgrid[:120, :160]
+    right, down = columns - 80, rows - 60
+    radius = np.hypot(right, down)
+    near = np.abs(radius - 35) < 9
+    # the edge's pixels are up to one off the circle
+    np.testing.assert_allclose(distances[near], np.abs(radius - 35)[near], atol=1.6)
+    turned = np.abs(directions - np.arctan2(down, right))[near & (radius > 20)] % np.pi
+    assert np.quantile(np.minimum(turned, np.pi - turned), 0.95) < 0.2
+    assert distances[60, 80] == np.float32(12.0)
+
+
+def test_distances_are_euclidean() -> None:
+    image = np.random.default_rng(2).integers(0, 255, (6, 8)).astype(np.uint8).repeat(20, 0).repeat(20, 1)
+    distances, directions = edge_distances(image, 15.0)
+    exact = np.minimum(distance_transform_edt(distances > 0), 15.0)
+    np.testing.assert_allclose(distances, exact, atol=0.3)  # a 5x5 mask's distances are 2 % off at most
+    assert (distances.dtype, directions.dtype) == (np.float32, np.float32)
+    assert (directions >= 0).all()
+    assert (directions <= np.pi).all()
+
+
+@pytest.mark.parametrize("shape", [(40, 60), (40, 60, 3)])
+def test_no_edge_in_an_even_picture(shape: tuple[int, ...]) -> None:
+    distances, directions = edge_distances(np.full(shape, 90, np.uint8), 7.0)
+    assert (distances == 7).all()
+    assert not directions.any()
+
+
+def test_noise_is_hardly_an_edge() -> None:
+    noise = np.random.default_rng(0).normal(100, 6, (200, 300))
+    distances, _ = edge_distances(noise.clip(0, 255).astype(np.uint8), 15.0)
+    assert (distances == 0).mean() < 0.03
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(1, 20), st.integers(1, 20))
+def test_shifted_picture_shifted_distances(right: int, down: int) -> None:
+    image = np.full((160, 200), 60, np.uint8)
+    image[50:90, 60:100] = 180
+    one, _ = edge_distances(image, 10.0)
+    two, _ = edge_distances(np.roll(image, (down, right), (0, 1)), 10.0)
+    np.testing.assert_array_equal(two, np.roll(one, (down, right), (0, 1)))
+
+
+def hills(seed: int) -> Image:
+    """Soft ones beside a plain; in about every eighth, the threshold is some pixels' own gradient."""
+    heights = np.random.default_rng(seed).integers(0, 60, (12, 16)).astype(np.float32)
+    ground = cv2.resize(heights, (160, 120), interpolation=cv2.INTER_CUBIC)
+    ground[:, :90] = 30
+    return (60 + ground).clip(0, 255).astype(np.uint8)
+
+
+def test_edges_do_not_depend_on_threads() -> None:
+    before = thread_count()
+    found: list[list[bytes]] = []
+    try:
+        for threads in (1, 2, 4):
+            set_threads(threads)
+            found.append([part.tobytes() for seed in range(60) for part in edge_distances(hills(seed), 15.0)])
+    finally:
+        set_threads(before)
+    assert found[0] == found[1] == found[2]

@@ -1,0 +1,421 @@
+"""The body's likelihood against plain numpy, in pictures whose truth is known, and where a cue is missing."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models.body.image_features import BodyImage, edge_distances
+from rsmcm.models.body.kernels.likelihood import NECK, blob_terms, edge_terms, hand_terms
+from rsmcm.models.body.likelihood import (
+    BLOB_COST,
+    EDGE_POINTS,
+    EDGE_SHARPNESS,
+    EDGE_SPREAD,
+    EDGE_WINDOW,
+    FLESH_SCORES,
+    HEAD_SCORES,
+    NECK_RADIUS,
+    NO_EDGE,
+    WINDOWS,
+    BodyLikelihood,
+    edge_ratios,
+    flesh_maps,
+)
+from rsmcm.models.body.poses import BodyPoses
+from rsmcm.models.body.silhouette import masks
+from rsmcm.models.body.upper_body import UpperBody
+from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
+
+Array = NDArray[np.float64]
+
+SIZE = (360, 640)
+BODY = UpperBody.from_head(80)
+HEAD, FLESH, EDGES = 0, 1, 2
+HANDS = (5, 8)
+"""Labels of the hands in masks."""
+
+
+def signing() -> BodyPoses:
+    """One pose with both hands before the chest's sides, elbows out."""
+    arms = np.array([[[[0.45, 0.85, -0.25], [0.1, -0.75, -0.6]], [[-0.5, 0.8, -0.3], [0.05, -0.3, -0.9]]]])
+    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+    return BodyPoses(np.array([[310.0, 150.0]]), np.zeros((1, 3)), arms)
+
+
+def seen(poses: BodyPoses, *, without: tuple[int, ...] = (), discs: Array | None = None) -> BodyImage:
+    """What an image of the first of `poses` says; hands `without` flesh, and `discs` more of it."""
+    labels = masks(BODY, poses.take([0]), SIZE)[0]
+    parts = BODY.parts(poses)[0]
+    flesh = np.full(SIZE, -4, np.float32)
+    flesh[labels == 1] = 4
+    more = np.zeros((0, 2)) if discs is None else discs
+    for side in (0, 1):
+        if side not in without:
+            flesh[labels == HANDS[side]] = 4
+    for x, y in more:
+        cv2.circle(flesh, (round(x), round(y)), round(BODY.hand), 4, -1)
+    edges, directions = edge_distances((25 * labels).astype(np.uint8), BODY.head_height / 6)
+    heads = parts[:1]
+    spread = np.array([(0.1 * BODY.head_height) ** 2 * np.eye(2)])
+    none = np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0)
+    mixtures = GaussianMixtures.of_parts(
+        [[np.log(0.95 * 360 * 640)], none[2], none[2]],
+        [heads, none[0], none[0]],
+        [spread, none[1], none[1]],
+        np.log([0.05, 1, 1]),
+    )
+    blobs = np.concatenate([parts[[1 + side for side in (0, 1) if side not in without]], more])
+    return BodyImage(
+        flesh, flesh, edges, directions, np.array([[*(heads[0] - 30), 60, 60]]), heads, spread,
+        blobs, np.tile(25 * np.eye(2), (len(blobs), 1, 1)), np.full(len(blobs), 1.5), mixtures,
+    )  # fmt: skip
+
+
+def scattered(n: int, random: np.random.Generator, spread: float = 0.3) -> BodyPoses:
+    """Poses about `signing()`."""
+    poses = signing().take(np.zeros(n, int))
+    arms = poses.arms + spread * random.normal(size=poses.arms.shape)
+    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+    roots = poses.roots + 30 * spread * random.normal(size=(n, 2))
+    return BodyPoses(roots, 0.5 * spread * random.normal(size=(n, 3)), arms)
+
+
+def hand_scores(image: BodyImage, parts: Array, roots: Array) -> Array:
+    """`(n,)` as the likelihood calls it."""
+    assert image.flesh is not None
+    flesh = flesh_maps(image.flesh, BODY.hand)
+    scales = np.array(flesh[0].shape[::-1]) / SIZE[::-1]
+    out = np.zeros(len(parts))
+    hand_terms(
+        parts, roots, *flesh, scales, BODY.hand, BODY.hand * np.array(WINDOWS),
+        0.5 * np.array([BODY.head_width, BODY.head_height]), NECK_RADIUS * BODY.head_height,
+        np.array(FLESH_SCORES), out,
+    )  # fmt: skip
+    return out
+
+
+# --- the kernels against plain numpy ------------------------------------------------------------------------
+
+
+def plain_hands(image: BodyImage, parts: Array, roots: Array) -> Array:
+    assert image.flesh is not None
+    maps = flesh_maps(image.flesh, BODY.hand)
+    full, none, hidden = FLESH_SCORES
+    r, inner, outer = BODY.hand, *(BODY.hand * np.array(WINDOWS))
+    half = 0.5 * np.array([BODY.head_width, BODY.head_height])
+    big, small = np.sqrt(half.prod()), NECK_RADIUS * BODY.head_height
+    ideal = np.exp(-0.5 * (r / outer) ** 2) - np.exp(-0.5 * (r / inner) ** 2)
+    apart = np.linalg.norm(parts[:, 1] - parts[:, 2], axis=1)
+    width = outer**2 + r**2 / 4
+    neighbour = 0.5 * r**2 / width * np.exp(-0.5 * apart**2 / width)
+    neck = parts[:, 0] + NECK * (roots - parts[:, 0])
+    gains = []
+    for side in (1, 2):
+        places = parts[:, side]
+        from_head = np.linalg.norm((places - parts[:, 0]) / half, axis=1) * big
+        from_neck = np.linalg.norm(places - neck, axis=1)
+
+        def covered(window: float, from_head: Array = from_head, from_neck: Array = from_neck) -> Array:
+            share = [
+                1 / (1 + np.exp(1.7 * (d - s) / window)) for d, s in ((from_head, big), (from_neck, small))
+            ]
+            return np.maximum(*share)
+
+        where = (places + 0.5) * np.array(maps[0].shape[::-1]) / SIZE[::-1] - 0.5
+        places_there = where[:, None].astype(np.float32)
+        centre, surround = (
+            cv2.remap(one, places_there, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            for one in maps
+        )
+        centre, surround = centre[:, 0], surround[:, 0]
+        foreign = np.maximum(surround - neighbour - covered(outer), 0)
+        response = (np.maximum(centre - covered(inner), 0) - foreign) / ideal
+        free = 1 - covered(inner)
+        nats = free * none + (full - none) * np.clip(response, 0, free)
+        gains.append(np.log((1 - hidden) * np.exp(nats) + hidden))
+    t = np.minimum(apart / (2 * r), 1)
+    shared = 2 / np.pi * (np.arccos(t) - t * np.sqrt(1 - t**2))
+    total: Array = gains[0] + gains[1] - np.minimum(2 * shared, 1) * np.maximum(np.minimum(*gains), 0)
+    return total
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6))
+def test_hands_equal_plain_numpy(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    image = seen(signing())
+    poses = scattered(20, random, 0.5)
+    parts = BODY.parts(poses)
+    parts[:5] = parts[:5, :1] + random.normal(0, 40, (5, 3, 2))  # hands at the face and at each other
+    # cv2.remap interpolates with 1/32 px: 0.6 % of a map's range, times the nats of the whole range
+    np.testing.assert_allclose(
+        hand_scores(image, parts, poses.roots), plain_hands(image, parts, poses.roots), atol=0.25
+    )
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6), st.integers(0, 6))
+def test_blobs_equal_plain_numpy(seed: int, m: int) -> None:
+    random = np.random.default_rng(seed)
+    parts, blobs = random.uniform(0, 200, (9, 3, 2)), random.uniform(0, 200, (m, 2))
+    costs, reach = random.uniform(0, 2, m), np.array([50.0, 30.0, 30.0])
+    squares = ((parts[:, None] - blobs[None, :, None]) ** 2).sum(-1) / reach**2
+    expected = -(costs * (1 - np.exp(-0.5 * squares)).prod(-1)).sum(-1)
+    out = np.zeros(9)
+    blob_terms(parts, blobs, costs, reach, out)
+    np.testing.assert_allclose(out, expected, atol=1e-3)  # exponential() is exact to 2e-5, the rest to 1e-6
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6))
+def test_edges_equal_plain_numpy(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    n, m, height, width = 4, 11, 30, 40
+    points = random.uniform(-5, 45, (n, m, 2)).astype(np.float32)
+    turns = random.uniform(0, 2 * np.pi, (n, m))
+    normals = np.stack([np.cos(turns), np.sin(turns)], -1).astype(np.float32)
+    visible = random.random((n, m)) < 0.7
+    angles = random.uniform(0, np.pi, (height, width))
+    ratio = random.uniform(0, 5, (height, width))
+    ratios = np.stack([ratio, np.cos(2 * angles), np.sin(2 * angles)], -1).astype(np.float32)
+    column, row = np.floor(points + np.float32(0.5)).astype(int).transpose(2, 0, 1)
+    inside = visible & (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    column, row = np.where(inside, column, 0), np.where(inside, row, 0)
+    density = np.exp(EDGE_SHARPNESS * np.cos(2 * (turns - angles[row, column]))) / np.i0(EDGE_SHARPNESS)
+    logs = np.log(NO_EDGE + (1 - NO_EDGE) * ratio[row, column] * density)
+    out = np.ones(n)
+    directions = np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)])
+    edge_terms(points, normals, visible, ratios, EDGE_POINTS, directions, NO_EDGE, out)
+    np.testing.assert_allclose(out, 1 + EDGE_POINTS / m * (inside * logs).sum(1), atol=2e-2)
+
+
+# --- what it says in pictures whose truth is known ----------------------------------------------------------
+
+
+def test_poses_do_not_know_of_each_other() -> None:
+    random = np.random.default_rng(0)
+    likelihood, image, poses = BodyLikelihood(BODY), seen(signing()), scattered(30, random)
+    together = likelihood(image, poses)
+    assert together.shape == (30,)
+    order = random.permutation(30)
+    np.testing.assert_allclose(likelihood(image, poses.take(order)), together[order], rtol=1e-6)
+    np.testing.assert_allclose(likelihood(image, poses.take([7])), together[[7]], rtol=1e-6)
+    np.testing.assert_array_equal(likelihood.terms(image, poses).sum(axis=0), together)
+
+
+def test_another_image_of_the_same_body_is_looked_at_anew() -> None:
+    likelihood, poses = BodyLikelihood(BODY), signing()
+    first, second = seen(poses), seen(poses, without=(0, 1))
+    before, after = likelihood(first, poses), likelihood(second, poses)
+    assert before != after
+    assert likelihood(first, poses) == before
+
+
+def test_the_true_pose_is_liked_best() -> None:
+    random = np.random.default_rng(1)
+    truth = signing()
+    for term in BodyLikelihood(BODY).terms(
+        seen(truth), BodyPoses.concatenated([truth, scattered(300, random)])
+    ):
+        assert (term[0] > np.quantile(term[1:], 0.95)).all()
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_hand_is_in_the_middle_of_its_flesh(side: int) -> None:
+    poses = signing()
+    parts = BODY.parts(poses)
+    step = np.stack(np.meshgrid(*[np.arange(-40, 41, 2.0)] * 2), -1).reshape(-1, 2)
+    moved = np.repeat(parts, len(step), axis=0)
+    moved[:, 1 + side] += step
+    scores = hand_scores(seen(poses), moved, np.repeat(poses.roots, len(step), axis=0))
+    off = np.linalg.norm(step[scores.argmax()])
+    assert off <= 0.08 * BODY.head_height  # a hand that is partly hidden by its wrist is a little off
+    share = np.exp(scores - scores.max())
+    mean = share @ step / share.sum()
+    spread = np.sqrt((share @ (step - mean) ** 2).sum() / share.sum() / 2)
+    assert 0.03 < spread / BODY.head_height < 0.12
+
+
+def test_a_hand_without_flesh_loses_a_few_nats_and_no_more() -> None:
+    poses = signing()
+    likelihood = BodyLikelihood(BODY)
+    whole, hidden = (likelihood.terms(seen(poses, without=gone), poses)[FLESH, 0] for gone in ((), (0,)))
+    full, none, missing = FLESH_SCORES
+    floor = np.log((1 - missing) * np.exp(none) + missing)
+    assert 0 < whole - hidden <= full - floor
+    parts = BODY.parts(poses)
+    parts[:, 1:] = [[600.0, 40.0], [40.0, 40.0]]  # far from all flesh: the worst there is
+    assert hand_scores(seen(poses), parts, poses.roots)[0] == pytest.approx(2 * floor, abs=0.02)
+
+
+def test_flesh_is_explained_once() -> None:
+    spots = np.array([[150.0, 250.0], [500.0, 260.0]])
+    image = seen(signing(), without=(0, 1), discs=spots)
+    roots = signing().roots
+    head = BODY.parts(signing())[0, 0]
+
+    def score(left: Array, right: Array) -> float:
+        return float(hand_scores(image, np.stack([head, left, right])[None], roots)[0])
+
+    nowhere = np.array([320.0, 340.0])
+    both, one, shared = score(spots[0], spots[1]), score(spots[0], nowhere), score(spots[0], spots[0])
+    nothing = score(nowhere, np.array([520.0, 340.0]))
+    gain = one - nothing
+    assert gain > 5
+    assert both - nothing == pytest.approx(2 * gain, abs=0.05)
+    # the second hand there is neither paid nor punished, and no flesh costs it a little
+    assert -0.1 < shared - one < 1.5
+    assert score(spots[1], spots[0]) == pytest.approx(both, abs=1e-3)
+    apart = [score(spots[0], spots[0] + [step, 0.0]) for step in np.linspace(0, 2, 9) * BODY.hand]
+    assert max(apart) <= both
+
+
+def test_the_face_is_no_hand() -> None:
+    poses = signing()
+    parts = np.repeat(BODY.parts(poses), 3, axis=0)
+    parts[1, 1] = parts[1, 0]  # at the face
+    parts[2, 1] = [40.0, 340.0]  # where nothing is
+    true, face, nothing = hand_scores(seen(poses), parts, np.repeat(poses.roots, 3, axis=0))
+    assert true > face + 4
+    assert face > nothing  # a hand that is not to be seen may as well be before the face
+    assert face < nothing + 2
+
+
+def test_flesh_that_nobody_explains_costs_a_little() -> None:
+    poses = signing()
+    spot = np.array([[100.0, 300.0]])
+    likelihood = BodyLikelihood(BODY)
+    alone, beside = likelihood(seen(poses), poses), likelihood(seen(poses, discs=spot), poses)
+    cost = BLOB_COST / (1 + np.exp(-1.5))
+    assert (alone - beside)[0] == pytest.approx(cost, abs=0.02)
+
+
+# --- where a cue is missing ---------------------------------------------------------------------------------
+
+
+def test_without_colour_hands_are_known_by_edges_alone() -> None:
+    poses = scattered(20, np.random.default_rng(2))
+    grey = replace(seen(signing()), flesh=None, moving=None)
+    terms = BodyLikelihood(BODY).terms(grey, poses)
+    assert not terms[FLESH].any()
+    assert np.ptp(terms[EDGES]) > 1
+
+
+def test_without_a_face_the_head_is_where_its_flesh_is() -> None:
+    poses = scattered(200, np.random.default_rng(3), 0.8)
+    missed = replace(seen(signing()), mixtures=GaussianMixtures.uniform(3))
+    term = BodyLikelihood(BODY).terms(missed, poses)[HEAD]
+    off = np.linalg.norm(BODY.parts(poses)[:, 0] - BODY.parts(signing())[:, 0], axis=1) / BODY.head_height
+    assert term[off.argmin()] > 0.9 * HEAD_SCORES[0] + np.log(1 - HEAD_SCORES[1])
+    assert term[off < 0.2].min() > term[off > 0.6].max() + 1
+    far = replace(signing(), roots=np.array([[80.0, 300.0]]))
+    assert BodyLikelihood(BODY).terms(missed, far)[HEAD] == pytest.approx(0, abs=0.01)
+    grey = BodyLikelihood(BODY).terms(replace(missed, flesh=None, moving=None), poses)
+    assert not grey[HEAD].any()
+    assert np.isfinite(grey).all()
+
+
+def test_an_empty_picture_says_next_to_nothing() -> None:
+    edges, directions = edge_distances(np.full(SIZE, 90, np.uint8), BODY.head_height / 6)
+    image = replace(
+        seen(signing()),
+        flesh=np.full(SIZE, -4, np.float32),
+        moving=np.full(SIZE, -4, np.float32),
+        edges=edges,
+        edge_directions=directions,
+        mixtures=GaussianMixtures.uniform(3),
+        blobs=np.zeros((0, 2)),
+        blob_log_weights=np.zeros(0),
+    )
+    terms = BodyLikelihood(BODY).terms(image, scattered(20, np.random.default_rng(4)))
+    assert np.isfinite(terms).all()
+    assert np.ptp(terms[FLESH]) < 2  # before the face nothing is expected, elsewhere flesh is missed
+    assert terms[EDGES].max() <= 0
+
+
+def test_a_body_out_of_the_picture_is_no_error() -> None:
+    away = replace(signing(), roots=np.array([[-900.0, 5000.0]]))
+    assert np.isfinite(BodyLikelihood(BODY)(seen(signing()), away)).all()
+
+
+# --- edges --------------------------------------------------------------------------------------------------
+
+
+def ratios_of(picture: NDArray[np.uint8]) -> tuple[NDArray[np.float32], BodyImage]:
+    edges, directions = edge_distances(picture, BODY.head_height / 6)
+    image = replace(seen(signing()), edges=edges, edge_directions=directions)
+    return edge_ratios(image, EDGE_SPREAD * BODY.head_height, EDGE_WINDOW * BODY.head_height), image
+
+
+def test_edge_ratios_are_ratios_of_densities() -> None:
+    """Where edges are even in place and direction, the mean of their ratio to themselves is 1."""
+    random = np.random.default_rng(5)
+    discs = np.full(SIZE, 60, np.uint8)
+    for x, y in random.uniform((0, 0), (640, 360), (900, 2)):
+        cv2.circle(discs, (round(x), round(y)), 9, int(random.choice([60, 120, 180])), -1)
+    ratios, image = ratios_of(discs)
+    assert ratios.shape == (*SIZE, 3)
+    # a window of half a head holds some discs, whose edges are never quite even
+    assert ratios[30:-30, 30:-30, 0].mean() == pytest.approx(1, abs=0.1)
+    np.testing.assert_allclose(ratios[..., 1], np.cos(2 * image.edge_directions), atol=0.02)  # 256 levels
+    np.testing.assert_allclose(ratios[..., 2], np.sin(2 * image.edge_directions), atol=0.02)
+
+
+def test_an_edge_across_stripes_says_more_than_one_along_them() -> None:
+    stripes = np.zeros(SIZE, np.uint8)
+    stripes[:, np.arange(640) % 24 < 12] = 60
+    stripes[180:] += 60
+    ratios, image = ratios_of(stripes)
+    across = np.abs(np.sin(image.edge_directions)) > 0.9
+    there = (image.edges < 1) & (np.abs(np.arange(360) - 180) < 3)[:, None]
+    assert ratios[there & across, 0].mean() > 2 * ratios[there & ~across, 0].mean()
+
+
+def test_places_without_edges_nearby_have_none() -> None:
+    ratios, image = ratios_of((25 * masks(BODY, signing(), SIZE)[0]).astype(np.uint8))
+    assert not ratios[image.edges >= image.edges.max(), 0].any()
+    assert ratios[image.edges == 0, 0].min() > 1
+
+
+def test_edges_say_less_where_there_are_many() -> None:
+    random = np.random.default_rng(5)
+    few, many = (
+        edge_distances((25 * masks(BODY, signing(), SIZE)[0] + noise).astype(np.uint8), BODY.head_height / 6)
+        for noise in (0, cv2.GaussianBlur(random.normal(40, 300, SIZE), (0, 0), 2.5).clip(0, 80))
+    )
+    poses = BodyPoses.concatenated([signing(), scattered(200, random)])
+    likelihood = BodyLikelihood(BODY)
+    gaps = []
+    for edges, directions in (few, many):
+        term = likelihood.terms(replace(seen(signing()), edges=edges, edge_directions=directions), poses)[
+            EDGES
+        ]
+        gaps.append(term[0] - np.median(term[1:]))
+    assert gaps[0] > gaps[1] > 0
+
+
+def test_elbows_are_found_by_edges() -> None:
+    """Of arms that reach the same hand, edges prefer the true one."""
+    from rsmcm.models.body.inverse_kinematics import arm_at
+
+    truth = signing()
+    random = np.random.default_rng(6)
+    joints = BODY.joints(truth)[0]
+    offsets = np.tile(joints[4] - joints[2], (400, 1))
+    offsets[:, 2] = random.uniform(-150, 150, 400)
+    arms, reachable = arm_at(BODY, 0, offsets, random.uniform(-np.pi, np.pi, 400))
+    poses = truth.take(np.zeros(400, int))
+    bent = poses.arms.copy()
+    bent[:, 0] = arms
+    poses = replace(poses, arms=bent)
+    poses = poses.take(reachable & BODY.allowed(poses))
+    term = BodyLikelihood(BODY).terms(seen(truth), BodyPoses.concatenated([truth, poses]))[EDGES]
+    weights = np.exp(term[1:] - term[1:].max())
+    elbows = BODY.joints(poses)[:, 3, :2]
+    off = np.linalg.norm(weights @ elbows / weights.sum() - joints[3, :2])
+    assert off < 0.15 * BODY.head_height
+    assert (term[0] > term[1:]).mean() > 0.95

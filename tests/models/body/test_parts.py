@@ -1,0 +1,204 @@
+"""What images say of head and hands."""
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts, PartMessage
+from rsmcm.models.body.skin_colour import FleshColour
+from rsmcm.models.core.frame import Frame
+from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
+from rsmcm.models.face.detectors import HaarFaces
+
+from ...support.signer_clip import signer_clip
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+HEIGHT = 80.0
+HEAD, LEFT, RIGHT = np.array([160.0, 70.0]), np.array([215.0, 180.0]), np.array([100.0, 170.0])
+SIDE = HEIGHT / HEAD_OF_BOX
+BOX = np.array([HEAD[0] - SIDE / 2, HEAD[1] - CENTRE_OF_BOX * SIDE, SIDE, SIDE])
+
+
+def picture(head: bool = True, hands: tuple[Array, ...] = (LEFT, RIGHT), seed: int = 0) -> Image:
+    """A person's head and hands before a wall, noise of 3 levels."""
+    rows, columns = np.mgrid[:240, :320]
+    image = np.broadcast_to(np.array([150.0, 110.0, 90.0]), (240, 320, 3)).copy()
+    image[125:, 90:230] = 40
+    covered = np.zeros((240, 320), np.bool_)
+    if head:
+        covered |= np.hypot((columns - HEAD[0]) / (0.36 * HEIGHT), (rows - HEAD[1]) / (0.5 * HEIGHT)) < 1
+    for x, y in hands:
+        covered |= np.hypot(columns - x, rows - y) < 0.24 * HEIGHT
+    image[covered] = (90, 130, 200)
+    image += np.random.default_rng(seed).normal(0, 3, image.shape)
+    return image.clip(0, 255).astype(np.uint8)
+
+
+class Faces:
+    """Gives the boxes it was given."""
+
+    def __init__(self, *boxes: Array) -> None:
+        self.boxes = np.array(boxes).reshape(-1, 4)
+
+    def __call__(self, frame: Frame) -> Array:
+        return self.boxes
+
+
+def learned(*boxes: Array) -> BodyParts:
+    flesh = FleshColour.learned([picture()], BOX[None])
+    assert flesh is not None
+    return BodyParts(HEIGHT, flesh, Faces(*boxes))
+
+
+def heaviest(mixtures: GaussianMixtures, part: int) -> Array:
+    weights = np.where(mixtures.flat[part], -np.inf, mixtures.log_weights[part])
+    return mixtures.means[part, weights.argmax()]
+
+
+def test_head_and_hands() -> None:
+    node = learned(BOX)
+    seen = node.evidence(Frame(picture(seed=1), 0.0, 1), node.uniform()).image
+    assert seen is not None
+    assert seen.size == (240, 320)
+    np.testing.assert_allclose(seen.head_centres, HEAD[None], atol=2)
+    np.testing.assert_allclose(heaviest(seen.mixtures, 0), HEAD, atol=2)
+    for hand in (LEFT, RIGHT):
+        assert np.hypot(*(seen.blobs[:2] - hand).T).min() < 5
+        # both hands have the same blobs: which is whose, the image does not say
+        values = seen.mixtures.log_values(np.broadcast_to(hand, (1, 3, 2)).astype(np.float64))
+        assert values[0, 1] == values[0, 2]
+        assert values[0, 1] > 1 + seen.mixtures.log_values(np.full((1, 3, 2), 20.0))[0, 1]
+    np.testing.assert_array_equal(seen.mixtures.labels[1], seen.mixtures.labels[2])
+
+
+def test_evidence_is_a_ratio_of_probabilities() -> None:
+    """One face, detected: over the picture's area it averages P / (false ones) + 1 - P, 0.8 and 0.05."""
+    node = learned(BOX)
+    seen = node.evidence(Frame(picture(), 0.0, 1), node.uniform()).image
+    assert seen is not None
+    area = 240 * 320
+    average = seen.mixtures.log_masses_within(area)[0] - np.log(area)
+    assert average == pytest.approx(np.log(0.8 / 0.05 + 0.2), abs=1e-9)
+
+
+def test_head_turned_away() -> None:
+    """A detector finds the face at one side of the head; the flesh says where its middle is."""
+    node = learned(BOX - (10, 0, 0, 0))
+    seen = node.evidence(Frame(picture(), 0.0, 1), node.uniform()).image
+    assert seen is not None
+    np.testing.assert_allclose(seen.head_centres[0], HEAD, atol=3)
+
+
+def test_no_face_detected() -> None:
+    """The head is where a head's size of flesh is, less surely."""
+    node, other = learned(), learned(BOX)
+    frame = Frame(picture(), 0.0, 1)
+    without, with_face = (each.evidence(frame, each.uniform()).image for each in (node, other))
+    assert without is not None
+    assert with_face is not None
+    assert len(without.faces) == 0
+    np.testing.assert_allclose(heaviest(without.mixtures, 0), HEAD, atol=8)
+    assert np.isfinite(without.mixtures.log_weights[0, without.mixtures.flat[0]]).any()
+    here = np.broadcast_to(HEAD, (1, 3, 2)).astype(np.float64)
+    away = np.full((1, 3, 2), 20.0)
+
+    def contrast(mixtures: GaussianMixtures) -> float:
+        return float((mixtures.log_values(here) - mixtures.log_values(away))[0, 0])
+
+    assert 0 < contrast(without.mixtures) < contrast(with_face.mixtures)
+
+
+def told(mean: Array, deviation: float) -> PartMessage:
+    none, nowhere = np.zeros((0, 2)), np.zeros((0, 2, 2))
+    mixtures = GaussianMixtures.of_parts(
+        [[0.0], [], []],
+        [mean[None], none, none],
+        [deviation**2 * np.eye(2)[None], nowhere, nowhere],
+        [-np.inf, 0.0, 0.0],
+    )
+    return PartMessage(mixtures)
+
+
+def test_prior_tells_the_head_from_the_hands() -> None:
+    """Without a face, chains that know the head's place keep its flesh from being taken for a hand's."""
+    node = learned()
+    frame = Frame(picture(hands=(HEAD + np.array([4.0, 55.0]),)), 0.0, 1)
+
+    def weight_of_the_head(prior: PartMessage) -> float:
+        seen = node.evidence(frame, prior).image
+        assert seen is not None
+        inside = np.hypot(*((seen.blobs - HEAD) / (0.36 * HEIGHT, 0.45 * HEIGHT)).T) < 1
+        return float(seen.blob_log_weights[inside].max())
+
+    vague, sure = weight_of_the_head(told(HEAD, 60.0)), weight_of_the_head(told(HEAD, 6.0))
+    assert vague == weight_of_the_head(node.uniform())
+    assert sure < vague - 1
+
+
+def test_nothing_to_see() -> None:
+    node = learned()
+    nothing = node.evidence(Frame(None, 0.0, 1), node.uniform())
+    assert nothing.image is None
+    wall = np.full((240, 320, 3), (150, 110, 90), np.uint8)
+    seen = node.evidence(Frame(wall, 0.0, 1), node.uniform())
+    assert seen.image is not None
+    assert not seen.mixtures.informative.any()
+    # it multiplies as the constant 1 does
+    message = told(HEAD, 5.0)
+    np.testing.assert_allclose((message * seen).mixtures.log_masses[0], message.mixtures.log_masses[0])
+
+
+def test_grey_video() -> None:
+    """No flesh: faces and edges are all there is."""
+    grey = picture().mean(axis=2).astype(np.uint8)
+    node = BodyParts.learned([grey], Faces(BOX))
+    assert node.flesh is None
+    seen = node.evidence(Frame(grey, 0.0, 1), node.uniform()).image
+    assert seen is not None
+    assert seen.flesh is None
+    assert len(seen.blobs) == 0
+    assert (seen.edges == 0).any()
+    np.testing.assert_array_equal(seen.mixtures.informative, [True, False, False])
+
+
+def test_learned_from_a_clip() -> None:
+    """Sizes are the median of the faces', and images without a face do not matter."""
+    node = BodyParts.learned([picture(seed=seed) for seed in range(3)], Faces(BOX))
+    assert node.head_height == pytest.approx(HEIGHT)
+    assert node.flesh is not None
+    with pytest.raises(ValueError, match="images: got no face in 2 of 2, expected one at least"):
+        BodyParts.learned([picture(), picture()], Faces())
+    with pytest.raises(ValueError, match="images: got no face in 0 of 0"):
+        BodyParts.learned([], Faces(BOX))
+
+
+@pytest.mark.parametrize("height", [0.0, -3.0, np.inf, np.nan])
+def test_impossible_height(height: float) -> None:
+    with pytest.raises(ValueError, match=r"head_height: got .* px, expected more than 0"):
+        BodyParts(height)
+
+
+# hand-marked centres, px, of the right and the left hand in every 16th frame of a film of 125
+HANDS = {
+    0: ((249, 210), (311, 193)), 16: ((293, 201), (324, 134)), 32: ((237, 150), (310, 149)),
+    48: ((256, 196), (314, 149)), 64: ((313, 336), (286, 176)), 80: ((310, 336), (296, 173)),
+    96: ((314, 337), (306, 173)), 112: ((284, 287), (314, 167)),
+}  # fmt: skip
+
+
+@pytest.mark.skipif(not hasattr(cv2, "CascadeClassifier"), reason="OpenCV 5 has no cascades")
+def test_a_real_signer() -> None:
+    """Both hands have a blob of their own in all frames, also on the face and on trousers of its colour."""
+    images = signer_clip()
+    node = BodyParts.learned(images[::6], HaarFaces())
+    errors = []
+    for number, hands in HANDS.items():
+        seen = node.evidence(Frame(images[number], 0.0, number + 1), node.uniform()).image
+        assert seen is not None
+        apart = np.hypot(*(seen.blobs[:, None] - np.array(hands)).transpose(2, 0, 1))
+        assert len(set(apart.argmin(axis=0))) == 2
+        errors.extend(apart.min(axis=0))
+    assert np.median(errors) < 10
+    assert max(errors) < 25

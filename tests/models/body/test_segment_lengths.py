@@ -1,0 +1,142 @@
+"""Segment lengths from joints of bodies of known lengths, seen from the front with noise and gaps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models.body.poses import BodyPoses
+from rsmcm.models.body.segment_lengths import projected_length
+from rsmcm.models.body.upper_body import UpperBody
+
+Array = NDArray[np.float64]
+
+SEGMENTS = ("neck", "shoulder_width", "upper_arm", "forearm")
+seeds = st.integers(0, 10**6)
+
+
+def seen(body: UpperBody, n_frames: int, noise: float, seed: int) -> Array:
+    """`(n_frames, 8, 2)`: joints in the picture of allowed poses, which are equally frequent."""
+    random = np.random.default_rng(seed)
+    n = 100 * n_frames
+    arms = random.normal(size=(n, 2, 2, 3))
+    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+    poses = BodyPoses(random.normal(size=(n, 2)), 0.15 * random.normal(size=(n, 3)), arms)
+    poses = poses.take(np.flatnonzero(body.allowed(poses))[:n_frames])
+    assert len(poses) == n_frames
+    joints = body.joints(poses)[:, :, :2]
+    return joints + noise * random.normal(size=joints.shape)
+
+
+def unusual(seed: int) -> UpperBody:
+    """A body whose lengths differ from the usual ones by about a tenth."""
+    factors = np.exp(0.1 * np.random.default_rng(seed).normal(size=4))
+    usual = UpperBody.from_head(90)
+    lengths = {name: getattr(usual, name) * f for name, f in zip(SEGMENTS, factors, strict=True)}
+    return replace(usual, **lengths)
+
+
+def test_lengths_are_found_from_30_noisy_frames() -> None:
+    errors = []
+    for seed in range(30):
+        body = unusual(seed)
+        fitted = UpperBody.fit(seen(body, 30, 2.0, seed), np.full(30, 90.0))
+        errors.append([np.log(getattr(fitted, name) / getattr(body, name)) for name in SEGMENTS])
+    assert np.abs(errors).max() < 0.05
+    assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < 0.02
+
+
+@settings(max_examples=8, deadline=None)
+@given(seeds)
+def test_gaps_and_wrong_joints_do_little(seed: int) -> None:
+    body, random = unusual(seed), np.random.default_rng(seed + 1)
+    joints = seen(body, 40, 2.0, seed)
+    joints[random.random((40, 8)) < 0.25] = np.nan
+    joints[random.random((40, 8)) < 0.02] += 300
+    fitted = UpperBody.fit(joints, np.full(40, 90.0))
+    for name in SEGMENTS:
+        assert getattr(fitted, name) == pytest.approx(getattr(body, name), rel=0.1)
+
+
+def test_the_estimate_has_no_bias_over_many_bodies() -> None:
+    random = np.random.default_rng(0)
+    errors = []
+    for _ in range(40):
+        apparent = 126 * np.sin(np.arccos(random.random(60))) + 2.7 * random.normal(size=60)
+        errors.append(np.log(projected_length(np.abs(apparent), 126, 2.7) / 126))
+    assert abs(np.mean(errors)) < 0.004 + 3 * np.std(errors) / np.sqrt(40)
+    assert np.std(errors) < 0.02
+
+
+@pytest.mark.parametrize("usual", [100, 160])
+def test_a_single_frame_stays_near_the_usual_length_and_many_do_not(usual: float) -> None:
+    apparent = 126 * np.sin(np.arccos(np.random.default_rng(1).random(100)))
+    assert projected_length(np.array([60.0]), usual, 2.7) == pytest.approx(usual, rel=0.15)
+    assert projected_length(apparent, usual, 2.7) == pytest.approx(126, rel=0.03)
+
+
+def test_what_is_never_seen_has_usual_proportions() -> None:
+    body = UpperBody.from_head(80)
+    joints = seen(body, 20, 0.0, 2)
+    joints[:, 2:] = np.nan
+    fitted = UpperBody.fit(joints)
+    scale = fitted.neck / body.neck
+    assert scale == pytest.approx(1, abs=0.05)
+    for name in ("head_height", "shoulder_width", "upper_arm", "forearm", "hand", "torso_height"):
+        assert getattr(fitted, name) == pytest.approx(scale * getattr(body, name))
+
+
+def test_one_side_is_enough_and_neck_comes_from_the_shoulders() -> None:
+    body = UpperBody.from_head(80)
+    joints = seen(body, 30, 0.5, 3)
+    right_hidden, no_neck = joints.copy(), joints.copy()
+    right_hidden[:, 5:] = np.nan
+    no_neck[:, 1] = np.nan
+    for partial in (right_hidden, no_neck):
+        fitted = UpperBody.fit(partial)
+        for name in SEGMENTS:
+            assert getattr(fitted, name) == pytest.approx(getattr(body, name), rel=0.05)
+
+
+def test_arms_alone_give_the_size() -> None:
+    body = UpperBody.from_head(80)
+    joints = seen(body, 60, 0.5, 4)
+    joints[:, :2] = np.nan
+    joints[:, 5:] = np.nan
+    assert UpperBody.fit(joints).upper_arm == pytest.approx(body.upper_arm, rel=0.06)
+
+
+def test_head_heights_come_first() -> None:
+    joints = seen(UpperBody.from_head(80), 10, 0.5, 5)
+    heights = np.full(10, np.nan)
+    heights[3:6] = [95, 96, 400]
+    assert UpperBody.fit(joints, heights).head_height == 96
+
+
+@pytest.mark.parametrize("shape", [(8, 2), (3, 7, 2), (3, 8, 3)])
+def test_joints_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=r"joints must be \(n_frames, 8, 2\) px, got"):
+        UpperBody.fit(np.zeros(shape))
+
+
+def test_joints_that_tell_nothing_are_refused() -> None:
+    nothing = np.full((4, 8, 2), np.nan)
+    nothing[:, 4] = 7.0
+    with pytest.raises(ValueError, match="tell of no length"):
+        UpperBody.fit(nothing)
+    with pytest.raises(ValueError, match="infinity"):
+        UpperBody.fit(np.full((4, 8, 2), np.inf))
+    with pytest.raises(ValueError, match="head of 0 px, expected a positive height"):
+        UpperBody.fit(np.zeros((4, 8, 2)))
+    with pytest.raises(ValueError, match="head of -5 px"):
+        UpperBody.fit(nothing, np.full(4, -5.0))
+
+
+def test_joints_that_no_person_has_are_refused() -> None:
+    joints = seen(UpperBody.from_head(90), 30, 1.0, 6)
+    for shoulder in (2, 5):
+        joints[:, shoulder + 1 : shoulder + 3] += 10 * (joints[:, [shoulder + 1]] - joints[:, [shoulder]])
+    with pytest.raises(ValueError, match="upper_arm is impossible"):
+        UpperBody.fit(joints)

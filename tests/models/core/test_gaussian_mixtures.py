@@ -1,0 +1,279 @@
+"""Mixtures of Gaussians and flat components against their values at points, on grids and in samples."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models.core.gaussian_mixtures import MOST_COMPONENTS, NO_LABEL, GaussianMixtures
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+Array = NDArray[np.float64]
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def mixtures(
+    seed: int, n_parts: int = 2, most: int = 4, flat: bool | None = None, spread: float = 20.0
+) -> GaussianMixtures:
+    """Random ones, with different numbers of components and, mostly, a flat one."""
+    random = np.random.default_rng(seed)
+    counts = random.integers(0 if flat is not False else 1, most + 1, n_parts)
+    roots = [random.normal(0, 5, (count, 2, 2)) for count in counts]
+    has_flat = random.random(n_parts) < 0.7 if flat is None else np.full(n_parts, flat)
+    has_flat |= counts == 0
+    return GaussianMixtures.of_parts(
+        [random.normal(0, 2, count) for count in counts],
+        [random.normal(0, spread, (count, 2)) for count in counts],
+        [root @ root.swapaxes(1, 2) + 4 * np.eye(2) for root in roots],
+        np.where(has_flat, random.normal(-6, 1, n_parts), -np.inf),
+        [random.integers(0, 5, count) for count in counts],
+    )
+
+
+def points(seed: int, n: int = 50, n_parts: int = 2) -> Array:
+    return np.random.default_rng(seed).normal(0, 20, (n, n_parts, 2))
+
+
+def grid(reach: float, step: float) -> tuple[Array, float]:
+    """Points of a square `(n, 2, 2)`, the same for both parts, and their area."""
+    along = np.arange(-reach, reach, step) + 0.5 * step
+    places = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+    return np.repeat(places[:, None], 2, axis=1), step**2
+
+
+def test_values_are_those_of_the_sum_of_densities() -> None:
+    mean, covariance = np.array([3.0, -2.0]), np.array([[9.0, 2.0], [2.0, 4.0]])
+    given_one = GaussianMixtures.of_parts(
+        [[np.log(0.3), np.log(2.0)]], [[mean, -mean]], [[covariance, 2 * covariance]], [np.log(1e-3)]
+    )
+    at = points(1, n_parts=1)
+    expected = (
+        0.3 * multivariate_normal(mean, covariance).pdf(at[:, 0])
+        + 2.0 * multivariate_normal(-mean, 2 * covariance).pdf(at[:, 0])
+        + 1e-3
+    )
+    np.testing.assert_allclose(given_one.log_values(at)[:, 0], np.log(expected), rtol=1e-12)
+
+
+@given(SEEDS)
+@settings(max_examples=50, deadline=None)
+def test_product_is_that_of_the_values(seed: int) -> None:
+    a, b, at = mixtures(seed), mixtures(seed + 1), points(seed)
+    np.testing.assert_allclose((a * b).log_values(at), a.log_values(at) + b.log_values(at), rtol=1e-9)
+
+
+@given(SEEDS)
+@settings(max_examples=50, deadline=None)
+def test_products_commute_and_associate(seed: int) -> None:
+    a, b, c = (mixtures(seed + more, most=2) for more in range(3))
+    at = points(seed)
+    np.testing.assert_allclose((a * b).log_values(at), (b * a).log_values(at), rtol=1e-9)
+    np.testing.assert_allclose(((a * b) * c).log_values(at), (a * (b * c)).log_values(at), rtol=1e-9)
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_uniform_is_neutral_to_the_last_bit(seed: int) -> None:
+    a, one = mixtures(seed), GaussianMixtures.uniform(2)
+    for product in (a * one, one * a):
+        kept = np.isfinite(a.log_weights) & ~a.flat
+        np.testing.assert_array_equal(product.log_weights, a.log_weights)
+        np.testing.assert_array_equal(product.means[kept], a.means[kept])
+        np.testing.assert_array_equal(product.covariances[kept], a.covariances[kept])
+        np.testing.assert_array_equal(product.flat, a.flat)
+        np.testing.assert_array_equal(product.labels, a.labels)
+
+
+def test_uniform_is_one_everywhere() -> None:
+    one = GaussianMixtures.uniform(2)
+    np.testing.assert_array_equal(one.log_values(points(0)), 0.0)
+    assert not one.informative.any()
+    assert np.isinf(one.log_masses).all()
+
+
+@given(SEEDS)
+@settings(max_examples=15, deadline=None)
+def test_masses_are_integrals(seed: int) -> None:
+    """The grid reaches 10 standard deviations; sums over one that is a quarter as fine as the narrowest
+    Gaussian are exact to rounding."""
+    places, area = grid(160, 1.0)
+    proper = mixtures(seed, flat=False, spread=10.0) * mixtures(seed + 1, spread=10.0)
+    wide = mixtures(seed, flat=False, spread=10.0)
+    integrals = logsumexp(wide.log_values(places), axis=0) + np.log(area)
+    np.testing.assert_allclose(wide.log_masses, integrals, atol=1e-6)
+    np.testing.assert_allclose(proper.log_masses, logsumexp(proper.log_values(places), axis=0), atol=1e-3)
+
+
+def test_masses_within_an_area_count_flat_components_over_it() -> None:
+    one = GaussianMixtures.of_parts(
+        [[0.0], []], [np.zeros((1, 2)), []], [[np.eye(2)], []], [np.log(0.01), np.log(0.5)]
+    )
+    assert np.isinf(one.log_masses).all()
+    np.testing.assert_allclose(one.log_masses_within(200.0), np.log([1 + 2.0, 100.0]))
+
+
+def test_moments_are_those_on_a_grid() -> None:
+    """Flat components over a square about the centre, summed with pixels of 0.5."""
+    one, side = mixtures(3, flat=True, spread=5.0), 60.0
+    mean, covariance = one.moments(side**2, (0.0, 0.0))
+    places, area = grid(120, 0.5)
+    weights = np.exp(one.log_values(places))
+    flat = np.exp(np.where(one.flat, one.log_weights, -np.inf).max(axis=1))
+    inside = (np.abs(places[:, :, 0]) < side / 2) & (np.abs(places[:, :, 1]) < side / 2)
+    weights = weights - flat + flat * inside
+    weights *= area / (weights.sum(axis=0) * area)
+    expected = np.einsum("np,npx->px", weights, places)
+    off = places - expected
+    np.testing.assert_allclose(mean, expected, atol=1e-3)
+    np.testing.assert_allclose(
+        covariance, np.einsum("np,npx,npy->pxy", weights, off, off), rtol=1e-3, atol=0.1
+    )
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_overlaps_are_integrals_of_products(seed: int) -> None:
+    """Of a product with one Gaussian, whose mass is known otherwise; and of only a flat component."""
+    one = mixtures(seed)
+    random = np.random.default_rng(seed + 7)
+    means = random.normal(0, 20, (2, 5, 2))
+    roots = random.normal(0, 5, (2, 5, 2, 2))
+    covariances = roots @ roots.swapaxes(2, 3) + np.eye(2)
+    overlaps = one.log_overlaps(means, covariances)
+    assert overlaps.shape == (2, 5)
+    for number in range(5):
+        density = GaussianMixtures.of_parts(
+            np.zeros((2, 1)), means[:, number, None], covariances[:, number, None]
+        )
+        np.testing.assert_allclose(overlaps[:, number], (one * density).log_masses, rtol=1e-9, atol=1e-9)
+    flat = GaussianMixtures.of_parts([[], []], [[], []], [[], []], [0.5, -2.0])
+    np.testing.assert_allclose(flat.log_overlaps(means, covariances), [[0.5] * 5, [-2.0] * 5])
+
+
+def test_an_overlap_is_the_sum_over_a_grid() -> None:
+    one = mixtures(4, spread=10.0)
+    mean, covariance = np.array([4.0, -6.0]), np.array([[30.0, 8.0], [8.0, 20.0]])
+    places, area = grid(100, 1.0)
+    density = multivariate_normal(mean, covariance).pdf(places[:, 0])
+    expected = np.log((np.exp(one.log_values(places)) * density[:, None]).sum(axis=0) * area)
+    found = one.log_overlaps(np.tile(mean, (2, 1, 1)), np.tile(covariance, (2, 1, 1, 1)))
+    np.testing.assert_allclose(found[:, 0], expected, atol=1e-6)
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_a_gaussian_stands_for_what_was_flat(seed: int) -> None:
+    """As much of it as counts in the given area; nothing else changes."""
+    one, at = mixtures(seed), points(seed)
+    log_area = 11.0
+    means, covariances = (
+        np.array([[3.0, 1.0], [-9.0, 4.0]]),
+        np.array([60.0, 90.0])[:, None, None] * np.eye(2),
+    )
+    proper = one.proper(log_area, means, covariances)
+    assert not proper.flat.any()
+    assert np.isfinite(proper.log_masses).all()
+    flat = np.where(one.flat, one.log_weights, -np.inf)
+    rest = replace(one, log_weights=np.where(one.flat, -np.inf, one.log_weights))
+    for part in range(2):
+        stand_in = multivariate_normal(means[part], covariances[part]).logpdf(at[:, part])
+        expected = np.logaddexp(rest.log_values(at)[:, part], logsumexp(flat[part]) + log_area + stand_in)
+        np.testing.assert_allclose(proper.log_values(at)[:, part], expected, rtol=1e-9)
+        np.testing.assert_allclose(proper.log_masses[part], one.log_masses_within(np.exp(log_area))[part])
+    np.testing.assert_array_equal(proper.labels, one.labels)
+
+
+@given(SEEDS, st.floats(0.01, 0.99))
+@settings(max_examples=30, deadline=None)
+def test_blended_densities_are_the_mixture_of_both(seed: int, share: float) -> None:
+    """Whatever their masses were."""
+    a, b, at = mixtures(seed, flat=False), mixtures(seed + 1, flat=False), points(seed)
+    blended = a.blended(b, share)
+    np.testing.assert_allclose(blended.log_masses, 0.0, atol=1e-9)
+    own, other = (each.log_values(at) - each.log_masses for each in (a, b))
+    expected = np.logaddexp(np.log1p(-share) + own, np.log(share) + other)
+    np.testing.assert_allclose(blended.log_values(at), expected, rtol=1e-9, atol=1e-9)
+    assert blended.labels.shape == blended.log_weights.shape
+
+
+def test_labels_survive_products() -> None:
+    seen = GaussianMixtures.of_parts(
+        [[0.0, 0.0]], [[[0.0, 0.0], [50.0, 0.0]]], [[np.eye(2)] * 2], [-3.0], [[7, 2]]
+    )
+    told = GaussianMixtures.of_parts([[0.0]], [[[1.0, 0.0]]], [[np.eye(2)]], [-9.0])
+    for product in (seen * told, told * seen):
+        by_label = {
+            int(label): np.exp(product.log_weights[product.labels == label]).sum()
+            for label in np.unique(product.labels[np.isfinite(product.log_weights)])
+        }
+        assert set(by_label) == {NO_LABEL, 2, 7}
+        assert by_label[7] > 100 * by_label[2]
+
+
+def test_parts_do_not_mix() -> None:
+    a, b = mixtures(5), mixtures(6)
+    for part in range(2):
+        alone, together = a.take([part]) * b.take([part]), (a * b).take([part])
+        at = points(7, n_parts=1)
+        np.testing.assert_allclose(alone.log_values(at), together.log_values(at), rtol=1e-12)
+    np.testing.assert_array_equal(a.take([1, 0]).means, a.means[::-1])
+
+
+def test_long_products_keep_what_is_heavy_and_what_is_flat() -> None:
+    random = np.random.default_rng(0)
+    count = 12
+    one, two = (
+        GaussianMixtures.of_parts(
+            [random.normal(0, 1, count)],
+            [random.normal(0, 10, (count, 2))],
+            [np.tile(9 * np.eye(2), (count, 1, 1))],
+            [-30.0],
+        )
+        for _ in range(2)
+    )
+    product = one * two
+    assert product.log_weights.shape == (1, MOST_COMPONENTS)
+    assert (product.flat & np.isfinite(product.log_weights)).sum() == 1
+    at = points(1, n_parts=1)
+    near = np.linalg.norm(at[:, 0], axis=1) < 5
+    lost = one.log_values(at)[near] + two.log_values(at)[near] - product.log_values(at)[near]
+    assert (lost > -1e-9).all()
+    assert lost.max() < 0.5
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_covariances_of_products_stay_positive_definite(seed: int) -> None:
+    random = np.random.default_rng(seed)
+
+    def extreme() -> GaussianMixtures:
+        scale = 10.0 ** random.uniform(-4, 6, (3, 1, 1))
+        turn = random.uniform(0, np.pi, 3)
+        axes = np.stack([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]).transpose(2, 0, 1)
+        thin = axes * np.array([1.0, 10.0 ** random.uniform(-5, 0)])
+        return GaussianMixtures.of_parts(
+            [np.zeros(3)], [random.normal(0, 100, (3, 2))], [scale * thin @ axes.swapaxes(1, 2)]
+        )
+
+    product = extreme() * extreme()
+    kept = np.isfinite(product.log_weights)[0]
+    assert (np.linalg.eigvalsh(product.covariances[0, kept]) > 0).all()
+
+
+def test_a_part_that_nothing_is_said_of_needs_no_arrays() -> None:
+    one = GaussianMixtures.of_parts([[], [0.0]], [[], np.ones((1, 2))], [[], np.eye(2)[None]], [0.0, -np.inf])
+    np.testing.assert_array_equal(one.informative, [False, True])
+    np.testing.assert_array_equal(one.log_masses, [np.inf, 0.0])
+
+
+def test_arrays_that_do_not_fit_are_named() -> None:
+    with pytest.raises(ValueError, match="mixture of part 1: got 1 means and 2 covariances, expected 2"):
+        GaussianMixtures.of_parts(
+            [[0.0], [0.0, 0.0]],
+            [np.zeros((1, 2)), np.zeros((1, 2))],
+            [np.eye(2)[None], np.tile(np.eye(2), (2, 1, 1))],
+        )

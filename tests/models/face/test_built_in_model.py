@@ -1,0 +1,172 @@
+"""The built-in face: conventions of a morphable model, one surface at any fineness, no fold anywhere."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models.face.built_in_model import (
+    EXPRESSIONS,
+    face_model,
+    face_plane,
+    front_view,
+    landmarks,
+    unit_length,
+)
+from rsmcm.models.face.morphable_model import MorphableModel
+from scipy.spatial import KDTree
+
+Array = NDArray[np.float64]
+
+
+def normals(model: MorphableModel, morphs: Array) -> Array:
+    """Unit normals of the triangles, `(n_triangles, 3)`, in the object's axes."""
+    corners = np.tensordot(morphs, model.bases, 1)[model.triangles]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    unit: Array = cross / np.linalg.norm(cross, axis=1, keepdims=True)
+    return unit
+
+
+def rest(model: MorphableModel) -> Array:
+    return np.eye(model.n_bases)[0]
+
+
+def test_the_coarse_mesh_is_small_and_scaled_as_models_are() -> None:
+    model = face_model()
+    assert 90 <= model.n_vertices <= 110
+    assert 160 <= len(model.triangles) <= 190
+    typical = model.bases[0]
+    np.testing.assert_allclose(typical.mean(axis=0), 0, atol=1e-14)
+    assert (typical[:, :2] ** 2).sum(axis=1).mean() == pytest.approx(1, rel=1e-12)
+    assert model.names == ("typical", *EXPRESSIONS)
+    assert model.identity == 0
+
+
+@pytest.mark.parametrize("fineness", [1, 2, 3, 4])
+def test_a_mesh_is_one_oriented_disc(fineness: int) -> None:
+    triangles = face_model(fineness).triangles
+    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    assert len(np.unique(directed, axis=0)) == len(directed)  # neighbours run along an edge in opposite ways
+    edges, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    assert triangles.max() + 1 - len(edges) + len(triangles) == 1  # Euler: a disc
+    rim = edges[uses == 1]
+    assert (np.unique(rim, return_counts=True)[1] == 2).all()
+    assert len(triangles) == fineness**2 * len(face_model().triangles)
+
+
+@pytest.mark.parametrize("shields", [False, True])
+def test_finer_meshes_sample_the_same_surface(shields: bool) -> None:
+    coarse, middle, fine = (face_model(fineness, shields=shields) for fineness in (1, 2, 4))
+    n_coarse, n_middle = coarse.n_vertices, middle.n_vertices
+    np.testing.assert_array_equal(middle.bases[:, :n_coarse], coarse.bases)
+    np.testing.assert_array_equal(fine.bases[:, :n_coarse], coarse.bases)
+    # every vertex at fineness 2 is one at fineness 4, wherever it comes in the order
+    plane, finer_plane = (face_plane(fineness, shields=shields) for fineness in (2, 4))
+    away = np.linalg.norm(plane[:, None] - finer_plane[None], axis=2)
+    np.testing.assert_allclose(away.min(axis=1), 0, atol=1e-12)
+    np.testing.assert_allclose(fine.bases[:, away.argmin(axis=1)], middle.bases, atol=1e-12)
+    assert n_middle < fine.n_vertices
+
+
+def test_facets_come_closer_to_the_surface_with_the_square_of_fineness() -> None:
+    # between neighbours, a smooth surface leaves its facets by a multiple of the squared edge
+    reference, places = face_model(8).bases[0], KDTree(face_plane(8))
+    errors = []
+    for fineness in (2, 4):
+        model, coarse_plane = face_model(fineness), face_plane(fineness)
+        edges = np.unique(np.sort(model.triangles[:, :2], axis=1), axis=0)
+        middles = coarse_plane[edges].mean(axis=1)
+        away, place = places.query(middles)
+        assert away.max() < 1e-12
+        errors.append(np.linalg.norm(model.bases[0][edges].mean(axis=1) - reference[place], axis=1).mean())
+    assert 3.3 < errors[0] / errors[1] < 4.7
+
+
+@pytest.mark.parametrize("shields", [False, True])
+@pytest.mark.parametrize("fineness", [1, 3])
+@settings(deadline=None, max_examples=30)
+@given(strengths=st.lists(st.floats(-1.5, 1.5), min_size=5, max_size=5))
+def test_everything_faces_the_viewer_whatever_the_expression(
+    fineness: int, shields: bool, strengths: list[float]
+) -> None:
+    # A height field over the picture cannot cut itself.
+    model = face_model(fineness, shields=shields)
+    assert normals(model, np.array([1.0, *strengths]))[:, 2].max() < 0
+
+
+@pytest.mark.parametrize("number", range(1, 6))
+@pytest.mark.parametrize("strength", [-2.5, 2.5])
+def test_a_single_expression_may_be_large(number: int, strength: float) -> None:
+    model = face_model(4)
+    morphs = rest(model)
+    morphs[number] = strength
+    assert normals(model, morphs)[:, 2].max() < 0
+
+
+def test_expressions_are_moderate_and_distinct() -> None:
+    model = face_model()
+    moves = model.bases[1:]
+    largest = np.linalg.norm(moves, axis=2).max(axis=1)
+    assert (largest > 0.05).all()
+    assert (largest < 0.2).all()
+    flat = moves.reshape(5, -1) / np.linalg.norm(moves.reshape(5, -1), axis=1, keepdims=True)
+    assert np.linalg.cond(flat) < 3
+
+
+def test_left_mirrors_right() -> None:
+    model, numbers = face_model(), landmarks()
+    mirror = np.array([-1.0, 1.0, 1.0])
+    pairs = [(number, numbers[f"left {name[6:]}"]) for name, number in numbers.items() if "right" in name]
+    right, left = np.array(pairs).T
+    even = [i for i, name in enumerate(model.names) if name != "mouth aside"]
+    # "atol": 1e-15 from sums in another order
+    np.testing.assert_allclose(model.bases[even][:, left], model.bases[even][:, right] * mirror, atol=1e-15)
+    assert (model.bases[0, right, 0] > 0).all()
+
+
+def test_landmarks_are_where_their_names_say() -> None:
+    numbers, (x, y, z) = landmarks(), face_model().bases[0].T
+    assert z.argmin() == numbers["nose tip"]
+    assert y[numbers["chin"]] > y[numbers["mouth"]] > y[numbers["nose tip"]] > y[numbers["glabella"]]
+    assert x[numbers["left outer eye"]] < x[numbers["left inner eye"]] < 0 < x[numbers["right inner eye"]]
+    assert z[numbers["left inner eye"]] > z[numbers["nose ridge"]]
+    assert len(set(numbers.values())) == len(numbers)
+
+
+def test_shields_come_after_the_face_stand_before_it_and_have_no_expression() -> None:
+    face, shielded = face_model(), face_model(shields=True)
+    n_face = face.n_vertices
+    np.testing.assert_array_equal(shielded.bases[:, :n_face], face.bases)
+    np.testing.assert_array_equal(shielded.triangles[: len(face.triangles)], face.triangles)
+    shields = shielded.bases[:, n_face:]
+    assert shields.shape[1] == 18
+    assert (shields[1:] == 0).all()
+    assert np.ptp(shields[0, :, 2]) == 0
+    assert shields[0, :, 2].max() < face.bases[0, :, 2].min()
+    right, left = np.split(shields[0], 2)
+    np.testing.assert_allclose(np.sort(left[:, 0]), np.sort(-right[:, 0]), atol=1e-14)
+    radii = np.linalg.norm(right[1:] - right[0], axis=1)
+    np.testing.assert_allclose(radii, radii[0])
+    # every part of the mesh is used, and the finer one has no shield where there is skin
+    assert set(shielded.triangles.ravel()) == set(range(shielded.n_vertices))
+    finer = face_model(3, shields=True)
+    assert (finer.bases[0, :, 2] == shields[0, 0, 2]).sum() == 2 * (1 + 8 * (1 + 2 + 3))
+
+
+def test_the_plane_keeps_lengths_in_the_middle_and_along_rays() -> None:
+    plane = 1e-4 * np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8]])
+    np.testing.assert_allclose(front_view(plane), plane, rtol=1e-6)
+    # the rim is where the ellipsoid has turned away by 80 degrees
+    across = front_view(face_plane()) / (0.78, 1.0)
+    assert np.linalg.norm(across, axis=1).max() == pytest.approx(np.sin(np.radians(80)))
+    # the top of the head is not moved by relief or narrowing: there a unit is `unit_length` c_1
+    top = np.argmin(face_plane()[:, 1])
+    ends = face_model().bases[0][[top, landmarks()["nose tip"]], 1]
+    seen = front_view(face_plane())[[top, landmarks()["nose tip"]], 1]
+    assert np.ptp(ends) == pytest.approx(np.ptp(seen) * unit_length())
+
+
+@pytest.mark.parametrize("fineness", [0, -1])
+def test_fineness_must_be_positive(fineness: int) -> None:
+    with pytest.raises(ValueError, match=f"fineness: got {fineness}, expected 1 or more"):
+        face_model(fineness)

@@ -1,0 +1,186 @@
+"""OpenCV's face detectors behind one protocol, and what is said where there are none."""
+
+import copy
+import pickle
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models.core.frame import Frame
+from rsmcm.models.face import detectors
+from rsmcm.models.face.detectors import HaarFaces, YuNetFaces, default_faces
+
+from ...support.signer_clip import signer_clip
+from .fuzz.networks import tiny_network
+
+Image = NDArray[np.uint8]
+
+needs_cascade = pytest.mark.skipif(not hasattr(cv2, "CascadeClassifier"), reason="OpenCV 5 has no cascades")
+
+
+@pytest.fixture(scope="module")
+def film() -> list[Image]:
+    """Every tenth frame of a person who signs; one face in each, about (318, 90)."""
+    return signer_clip()[::10]
+
+
+def hits(boxes: list[NDArray[np.float64]]) -> tuple[int, int]:
+    """Images with the face among the boxes, and boxes that are none."""
+    good = [np.hypot(*(each[:, :2] + each[:, 2:] / 2 - (318, 90)).T) < 45 for each in boxes]
+    return sum(bool(each.any()) for each in good), sum(int((~each).sum()) for each in good)
+
+
+@needs_cascade
+def test_faces_of_a_film(film: list[Image]) -> None:
+    frames = [Frame(image, 0.0, 1) for image in film]
+    any_size, known_size = HaarFaces(), HaarFaces(74.0)
+    found, false = hits([any_size(frame) for frame in frames])
+    assert found >= 0.5 * len(film)
+    assert false == 0
+    found, false = hits([known_size(frame) for frame in frames])
+    assert found >= 0.9 * len(film)
+    assert false <= 1
+
+
+@needs_cascade
+def test_flipped_and_scaled(film: list[Image]) -> None:
+    """A person who looks the other way is found as well; boxes are in the given picture's px."""
+    mirrored = [Frame(np.ascontiguousarray(image[:, ::-1]), 0.0, 1) for image in film]
+    boxes = [HaarFaces(74.0)(frame) for frame in mirrored]
+    for each in boxes:
+        each[:, 0] = 640 - each[:, 0] - each[:, 2]
+    assert hits(boxes)[0] >= 0.9 * len(film)
+    doubled = Frame(cv2.resize(film[7], None, fx=2, fy=2), 0.0, 1)
+    np.testing.assert_allclose(
+        HaarFaces(148.0)(doubled)[0] / 2, HaarFaces(74.0)(Frame(film[7], 0.0, 1))[0], atol=8
+    )
+
+
+@needs_cascade
+@pytest.mark.parametrize("height", [None, 60.0])
+def test_nothing_to_find(height: float | None) -> None:
+    faces = HaarFaces(height)
+    for image in (None, np.zeros((120, 160), np.uint8), np.zeros((120, 160, 3), np.uint8)):
+        assert faces(Frame(image, 0.0, 1)).shape == (0, 4)
+    assert copy.deepcopy(faces) == faces
+    assert pickle.loads(pickle.dumps(faces)) == faces
+
+
+@needs_cascade
+def test_height_has_to_be_one() -> None:
+    with pytest.raises(ValueError, match=r"height: got 0 px of a face, expected more than 0"):
+        HaarFaces(0)
+
+
+class Cascade:
+    """Stands in for OpenCV's, whose threads come to an end in any order."""
+
+    def __init__(self, found: list[tuple[int, int, int, int]]) -> None:
+        self.found = found
+
+    def detectMultiScale(self, *_: object, **__: object) -> list[tuple[int, int, int, int]]:  # noqa: N802
+        return self.found
+
+
+sides = st.integers(24, 27)  # px: a few, so that many boxes are of one size
+boxes = st.tuples(st.integers(0, 99), st.integers(0, 99), sides, sides)
+
+
+@given(
+    st.lists(boxes, unique=True, min_size=2).flatmap(
+        lambda each: st.permutations(each).map(lambda p: (each, p))
+    )
+)
+def test_boxes_in_one_order(found: tuple[list[Any], list[Any]]) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        one, other = (_boxes_of(patch, each) for each in found)
+    np.testing.assert_array_equal(one, other)
+    areas = one[:, 2] * one[:, 3]
+    assert (areas[1:] <= areas[:-1]).all()
+
+
+def _boxes_of(patch: pytest.MonkeyPatch, found: list[Any]) -> NDArray[np.float64]:
+    patch.setattr(detectors, "_cascade", lambda _: Cascade(found))
+    return HaarFaces()(Frame(np.zeros((120, 160), np.uint8), 0.0, 1))
+
+
+def test_no_cascade_no_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(cv2, "CascadeClassifier", raising=False)
+    with pytest.raises(ValueError, match=r"^OpenCV .* brings no face detector along$"):
+        HaarFaces()
+    with pytest.raises(ValueError, match=r"^OpenCV .* along, expected a model file of YuNet$"):
+        default_faces()
+
+
+def test_files_that_are_no_model(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"nowhere.onnx: no such file"):
+        default_faces(tmp_path / "nowhere.onnx")
+    bad = tmp_path / "bad.onnx"
+    bad.write_bytes(b"no network")
+    with pytest.raises(ValueError, match=r"bad.onnx: is no model of OpenCV's face detector YuNet"):
+        default_faces(bad)
+
+
+class Network:
+    """Stands in for OpenCV's."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self.size = size
+
+    @staticmethod
+    def create(path: str, config: str, size: tuple[int, int], least: float) -> "Network":
+        return Network(size)
+
+    def detect(self, image: Image) -> tuple[int, Any]:
+        assert image.shape == (self.size[1], self.size[0], 3)
+        if not image.any():
+            return 1, None
+        found = np.zeros((2, 15), np.float32)
+        found[:, :4] = (1, 2, 30, 40), (5, 6, 20, 30)
+        found[:, 14] = 0.7, 0.9
+        return 1, found
+
+
+def test_the_surest_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "yunet.onnx"
+    path.touch()
+    monkeypatch.setattr(cv2, "FaceDetectorYN", Network)
+    monkeypatch.setattr(detectors, "_is_survived", lambda *_: True)  # another process has OpenCV's
+    faces = YuNetFaces(path)
+    for image in (np.ones((90, 120), np.uint8), np.ones((50, 60, 3), np.uint8)):
+        np.testing.assert_array_equal(faces(Frame(image, 0.0, 1)), [[5, 6, 20, 30], [1, 2, 30, 40]])
+    assert faces(Frame(np.zeros((90, 120, 3), np.uint8), 0.0, 1)).shape == (0, 4)
+    assert faces(Frame(None, 0.0, 1)).shape == (0, 4)
+    assert pickle.loads(pickle.dumps(faces)) == faces
+
+
+def test_another_networks_model(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Some are only found out when they see an image."""
+
+    def fail(*_: object) -> None:
+        raise cv2.error("no such layer")
+
+    path = tmp_path / "other.onnx"
+    path.touch()
+    monkeypatch.setattr(cv2, "FaceDetectorYN", Network)
+    monkeypatch.setattr(detectors, "_is_survived", lambda *_: True)  # another process has OpenCV's
+    monkeypatch.setattr(Network, "detect", fail)
+    with pytest.raises(ValueError, match=r"other.onnx: is no model"):
+        default_faces(path)(Frame(np.ones((90, 120), np.uint8), 0.0, 1))
+
+
+def test_a_damaged_network_does_not_end_the_process(tmp_path: Path) -> None:
+    """One wrong letter in the name of a layer is enough for OpenCV 4 to crash."""
+    whole = tiny_network()
+    path = tmp_path / "faces.onnx"
+    path.write_bytes(whole)
+    assert default_faces(path)(Frame(np.full((64, 96, 3), 200, np.uint8), 0.0, 1)).shape[1] == 4
+    damaged = tmp_path / "damaged.onnx"
+    damaged.write_bytes(whole.replace(b"Reshape", b"Resh\xa0pe", 1))
+    with pytest.raises(ValueError, match=r"damaged.onnx: is no model of OpenCV's face detector YuNet"):
+        default_faces(damaged)

@@ -1,0 +1,103 @@
+"""Rotations, small changes of poses and their means against scipy and definitions."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models.face.pose import Poses, cross_matrices, exponential, logarithm, nearest_rotation
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+seeds = st.integers(0, 10**6)
+
+
+def random_poses(n: int, n_bases: int, seed: int) -> Poses:
+    random = np.random.default_rng(seed)
+    rotations = Rotation.random(n, random_state=seed).as_matrix()
+    morphs = 40 * random.normal(size=(n, n_bases))
+    morphs[:, 0] = random.uniform(20, 90, n)
+    return Poses(rotations, 100 * random.normal(size=(n, 2)), morphs)
+
+
+@given(seeds, st.floats(-12, 1.5))
+def test_exponential_is_that_of_scipy_at_every_scale(seed: int, power: float) -> None:
+    vectors = 10**power * np.random.default_rng(seed).normal(size=(5, 3))
+    np.testing.assert_allclose(exponential(vectors), Rotation.from_rotvec(vectors).as_matrix(), atol=1e-14)
+
+
+def test_no_turn_is_exact() -> None:
+    np.testing.assert_array_equal(exponential(np.zeros((2, 3))), np.tile(np.eye(3), (2, 1, 1)))
+
+
+@given(seeds, st.floats(1e-9, np.pi - 1e-6))
+def test_logarithm_undoes_exponential(seed: int, angle: float) -> None:
+    vectors = np.random.default_rng(seed).normal(size=(5, 3))
+    vectors *= angle / np.linalg.norm(vectors, axis=1, keepdims=True)
+    np.testing.assert_allclose(logarithm(exponential(vectors)), vectors, rtol=1e-6, atol=1e-14)
+
+
+@given(seeds)
+def test_cross_matrices(seed: int) -> None:
+    first, second = np.random.default_rng(seed).normal(size=(2, 4, 3))
+    product = (cross_matrices(first) @ second[..., None])[..., 0]
+    np.testing.assert_allclose(product, np.cross(first, second), atol=1e-14)
+
+
+@given(seeds)
+def test_nearest_rotation_is_a_rotation_and_no_other_is_nearer(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    matrix = random.normal(size=(3, 3))
+    nearest = nearest_rotation(matrix)
+    np.testing.assert_allclose(nearest @ nearest.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(nearest) == pytest.approx(1)
+    others = exponential(random.normal(size=(200, 3)) * random.uniform(0.001, 1)) @ nearest
+    assert np.linalg.norm(others - matrix, axis=(1, 2)).min() >= np.linalg.norm(nearest - matrix) - 1e-12
+
+
+@given(seeds, st.integers(1, 4))
+def test_changes_lead_from_one_pose_to_the_other(seed: int, n_bases: int) -> None:
+    first, second = random_poses(6, n_bases, seed), random_poses(6, n_bases, seed + 1)
+    changes = second.changes_from(first)
+    assert changes.shape == (6, first.dimension) == (6, 5 + n_bases)
+    reached = first.moved(changes)
+    np.testing.assert_allclose(reached.rotations, second.rotations, atol=1e-12)
+    np.testing.assert_allclose(reached.translations, second.translations, atol=1e-9)
+    np.testing.assert_allclose(reached.morphs, second.morphs, atol=1e-9)
+
+
+def test_one_pose_is_moved_in_many_ways() -> None:
+    pose, changes = random_poses(1, 3, 0), 0.1 * np.random.default_rng(0).normal(size=(7, 8))
+    np.testing.assert_allclose(pose.moved(changes).changes_from(pose), changes, atol=1e-12)
+
+
+@given(seeds)
+def test_mean_rotation_minimises_the_chordal_distance(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    middle = Rotation.random(random_state=seed).as_matrix()
+    poses = random_poses(8, 2, seed)
+    poses = Poses(exponential(0.4 * random.normal(size=(8, 3))) @ middle, poses.translations, poses.morphs)
+    weights = random.uniform(0, 3, 8)
+    mean = poses.mean(weights)
+    # scipy's mean of unit quaternions is the same optimum
+    expected = Rotation.from_matrix(poses.rotations).mean(weights).as_matrix()
+    np.testing.assert_allclose(mean.rotations[0], expected, atol=1e-9)
+    np.testing.assert_allclose(mean.translations[0], np.average(poses.translations, axis=0, weights=weights))
+    np.testing.assert_allclose(mean.morphs[0], np.average(poses.morphs, axis=0, weights=weights))
+
+
+def test_choosing_and_concatenating() -> None:
+    poses = random_poses(5, 3, 1)
+    again = Poses.concatenated([poses[:2], poses[2], poses[np.array([False] * 3 + [True] * 2)]])
+    assert len(again) == 5
+    np.testing.assert_array_equal(again.rotations, poses.rotations)
+    np.testing.assert_array_equal(again.translations, poses.translations)
+    np.testing.assert_array_equal(again.morphs, poses.morphs)
+
+
+def test_upright() -> None:
+    poses = Poses.upright(np.array([[3.0, 4.0], [5.0, 6.0]]), np.array([20.0, 30.0]), 3)
+    np.testing.assert_array_equal(poses.rotations, np.tile(np.eye(3), (2, 1, 1)))
+    np.testing.assert_array_equal(poses.morphs, [[20, 0, 0], [30, 0, 0]])
+    np.testing.assert_array_equal(poses.sizes, [20, 30])

@@ -1,0 +1,81 @@
+"""Texels lie on the surface, evenly, and any first part of a group does, too."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rsmcm.models.face.built_in_model import face_model
+from rsmcm.models.face.surface_texels import SurfaceTexels
+
+from ...support.surfaces import bumpy
+
+
+@given(st.integers(1, 3000))
+def test_a_dense_mesh_shares_texels_out_by_area(n_texels: int) -> None:
+    model = bumpy()
+    texels = SurfaceTexels.dense(model, n_texels)
+    corners = model.bases[0][model.triangles]
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    assert len(texels) == n_texels == texels.first[-1] == len(texels.group_of_texel)
+    assert (np.abs(np.diff(texels.first) - area / area.sum() * n_texels) < 1 + 1e-6).all()
+    assert (texels.weights >= 0).all()
+    np.testing.assert_allclose(texels.weights.sum(axis=1), 1, atol=1e-6)
+    assert not texels.offsets.any()
+    assert not texels.areas.any()
+    np.testing.assert_array_equal(texels.groups, model.triangles)
+
+
+def test_texels_fill_triangles_evenly() -> None:
+    texels = SurfaceTexels.dense(bumpy(), 24 * 400)
+    inside = texels.weights[texels.first[0] : texels.first[1]]
+    assert len(inside) > 100
+    # moments of the uniform density over a triangle: means 1/3, second moments 1/6 and 1/12
+    np.testing.assert_allclose(inside.mean(axis=0), 1 / 3, atol=0.01)
+    np.testing.assert_allclose(
+        inside.T @ inside / len(inside), np.full((3, 3), 1 / 12) + np.eye(3) / 12, atol=0.01
+    )
+    # so is its first quarter, which a coarse level uses
+    part = inside[: len(inside) // 4]
+    np.testing.assert_allclose(part.mean(axis=0), 1 / 3, atol=0.04)
+    np.testing.assert_allclose(part.T @ part / len(part), np.full((3, 3), 1 / 12) + np.eye(3) / 12, atol=0.03)
+
+
+def test_a_single_texel_lies_in_the_middle() -> None:
+    model = face_model()
+    texels = SurfaceTexels.dense(model, 400)
+    alone = np.flatnonzero(np.diff(texels.first) == 1)
+    assert len(alone)
+    np.testing.assert_allclose(texels.weights[texels.first[alone]], 1 / 3, rtol=1e-6)
+
+
+@given(st.floats(1, 12))
+def test_patches_are_discs_with_a_texel_a_pixel(radius: float) -> None:
+    model = bumpy()
+    texels = SurfaceTexels.patches(model, radius)
+    wanted = {(x, y) for x in range(-13, 14) for y in range(-13, 14) if x * x + y * y <= radius**2}
+    for vertex in range(model.n_vertices):
+        own = slice(texels.first[vertex], texels.first[vertex + 1])
+        assert {tuple(offset) for offset in texels.offsets[own].astype(int).tolist()} == wanted
+        assert (texels.groups[vertex] == vertex).all()
+        np.testing.assert_array_equal(texels.weights[own], np.tile([1, 0, 0], (len(wanted), 1)))
+    np.testing.assert_array_equal(texels.areas, 1)
+
+
+@pytest.mark.parametrize("radius", [4, 6, 8])
+def test_a_first_part_of_a_patch_is_spread_over_it(radius: int) -> None:
+    texels = SurfaceTexels.patches(bumpy(), radius)
+    disc = texels.offsets[: texels.first[1]]
+    quarter = disc[: -(-len(disc) // 4)]
+    assert (np.abs(quarter.mean(axis=0)) < 0.25 * radius).all()
+    np.testing.assert_allclose(quarter.var(axis=0), disc.var(axis=0), rtol=0.5)
+
+
+def test_impossible_surfaces_are_refused() -> None:
+    with pytest.raises(ValueError, match="dense texels: got 10 on 0 triangles"):
+        SurfaceTexels.dense(bumpy(closed=False), 10)
+    with pytest.raises(ValueError, match="dense texels: got 0 on 24 triangles"):
+        SurfaceTexels.dense(bumpy(), 0)
+    with pytest.raises(ValueError, match=r"radius: got 0\.5 px, expected 1 or more"):
+        SurfaceTexels.patches(bumpy(), 0.5)

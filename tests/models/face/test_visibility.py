@@ -1,0 +1,191 @@
+"""Visibility against closed forms: a sphere, a box before a wall; and that points do not hide themselves."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models.face.built_in_model import face_model
+from rsmcm.models.face.pose import Poses, exponential
+from rsmcm.models.face.visibility import visible
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+
+class Mesh(NamedTuple):
+    vertices: Array
+    triangles: Numbers
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.triangles + start for mesh, start in zip(meshes, starts[:-1], strict=True)]),
+    )
+
+
+def wall(width: float, height: float, z: float, n: int = 8) -> Mesh:
+    """A rectangle about the origin that faces the viewer."""
+    x, y = np.meshgrid(np.linspace(-width / 2, width / 2, n), np.linspace(-height / 2, height / 2, n))
+    corner = np.arange(n * n).reshape(n, n)[:-1, :-1].ravel()
+    halves = [[corner, corner + n, corner + 1], [corner + 1, corner + n, corner + n + 1]]
+    triangles = np.concatenate([np.stack(half, axis=1) for half in halves])
+    return Mesh(np.stack([x.ravel(), y.ravel(), np.full(n * n, z)], axis=1), triangles)
+
+
+def sphere(n: int = 24) -> Mesh:
+    """Of radius 1, closed."""
+    down, round_ = np.meshgrid(
+        np.linspace(0, np.pi, n), 2 * np.pi * np.arange(2 * n) / (2 * n), indexing="ij"
+    )
+    vertices = np.stack([np.sin(down) * np.cos(round_), np.cos(down), np.sin(down) * np.sin(round_)], axis=2)
+    row, column = np.meshgrid(np.arange(n - 1), np.arange(2 * n), indexing="ij")
+    a, b = row * 2 * n + column, row * 2 * n + (column + 1) % (2 * n)
+    triangles = np.concatenate([np.stack([a, b, a + 2 * n], -1), np.stack([b, b + 2 * n, a + 2 * n], -1)])
+    triangles = triangles.reshape(-1, 3)
+    vertices = vertices.reshape(-1, 3)
+    normals = normals_of(Mesh(vertices, triangles))
+    middles = vertices[triangles].mean(axis=1)
+    triangles = np.where(((normals * middles).sum(axis=1) > 0)[:, None], triangles, triangles[:, ::-1])
+    return Mesh(vertices, triangles[np.linalg.norm(normals, axis=1) > 1e-9])
+
+
+def normals_of(mesh: Mesh) -> Array:
+    """Cross products of edges."""
+    corners = mesh.vertices[mesh.triangles]
+    normals: Array = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normals
+
+
+def cosines(mesh: Mesh) -> Array:
+    """Of the angle between each triangle's normal and the direction to the viewer."""
+    normals = normals_of(mesh)
+    return -normals[:, 2] / np.linalg.norm(normals, axis=1)
+
+
+def scattered(mesh: Mesh, n: int, seed: int) -> tuple[Numbers, Array]:
+    """Triangle numbers and weights of points all over a mesh."""
+    random = np.random.default_rng(seed)
+    return random.integers(len(mesh.triangles), size=n), random.dirichlet(np.ones(3), n)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 10**6), st.floats(3, 400), st.floats(0.05, 0.6))
+def test_of_a_sphere_that_is_seen_which_faces_the_viewer(seed: int, radius: float, facing: float) -> None:
+    random = np.random.default_rng(seed)
+    unit = sphere()
+    turned = unit.vertices @ exponential(random.normal(size=(1, 3)))[0].T
+    mesh = Mesh(radius * turned + [300 * random.normal(), 300 * random.normal(), 50], unit.triangles)
+    chosen, weights = scattered(mesh, 2000, seed)
+    seen = visible(mesh.vertices[None], mesh.triangles, mesh.triangles[chosen], weights, facing)[0]
+    cosine = cosines(mesh)[chosen]
+    clear = np.abs(cosine - facing) > 1e-9
+    np.testing.assert_array_equal(seen[clear], (cosine > facing)[clear])
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.2, 0.3, 0.1), (-0.3, -0.2, 0.5)])
+def test_a_wall_hides_what_is_behind_it_seen_along_the_line_of_sight(turn: tuple[float, ...]) -> None:
+    near, far = wall(60, 40, -50), wall(200, 160, 30, 16)
+    both = joined(near, far)
+    vertices = both.vertices @ exponential(np.array([turn]))[0].T
+    mesh = Mesh(vertices, both.triangles)
+    chosen, weights = scattered(mesh, 4000, 1)
+    seen = visible(vertices[None], mesh.triangles, mesh.triangles[chosen], weights)[0]
+    places = np.einsum("na,nac->nc", weights, vertices[mesh.triangles[chosen]])
+    behind = chosen >= len(near.triangles)
+    # where the near wall's plane is met along the line of sight, in the wall's own axes
+    rotation = exponential(np.array([turn]))[0]
+    across = places[:, :2] - vertices[: len(near.vertices), :2].mean(axis=0)
+    own = np.linalg.solve(rotation[:2, :2], across.T).T
+    margin = np.abs(own) - [30, 20]
+    covered, clear = margin.max(axis=1) < 0, np.abs(margin.max(axis=1)) > 3
+    np.testing.assert_array_equal(seen[clear], ~(covered & behind)[clear])
+    assert (covered & behind & clear).sum() > 50
+    assert seen[~behind].all()
+
+
+def test_poses_do_not_mix() -> None:
+    mesh = joined(wall(20, 20, -30), wall(80, 80, 10))
+    chosen, weights = scattered(mesh, 300, 0)
+    vertices = mesh.triangles[chosen]
+    aside = mesh.vertices.copy()
+    aside[:64, 0] += 100
+    poses = np.stack([mesh.vertices, aside, 3 * mesh.vertices - 50])
+    together = visible(poses, mesh.triangles, vertices, weights)
+    for pose, seen in zip(poses, together, strict=True):
+        np.testing.assert_array_equal(visible(pose[None], mesh.triangles, vertices, weights)[0], seen)
+    assert together[1].all()
+    assert not together[0].all()
+
+
+@pytest.mark.parametrize("size", [6.0, 40.0, 150.0, 600.0])
+def test_a_face_from_the_front_hides_nothing_of_itself(size: float) -> None:
+    model = face_model()
+    poses = Poses.upright(np.array([[100.0, 80.0]]), np.array([size]), model.n_bases)
+    positions = model.positions(poses)
+    mesh = Mesh(positions[0], model.triangles)
+    chosen, weights = scattered(mesh, 4000, 0)
+    seen = visible(positions, model.triangles, model.triangles[chosen], weights)[0]
+    np.testing.assert_array_equal(seen, cosines(mesh)[chosen] >= 0.3)
+
+
+def cast(mesh: Mesh, places: Array) -> Array:
+    """z of the front-most triangle along the line of sight through each place, infinite without any."""
+    corners = mesh.vertices[mesh.triangles]
+    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+    away = places[:, None] - corners[:, 0, :2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.linalg.inv(edges[:, :2])
+    shares = np.einsum("tij,ntj->nti", inverse, away)
+    inside = (shares.min(axis=2) >= 0) & (shares.sum(axis=2) <= 1)
+    return np.where(inside, corners[:, 0, 2] + (shares * edges[:, 2]).sum(axis=2), np.inf).min(axis=1)
+
+
+@pytest.mark.parametrize("yaw", [-60.0, -35.0, 0.0, 25.0, 50.0])
+def test_a_head_with_a_large_nose_agrees_with_lines_of_sight(yaw: float) -> None:
+    ball, nose = sphere(18), sphere(10)
+    head = joined(ball, Mesh(0.35 * nose.vertices + [0, 0.1, -1.1], nose.triangles))
+    turn = exponential(np.radians([[10.0, yaw, 20.0]]))[0]
+    mesh = Mesh(60 * head.vertices @ turn.T + [100, 80, 0], head.triangles)
+    positions = mesh.vertices[None]
+    chosen, weights = scattered(mesh, 1500, 0)
+    seen = visible(positions, mesh.triangles, mesh.triangles[chosen], weights)[0]
+    points = np.einsum("na,nac->nc", weights, mesh.vertices[mesh.triangles[chosen]])
+    behind = points[:, 2] - cast(mesh, points[:, :2])
+    facing = cosines(mesh)[chosen] >= 0.3
+    hidden = facing & (behind > 0.1 * np.ptp(mesh.vertices[:, 2]))
+    assert hidden.sum() > 4
+    # but for some within a cell of an outline
+    assert seen[hidden].mean() < 0.1
+    in_front = facing & (behind < 1e-6)
+    assert seen[in_front].mean() > 0.985
+
+
+def test_vertices_have_no_facing_but_are_hidden() -> None:
+    mesh = joined(wall(60, 40, -50), wall(200, 160, 30, 16))
+    vertices = np.repeat(np.arange(len(mesh.vertices))[:, None], 3, axis=1)
+    weights = np.tile([1.0, 0.0, 0.0], (len(vertices), 1))
+    seen = visible(mesh.vertices[None], mesh.triangles, vertices, weights)[0]
+    margin = (np.abs(mesh.vertices[:, :2]) - [30, 20]).max(axis=1)
+    expected = ~((mesh.vertices[:, 2] > 0) & (margin < 0))
+    np.testing.assert_array_equal(seen[np.abs(margin) > 3], expected[np.abs(margin) > 3])
+    assert seen[:64].all()
+
+
+def test_facing_away_is_not_seen_but_hides() -> None:
+    near, far = wall(60, 60, -20), wall(60, 60, 20)
+    mesh = joined(Mesh(near.vertices, near.triangles[:, ::-1]), far)
+    chosen, weights = scattered(mesh, 500, 0)
+    assert not visible(mesh.vertices[None], mesh.triangles, mesh.triangles[chosen], weights).any()
+
+
+def test_a_pose_gone_astray_is_no_crash() -> None:
+    mesh = sphere(6)
+    chosen, weights = scattered(mesh, 50, 0)
+    for scale in (0.0, 1e-9, 1e12, np.nan):
+        seen = visible(scale * mesh.vertices[None], mesh.triangles, mesh.triangles[chosen], weights)
+        assert seen.shape == (1, 50)

@@ -1,0 +1,115 @@
+"""Threads of the loops over pixels, and what becomes of them in a forked process."""
+
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.chains import AdaptiveBackground, BlobTracker
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference.core.recursive_bp import RunState
+from rsmcm.models import Frame, PixelLabels
+from rsmcm.models.numerics import array_pool
+from rsmcm.models.numerics.threads import over_bands, set_threads, thread_count
+
+needs_fork = pytest.mark.skipif(
+    "fork" not in multiprocessing.get_all_start_methods(), reason="the system has no fork"
+)
+
+SECONDS = 60  # a process that takes longer hangs
+
+
+@pytest.fixture(autouse=True)
+def threads() -> Iterator[None]:
+    before = thread_count()
+    yield
+    set_threads(before)
+
+
+@pytest.mark.parametrize("n_rows", [1, 2, 3, 7, 100])
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
+def test_bands_cover_all_rows_once(count: int, n_rows: int) -> None:
+    set_threads(count)
+    visits = np.zeros(n_rows, int)
+
+    def work(first: int, end: int) -> None:
+        assert first < end
+        visits[first:end] += 1
+
+    over_bands(work, n_rows)
+    assert (visits == 1).all()
+
+
+def test_opencv_has_as_many() -> None:
+    for count in (3, 1, 2):
+        set_threads(count)
+        assert (thread_count(), cv2.getNumThreads()) == (count, count)
+
+
+def test_no_thread_at_all() -> None:
+    with pytest.raises(ValueError, match=r"threads: got 0, expected 1 or more"):
+        set_threads(0)
+
+
+def in_forked_processes(work: Callable[[Any], Any], arguments: list[Any]) -> list[Any]:
+    """What `work` gives in two processes that are forked from this one."""
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        return pool.map_async(work, arguments).get(SECONDS)
+
+
+PIXELS = PixelLabels()
+ENGINE = RecursiveBP(MultiChain().connect(AdaptiveBackground(), PIXELS).connect(BlobTracker(), PIXELS))
+
+
+def clip(n_frames: int) -> list[Frame]:
+    """A bright square that moves over noise."""
+    random = np.random.default_rng(0)
+    frames = []
+    for number in range(1, n_frames + 1):
+        image = random.normal(90, 3, (60, 80)).astype(np.uint8)
+        image[20:40, 4 * number : 4 * number + 12] = 200
+        frames.append(Frame(image, number / 25, number))
+    return frames
+
+
+def mask_after(work: tuple[RunState, Frame]) -> bytes:
+    belief = ENGINE.step(*work)
+    mask: bytes = belief["pixels"].foreground().tobytes()
+    return mask
+
+
+@needs_fork
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_an_engine_that_was_used_runs_in_forked_processes(count: int) -> None:
+    set_threads(count)
+    *before, last = clip(12)
+    *_, belief = ENGINE.run(before)
+    here = mask_after((belief.state, last))
+    assert np.frombuffer(here, np.uint8).any()
+    assert in_forked_processes(mask_after, [(belief.state, last)] * 4) == [here] * 4
+
+
+def shape_of_buffer(size: int) -> tuple[int, ...]:
+    return array_pool.empty((size,), np.uint8).shape
+
+
+@needs_fork
+def test_buffers_that_another_thread_is_given_at_that_moment() -> None:
+    locked = Event()
+
+    def hold() -> None:
+        with array_pool._lock:
+            locked.set()
+            time.sleep(0.2)
+
+    with ThreadPoolExecutor(1) as other:
+        holding = other.submit(hold)
+        locked.wait()
+        assert in_forked_processes(shape_of_buffer, [3, 4]) == [(3,), (4,)]
+        holding.result()
+    assert shape_of_buffer(5) == (5,)

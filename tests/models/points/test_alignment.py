@@ -1,0 +1,122 @@
+"""Alignment of small patches to fractions of a pixel, in pictures of exact motion."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.models.points.alignment import align_patches, sample_patches
+from rsmcm.models.points.patches import likeness, lit_as
+
+from ...support.pictures import HEIGHT, WIDTH, Pose, Texture, picture
+
+Numbers = NDArray[np.float64]
+
+SHIFT = np.array([2.37, -1.81])
+
+
+def places(n: int, seed: int = 0) -> Numbers:
+    return np.random.default_rng(seed).uniform(15, [WIDTH - 15, HEIGHT - 15], (n, 2))
+
+
+def shifted(
+    noise: float, gain: float = 1.0, offset: float = 0.0
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """The same plane before and after `SHIFT`, half as contrasty as usual so that nothing is cut off."""
+    texture = Texture(3)
+    before = picture(texture, Pose(np.eye(2), np.zeros(2)), noise, 1, 0.5)
+    after = picture(texture, Pose(np.eye(2), SHIFT), noise, 2, 0.5 * gain, 128 + offset)
+    return before, after
+
+
+def test_samples_of_a_parabola_are_exact() -> None:
+    rows, columns = np.mgrid[:40, :50].astype(np.float64)
+
+    def parabola(x: Numbers, y: Numbers) -> Numbers:
+        return 20 + 0.05 * x**2 - 0.03 * x * y + 0.04 * y**2
+
+    grey = np.rint(parabola(columns, rows)).astype(np.uint8)
+    where = np.array([[20.0, 15.0], [21.3, 17.8], [30.5, 22.5]])
+    patches = sample_patches(grey, where, 5)
+    assert patches.shape == (3, 5, 5)
+    np.testing.assert_array_equal(patches[0], grey[13:18, 18:23])
+    steps = np.arange(-2, 3)
+    expected = parabola(where[:, 0, None, None] + steps, where[:, 1, None, None] + steps[:, None])
+    np.testing.assert_allclose(patches, expected, atol=0.8)  # grey values are rounded
+
+
+def test_beyond_the_edge_the_edge_goes_on() -> None:
+    grey = np.random.default_rng(0).integers(0, 256, (20, 30)).astype(np.uint8)
+    corner = sample_patches(grey, np.array([[0.0, 0.0], [29.0, 19.0]]), 5)
+    np.testing.assert_array_equal(corner[0], np.pad(grey, 2, mode="edge")[:5, :5])
+    np.testing.assert_array_equal(corner[1], np.pad(grey, 2, mode="edge")[-5:, -5:])
+
+
+@pytest.mark.parametrize(("noise", "error"), [(0.0, 0.05), (1.0, 0.15), (3.0, 0.4)])
+def test_errors_are_small_and_as_large_as_stated(noise: float, error: float) -> None:
+    before, after = shifted(noise)
+    start = places(400)
+    patches = sample_patches(before, start, 5)
+    off = np.random.default_rng(1).uniform(-0.5, 0.5, start.shape)
+    found = align_patches(after, patches, start + SHIFT + off, 1.0)
+    clear = np.trace(found.covariance, axis1=1, axis2=2) < 2 * 0.5**2
+    clear &= found.likeness > 0.8
+    assert clear.mean() > 0.5
+    errors = (found.position - start - SHIFT)[clear]
+    assert np.sqrt((errors**2).mean()) < error
+    squares = (errors * np.linalg.solve(found.covariance[clear], errors[:, :, None])[:, :, 0]).sum(axis=1)
+    # a half and 95 % would be exact; with much noise, what is stated is a little too small
+    assert (squares < 2 * np.log(2)).mean() > 0.33
+    assert np.quantile(squares, 0.95) < 2.5 * -2 * np.log(0.05)
+
+
+def test_light_and_contrast_may_change_a_little() -> None:
+    before, after = shifted(1.0, gain=1.1, offset=5.0)
+    start = places(300)
+    found = align_patches(after, sample_patches(before, start, 5), start + SHIFT, 1.0)
+    errors = found.position - start - SHIFT
+    assert np.median(np.abs(errors)) < 0.2
+    assert np.median(found.likeness) > 0.95
+
+
+def test_a_patch_that_turns_a_little_stays_in_place() -> None:
+    angle = np.radians(5)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    start = np.array([WIDTH / 2, HEIGHT / 2])
+    errors = []
+    for seed in range(60):
+        texture = Texture(seed)
+        before = picture(texture, Pose(np.eye(2), np.zeros(2)))
+        after = picture(texture, Pose(turn, start - turn @ start))
+        found = align_patches(after, sample_patches(before, start[None], 5), start[None], 1.0)
+        errors.append(found.position[0] - start)
+    assert np.median(np.abs(errors)) < 0.1
+
+
+def test_what_has_no_texture_or_is_too_far_is_like_nothing() -> None:
+    flat = np.full((HEIGHT, WIDTH), 90, np.uint8)
+    before, after = shifted(0.0)
+    start = places(20)
+    patches = sample_patches(before, start, 5)
+    for grey, some in ((flat, patches), (after, np.full_like(patches, 7.0))):
+        found = align_patches(grey, some, start, 1.0)
+        np.testing.assert_array_equal(found.likeness, -1)
+        assert np.isfinite(found.covariance).all()
+    far = align_patches(after, patches, start + SHIFT + 0.4, 0.1)
+    assert (far.likeness == -1).mean() > 0.8
+
+
+def test_start_is_left_as_it_is() -> None:
+    before, after = shifted(0.0)
+    start = places(5)
+    kept = start.copy()
+    align_patches(after, sample_patches(before, start, 5), start, 1.0)
+    np.testing.assert_array_equal(start, kept)
+
+
+def test_likeness_is_the_correlation_and_light_makes_no_difference() -> None:
+    random = np.random.default_rng(0)
+    one, other = random.uniform(0, 255, (2, 8, 5, 5)).astype(np.float32)
+    expected = [np.corrcoef(a.ravel(), b.ravel())[0, 1] for a, b in zip(one, other, strict=True)]
+    np.testing.assert_allclose(likeness(one, other), expected, atol=1e-6)
+    np.testing.assert_allclose(likeness(2 * one + 30, one), 1, atol=1e-6)
+    assert likeness(one[:1], np.full((1, 5, 5), 3, np.float32)) == 0
+    np.testing.assert_allclose(lit_as(one, 0.5 * one + 20), 0.5 * one + 20, rtol=1e-5)

@@ -1,0 +1,325 @@
+"""Points as a feature node: messages, and what pictures of exact motion show of them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models import Frame, PointTracks
+from rsmcm.models.core.frame import GivenPoints
+from rsmcm.models.core.gaussian_message import GaussianMessage
+from rsmcm.models.points.corners import find_corners
+from rsmcm.models.points.patches import Patches
+from rsmcm.models.points.point_tracks import PointMessage, View, noise_of_tracks
+from rsmcm.models.points.search import find_points, leads_back, least_likeness
+
+from ...support.pictures import HEIGHT, WIDTH, Pose, film, hidden_by_a_bar
+
+Numbers = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+
+STILL, SHIFT = Pose(np.eye(2), np.zeros(2)), np.array([3.4, -1.7])
+MOVED = Pose(np.eye(2), SHIFT)
+NODE = PointTracks()
+PAIR = film([STILL, MOVED], noise=0.0)
+
+
+def gaussians(identities: NDArray[np.int64] | list[int], means: Numbers, deviation: float) -> GaussianMessage:
+    covariances = np.tile(deviation**2 * np.eye(2), (len(means), 1, 1))
+    return GaussianMessage.from_moments(identities, means, covariances)
+
+
+def view_of(grey: Grey, time: float = 0.0, found: Numbers | None = None) -> View:
+    places = np.zeros((0, 2)) if found is None else found
+    return View(time, GivenPoints(places, np.arange(len(places))), grey, 1.0, 5)
+
+
+def prior_at(
+    grey: Grey, points: Numbers, expected: Numbers, deviation: float, *, looks_back: bool = False
+) -> PointMessage:
+    """A tracker's message about points of a picture, which it expects elsewhere in the next."""
+    numbers = np.arange(len(points))
+    patches = Patches(numbers, view_of(grey).patches_at(points))
+    return PointMessage(
+        gaussians(numbers, expected, deviation), patches, view_of(grey, 0.0, points) if looks_back else None
+    )
+
+
+def frame(grey: Grey, number: int = 2) -> Frame:
+    return Frame(grey, 0.04 * (number - 1), number)
+
+
+# --- messages ---
+
+
+@st.composite
+def messages(draw: st.DrawFn) -> PointMessage:
+    random = np.random.default_rng(draw(st.integers(0, 2**32)))
+    identities = np.array(sorted(draw(st.sets(st.integers(0, 6), max_size=4))), np.int64)
+    positions = gaussians(identities, random.normal(size=(len(identities), 2)), 1.0)
+    view = view_of(np.zeros((5, 5), np.uint8), draw(st.integers(0, 5))) if draw(st.booleans()) else None
+    same = None
+    if draw(st.booleans()):
+        same = np.minimum(identities, random.integers(0, 7, len(identities)))
+    return PointMessage(positions, None, view, same)
+
+
+def same(one: PointMessage, other: PointMessage) -> None:
+    np.testing.assert_array_equal(one.positions.identities, other.positions.identities)
+    np.testing.assert_allclose(one.positions.information, other.positions.information)
+    np.testing.assert_allclose(one.positions.vector, other.positions.vector, atol=1e-12)
+    assert one.log_mass == pytest.approx(other.log_mass)
+    assert (one.view and one.view.time) == (other.view and other.view.time)
+    if one.same_as is None or other.same_as is None:
+        assert one.same_as is other.same_as
+    else:
+        np.testing.assert_array_equal(one.same_as, other.same_as)
+
+
+@given(messages(), messages(), messages())
+def test_products_are_commutative_and_associative_and_uniform_is_neutral(
+    one: PointMessage, two: PointMessage, three: PointMessage
+) -> None:
+    same(one * two, two * one)
+    same((one * two) * three, one * (two * three))
+    same(one * NODE.uniform(), one)
+    same(NODE.uniform() * one, one)
+
+
+def test_appearance_is_one_trackers() -> None:
+    message = prior_at(np.zeros((50, 50), np.uint8), np.array([[20.0, 20.0]]), np.array([[20.0, 20.0]]), 1.0)
+    assert (message * NODE.uniform()).patches is message.patches
+    assert (NODE.uniform() * message).patches is message.patches
+    with pytest.raises(ValueError, match="from two chains"):
+        message * message
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"patch": 4},
+        {"patch": 1},
+        {"false_alarms": 0.0},
+        {"false_alarms": 1.0},
+        {"noise": 0.0},
+        {"farthest": -1.0},
+    ],
+)
+def test_wrong_parameters_are_named(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        PointTracks(**wrong)  # type: ignore[arg-type]
+
+
+# --- points that are given ---
+
+
+def test_given_points_are_evidence_whatever_the_prior() -> None:
+    points = GivenPoints(np.array([[3.0, 4.0], [10.0, 20.0]]), np.array([2, 7]))
+    node = PointTracks(noise=0.3)
+    for prior in (node.uniform(), PointMessage(gaussians([2], np.array([[99.0, 99.0]]), 0.1))):
+        seen = node.evidence(Frame(None, 0.0, 1, points), prior)
+        identities, mean, covariance = seen.positions.moments
+        np.testing.assert_array_equal(identities, [2, 7])
+        np.testing.assert_allclose(mean, points.positions)
+        np.testing.assert_allclose(covariance, np.tile(0.09 * np.eye(2), (2, 1, 1)))
+        assert seen.log_mass == pytest.approx(0)  # a density
+        assert seen.view is not None
+        assert seen.view.found is points
+
+
+@pytest.mark.parametrize("scale", [1e-2, 1.0, 1e4])
+def test_noise_of_tracks_is_found_in_any_unit_and_in_spite_of_jumps(scale: float) -> None:
+    random = np.random.default_rng(0)
+    angles = random.uniform(0, 6, 30) + 0.1 * np.arange(50)[:, None]
+    tracks = np.stack([np.cos(angles), np.sin(angles)], axis=2) * 50 + random.normal(0, 0.4, (50, 30, 2))
+    tracks[25:, :6] += 20
+    frames = [
+        Frame(None, 0.04 * t, t + 1, GivenPoints(scale * points, np.arange(30)))
+        for t, points in enumerate(tracks)
+    ]
+    assert noise_of_tracks(frames) == pytest.approx(0.4 * scale, rel=0.1)
+    few = [replace(each, points=None) if t % 3 == 0 else each for t, each in enumerate(frames)]
+    assert 0 < noise_of_tracks(few) < 10 * scale  # no track of four frames: a guess
+    with pytest.raises(ValueError, match="got none"):
+        noise_of_tracks([Frame(None, 0.0, 1)])
+
+
+# --- pictures ---
+
+
+def test_points_are_found_where_they_are() -> None:
+    errors, distances = [], []
+    for seed in range(3):
+        before, after = film([STILL, MOVED], seed, noise=2.0)
+        points = find_corners(before, 100, np.zeros((0, 2)), 8, 5)
+        points = points[((points > 10) & (points < [WIDTH - 10, HEIGHT - 10])).all(axis=1)]
+        seen = NODE.evidence(frame(after), prior_at(before, points, points, 2.5, looks_back=True))
+        identities, mean, covariance = seen.positions.moments
+        assert len(identities) > 0.8 * len(points)
+        off = mean - points[identities] - SHIFT
+        errors.append(off)
+        distances.append((off * np.linalg.solve(covariance, off[:, :, None])[:, :, 0]).sum(axis=1))
+    off, squares = np.concatenate(errors), np.concatenate(distances)
+    right = np.abs(off).max(axis=1) < 1
+    assert right.mean() > 0.98
+    assert np.sqrt((off[right] ** 2).mean()) < 0.2
+    # stated covariances: half of the errors would be inside exactly
+    assert 0.4 < (squares[right] < 2 * np.log(2)).mean() < 0.9
+    assert (squares[right] < 13.8).mean() > 0.95  # all but one in a thousand, if they were exact
+
+
+def test_a_find_counts_as_against_being_anywhere() -> None:
+    before, after = film([STILL, MOVED])
+    points = find_corners(before, 20, np.zeros((0, 2)), 8, 5)
+    seen = NODE.evidence(frame(after), prior_at(before, points, points + SHIFT, 0.5))
+    assert len(seen.positions) > 10
+    assert seen.log_mass == pytest.approx(len(seen.positions) * np.log(after.size))
+
+
+def test_colour_is_seen_as_grey() -> None:
+    before, after = film([STILL, MOVED])
+    points = find_corners(before, 20, np.zeros((0, 2)), 8, 5)
+    prior = prior_at(before, points, points, 2.0)
+    one = NODE.evidence(frame(after), prior)
+    other = NODE.evidence(frame(np.repeat(after[:, :, None], 3, axis=2)), prior)
+    same(replace(one, view=None), replace(other, view=None))
+
+
+def test_what_is_hidden_is_no_information() -> None:
+    before, after = film([STILL, MOVED])
+    (_, hidden) = hidden_by_a_bar([before, after], -20, 4.0, 60)  # columns 24 to 84
+    points = find_corners(before, 100, np.zeros((0, 2)), 8, 5)
+    behind = (points[:, 0] > 30) & (points[:, 0] < 70)
+    seen = NODE.evidence(frame(hidden), prior_at(before, points, points + SHIFT, 1.0, looks_back=True))
+    assert behind.sum() > 10
+    assert np.isin(seen.positions.identities, np.flatnonzero(behind)).sum() <= 0.15 * behind.sum()
+    free = (points[:, 0] < 15) | (points[:, 0] > 90)
+    assert np.isin(np.flatnonzero(free), seen.positions.identities).mean() > 0.8
+
+
+@pytest.mark.parametrize("deviation", [0.5, 2.0, 5.0])
+def test_false_alarms_are_as_rare_as_asked_for(data_folder: Path, deviation: float) -> None:
+    """Corners of one picture looked for about corners of another: counted, without a picture before."""
+    random = np.random.default_rng(0)
+    paths = ["cmu-hotel/hotel.seq0.png", "bobot/frame_000100.jpg", "tud-campus/img1/000001.jpg"]
+    greys = [cv2.imread(str(data_folder / path), cv2.IMREAD_GRAYSCALE) for path in paths]
+    pictures = [np.asarray(grey, np.uint8) for grey in greys if grey is not None]
+    if len(pictures) < 2:
+        pytest.skip("pictures are missing")
+    corners = [find_corners(grey, 150, np.zeros((0, 2)), 8, 5) for grey in pictures]
+    alarms, windows = 0, 0
+    for one, grey in enumerate(pictures):
+        for other, unrelated in enumerate(pictures):
+            if one == other:
+                continue
+            points = random.choice(corners[one], 150)
+            expected = random.choice(corners[other], 150) + random.normal(0, deviation, (150, 2))
+            prior = prior_at(grey, points, expected, deviation)
+            alarms += len(NODE.evidence(frame(unrelated), prior).positions)
+            windows += 150
+    assert alarms < NODE.false_alarms * windows
+
+
+def test_the_wider_the_window_the_more_likeness_is_asked_for() -> None:
+    asked = least_likeness(0.05, np.array([10, 100, 1000]), 5)
+    assert (np.diff(asked) > 0).all()
+    assert (np.diff([least_likeness(0.05, 100, side) for side in (5, 7, 9, 11)]) < 0).all()
+    assert least_likeness(0.01, 100, 5) > least_likeness(0.1, 100, 5)
+
+
+def test_among_equals_the_prior_decides_or_nobody_does() -> None:
+    tile = np.random.default_rng(4).integers(0, 256, (12, 12)).astype(np.uint8)
+    grey = np.tile(tile, (10, 12))
+    points = np.array([[66.0, 54.0], [42.0, 66.0]])
+    patches = view_of(grey).patches_at(points)
+    narrow, between, wide = (np.tile(deviation**2 * np.eye(2), (2, 1, 1)) for deviation in (2.5, 4.0, 8.0))
+    assert find_points(grey, patches, points, narrow, 0.05, 24.0).seen.all()
+    np.testing.assert_allclose(
+        find_points(grey, patches, points, between, 0.05, 24.0).position, points, atol=0.05
+    )
+    assert not find_points(grey, patches, points + np.array([6.0, 0.0]), wide, 0.05, 24.0).seen.any()
+
+
+def test_what_leads_back_elsewhere_is_refused() -> None:
+    before, after = film([STILL, MOVED])
+    points = find_corners(before, 60, np.zeros((0, 2)), 8, 5)
+    points = points[((points > 15) & (points < [WIDTH - 15, HEIGHT - 15])).all(axis=1)]
+    around = np.tile(4.0 * np.eye(2), (len(points), 1, 1))
+    assert leads_back(after, points + SHIFT, before, points, around, 5, 24.0).mean() > 0.95
+    assert leads_back(after, points + SHIFT + [3.0, 0.0], before, points, around, 5, 24.0).mean() < 0.05
+
+
+def test_only_points_with_a_look_and_a_place_are_looked_for() -> None:
+    before, after = film([STILL, MOVED])
+    points = find_corners(before, 20, np.zeros((0, 2)), 8, 5)
+    known = prior_at(before, points, points + SHIFT, 0.5)
+    assert known.patches is not None
+    no_look = replace(known, patches=None)
+    half = replace(known, patches=Patches(known.patches.identities[:10], known.patches.pixels[:10]))
+    anywhere = prior_at(before, points, points + SHIFT, 30.0)
+    assert not len(NODE.evidence(frame(after), no_look).positions)
+    assert not len(NODE.evidence(frame(after), anywhere).positions)
+    assert not len(NODE.evidence(frame(after), NODE.uniform()).positions)
+    seen = NODE.evidence(frame(after), half).positions.identities
+    assert len(seen) > 5
+    assert (seen < 10).all()
+
+
+def test_points_at_and_beyond_the_edge_do_no_harm() -> None:
+    before, after = film([STILL, MOVED])
+    points = np.array([[0.0, 0.0], [WIDTH - 1.0, 70.0], [-40.0, 10.0], [90.0, HEIGHT + 500.0], [1.0, 60.0]])
+    prior = prior_at(before, points, points, 3.0)
+    _, mean, covariance = NODE.evidence(frame(after), prior).positions.moments
+    assert np.isfinite(mean).all()
+    assert np.isfinite(covariance).all()
+    assert ((mean >= 0) & (mean <= [WIDTH - 1, HEIGHT - 1])).all()
+
+
+@settings(max_examples=25)
+@given(st.permutations(range(12)), st.integers(-4, 4), st.integers(-4, 4))
+def test_neither_order_nor_place_matters(order: list[int], right: int, down: int) -> None:
+    """Points under other numbers, in a picture that is cut otherwise."""
+    before, after = PAIR
+    points = find_corners(before[20:-20, 20:-20], 12, np.zeros((0, 2)), 8, 5) + 20
+    points = points[((points > 30) & (points < [WIDTH - 30, HEIGHT - 30])).all(axis=1)]
+    prior = prior_at(before, points, points, 1.5)
+    one = NODE.evidence(frame(after), prior)
+    order = [k for k in order if k < len(points)]
+    cut = after[4 + down : HEIGHT - 4 + down, 4 + right : WIDTH - 4 + right]
+    move = -np.array([4.0 + right, 4.0 + down])
+    assert prior.patches is not None
+    positions = gaussians(np.arange(len(points)), points[order] + move, 1.5)
+    other = NODE.evidence(
+        frame(np.ascontiguousarray(cut)),
+        PointMessage(positions, Patches(np.arange(len(points)), prior.patches.pixels[order])),
+    )
+    renumbered = np.array(order)[other.positions.identities]
+    np.testing.assert_array_equal(np.sort(renumbered), one.positions.identities)
+    _, mean, _ = one.positions.moments
+    _, moved, _ = other.positions.moments
+    np.testing.assert_allclose(moved[np.argsort(renumbered)], mean + move, atol=1e-6)
+
+
+def test_corners_keep_their_distance() -> None:
+    (grey,) = film([STILL])
+    taken = np.array([[90.0, 70.0], [20.0, 100.0]])
+    corners = find_corners(grey, 50, taken, 12, 5)
+    assert 20 < len(corners) <= 50
+    both = np.concatenate([corners, taken])
+    apart = np.linalg.norm(both[:, None] - both, axis=2) + 1e3 * np.eye(len(both))
+    assert apart.min() > 11
+    assert not len(find_corners(np.full((60, 80), 100, np.uint8), 50, np.zeros((0, 2)), 12, 5))
+
+
+def test_edges_are_no_corners() -> None:
+    """Along a straight edge a patch cannot be told from its neighbours."""
+    grey = np.full((100, 120), 60, np.uint8)
+    grey[:, 60:] = 180
+    grey = np.clip(grey + np.random.default_rng(0).normal(0, 1, grey.shape), 0, 255).astype(np.uint8)
+    assert not len(find_corners(grey, 50, np.zeros((0, 2)), 8, 5))
+    grey[:50, 60:] = 60  # one corner
+    assert len(find_corners(grey, 50, np.zeros((0, 2)), 8, 5)) == 1

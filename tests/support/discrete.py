@@ -1,0 +1,123 @@
+"""Toy chains over small discrete states, exact in every message, and the sum over all states as an oracle."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from rsmcm.inference import Incoming, MultiChain
+from rsmcm.models.core.categorical import Categorical, CategoricalMessage
+from rsmcm.models.core.frame import Frame
+
+Table = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DiscreteState:
+    probabilities: Table
+
+
+class DiscreteChain:
+    """A hidden Markov chain with tables p(F | X) of `(n_states, size)` for its features."""
+
+    def __init__(self, name: str, prior: Table, transition: Table, tables: Mapping[str, Table]) -> None:
+        self.name = name
+        self.prior = prior
+        self.transition = transition
+        self.tables = tables
+
+    def initial(self, frame: Frame) -> DiscreteState:
+        return DiscreteState(self.prior)
+
+    def predict(self, state: DiscreteState, dt: float) -> DiscreteState:
+        return DiscreteState(state.probabilities @ self.transition)
+
+    def message(self, state: DiscreteState, feature: Categorical, incoming: Incoming) -> CategoricalMessage:
+        weights = self._weighted(state, incoming, without=feature.name)
+        with np.errstate(divide="ignore"):
+            return CategoricalMessage(np.log(weights @ self.tables[feature.name]))
+
+    def update(self, state: DiscreteState, incoming: Incoming) -> DiscreteState:
+        weights = self._weighted(state, incoming)
+        return DiscreteState(weights / weights.sum())
+
+    def _weighted(self, state: DiscreteState, incoming: Incoming, without: str = "") -> Table:
+        weights = state.probabilities
+        for name in incoming:
+            if name != without:
+                weights = weights * (self.tables[name] @ np.exp(incoming[name].log_weights))
+        return weights
+
+
+class CavityChain(DiscreteChain):
+    """Listens before it speaks, as projected mixtures do; what it says is the same."""
+
+    uses_cavity = True
+
+
+def random_table(random: np.random.Generator, *shape: int) -> Table:
+    table = random.random(shape) + 0.01
+    return table / table.sum(axis=-1, keepdims=True)
+
+
+def image(*values: int) -> NDArray[np.uint8]:
+    return np.array([values], np.uint8)
+
+
+def random_model(
+    random: np.random.Generator, links: Sequence[tuple[str, str]], kinds: Mapping[str, type] | None = None
+) -> MultiChain:
+    """Random chains and features of sizes 2 to 4; pixel k of a frame is what feature k shows (0 to 4)."""
+    chain_names = sorted({chain for chain, _ in links})
+    feature_names = sorted({feature for _, feature in links})
+    features = {}
+    for position, name in enumerate(feature_names):
+        size = int(random.integers(2, 5))
+        emission = random_table(random, size, 5)
+
+        def log_likelihood(frame: Frame, emission: Table = emission, position: int = position) -> Table:
+            assert frame.image is not None
+            return np.log(emission[:, frame.image[0, position]])
+
+        features[name] = Categorical(name, size, log_likelihood)
+    chains = {}
+    for name in chain_names:
+        n_states = int(random.integers(2, 5))
+        tables = {f: random_table(random, n_states, features[f].size) for c, f in links if c == name}
+        kind = (kinds or {}).get(name, DiscreteChain)
+        prior, transition = random_table(random, n_states), random_table(random, n_states, n_states)
+        chains[name] = kind(name, prior, transition, tables)
+    model = MultiChain()
+    for chain, feature in links:
+        model.connect(chains[chain], features[feature])
+    return model
+
+
+def enumerate_slice(
+    model: MultiChain, predictions: Mapping[str, Table], frame: Frame
+) -> tuple[dict[str, Table], dict[str, Table], float]:
+    """Sum over all joint values: the chains' posteriors, the features' beliefs, the log normaliser."""
+    chains, features = model.chains, model.features
+    names = [*chains, *features]
+    sizes = [len(predictions[name]) for name in chains] + [feature.size for feature in features.values()]
+    likelihoods = {
+        name: np.ones(feature.size) if frame.image is None else np.exp(feature.log_likelihood(frame))
+        for name, feature in features.items()
+    }
+    marginals = {name: np.zeros(size) for name, size in zip(names, sizes, strict=True)}
+    total = 0.0
+    for values in product(*map(range, sizes)):
+        at = dict(zip(names, values, strict=True))
+        weight = 1.0
+        for name, chain in chains.items():
+            weight *= predictions[name][at[name]]
+            for feature in model.features_of(name):
+                weight *= chain.tables[feature][at[name], at[feature]]
+        for name, likelihood in likelihoods.items():
+            weight *= likelihood[at[name]]
+        total += weight
+        for name in names:
+            marginals[name][at[name]] += weight
+    posterior = {name: marginals[name] / total for name in names}
+    return {c: posterior[c] for c in chains}, {f: posterior[f] for f in features}, float(np.log(total))

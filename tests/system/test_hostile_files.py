@@ -1,0 +1,153 @@
+"""Damaged files as users meet them, by the command line: one line, exit code 2, nothing is left behind."""
+
+import io
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.apps.background.parameters import read_parameters
+
+from ..conftest import Command
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("film")
+    for number in range(1, 6):
+        image = np.random.default_rng(number).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+        cv2.imwrite(str(folder / f"{number}.png"), image)
+    return folder
+
+
+def points() -> np.ndarray:
+    return np.random.default_rng(0).uniform(0, 40, (6, 8, 2))
+
+
+def npy() -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, points())
+    return stream.getvalue()
+
+
+def npz(how: int = zipfile.ZIP_DEFLATED) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", how) as archive:
+        archive.writestr("tracks.npy", npy())
+    return stream.getvalue()
+
+
+def bomb() -> bytes:
+    """A zip file of a megabyte that unpacks to one gigabyte."""
+    n_bytes = 1 << 30
+    header = f"{{'descr': '|u1', 'fortran_order': False, 'shape': ({n_bytes // 2}, 1, 2), }}\n".encode()
+    start = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header
+    stream = io.BytesIO()
+    with (
+        zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("tracks.npy", "w") as file,
+    ):
+        file.write(start)
+        for _ in range(n_bytes >> 24):
+            file.write(bytes(1 << 24))
+    return stream.getvalue()
+
+
+def encrypted() -> bytes:
+    """The flag of encryption is set, in front of the member and in the directory."""
+    content = bytearray(npz())
+    content[6] |= 1
+    content[content.index(b"PK\x01\x02") + 8] |= 1
+    return bytes(content)
+
+
+def damaged_header() -> bytes:
+    return npy().replace(b"'shape'", b"'shape\x07", 1)
+
+
+DAMAGED = {
+    "header.npy": damaged_header,
+    "cut.npy": lambda: npy()[:-5],
+    "encrypted.npz": encrypted,
+    "lzma.npz": lambda: npz(zipfile.ZIP_LZMA),
+    "bzip2.npz": lambda: npz(zipfile.ZIP_BZIP2),
+    "bomb.npz": bomb,
+    "cut.npz": lambda: npz()[:-30],
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_arrays(name: str, film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / name, tmp_path / "out"
+    path.write_bytes(DAMAGED[name]())
+    for command, arguments in (
+        ("structure", (path, "--out", out)),
+        ("shape", (path, "--bases", 2, "--out", tmp_path / "out.npz")),
+        ("face", (film, "--landmarks", path, "--out", out)),
+    ):
+        assert f"{path}: got " in Command(command).complaint(capfd, *arguments)
+    if path.suffix == ".npz":
+        message = Command("face").complaint(capfd, film, "--model", path, "--out", out)
+        assert f"{path}: got " in message
+    assert [each.name for each in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a = " + "[" * 5000, "brackets in brackets"),
+        ("[background]\nprior = " + "9" * 5000, "not a TOML file"),
+        ("[background]\nprior = 1" + "0" * 400, "prior"),
+        ("[background]\nprior = nan", "prior"),
+        ("# " + "long " * 300_000, "got more than 1048576 bytes"),
+        ("[background]\0", "got binary data"),
+    ],
+)
+def test_parameters(
+    text: str, words: str, film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    message = Command("background").complaint(capfd, film, "--config", path, "--out", tmp_path / "out")
+    assert f"{path}" in message
+    assert words in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_byte_order_mark_is_none_of_the_parameters(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text("\ufeff[background]\nprior = 0.9\n", encoding="utf-8")
+    assert read_parameters(path) == {"background": {"prior": 0.9}}
+
+
+def test_true_boxes_in_the_far_future(film: Path, tmp_path: Path) -> None:
+    """The frames between are annotated as empty."""
+    path = tmp_path / "gt.txt"
+    path.write_text("1,1,3,5,10,20,1,-1,-1,-1\n1000000000,1,3,5,10,20,1,-1,-1,-1\n")
+    assert Command("background")(film, "--ground-truth", path, "--out", tmp_path / "out") == 0
+
+
+def test_joints_in_a_frame_beyond_all(film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "joints.csv"
+    path.write_text(f"frame,joint,x,y\n{2**63},head,5,6\n")
+    message = Command("body").complaint(capfd, film, "--joints", path, "--out", tmp_path / "out")
+    assert f"{path}, line 2: got the frame '9223372036854775808'" in message
+
+
+def test_a_region_that_is_damaged_inside(
+    film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A PNG with correct check sums whose content is cut short."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    path = tmp_path / "roi.png"
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 25_000, 25_000, 8, 2, 0, 0, 0))
+    content = header + chunk(b"IDAT", zlib.compress(bytes(1000))) + chunk(b"IEND", b"")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + content)
+    message = Command("background").complaint(capfd, film, "--roi", path, "--out", tmp_path / "out")
+    assert str(path) in message

@@ -1,0 +1,86 @@
+"""Imports run in one direction only, and the wheel holds the four packages and nothing generic."""
+
+import ast
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+MAY_IMPORT = {
+    "models": {"models"},
+    "inference": {"models", "inference"},
+    "chains": {"models", "inference"},
+    "apps": {"models", "inference", "chains", "apps"},
+}
+FILES = [path.relative_to(ROOT) for package in MAY_IMPORT for path in sorted((ROOT / package).rglob("*.py"))]
+
+
+def imported(path: Path) -> set[tuple[str, ...]]:
+    """What a file imports of ours: `("models", "frame", "Frame")`, without the leading `rsmcm`."""
+    names: set[tuple[str, ...]] = set()
+    for node in ast.walk(ast.parse((ROOT / path).read_text())):
+        if isinstance(node, ast.Import):
+            names |= {tuple(alias.name.split(".")) for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            above = ("rsmcm", *path.with_suffix("").parts)[: -node.level] if node.level else ()
+            start = (*above, *(node.module or "").split("."))
+            names |= {(*filter(None, start), alias.name) for alias in node.names}
+    return {name[1:] for name in names if name[0] == "rsmcm"}
+
+
+def forbidden(path: Path) -> list[str]:
+    """The imports of a file that go against the order of the packages, or from one chain to another."""
+    package = path.parts[0]
+    against = [name for name in imported(path) if name[:1] and name[0] not in MAY_IMPORT[package]]
+    if package == "chains" and path.stem == "__init__":  # lists all chains
+        against = [name for name in against if name[0] != "chains"]
+    return sorted(".".join(name) for name in against)
+
+
+@pytest.mark.parametrize("path", FILES, ids=str)
+def test_imports_go_in_one_direction(path: Path) -> None:
+    assert forbidden(path) == []
+
+
+def test_the_test_sees_every_kind_of_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(globals(), "ROOT", tmp_path)
+    (tmp_path / "chains").mkdir()
+    path = Path("chains/example.py")
+    for line in (
+        "from .other import Thing",
+        "from . import other",
+        "from ..apps.video import open_source",
+        "from .. import apps",
+        "import rsmcm.apps.video",
+        "from rsmcm.chains import Thing",
+        "def late():\n    from ..chains.other import Thing",
+    ):
+        (tmp_path / path).write_text(line)
+        assert forbidden(path), line
+    for line in (
+        "import numpy as np",
+        "from ..models.frame import Frame",
+        "from ..inference import protocols",
+    ):
+        (tmp_path / path).write_text(line)
+        assert not forbidden(path), line
+
+
+def test_wheel_holds_the_four_packages_and_nothing_generic(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()  # built from a copy: the checkout stays as it is, and leftovers of older builds stay out
+    for path in [ROOT / "pyproject.toml", *ROOT.glob("LICENSE"), *ROOT.glob("README.md")]:
+        shutil.copy(path, source)
+    for package in MAY_IMPORT:
+        shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__"))
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path)]
+    subprocess.run([*build, str(source)], check=True, timeout=120)
+    (wheel,) = tmp_path.glob("*.whl")
+    names = [name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name]
+    expected = {f"rsmcm/{path.as_posix()}" for path in FILES}
+    expected |= {f"rsmcm/{package}/py.typed" for package in MAY_IMPORT}
+    assert set(names) == expected

@@ -1,0 +1,553 @@
+"""Streams that stall, drop and come back: nothing is made up, nothing is lost, and all of it is said."""
+
+import http.server
+import itertools
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.apps.background.application import build_model
+from rsmcm.apps.io.results import read_tracks
+from rsmcm.apps.io.sources import live_reader, video_reader
+from rsmcm.apps.io.sources import open_source as sources
+from rsmcm.apps.io.sources.live_reader import FILLED_SECONDS, LiveReader
+from rsmcm.apps.io.sources.open_source import Source, open_source
+from rsmcm.apps.io.sources.reader import Selection
+from rsmcm.apps.runs import film_run
+from rsmcm.apps.scenes import face, sleeping_man
+from rsmcm.inference import RecursiveBP
+from rsmcm.models.core.frame import Frame
+
+from ..conftest import Command, summary_of
+from ..support.stream_server import RATE, Connection, StreamServer, serving
+
+Image = NDArray[np.uint8]
+SIZE = (64, 48)
+
+
+@pytest.fixture(autouse=True)
+def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Attempts to connect follow each other quickly."""
+    monkeypatch.setattr(live_reader, "RETRY_EVERY", 0.1)
+
+
+def counted(n_images: int) -> list[Image]:
+    """Images whose grey level is their index, modulo 25."""
+    return [np.full((SIZE[1], SIZE[0], 3), 10 + 9 * (index % 25), np.uint8) for index in range(n_images)]
+
+
+def indices_of(frames: list[Frame]) -> list[int]:
+    """Which of the counted images they are, modulo 25."""
+    return [round((float(frame.image.mean()) - 10) / 9) for frame in frames if frame.image is not None]
+
+
+def read(address: str, reconnect: float | None = None, most: int | None = None) -> tuple[Source, list[Frame]]:
+    """All frames, or those until so many images have come."""
+    frames: list[Frame] = []
+    with open_source(address, reconnect=reconnect) as source:
+        for frame in source:
+            frames.append(frame)
+            if sum(each.image is not None for each in frames) == most:
+                break
+        return source, frames
+
+
+# --- gaps ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["mjpeg", "mpegts", "matroska"])
+def test_stream_that_drops_and_comes_back(form: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "DECODE_AHEAD", 1000)  # on a busy machine frames would be dropped
+    server = StreamServer(
+        counted(200), [Connection(20), Connection(None), Connection(20), Connection(99)], form
+    )
+    began = time.perf_counter()
+    with serving(server.answer) as address:
+        source, frames = read(address, reconnect=30, most=55)
+    elapsed = time.perf_counter() - began
+    assert source.stream is not None
+    assert source.lost is None
+    assert source.stream["dropped_frames"] == 0
+    first, second = source.stream["gaps"]
+    assert source.skipped == [frame.number for frame in frames if frame.image is None]
+    assert len(source.skipped) == first["frames"] + second["frames"]
+    assert [frame.number for frame in frames] == list(range(1, len(frames) + 1))
+    assert (np.diff([frame.time for frame in frames]) > 0).all()
+    # everything that was sent is there, at the times at which it was sent
+    sent = server.sent[:55]
+    assert indices_of(frames) == [index % 25 for index in sent]
+    seen = [frame for frame in frames if frame.image is not None]
+    assert seen[-1].time <= elapsed
+    if (
+        form != "mjpeg"
+    ):  # which states no times: those of arrival are nearer together where the machine is busy
+        assert seen[-1].time >= (sent[-1] - sent[0] - 3) / RATE
+    for gap in (first, second):
+        before = next(frame for frame in reversed(seen) if frame.time <= gap["lost_at"])
+        after = next(frame for frame in seen if frame.time > gap["lost_at"])
+        assert after.time - before.time == pytest.approx(gap["back_after"])
+        assert after.number - before.number == round(gap["back_after"] * RATE) == gap["frames"] + 1
+        assert gap["back_after"] > live_reader.RETRY_EVERY
+        assert gap["reason"] == "it broke off"
+
+
+def test_silence_is_noticed_and_another_connection_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(video_reader, "NETWORK_TIMEOUT", 0.5)
+    server = StreamServer(counted(200), [Connection(10, "stall"), Connection(None, "stall"), Connection(99)])
+    with serving(server.answer) as address:
+        source, frames = read(address, reconnect=30, most=20)
+    assert source.stream is not None
+    (gap,) = source.stream["gaps"]
+    assert gap["reason"] == "nothing came for 0.5 s"
+    assert gap["back_after"] > 1.0, "two limits"
+    assert gap["frames"] == len(source.skipped) == round(gap["back_after"] * RATE) - 1
+    assert [frame.number for frame in frames] == list(range(1, len(frames) + 1))
+    assert source.notes == [
+        f"{address} was lost once and came back: at {gap['lost_at']:.1f} s for {gap['back_after']:.1f} s, "
+        f"{gap['frames']} frames (nothing came for 0.5 s)."
+    ]
+
+
+@pytest.mark.parametrize("reconnect", [None, 0.5])
+def test_stream_that_does_not_come_back(reconnect: float | None) -> None:
+    server = StreamServer(counted(60), [Connection(15)])
+    with serving(server.answer) as address:
+        source, frames = read(address, reconnect)
+    assert indices_of(frames) == [index % 25 for index in server.sent]
+    assert [frame.number for frame in frames] == list(range(1, 16)), "nothing after the last picture"
+    assert source.lost == "it broke off"
+    assert source.stream == {"lost": "it broke off", "gaps": [], "dropped_frames": 0}
+    assert server.n_requests == 1 if reconnect is None else server.n_requests > 1
+
+
+def test_server_that_sends_headers_only_is_given_up() -> None:
+    server = StreamServer(counted(60), [Connection(15), *[Connection(0)] * 1000])
+    with serving(server.answer) as address:
+        source, frames = read(address, reconnect=0.5)
+    assert len(frames) == 15
+    assert source.lost is not None
+
+
+def test_pictures_of_another_size_after_a_gap_are_refused() -> None:
+    images = [*counted(5), *[np.zeros((SIZE[1], 2 * SIZE[0], 3), np.uint8)] * 60]
+    server = StreamServer(images, [Connection(4), Connection(20)])
+    message = r"frame \d+ is 128x48 colour, expected 64x48 colour"
+    with serving(server.answer) as address, pytest.raises(ValueError, match=message):
+        read(address, reconnect=30)
+
+
+# --- the clock of live sources, without waiting -------------------------------------------------------------
+
+
+@dataclass
+class FakeFeed:
+    """Images at given times of a clock, which it sets."""
+
+    clock: "FakeClock"
+    arrivals: list[float]
+    opened_at: float
+    name: str = "feed"
+    kind: str = "stream"
+    rate: float = 25.0
+    lost: str | None = None
+    header_size: tuple[int, int] = SIZE
+
+    def images(self) -> Iterator[tuple[float | None, Image | None]]:
+        for arrival in self.arrivals:
+            self.clock.now = max(self.clock.now, arrival)
+            yield None, np.zeros((2, 2), np.uint8)
+        self.lost = "gone"
+
+    def fingerprint(self) -> dict[str, Any]:
+        return {}
+
+    def close(self) -> None:
+        pass
+
+
+class FakeClock:
+    """Stands for `time`, and for the event that is waited for between attempts."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+    def is_set(self) -> bool:
+        return False
+
+    def wait(self, seconds: float) -> bool:
+        self.now += seconds
+        return False
+
+
+connections = st.lists(
+    st.tuples(
+        st.floats(0, 200),  # seconds until somebody answers
+        st.lists(st.one_of(st.floats(0.0, 0.2), st.floats(0, 50)), min_size=1, max_size=6),
+    ),
+    min_size=1,
+    max_size=5,
+)
+
+
+@given(connections, st.floats(0.1, 1000), st.integers(1, 7))
+def test_numbers_are_in_step_with_time_whatever_happens(
+    script: list[tuple[float, list[float]]], reconnect: float, step: int
+) -> None:
+    clock = FakeClock()
+    remaining = list(script)
+    answers_at = 0.0
+
+    def connect() -> FakeFeed:
+        nonlocal answers_at
+        if not remaining or clock.now < answers_at:
+            raise OSError("refused")
+        _, pauses = remaining.pop(0)
+        arrivals = (clock.now + np.cumsum(pauses)).tolist()
+        if remaining:
+            answers_at = arrivals[-1] + remaining[0][0]
+        return FakeFeed(clock, arrivals, clock.now)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(live_reader, "time", clock)
+        reader = LiveReader(connect(), connect, reconnect)
+        everything = list(reader.frames(Selection(), clock))  # type: ignore[arg-type]
+    seen = [frame for frame in everything if frame.image is not None]
+    numbers, times = (np.array([getattr(frame, name) for frame in everything]) for name in ("number", "time"))
+    assert (np.diff(numbers) > 0).all()
+    assert (np.diff(times) > 0).all()
+    assert reader.lost == "gone"
+    assert everything[-1].image is not None, "no frames after the last picture"
+    assert len(seen) == sum(len(pauses) for _, pauses in script[: len(script) - len(remaining)])
+    missing = len(everything) - len(seen)
+    assert missing <= len(reader.gaps) * FILLED_SECONDS * reader.rate
+    assert missing <= sum(gap.frames for gap in reader.gaps)
+    for one, other in pairwise(seen):
+        steps = other.number - one.number
+        gap = next((gap for gap in reader.gaps if gap.lost_at == one.time), None)
+        assert steps == (1 if gap is None else max(1, round((other.time - one.time) * reader.rate)))
+    # of what is selected, the same
+    clock, remaining, answers_at = FakeClock(), list(script), 0.0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(live_reader, "time", clock)
+        chosen = list(LiveReader(connect(), connect, reconnect).frames(Selection(2, 90, step), clock))  # type: ignore[arg-type]
+    expected = [frame for frame in everything if frame.number in Selection(2, 90, step)]
+    assert [(frame.number, frame.time) for frame in chosen] == [(f.number, f.time) for f in expected]
+
+
+def test_camera_that_goes_away_and_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = []
+
+    class Capture:
+        """The first one breaks after five images; for a while there is none; then it goes on."""
+
+        def __init__(self, _: int) -> None:
+            opened.append(self)
+            self.n_read = 0
+
+        def isOpened(self) -> bool:  # noqa: N802
+            return len(opened) not in (2, 3)
+
+        def get(self, _: int) -> float:
+            return 30.0
+
+        def read(self) -> tuple[bool, Image | None]:
+            self.n_read += 1
+            time.sleep(1 / 30)
+            return (False, None) if len(opened) == 1 and self.n_read > 5 else (True, counted(1)[0])
+
+        def release(self) -> None:
+            pass
+
+    monkeypatch.setattr(cv2, "VideoCapture", Capture)
+    source, frames = read("0", reconnect=30, most=20)
+    assert source.stream is not None
+    assert source.lost is None
+    (gap,) = source.stream["gaps"]
+    assert len(opened) == 4
+    assert gap["reason"] == "no more pictures come"
+    assert gap["frames"] == len(source.skipped) >= 5, "0.3 s"
+    assert [frame.number for frame in frames] == list(range(1, len(frames) + 1))
+
+
+# --- servers that say nothing -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("connection", [Connection(None, "stall"), Connection(0, "stall")])
+def test_silent_server_is_named(connection: Connection, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(video_reader, "NETWORK_TIMEOUT", 0.5)
+    server = StreamServer(counted(1), [connection])
+    message = r"^http://127\.0\.0\.1:\d+/: cannot be opened \(nothing came for 0\.5 s\)$"
+    with serving(server.answer) as address, pytest.raises(OSError, match=message):
+        open_source(address)
+
+
+def test_silent_rtsp_server_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(video_reader, "NETWORK_TIMEOUT", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        address = f"rtsp://127.0.0.1:{listening.getsockname()[1]}/a"
+        with pytest.raises(OSError, match=rf"^{address}: cannot be opened \(nothing came for 0\.5 s\)$"):
+            open_source(address)
+
+
+def test_stream_that_is_lost_where_it_was_to_stop_is_whole() -> None:
+    server = StreamServer(counted(60), [Connection(15)])
+    with serving(server.answer) as address, open_source(address, stop=15) as source:
+        assert len(list(source)) == 15
+    assert source.lost is None
+
+
+def test_ctrl_c_while_a_server_is_silent(tmp_path: Path) -> None:
+    server = StreamServer(counted(1), [Connection(None, "stall")])
+    hung_up = threading.Event()
+
+    def answer(request: http.server.BaseHTTPRequestHandler) -> None:
+        threading.Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+        server.answer(request)
+        hung_up.set()
+
+    out = tmp_path / "out"
+    with serving(answer) as address:
+        assert Command("background")(address, "--out", out) == 130
+        assert not hung_up.is_set(), "the command did not wait for the limit"
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("reconnect", ["0", "-1", "nan", "inf"])
+def test_bad_reconnect(reconnect: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    command = Command("background")
+    words = command.complaint(capfd, "http://127.0.0.1:9/", "--out", tmp_path, "--reconnect", reconnect)
+    assert "--reconnect: got" in words
+
+
+def test_reconnect_is_refused_for_a_file(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), counted(1)[0])
+    words = Command("background").complaint(capfd, path, "--out", tmp_path / "out", "--reconnect", 5)
+    assert "a.png, expected a camera or an address" in words
+
+
+# --- files behind an address --------------------------------------------------------------------------------
+
+
+@dataclass
+class FileServer:
+    """Sends a file from the byte that is asked for, but only a third of it at a time.
+
+    Parameters
+    ----------
+    content
+        of the file.
+    n_answers
+        how many requests are answered.
+    """
+
+    content: bytes
+    n_answers: int
+    n_requests: int = 0
+
+    def answer(self, request: http.server.BaseHTTPRequestHandler) -> None:
+        self.n_requests += 1
+        if self.n_requests > self.n_answers:
+            return
+        asked = request.headers.get("Range", "bytes=0-")
+        first, length = int(asked.removeprefix("bytes=").split("-")[0]), len(self.content)
+        request.send_response(206)
+        request.send_header("Accept-Ranges", "bytes")
+        request.send_header("Content-Length", str(length - first))
+        request.send_header("Content-Range", f"bytes {first}-{length - 1}/{length}")
+        request.end_headers()
+        request.wfile.write(self.content[first : first + length // 3 + 1])
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Sixty frames of noise: enough bytes for a third not to lie in buffers."""
+    path = tmp_path_factory.mktemp("film") / "a.mp4"
+    random = np.random.default_rng(3)
+    with av.open(str(path), "w", options={"movflags": "+faststart"}) as file:
+        stream = file.add_stream("libx264", rate=RATE, options={"crf": "10", "g": "10"})
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height, stream.pix_fmt = 320, 240, "yuv420p"
+        for _ in range(60):
+            image = random.integers(0, 255, (240, 320, 3), np.uint8)
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        file.mux(stream.encode(None))
+    return path
+
+
+def test_file_is_asked_for_the_rest_and_nothing_is_missing(film: Path) -> None:
+    _, expected = read(str(film))
+    server = FileServer(film.read_bytes(), n_answers=10)
+    with serving(server.answer) as address:
+        source, frames = read(address + "a.mp4", reconnect=5)
+    assert server.n_requests >= 3
+    assert (source.live, source.lost, source.truncated, source.skipped) == (False, None, False, [])
+    assert [frame.time for frame in frames] == [frame.time for frame in expected]
+    for frame, other in zip(frames, expected, strict=True):
+        np.testing.assert_array_equal(frame.image, other.image)
+
+
+@pytest.mark.parametrize("reconnect", [None, 0.5])
+def test_file_whose_rest_does_not_come_is_lost(film: Path, reconnect: float | None) -> None:
+    with serving(FileServer(film.read_bytes(), n_answers=1).answer) as address:
+        source, frames = read(address + "a.mp4", reconnect)
+    assert source.truncated
+    assert source.lost is not None
+    assert 5 < len(frames) < 30
+
+
+# --- whole runs ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def street() -> list[Image]:
+    """A person walks in and stands still: 12 s. Loops are compiled then, for which no stream waits."""
+    scene = sleeping_man(300, size=(160, 120), enter=15, car_leaves=300)
+    for _ in RecursiveBP(build_model()).run(scene[:60]):
+        pass
+    return [frame.image for frame in scene if frame.image is not None]
+
+
+def run(name: str, capfd: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, list[str]]:
+    """A run of a command: its exit code, what it says, and its complaints."""
+    capfd.readouterr()
+    code = Command(name)(*arguments)
+    said, errors = capfd.readouterr()
+    return code, said, [line for line in errors.splitlines() if line.startswith("rsmcm: ")]  # no progress
+
+
+@pytest.mark.parametrize(
+    ("form", "limit"), [("mjpeg", 0.5), pytest.param("mpegts", 2.0, marks=pytest.mark.slow)]
+)
+def test_who_is_tracked_stays_the_same_over_three_drops_and_a_stall(
+    form: Any, limit: float, street: list[Image], tmp_path: Path, capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(video_reader, "NETWORK_TIMEOUT", limit)
+    connections = [
+        Connection(60),
+        Connection(25), Connection(None),
+        Connection(25),
+        Connection(25, "stall"),
+        Connection(200),
+    ]  # fmt: skip
+    server = StreamServer(street, connections, form)
+    out = tmp_path / "out"
+    with serving(server.answer) as address:
+        options = ["--reconnect", 30, "--stop", 240, "--masks", "none"]
+        code, said, errors = run("background", capfd, address, "--out", out, *options)
+    assert (code, errors) == (0, [])
+    summary = summary_of(out)
+    gaps = summary["stream"]["gaps"]
+    assert [gap["reason"] for gap in gaps] == [*["it broke off"] * 3, f"nothing came for {limit:g} s"]
+    assert summary["stream"]["lost"] is None
+    assert summary["missing_frames"] == sum(gap["frames"] for gap in gaps)
+    assert "was lost 4 times and came back" in said
+    tracks = read_tracks(out / "tracks.txt")
+    back = round((gaps[-1]["lost_at"] + gaps[-1]["back_after"]) * RATE)
+    (person,) = set(tracks["id"][(tracks["frame"] > 45) & (tracks["frame"] <= 60)])
+    assert set(tracks["id"][tracks["frame"] > 60]) == {person}
+    assert tracks["frame"][-1] == summary["last_frame"] > back
+
+
+def test_a_camera_that_is_started_anew_knows_who_is_there(
+    street: list[Image], tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is between two live runs is told by the clock, and identities go on over a short while.
+
+    Here it tells a second from reading to reading, however busy the machine is.
+    """
+    ticks = itertools.count(1_000_000_000)
+    clock = SimpleNamespace(time=lambda: next(ticks), perf_counter=time.perf_counter)
+    monkeypatch.setattr(film_run, "time", clock)
+    standing = [*street[:30], *[street[-1]] * 30]  # the last one stays
+    server = StreamServer(standing, [Connection(60), Connection(100)])
+    first, second = tmp_path / "first", tmp_path / "second"
+    with serving(server.answer) as address:
+        assert run("background", capfd, address, "--out", first, "--masks", "none")[0] == 1
+        options = ["--from", first / "state.npz", "--stop", 20, "--masks", "none"]
+        code, _, errors = run("background", capfd, address, "--out", second, *options)
+    assert (code, errors) == (0, [])
+    tracks, again = (read_tracks(out / "tracks.txt") for out in (first, second))
+    assert not list(first.glob("*.part*")), "nobody can resume it"
+    (person,) = set(tracks["id"][tracks["frame"] > 45])
+    assert set(again["id"]) == {person}
+    assert set(again["frame"]) == set(range(1, 21)), "from the first frame on"
+
+
+@pytest.mark.parametrize("reconnect", [[], ["--reconnect", "0.5"]])
+def test_stream_that_is_lost_for_good_leaves_results_and_exit_code_1(
+    reconnect: list[str], street: list[Image], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    with serving(StreamServer(street, [Connection(30)]).answer) as address:
+        code, _, errors = run("background", capfd, address, "--out", out, *reconnect)
+    assert (code, errors) == (1, [f"rsmcm: {address}: lost for good: it broke off"])
+    summary = summary_of(out)
+    assert summary["ended_early"]
+    assert summary["frames"] + summary["stream"]["dropped_frames"] == summary["last_frame"] == 30
+    assert len(list((out / "foreground").iterdir())) == summary["frames"]
+    assert {"tracks.txt", "overlay.mp4", "report.html", "background.png"} <= {
+        path.name for path in out.iterdir()
+    }
+
+
+def test_file_behind_an_address_that_is_lost_is_resumed(
+    film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    options = ["--out", str(out), "--masks", "none"]
+    server = FileServer(film.read_bytes(), n_answers=1)
+    with serving(server.answer) as address:
+        assert run("background", capfd, address + "a.mp4", *options)[0] == 1
+        server.n_answers = 100
+        options += ["--resume", "--reconnect", "5"]
+        code, _, errors = run("background", capfd, address + "a.mp4", *options)
+    assert (code, errors) == (0, [])
+    assert summary_of(out)["frames"] == 60
+    assert summary_of(out)["stream"] == {"lost": None, "gaps": [], "dropped_frames": 0}
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("structure", ["--stop", 60, "--association", "none"]),
+        ("body", ["--head", "30,10,20,30"]),
+        ("face", ["--landmarks", "LANDMARKS"]),
+    ],
+)
+def test_all_applications_end_with_exit_code_1(
+    name: str, options: list[object], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    film = face(20, size=(200, 160))
+    landmarks = tmp_path / "landmarks.npy"
+    np.save(landmarks, film.vertices[:1])
+    images = [frame.image for frame in film if frame.image is not None]
+    out = tmp_path / "out"
+    with serving(StreamServer(images, [Connection(4), Connection(4)]).answer) as address:
+        given = [landmarks if option == "LANDMARKS" else option for option in options]
+        code, said, errors = run(name, capfd, address, "--out", out, "--reconnect", 0.5, *given)
+    assert (code, errors) == (1, [f"rsmcm: {address}: lost for good: it broke off"])
+    summary = summary_of(out)
+    assert summary["ended_early"]
+    (gap,) = summary["stream"]["gaps"]
+    assert gap["frames"] == len(summary["missing"]) > 0
+    assert "was lost once and came back" in said

@@ -1,0 +1,58 @@
+"""Films of a few px across: pictures of them stay small, and nothing is lost."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from rsmcm.apps.drawing.mosaic import TALLEST, fitting, mosaic
+from rsmcm.apps.drawing.overlay_video import LONGEST_SIDE, enlargement
+from rsmcm.apps.reports.report import small
+
+from ..conftest import Command, names, summary_of
+
+SIZES = [(2, 4000), (4000, 2)]
+
+
+@pytest.fixture(params=SIZES, ids=str)
+def film(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    width, height = request.param
+    with av.open(str(tmp_path / "thin.mkv"), "w") as file:
+        stream = file.add_stream("ffv1", rate=Fraction(25))
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height, stream.pix_fmt = width, height, "bgr0"
+        for number in range(4):
+            image = np.random.default_rng(number).integers(0, 256, (height, width, 3), dtype=np.uint8)
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        file.mux(stream.encode(None))
+    return tmp_path / "thin.mkv"
+
+
+def test_background(film: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert Command("background")(film, "--out", out, "--compare") == 0
+    assert {"report.html", "compare.html", "overlay.mp4", "summary.json"} <= names(out)
+    assert summary_of(out)["frames"] == 4
+
+
+def test_body(film: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert Command("body")(film, "--out", out, "--head", "0,0,2,2", "--samples", 20) == 0
+    assert {"report.html", "overlay.mp4", "summary.json"} <= names(out)
+
+
+@pytest.mark.parametrize(("width", "height"), [*SIZES, (640, 480), (480, 640), (1, 1)])
+def test_pictures_keep_their_form_and_fit(width: int, height: int) -> None:
+    image = np.zeros((height, width, 3), np.uint8)
+    across, down = fitting(image.shape, 240)
+    assert across <= 240
+    assert down <= TALLEST * 240
+    assert abs(across - down * width / height) <= max(1, width / height)
+    shown = small(image, 240)
+    assert shown.shape[0] <= min(height, TALLEST * 240)
+    assert shown.shape[1] <= min(width, 240)
+    assert mosaic([("a", [image, image])], ["b", "c"]).shape[0] <= TALLEST * 240 + 60
+    enlarged = enlargement(image, 360)
+    assert enlarged == 1 or enlarged * max(width, height) <= LONGEST_SIDE
+    assert enlarged * height >= 360 or (enlarged + 1) * max(width, height) > LONGEST_SIDE
