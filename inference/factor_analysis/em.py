@@ -28,7 +28,7 @@ LEAST_VARIANCE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class CameraPrior:
-    """What is known of cameras before the points are looked at; learned by EM.
+    """What is known of cameras before any observation; learned by EM.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def _pooled(values: Numbers) -> Numbers:
 
 
 WINDOW = 10
-"""Iterations over which the rise of the bound is looked at."""
+"""Iterations over which the rise of the bound is judged."""
 
 LEARNING = 2
 """Iterations from one to the next in which the cameras' prior is learned; it costs another smoother."""

@@ -152,7 +152,7 @@ def _beginning(
 def _with_points(part: Observations, cameras: Numbers) -> tuple[Numbers, Numbers]:
     """Given cameras with the points that fit them best.
 
-    Where they look past the points, as random ones do, their translations become the middles of the frames.
+    Where they point past the shape, as random ones do, their translations become the middles of the frames.
     """
     listed = part.by_frame
     counts = np.maximum(np.diff(listed.edges), 1)

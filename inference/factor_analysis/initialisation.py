@@ -25,7 +25,7 @@ SAMPLE = 100
 LARGE = 50
 """Tables of more rows and columns than this have their first singular vectors found by iteration."""
 CANDIDATES = 4
-"""So many windows of each length are looked at closely."""
+"""So many windows of each length are judged closely."""
 
 VIEWS = 3
 """Frames that show a point, for it to come in."""
@@ -262,12 +262,12 @@ def _refine(observations: Observations, known: _Known, rounds: int) -> None:
     part = observations.only(known.frames, known.points)
     points = np.diff(part.by_point.edges) > 0
     all_frames = np.ones(len(known.cameras), bool)
-    looks = part.by_frame if known.prior is None else observations.only(all_frames, known.points).by_frame
-    resected = np.diff(looks.edges) >= LEAST_POINTS
+    views = part.by_frame if known.prior is None else observations.only(all_frames, known.points).by_frame
+    resected = np.diff(views.edges) >= LEAST_POINTS
     certain = np.zeros((len(known.shape), RANK, RANK)), np.zeros((len(known.cameras), 4, 4))
     for _ in range(rounds):
         cameras, shape = whitened(known.cameras, known.shape, points)
-        information, vector = frame_moments(*looks.columns, shape, shape_moments(shape, certain[0]))
+        information, vector = frame_moments(*views.columns, shape, shape_moments(shape, certain[0]))
         if known.prior is None:
             covariance, _ = invert_information(information[resected], np.full(4, RIDGE), 1.0)
             cameras[resected] = (covariance @ vector[resected]).transpose(0, 2, 1)

@@ -55,7 +55,7 @@ class CameraMotion:
 
 
 def vague(extent: float, noise: Numbers) -> CameraMotion:
-    """A camera of which nothing is known, before a shape that looks about `extent` px large."""
+    """A camera of which nothing is known, before a shape that appears about `extent` px large."""
     return CameraMotion(np.zeros((2, ORDERS * ROW)), (VAGUE * extent) ** 2 * np.eye(ORDERS * ROW), noise)
 
 
@@ -81,7 +81,7 @@ def shaken(motion: CameraMotion, variance: float) -> CameraMotion:
 
 
 def update(motion: CameraMotion, information: Numbers, vector: Numbers) -> CameraMotion:
-    """The camera after a look.
+    """The camera updated with a frame.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def update(motion: CameraMotion, information: Numbers, vector: Numbers) -> Camer
     shrink = np.linalg.inv(np.eye(ROW) + information @ seen[:ROW])
     mean = motion.mean + (vector - motion.camera @ information) @ shrink.T @ seen.T
     covariance = motion.covariance - seen @ (shrink @ information) @ seen.T
-    # the block that is seen as a product: a difference of large numbers would lose a sharp look
+    # the block that is seen as a product: a difference of large numbers would lose sharp information
     covariance[:ROW] = (seen @ shrink).T
     covariance[:, :ROW] = covariance[:ROW].T
     return replace(motion, mean=mean, covariance=0.5 * (covariance + covariance.T))
@@ -108,18 +108,18 @@ def learned_noise(
     extent: float,
     rounds: int = 1,
 ) -> Numbers:
-    """The motion's noise, `(3, 2)` as in `CameraMotion`, that explains a stretch of looks better.
+    """The motion's noise, `(3, 2)` as in `CameraMotion`, that explains a stretch of frames better.
 
     Parameters
     ----------
     noise
         to begin with; `None` where nothing is known of it.
     information, vector
-        `(n, 4, 4)` and `(n, 2, 4)` of looks, as `update` takes them.
+        `(n, 4, 4)` and `(n, 2, 4)` of frames, as `update` takes them.
     times
         `(n,)` s, increasing, two or more; brought onto a grid of their median distance.
     extent
-        px, about how large the shape looks.
+        px, about how large the shape appears.
     rounds
         of the smoother; none makes the likelihood of the stretch less.
     """

@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 
 from ..factor_analysis.factorisation import Factorisation, factorise
 from ..factor_analysis.observations import Observations
-from .correlated_noise import DriftNoise, estimate_drift_noise
+from .correlated_noise import CorrelatedNoise, estimate_correlated_noise
 from .kernels.track_association import assign_tracks, camera_coupling, same_point_gains
 
 Numbers = NDArray[np.float64]
@@ -40,10 +40,10 @@ TORN = 0.05
 """Product of probabilities from which a track is torn between two points."""
 
 MOST_TOGETHER = 500
-"""Tracks with most observations whose joint posterior is looked at; others are only assigned at the end."""
+"""Tracks with most observations whose joint posterior is computed; others are only assigned at the end."""
 
 AT_ONCE = 0.05
-"""Unions between two looks at all pairs, as a share of the points."""
+"""Unions between two comparisons of all pairs, as a share of the points."""
 
 LEAST_CORRELATION = 1e-8
 """Of the noise of two frames, that counts."""
@@ -53,7 +53,7 @@ RIDGE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Linked:
+class TrackAssociation:
     """Points and the tracks that show them.
 
     Parameters
@@ -71,10 +71,12 @@ class Linked:
     factorisation: Factorisation
     point_of_track: Indices
     membership: Numbers
-    noise: DriftNoise
+    noise: CorrelatedNoise
 
 
-def link_tracks(positions: ArrayLike, weights: ArrayLike | None = None, *, coherence: bool = False) -> Linked:
+def associate_tracks(
+    positions: ArrayLike, weights: ArrayLike | None = None, *, coherence: bool = False
+) -> TrackAssociation:
     """Find points, cameras, and which tracks belong to which point.
 
     Parameters
@@ -134,9 +136,9 @@ class _Linking:
         shape = self._fit.shape[well]
         return shape.mean(axis=0), 1.5 * np.cov(shape.T) + 1e-6 * np.eye(3)
 
-    def _noise(self) -> DriftNoise:
+    def _noise(self) -> CorrelatedNoise:
         mean, covariance = self._population()
-        return estimate_drift_noise(
+        return estimate_correlated_noise(
             self._tracks, self._cameras, self._point, covariance + np.outer(mean, mean)
         )
 
@@ -169,7 +171,7 @@ class _Linking:
         target[chosen] = chosen[group]
         return target[self._point]
 
-    def _posterior(self, noise: DriftNoise, chosen: Indices) -> tuple[Numbers, Numbers]:
+    def _posterior(self, noise: CorrelatedNoise, chosen: Indices) -> tuple[Numbers, Numbers]:
         """Mean `(n, 3)` and covariance `(n, 3, n, 3)` of chosen points, with cameras uncertain as well."""
         fit, tracks = self._fit, self._tracks
         cameras, n_points, n_frames = self._cameras, len(self._fit.shape), self._observations.n_frames
@@ -266,7 +268,7 @@ class _Linking:
         )
 
     def _points_given_cameras(self, membership: Numbers) -> tuple[Numbers, Numbers]:
-        noise = DriftNoise(self._fit.noise_variance / self._observations.scale**2, 0.0, 1.0)
+        noise = CorrelatedNoise(self._fit.noise_variance / self._observations.scale**2, 0.0, 1.0)
         information, vector, _, _ = noise.moments(self._tracks, self._cameras)
         whole = np.eye(3) + np.einsum("kp,kij->pij", membership, information)
         inverse = np.linalg.inv(whole)
@@ -318,7 +320,7 @@ class _Linking:
         known: NDArray[np.bool_] = (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
         return known
 
-    def result(self) -> Linked:
+    def result(self) -> TrackAssociation:
         """Points that are determined, and the tracks that surely show them; the surest one at least."""
         membership = self._membership
         sure = membership > SURE
@@ -333,10 +335,7 @@ class _Linking:
         point[point >= 0] = np.cumsum(own)[point[point >= 0]] - 1
         fit = replace(self._fit, shape=self._fit.shape[own], shape_covariance=self._fit.shape_covariance[own])
         unit = self._observations.scale**2 * self._observations.weight_unit
-        noise = self._noise_now
-        return Linked(
-            fit, point, membership[:, own], DriftNoise(noise.white * unit, noise.drift * unit, noise.memory)
-        )
+        return TrackAssociation(fit, point, membership[:, own], self._noise_now.scaled(unit))
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:

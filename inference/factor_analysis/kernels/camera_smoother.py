@@ -112,9 +112,9 @@ def smooth_cameras(information, vector, precision, noise, start_mean, start_vari
                     total -= spreads[t, j, n] * product[n, k]
                 spread[j, k] = spread[k, j] = total
         _read(mean, spread, cameras[t], covariance[t])
-        _look_back(pull, ahead[t], gains[t], shrinks[t])
-        _look_back(stiffness, ahead[t], gains[t], shrinks[t])
-        _look_back(stiffness.T, ahead[t], gains[t], shrinks[t])
+        _through_update(pull, ahead[t], gains[t], shrinks[t])
+        _through_update(stiffness, ahead[t], gains[t], shrinks[t])
+        _through_update(stiffness.T, ahead[t], gains[t], shrinks[t])
         for j in range(ROW):
             for c in range(2):
                 pull[j, c] += innovations[t, j, c]
@@ -168,7 +168,7 @@ def _retreat(rows):
 
 
 @inlined
-def _look_back(rows, ahead, gain, shrink):
+def _through_update(rows, ahead, gain, shrink):
     """(I - H^T G H P) times a matrix of 12 rows, in place; `ahead` is P H^T.
 
     Of the first four columns the difference is `shrink` = (I + information H P H^T)^-1, which would drown in
@@ -203,21 +203,20 @@ def _innovate(scaled, vector, precision, mean, spread, shrink, innovation):
     """Write u, with mean + P H^T u the filtered mean; return the exponent of the log evidence."""
     exponent = 0.0
     for c in range(2):
-        d0 = d1 = d2 = d3 = 0.0
-        told = np.empty(ROW)
+        residual = np.empty(ROW)
         for j in range(ROW):
             explained = 0.0
             for k in range(ROW):
                 explained += scaled[j, k] * mean[k, c]
-            told[j] = precision * vector[j, c]
-            exponent += mean[j, c] * (told[j] - 0.5 * explained)
-            told[j] -= explained
-        d0, d1, d2, d3 = told[0], told[1], told[2], told[3]
+            residual[j] = precision * vector[j, c]
+            exponent += mean[j, c] * (residual[j] - 0.5 * explained)
+            residual[j] -= explained
+        d0, d1, d2, d3 = residual[0], residual[1], residual[2], residual[3]
         for j in range(ROW):
             innovation[j, c] = shrink[j, 0] * d0 + shrink[j, 1] * d1 + shrink[j, 2] * d2 + shrink[j, 3] * d3
         for j in range(ROW):
             for k in range(ROW):
-                exponent += 0.5 * told[j] * spread[j, k] * innovation[k, c]
+                exponent += 0.5 * residual[j] * spread[j, k] * innovation[k, c]
     return exponent
 
 
