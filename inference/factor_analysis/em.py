@@ -205,7 +205,7 @@ def expectation_maximisation(
     posterior, history
         and the bound at each iteration that counts, before its update of the points; it never falls.
     """
-    sums, by_point = Sums(observations), observations.by_point.columns
+    sums, by_point = Sums(observations), observations.by_point
     log_weight = float(np.log(observations.by_frame.weight).sum())
     count = observations.count
     shape, covariance = posterior.shape, posterior.shape_covariance
@@ -238,7 +238,7 @@ def expectation_maximisation(
         second = covariance + shape[:, :, None] * shape[:, None, :]
         error = float(np.sum(quadratic) - 2 * np.sum(vector * shape) + np.sum(information * second))
         if error < 1e-6 * sums.total:  # a difference of numbers so much larger is rounding
-            error = float(squared_error(*by_point, cameras.cameras, shape).sum())
+            error = float(squared_error(by_point, cameras.cameras, shape).sum())
             error += float(np.sum(information * covariance)) + _camera_error(sums, cameras.covariance, shape)
         noise = max(error / (2 * count), LEAST_NOISE**2)
         if len(history) > WINDOW and history[-1] - history[-1 - WINDOW] < WINDOW * tolerance:

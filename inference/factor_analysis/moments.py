@@ -78,7 +78,7 @@ class Sums:
     def of_frames(self, shape: Numbers, moments: Numbers) -> tuple[Numbers, Numbers]:
         """Information `(n_frames, 4, 4)` and vector `(n_frames, 4, 2)` of cameras, at noise variance 1."""
         if not self._dense:
-            information, vector = frame_moments(*self._observations.by_frame.columns, shape, moments)
+            information, vector = frame_moments(self._observations.by_frame, shape, moments)
             return information, vector
         weight, weighted = self._tables
         seconds = _summed(moments, len(weight)) if self._equal else weight @ moments
@@ -90,9 +90,7 @@ class Sums:
     def of_points(self, cameras: Numbers, moments: Numbers) -> tuple[Numbers, Numbers, Numbers]:
         """Information `(n_points, 3, 3)`, vector `(n_points, 3)` and quadratic `(n_points,)` of points."""
         if not self._dense:
-            information, vector, quadratic = point_moments(
-                *self._observations.by_point.columns, cameras, moments
-            )
+            information, vector, quadratic = point_moments(self._observations.by_point, cameras, moments)
             return information, vector, quadratic
         weight, weighted = self._tables
         seconds = _summed(moments, weight.shape[1]) if self._equal else weight.T @ moments

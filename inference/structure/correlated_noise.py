@@ -65,7 +65,7 @@ class CorrelatedNoise:
             `(n_tracks, 3, 3)`, `(n_tracks, 3)`, `(n_tracks,)`, `(n_tracks,)`.
         """
         moments: tuple[Numbers, Numbers, Numbers, Numbers] = track_moments(
-            *tracks.columns, np.ascontiguousarray(cameras), self.white, self.drift, self.decay
+            tracks, np.ascontiguousarray(cameras), self.white, self.drift, self.decay
         )
         return moments
 

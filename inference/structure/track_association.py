@@ -177,9 +177,7 @@ class _Linking:
         cameras, n_points, n_frames = self._cameras, len(self._fit.shape), self._observations.n_frames
         homogeneous = np.concatenate([fit.shape, np.ones((n_points, 1))], axis=1)
         own, cross = camera_coupling(
-            tracks.edges,
-            tracks.other,
-            tracks.weight,
+            tracks,
             self._point,
             homogeneous,
             cameras,
@@ -224,8 +222,7 @@ class _Linking:
         order = np.argsort(self._counts, kind="stable")
         assign_tracks(
             order,
-            tracks.edges,
-            tracks.other,
+            tracks,
             information,
             vector,
             prior,

@@ -6,7 +6,7 @@ from ....models.numerics.compiled import compiled
 
 
 @compiled
-def track_moments(edges, frame, x, y, weight, cameras, white, drift, decay):
+def track_moments(tracks, cameras, white, drift, decay):
     """What each track says of its point, under noise that is in part remembered from frame to frame.
 
     The error of a track along each axis is white noise of variance white / weight plus a first-order
@@ -16,6 +16,7 @@ def track_moments(edges, frame, x, y, weight, cameras, white, drift, decay):
 
     Returns information (n, 3, 3), vector (n, 3), quadratic (n,) and log determinant (n,) of the noise.
     """
+    edges, _, frame, x, y, weight = tracks
     n = len(edges) - 1
     information = np.zeros((n, 3, 3))
     vector = np.zeros((n, 3))
@@ -64,12 +65,13 @@ def track_moments(edges, frame, x, y, weight, cameras, white, drift, decay):
 
 
 @compiled
-def camera_coupling(edges, frame, weight, point, homogeneous, cameras, white, drift, decay, least):
+def camera_coupling(tracks, point, homogeneous, cameras, white, drift, decay, least):
     """Second derivatives of the fit by cameras, and by cameras and points.
 
     Of both rows of a camera alike: own (4 n_frames, 4 n_frames). With the points: cross (2, n_frames, 4,
     n_points, 3). The noise's inverse falls off with the frames between; what is below `least` is left out.
     """
+    edges, _, frame, _, _, weight = tracks
     n_frames, n_points = cameras.shape[0], homogeneous.shape[0]
     own = np.zeros((n_frames, 4, n_frames, 4))
     cross = np.zeros((2, n_frames, 4, n_points, 3))
@@ -178,7 +180,7 @@ def _log_gaussian(x, y, z, a, b, c, d, e, f):
 
 @compiled
 def assign_tracks(
-    order, edges, frame, information, vector, prior_information, prior_vector, log_new, hard, membership, busy
+    order, tracks, information, vector, prior_information, prior_vector, log_new, hard, membership, busy
 ):
     """Probabilities that tracks show points, track after track, each left out of what it is tested on.
 
@@ -187,6 +189,7 @@ def assign_tracks(
     membership (n, n_points), the probabilities, and busy (n_points, n_frames), how many of its observations
     each point has in a frame, are changed in place; `hard` makes each track a member of one point or none.
     """
+    edges, frame = tracks.edges, tracks.other
     n, n_points = membership.shape
     whole = np.empty((n_points, 3, 3))
     sums = np.empty((n_points, 3))

@@ -65,7 +65,7 @@ def test_coupling_of_cameras_equals_dense_derivatives() -> None:
     observations, cameras, points, point = small_problem(2)
     tracks = observations.by_point
     own, cross = camera_coupling(
-        tracks.edges, tracks.other, tracks.weight, point, points, cameras,
+        tracks, point, points, cameras,
         NOISE.white, NOISE.drift, NOISE.decay, 1e-14,
     )  # fmt: skip
     expected_own, expected_cross = np.zeros((8, 4, 8, 4)), np.zeros((2, 8, 4, 3, 3))
