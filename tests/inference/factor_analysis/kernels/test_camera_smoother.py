@@ -9,7 +9,7 @@ from rsmcm.inference.factor_analysis.kernels.camera_smoother import smooth_camer
 Numbers = NDArray[np.float64]
 
 MOVE = np.kron([[1, 1, 0.5], [0, 1, 1], [0, 0, 1]], np.eye(4))
-LOOK = np.eye(12)[:4]
+SEEN = np.eye(12)[:4]
 PRECISION = 2.3
 
 
@@ -63,7 +63,7 @@ def textbook(
         predicted.append((mean, spread))
         values, axes = np.linalg.eigh(PRECISION * information[t])
         for k in np.flatnonzero(values > 1e-9):
-            row = axes[:, k] @ LOOK
+            row = axes[:, k] @ SEEN
             seen = axes[:, k] @ (PRECISION * vector[t]) / values[k]
             gain = spread @ row / (row @ spread @ row + 1 / values[k])
             mean = mean + np.outer(gain, seen - row @ mean)
