@@ -14,6 +14,7 @@ from .em import CameraPrior, Posterior, expectation_maximisation, first_prior
 from .initialisation import RANK, Mask, grown, mean_filled
 from .kernels.moments import squared_error
 from .kernels.variable_projection import eliminate_points
+from .moments import homogeneous
 from .observations import Numbers, Observations
 from .posterior import around_optimum, around_start
 from .variable_projection import FAR, NEAR, least_squares
@@ -210,6 +211,12 @@ def _axes(cameras: Numbers, counts: NDArray[np.int64]) -> Numbers:
     return result
 
 
+def projected(cameras: Numbers, shape: Numbers) -> Numbers:
+    """Positions `(n_frames, n_points, 2)` px of points `(n_points, 3)` before cameras `(n_frames, 2, 4)`."""
+    positions: Numbers = np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
+    return positions
+
+
 def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
     """Positions of all points in all frames, and how uncertain cameras and shape leave them.
 
@@ -222,14 +229,13 @@ def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
     """
     cameras, shape = factorisation.cameras, factorisation.shape
     camera_covariance, shape_covariance = factorisation.camera_covariance, factorisation.shape_covariance
-    positions = np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
     covariances = np.einsum(
         "tcj,ijk,tdk->ticd", cameras[..., :3], shape_covariance, cameras[..., :3], optimize=True
     )
-    homogeneous = np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
-    second = homogeneous[:, :, None] * homogeneous[:, None, :]
+    points = homogeneous(shape)
+    second = points[:, :, None] * points[:, None, :]
     second[:, :3, :3] += shape_covariance
     isotropic = camera_covariance.reshape(-1, 16) @ second.reshape(-1, 16).T
     covariances[..., 0, 0] += isotropic
     covariances[..., 1, 1] += isotropic
-    return positions, covariances
+    return projected(cameras, shape), covariances

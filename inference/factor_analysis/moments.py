@@ -17,6 +17,11 @@ _SYMMETRIC[UPPER] = np.arange(10)
 _SYMMETRIC = np.maximum(_SYMMETRIC, _SYMMETRIC.T)
 
 
+def homogeneous(shape: Numbers) -> Numbers:
+    """`(n, 4)`: points `(n, 3)` with a 1 behind."""
+    return np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
+
+
 def shape_moments(shape: Numbers, covariance: Numbers) -> Numbers:
     """Give E[s s^T], s = (S, 1), as ten numbers `(n_points, 10)`."""
     moments = np.empty((len(shape), 10))
@@ -82,7 +87,7 @@ class Sums:
             return information, vector
         weight, weighted = self._tables
         seconds = _summed(moments, len(weight)) if self._equal else weight @ moments
-        vector = weighted @ np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
+        vector = weighted @ homogeneous(shape)
         return _matrices(seconds, _SYMMETRIC), np.ascontiguousarray(
             vector.reshape(-1, 2, 4).transpose(0, 2, 1)
         )

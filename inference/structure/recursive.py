@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..factor_analysis.moments import homogeneous
 from . import camera_motion
 from .camera_motion import CameraMotion
 
@@ -321,11 +322,6 @@ def camera_information(points: Numbers, positions: Numbers, precisions: Numbers)
     """Information `(4, 4)` and vector `(2, 4)` of a camera from observed points `(k, 4)`, with a 1 last."""
     weighted = points.T * precisions
     return weighted @ points, (weighted @ positions).T
-
-
-def homogeneous(shape: Numbers) -> Numbers:
-    """`(n, 4)`: points with a 1 behind."""
-    return np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
 
 
 def isotropic(variances: Numbers) -> Numbers:

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..factor_analysis.factorisation import Factorisation, factorise
+from ..factor_analysis.factorisation import Factorisation, factorise, projected
+from ..factor_analysis.moments import homogeneous
 from . import camera_motion
 from .recursive import (
     GATE,
@@ -19,7 +20,6 @@ from .recursive import (
     Structure,
     camera_information,
     correlation_time,
-    homogeneous,
 )
 
 LEAST_SEEN = 6
@@ -172,7 +172,7 @@ def _factorised(
     for last in (*[False] * (TRIMMINGS - 1), True):
         weights = np.divide(1, stated, out=np.zeros_like(stated), where=seen)
         found = factorise(positions, weights)
-        squares = weights * ((positions - _expected(found.cameras, found.shape)) ** 2).sum(axis=2)
+        squares = weights * ((positions - projected(found.cameras, found.shape)) ** 2).sum(axis=2)
         usual = float(np.median(squares[seen])) / MEDIAN
         fits = seen & (squares <= GATE * usual)
         enough = (fits.sum(axis=1) >= LEAST_SEEN).all() and (fits.sum(axis=0) >= LEAST_FRAMES).all()
@@ -182,15 +182,9 @@ def _factorised(
     return found, seen, found.noise_variance <= max(UNEVEN * usual, LEAST_SCALE)
 
 
-def _expected(cameras: Numbers, shape: Numbers) -> Numbers:
-    """`(n_frames, n, 2)` px."""
-    positions: Numbers = np.einsum("tcj,ij->tic", cameras[:, :, :3], shape) + cameras[:, None, :, 3]
-    return positions
-
-
 def _autocorrelation(cameras: Numbers, shape: Numbers, positions: Numbers, seen: NDArray[np.bool_]) -> float:
     """Correlation of what points are off by, from one frame of the window to the next."""
-    off = np.where(seen[:, :, None], positions - _expected(cameras, shape), 0.0)
+    off = np.where(seen[:, :, None], positions - projected(cameras, shape), 0.0)
     both = (seen[1:] & seen[:-1])[:, :, None]
     squares = 0.5 * float(((off[1:] ** 2 + off[:-1] ** 2) * both).sum())
     return max(0.0, float((off[1:] * off[:-1]).sum()) / squares) if squares > 0 else 0.0

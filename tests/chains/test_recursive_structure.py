@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rsmcm.chains.point_tracker import PointTracker
 from rsmcm.chains.recursive_structure import RecursiveStructure, StructureState
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
+from rsmcm.inference.factor_analysis.moments import homogeneous
 from rsmcm.inference.structure import camera_motion as motion_filter
 from rsmcm.inference.structure.camera_motion import CameraMotion
 from rsmcm.inference.structure.recursive import (
@@ -23,7 +24,6 @@ from rsmcm.inference.structure.recursive import (
     ObservedPoints,
     Structure,
     add_points,
-    homogeneous,
     intersect,
     register,
     update,

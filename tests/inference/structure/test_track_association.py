@@ -8,11 +8,11 @@ from rsmcm.apps.structure.metrics import score_structure
 from rsmcm.inference.factor_analysis.factorisation import factorise, predicted
 from rsmcm.inference.factor_analysis.observations import Observations
 from rsmcm.inference.structure.correlated_noise import CorrelatedNoise, estimate_correlated_noise
+from rsmcm.inference.structure.joint_posterior import motion_precision
 from rsmcm.inference.structure.kernels.track_association import camera_coupling
 from rsmcm.inference.structure.track_association import (
     associate_tracks,
     log_partition,
-    motion_precision,
     unite_points,
 )
 from scipy.stats import multivariate_normal
