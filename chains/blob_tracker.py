@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.core.protocols import Incoming
-from ..models.background.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage, log_density_ratio
+from ..models.background.layers import Layer, LayerStack, log_density_ratio
+from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.last_call import LastCall

@@ -10,8 +10,9 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.background.gaussian import colour
 from rsmcm.models.background.kernels.gaussian import HIGHEST_NOISE, LOWEST_NOISE, ODDS_STEPS
+from rsmcm.models.background.layers import Layer, LayerStack
 from rsmcm.models.background.mixture import REACH, Mixture, MixturePrediction
-from rsmcm.models.background.pixel_labels import Layer, LayerStack, PixelMessage
+from rsmcm.models.background.pixel_labels import PixelMessage
 from scipy.stats import norm
 
 SIZE = (7, 11)
