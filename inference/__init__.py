@@ -3,12 +3,24 @@
 from ..chains.condensation import Condensation
 from .core.coordinate_ascent import CoordinateAscent, Solution
 from .core.graph import MultiChain
-from .core.protocols import BatchChain, Chain, FeatureNode, Incoming, Message
+from .core.protocols import (
+    BatchChain,
+    BatchIncoming,
+    Cavity,
+    Chain,
+    FeatureNode,
+    Incoming,
+    Message,
+    Port,
+    Smoothed,
+)
 from .core.recursive_bp import Belief, RecursiveBP, RunState
 
 __all__ = [
     "BatchChain",
+    "BatchIncoming",
     "Belief",
+    "Cavity",
     "Chain",
     "Condensation",
     "CoordinateAscent",
@@ -16,7 +28,9 @@ __all__ = [
     "Incoming",
     "Message",
     "MultiChain",
+    "Port",
     "RecursiveBP",
     "RunState",
+    "Smoothed",
     "Solution",
 ]

@@ -72,7 +72,7 @@ class PixelMessage:
         raise ValueError("pixel message: got neither image nor background, so its size is not known")
 
     @cached_property
-    def reading(self) -> Subtraction | None:
+    def subtraction(self) -> Subtraction | None:
         """The image read against the background, if both are there."""
         if self.image is None or self.background is None:
             return None
@@ -119,8 +119,8 @@ class PixelMessage:
     def _log_odds(self) -> NDArray[np.int8]:
         """`(height, width)` int8 log odds of background without the layers."""
         height, width = self.size
-        if self.reading is not None:
-            return self.reading.pooled.reshape(height, width)
+        if self.subtraction is not None:
+            return self.subtraction.pooled.reshape(height, width)
         prior = 0.5 if self.background is None else self.background.prior
         odds = float(np.clip(np.log(prior) - np.log1p(-prior), -6, 6))
         return np.full((height, width), round(odds * ODDS_STEPS), np.int8)
@@ -135,6 +135,8 @@ class PixelLabels:
     """
 
     name: str = "pixels"
+
+    searches = False
 
     def uniform(self) -> PixelMessage:
         """The message that says nothing."""
