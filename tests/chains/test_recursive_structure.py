@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains.point_tracker import PointTracker
 from rsmcm.chains.recursive_structure import RecursiveStructure, StructureState
-from rsmcm.inference import Cavity, Incoming, MultiChain, RecursiveBP
+from rsmcm.inference import Cavity, Incoming, MultiChain, RecursiveBP, RunState
 from rsmcm.inference.factor_analysis.moments import homogeneous
 from rsmcm.inference.structure import camera_motion as motion_filter
 from rsmcm.inference.structure.camera_motion import CameraMotion
@@ -409,10 +409,10 @@ def follow(scene: Scene, begin: int = 25, **options: float) -> tuple[Followed, S
     nothing = Incoming({PointTracks(): points.uniform()})
     parts: dict[str, list[Numbers]] = {field.name: [] for field in fields(Followed)}
     unseen = np.zeros(scene.visible.shape[1], int)
-    state = None
+    state = RunState()
     for t, frame in enumerate(scene.frames()):
         guess = None
-        if state is not None:
+        if state.states:
             ahead = chain.predict(state.states["structure"], DT)
             guess = chain.message(ahead, points, nothing).positions
         belief = run.step(state, frame)
@@ -475,7 +475,7 @@ def test_points_lost_for_ten_frames_are_predicted(followed: list[Followed]) -> N
 def test_time_and_memory_stay_constant() -> None:
     scene = cylinder(0, n_frames=400)
     run, _, _ = engine()
-    state, seconds, sizes = None, [], []
+    state, seconds, sizes = RunState(), [], []
     for frame in scene.frames():
         start = time.perf_counter()
         state = run.step(state, frame).state
