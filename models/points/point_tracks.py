@@ -8,12 +8,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
+from ..core.grey import grey_of
 from .alignment import sample_patches
 from .corners import find_corners
 from .patches import Patches
@@ -186,9 +186,7 @@ class PointTracks:
             return self._given(frame.points, frame.time)
         if frame.image is None:
             return self.uniform()
-        image = frame.image
-        one_channel = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        grey = np.ascontiguousarray(one_channel, np.uint8)
+        grey = grey_of(frame.image)
         positions, found = self._looked_for(grey, prior)
         return PointMessage(positions, view=View(frame.time, found, grey, self.noise, self.patch))
 
