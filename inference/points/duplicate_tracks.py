@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ...models.points.patches import likeness
+from ...models.points.patches import ncc
 from ...models.points.point_tracks import PointMessage
 from .trajectory import PointTrajectory
 
@@ -17,7 +17,7 @@ Same = Mapping[int, int]
 """Identity, and the smaller one of the point that it is."""
 
 AGREE = 0.7
-"""Likeness of two points that are said to be one, at the looks of theirs that are most alike."""
+"""Normalised correlation of two points that are said to be one, where their patches are most alike."""
 
 SEVERAL = 5
 """Frames in which two points are found on one spot before they are taken for one."""
@@ -40,7 +40,7 @@ def same_points(trajectory: PointTrajectory, told: Sequence[PointMessage]) -> di
     pairs = pairs[np.isin(pairs, looks.identities).all(axis=1)]
     one, other = np.searchsorted(looks.identities, pairs.T)
     alike = np.max(
-        [likeness(a[one], b[other]) for a in (looks.first, looks.last) for b in (looks.first, looks.last)],
+        [ncc(a[one], b[other]) for a in (looks.first, looks.last) for b in (looks.first, looks.last)],
         axis=0,
     )
     return united(same, pairs[alike >= AGREE])

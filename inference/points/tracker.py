@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.mahalanobis import squared_distances
-from ...models.points.patches import Patches, likeness, lit_as
+from ...models.points.patches import Patches, lit_as, ncc
 from ...models.points.point_tracks import PointMessage, View
 from ..filters import kalman
 from ..filters.kalman import PointStates
@@ -50,8 +50,8 @@ BLENDED = 0.1
 """Share of what a point looks like that a find replaces."""
 
 SAME, CHANGED = 0.7, 0.95
-"""Likeness with the first look down to which a find is trusted to teach, and with the last from which on
-there is nothing to learn."""
+"""Normalised correlation with the first patch, down to which a find is trusted to teach, and with the last,
+from which on there is nothing to learn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +250,7 @@ def _recognised(state: TrackerState, view: View) -> TrackerState:
     place = np.searchsorted(view.found.identities, known.identities[seen])
     now = view.patches_at(view.found.positions[place])
     expected = lit_as(known.patches[seen], now)
-    learns = (likeness(now, expected) < CHANGED) & (likeness(now, known.first[seen]) > SAME)
+    learns = (ncc(now, expected) < CHANGED) & (ncc(now, known.first[seen]) > SAME)
     patches = known.patches.copy()
     patches[seen] = expected + np.where(learns, np.float32(BLENDED), np.float32(0))[:, None, None] * (
         now - expected

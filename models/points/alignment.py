@@ -38,13 +38,13 @@ class Aligned:
         `(n, 2)` px.
     covariance
         `(n, 2, 2)` px^2: of the errors that noise as large as the residuals makes.
-    likeness
+    ncc
         `(n,)` normalised correlation there, -1 where nothing near fits.
     """
 
     position: Numbers
     covariance: Numbers
-    likeness: Numbers
+    ncc: Numbers
 
 
 def align_patches(
@@ -65,13 +65,13 @@ def align_patches(
     """
     position = np.array(start, np.float64)
     information = np.empty((len(position), 2, 2))
-    residual, likeness = np.empty(len(position)), np.empty(len(position))
+    residual, ncc = np.empty(len(position)), np.empty(len(position))
     deviations = np.array([LIGHTER, STRONGER, *[WARPED] * 4])
     alignment_kernels.align_all(
-        grey, patches, position, (PIXEL_NOISE / deviations) ** 2, farthest, information, residual, likeness
+        grey, patches, position, (PIXEL_NOISE / deviations) ** 2, farthest, information, residual, ncc
     )
     covariance = (SMOOTHED * residual + ROUNDING)[:, None, None] * np.linalg.inv(information)
-    return Aligned(position, covariance, likeness)
+    return Aligned(position, covariance, ncc)
 
 
 def sample_patches(grey: NDArray[np.uint8], positions: Numbers, side: int) -> NDArray[np.float32]:

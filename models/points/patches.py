@@ -28,7 +28,7 @@ class Patches:
         return len(self.identities)
 
 
-def likeness(one: Pixels, other: Pixels) -> Numbers:
+def ncc(one: Pixels, other: Pixels) -> Numbers:
     """Normalised correlation, `(n,)` from -1 to 1, of patches `(n, side, side)`; 0 where one is of one
     colour."""
     a, b = _centred(one), _centred(other)

@@ -17,7 +17,7 @@ from ..core.grey import grey_of
 from .alignment import sample_patches
 from .corners import find_corners
 from .patches import Patches
-from .search import find_points, leads_back
+from .search import find_points, forward_backward_check
 
 Numbers = NDArray[np.float64]
 
@@ -210,7 +210,7 @@ class PointTracks:
             again = np.isin(seen, before.found.identities)
             origin = before.found.positions[np.searchsorted(before.found.identities, seen[again])]
             kept = np.ones(len(seen), bool)
-            kept[again] = leads_back(
+            kept[again] = forward_backward_check(
                 grey, position[again], before.grey, origin, covariance[found.seen][again], self.patch,
                 self.farthest,
             )  # fmt: skip
