@@ -14,12 +14,13 @@ from filterpy.kalman import KalmanFilter, rts_smoother
 from numpy.typing import NDArray
 
 from ....inference.filters.kalman import PointStates, filter_tracks, predict, smooth, update
+from ....inference.filters.linear_motion import kinematic
 from ....models.core.frame import Frame, GivenPoints
 from ....models.core.gaussian_message import GaussianMessage
 from ....models.points.patches import Patches
 from ....models.points.point_tracks import PointMessage, PointTracks, View
 from ....models.points.search import GRID, REACH
-from ...reports.claims import HEADER, Claim, in_columns
+from ...reports.expectations import HEADER, Expectation, in_columns
 
 Numbers = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -38,7 +39,7 @@ REACHES = {3: 0.9, 10: 0.0}
 """px around the place where a point should be, and the share of its way that is known beforehand."""
 
 
-def point_claims() -> list[Claim]:
+def point_claims() -> list[Expectation]:
     """All of them."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -63,7 +64,7 @@ def in_turns(methods: Mapping[str, Callable[[], object]], rounds: int, turn: int
 # --- Kalman filter and smoother -----------------------------------------------------------------------------
 
 
-def kalman_claims() -> list[Claim]:
+def kalman_claims() -> list[Expectation]:
     """Filter and smoother, per point and step, for points that are seen in all frames."""
     random = np.random.default_rng(0)
     places = random.normal(0, 2, (N_FRAMES, N_POINTS, 2)).cumsum(axis=0)
@@ -94,15 +95,19 @@ def kalman_claims() -> list[Claim]:
     )
     of = {name: 1e6 * value / (N_POINTS * N_FRAMES) for name, value in seconds.items()}
     return [
-        Claim("Kalman filter frame by frame, us a point and step", of["frame by frame"]),
-        Claim("Kalman filter of whole tracks, us a point and step", of["filter"]),
-        Claim("RTS smoother, us a point and step", of["smoother"]),
-        Claim("filterpy over filter frame by frame", of["filterpy"] / of["frame by frame"], ">=", 150),
-        Claim("filterpy over filter of whole tracks", of["filterpy"] / of["filter"], ">=", 150),
-        Claim("simdkalman over filter frame by frame", of["simdkalman"] / of["frame by frame"], ">=", 8),
-        Claim("simdkalman over filter of whole tracks", of["simdkalman"] / of["filter"], ">=", 8),
-        Claim("filterpy's smoother over RTS smoother", of["filterpy smoother"] / of["smoother"], ">=", 45),
-        Claim(
+        Expectation("Kalman filter frame by frame, us a point and step", of["frame by frame"]),
+        Expectation("Kalman filter of whole tracks, us a point and step", of["filter"]),
+        Expectation("RTS smoother, us a point and step", of["smoother"]),
+        Expectation("filterpy over filter frame by frame", of["filterpy"] / of["frame by frame"], ">=", 150),
+        Expectation("filterpy over filter of whole tracks", of["filterpy"] / of["filter"], ">=", 150),
+        Expectation(
+            "simdkalman over filter frame by frame", of["simdkalman"] / of["frame by frame"], ">=", 8
+        ),
+        Expectation("simdkalman over filter of whole tracks", of["simdkalman"] / of["filter"], ">=", 8),
+        Expectation(
+            "filterpy's smoother over RTS smoother", of["filterpy smoother"] / of["smoother"], ">=", 45
+        ),
+        Expectation(
             "simdkalman over filter and RTS smoother",
             of["simdkalman both"] / (of["filter"] + of["smoother"]),
         ),
@@ -111,10 +116,8 @@ def kalman_claims() -> list[Claim]:
 
 def _moving(axes: int) -> tuple[Numbers, Numbers]:
     """Transition and its noise over a frame, positions before velocities."""
-    one = np.array([[1.0, FRAME], [0.0, 1.0]])
-    noise = ACCELERATION * np.array([[FRAME**3 / 3, FRAME**2 / 2], [FRAME**2 / 2, FRAME]])
-    axis = np.eye(axes)
-    return np.asarray(np.kron(one, axis), np.float64), np.asarray(np.kron(noise, axis), np.float64)
+    transition, noise = kinematic(2, FRAME).along(axes)
+    return transition, ACCELERATION * noise
 
 
 def _filterpy_filter(places: Numbers) -> tuple[Numbers, Numbers]:
@@ -157,7 +160,7 @@ def _simdkalman(places: Numbers, smoothed: bool) -> object:
 # --- search for patches -------------------------------------------------------------------------------------
 
 
-def search_claims() -> list[Claim]:
+def search_claims() -> list[Expectation]:
     """Patches of corners, found in a picture that has moved a little, and found again in the one before.
 
     The search is the tracker's, by `PointTracks.evidence`: once for points that it has followed for a while,
@@ -168,16 +171,16 @@ def search_claims() -> list[Claim]:
     rim = max(REACHES) + SIDE
     kept = ((found > rim) & (found < np.array(first.shape[::-1]) - rim - 1)).all(axis=1)
     corners = found[kept][:N_PATCHES].astype(np.float32)
-    claims: list[Claim] = []
+    expectations: list[Expectation] = []
     for reach, known in REACHES.items():
         seconds = in_turns(_searches(first, second, corners, reach, known), rounds=10, turn=8)
         what = f"search for {len(corners)} patches there and back, +-{reach} px"
-        claims += [
-            Claim(f"{what}, ms", 1e3 * seconds["search"]),
-            Claim(f"loop of matchTemplate over {what}", seconds["matchTemplate"] / seconds["search"]),
-            Claim(f"calcOpticalFlowPyrLK over {what}", seconds["PyrLK"] / seconds["search"], ">=", 1),
+        expectations += [
+            Expectation(f"{what}, ms", 1e3 * seconds["search"]),
+            Expectation(f"loop of matchTemplate over {what}", seconds["matchTemplate"] / seconds["search"]),
+            Expectation(f"calcOpticalFlowPyrLK over {what}", seconds["PyrLK"] / seconds["search"], ">=", 1),
         ]
-    return claims
+    return expectations
 
 
 def _searches(
@@ -237,4 +240,4 @@ def _pictures() -> tuple[Grey, Grey]:
 
 
 if __name__ == "__main__":
-    print(in_columns(HEADER, [claim.cells for claim in point_claims()]))
+    print(in_columns(HEADER, [expectation.cells for expectation in point_claims()]))
