@@ -13,22 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.core.protocols import BatchIncoming, Incoming
-from ..inference.points.duplicate_tracks import Same, on_one_spot, rename, renamed, same_points, united
+from ..inference.points.duplicate_tracks import (
+    Duplicates,
+    canonical,
+    coincident_tracks,
+    duplicates,
+    merged_groups,
+    without_duplicates,
+)
 from ..inference.points.known_points import KnownPoints
-from ..inference.points.motion_noise import learned_motion
+from ..inference.points.motion_noise import estimate_motion
 from ..inference.points.tracker import (
-    BORN,
     GIVEN_LIMIT,
-    SPOT,
+    NEW_DEVIATION,
+    SAME_PLACE,
     TrackerState,
-    followed,
+    initial_states,
     message_of,
     predicted,
-    refilled,
-    starting,
+    updated,
+    with_corners,
     with_given,
 )
-from ..inference.points.trajectory import Gathered, Looks, PointTrajectory, smoothed_trajectory
+from ..inference.points.trajectory import Appearances, PointTrajectory, StackedMessages, smoothed_trajectory
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.mahalanobis import squared_distances
@@ -39,8 +46,8 @@ Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Identities = NDArray[np.int64]
 
-LASTS = 0.5
-"""s that a push lasts which changes a point's velocity."""
+ACCELERATION_TIME = 0.5
+"""s, correlation time of what pushes a point out of its straight way."""
 
 FIRST_ACCELERATION = 300.0
 """px/s^2, standard deviation with which learning begins, where there is a picture."""
@@ -48,13 +55,13 @@ FIRST_ACCELERATION = 300.0
 REFILL = 0.05
 """Share of the points that are missing before new ones are looked for."""
 
-REST = 0.1
-"""s between two looks for corners, where there may be no others."""
+CORNER_INTERVAL = 0.1
+"""s between two searches for corners, where there may be no others."""
 
-MEMORY = 4
-"""Lost points whose looks are remembered in filtering, in units of the points that are followed."""
+REMEMBERED = 4
+"""Lost points that are remembered in filtering, in units of the points that are followed."""
 
-FAR = 3.0
+GATE = 3.0
 """Standard deviations from where others say that a point is, within which it may begin."""
 
 
@@ -98,7 +105,7 @@ class PointTracker:
 
     def initial(self, frame: Frame) -> TrackerState:
         """No points yet: they are found in the first frame."""
-        density = LASTS * (self.acceleration or FIRST_ACCELERATION) ** 2
+        density = ACCELERATION_TIME * (self.acceleration or FIRST_ACCELERATION) ** 2
         return TrackerState(KnownPoints.none(), 0, density, self.limit, np.inf, None)
 
     def predict(self, state: TrackerState, dt: float) -> TrackerState:
@@ -113,15 +120,15 @@ class PointTracker:
     def update(self, state: TrackerState, incoming: Incoming) -> TrackerState:
         """Points after a look: those that are found again, those that are lost, and new ones."""
         (told,) = incoming.values()
-        state = followed(state, told, learns=self.acceleration is None)
+        state = updated(state, told, learns=self.acceleration is None)
         if told.view is not None:
             state = self._with_new(state) if told.view.grey is not None else with_given(state, told)
-        return replace(state, known=state.known.without_oldest(MEMORY * self.n_points))
+        return replace(state, known=state.known.without_oldest(REMEMBERED * self.n_points))
 
     def _with_new(self, state: TrackerState) -> TrackerState:
         missing = self.n_points - int(state.known.alive.sum())
-        looks = missing >= REFILL * self.n_points and state.rested >= REST
-        return refilled(state, missing, self.spacing) if looks else state
+        looks = missing >= REFILL * self.n_points and state.rested >= CORNER_INTERVAL
+        return with_corners(state, missing, self.spacing) if looks else state
 
     # --- batch ---
 
@@ -147,7 +154,7 @@ class PointTracker:
         trajectory = self._smoothed(evidence, search.told, incoming_over_time)
         return replace(
             trajectory,
-            looks=Looks(known.identities, known.first, known.patches),
+            appearances=Appearances(known.identities, known.first, known.patches),
             absorbed=np.array(sorted(search.same.items()), np.int64).reshape(-1, 2),
         )
 
@@ -164,10 +171,10 @@ class PointTracker:
     ) -> PointTrajectory:
         """Smooth tracks of all points that were found in any frame."""
         times = np.array([incoming.frame.time for incoming in incoming_over_time])
-        seen = Gathered.of([message.positions for message in evidence], times)
-        others = Gathered.of([message.positions for message in told], times, seen.identities)
-        motion = learned_motion(
-            seen.measured, None if self.acceleration is None else LASTS * self.acceleration**2
+        seen = StackedMessages.of([message.positions for message in evidence], times)
+        others = StackedMessages.of([message.positions for message in told], times, seen.identities)
+        motion = estimate_motion(
+            seen.measured, None if self.acceleration is None else ACCELERATION_TIME * self.acceleration**2
         )
         views = [message.view for message in evidence if message.view is not None]
         greys = [view.grey for view in views if view.grey is not None]
@@ -196,21 +203,21 @@ class _Search:
         self._tracker, self._incoming, self._current = tracker, incoming_over_time, current
         self._name = next(iter(incoming_over_time[0]))
         self._all_told = told
-        self._unite({} if current is None else same_points(current, told))
+        self._unite({} if current is None else duplicates(current, told))
 
     def run(self) -> tuple[list[PointMessage], KnownPoints]:
         """What frames show of points, and those points."""
         found = self._followed()
         if self._current is not None:
-            pairs = on_one_spot(found[0], SPOT)
+            pairs = coincident_tracks(found[0], SAME_PLACE)
             if pairs:
-                self._unite(united(self.same, pairs))
+                self._unite(merged_groups(self.same, pairs))
                 found = self._followed()
         return found
 
-    def _unite(self, same: Same) -> None:
+    def _unite(self, same: Duplicates) -> None:
         self.same = same
-        self.told = [renamed(message, same) for message in self._all_told]
+        self.told = [without_duplicates(message, same) for message in self._all_told]
 
     def _followed(self) -> tuple[list[PointMessage], KnownPoints]:
         state, last = None, 0.0
@@ -239,7 +246,7 @@ class _Search:
         """
         prior = message_of(state) * told
         seen: PointMessage = incoming.look(self._name, prior)
-        before = followed(state, told * seen, learns=self._tracker.acceleration is None)
+        before = updated(state, told * seen, learns=self._tracker.acceleration is None)
         if seen.view is None:
             return before, seen
         if seen.view.grey is None:
@@ -263,9 +270,9 @@ class _Search:
     def _beginning(self, frame: Frame) -> TrackerState:
         """In later rounds the looks of all points are known, and no position."""
         state, current = self._tracker.initial(frame), self._current
-        if current is None or current.looks is None:
+        if current is None or current.appearances is None:
             return state
-        looks = current.looks
+        looks = current.appearances
         kept = np.isin(looks.identities, current.identities) & ~np.isin(looks.identities, list(self.same))
         return replace(
             state, known=KnownPoints.lost(looks.identities[kept], looks.first[kept], looks.first[kept])
@@ -274,17 +281,17 @@ class _Search:
     def _begun_again(self, state: TrackerState, told: PointMessage, time: int) -> TrackerState:
         """With points that were found first in this frame in the round before, unless others know better."""
         known, view, current = state.known, state.view, self._current
-        if current is None or current.looks is None or view is None:
+        if current is None or current.appearances is None or view is None:
             return state
         first = np.flatnonzero(current.observed[time] & ~current.observed[:time].any(axis=0))
-        names, once = np.unique(rename(current.identities[first], self.same), return_index=True)
+        names, once = np.unique(canonical(current.identities[first], self.same), return_index=True)
         points = first[once]
         position = current.position[time, points]
         begins = ~known.alive[known.places_of(names)] & _plausible(told.positions, names, position)
         points, places, position = points[begins], known.places_of(names[begins]), position[begins]
         patches = known.patches.copy()
-        patches[places] = current.looks.first[current.looks.places_of(current.identities[points])]
-        states = starting(state, view, position, BORN**2 * np.eye(2))
+        patches[places] = current.appearances.first[current.appearances.places_of(current.identities[points])]
+        states = initial_states(state, view, position, NEW_DEVIATION**2 * np.eye(2))
         return replace(state, known=replace(known, patches=patches).with_states(places, states))
 
 
@@ -296,7 +303,7 @@ def _plausible(told: GaussianMessage, identities: Identities, positions: Numbers
     known, mean, covariance = told.only(np.isin(told.identities, identities)).moments
     place = np.searchsorted(identities, known)
     off = positions[place] - mean
-    spread = covariance + BORN**2 * np.eye(2)
+    spread = covariance + NEW_DEVIATION**2 * np.eye(2)
     plausible = np.ones(len(identities), np.bool_)
-    plausible[place] = squared_distances(off, spread) <= FAR**2
+    plausible[place] = squared_distances(off, spread) <= GATE**2
     return plausible

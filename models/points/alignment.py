@@ -17,7 +17,7 @@ PIXEL_NOISE = 2.0
 """Grey values, standard deviation of the noise of a pixel."""
 
 LIGHTER, STRONGER, WARPED = 3.0, 0.07, 0.05
-"""Standard deviations of how a patch changes from one look to another: grey values by which it is lighter,
+"""Standard deviations of how a patch changes from one picture to another: grey values by which it is lighter,
 share by which its contrast is higher, and radians of rotation, shares of scale and stretch. The last ones
 hardly blur a position, but else a patch that turns away slides along its edges."""
 

@@ -37,7 +37,7 @@ def ncc(one: Pixels, other: Pixels) -> Numbers:
     return correlation
 
 
-def lit_as(patches: Pixels, others: Pixels) -> Pixels:
+def with_light_of(patches: Pixels, others: Pixels) -> Pixels:
     """Patches `(n, side, side)` with the brightness and contrast that `others` of the same things have."""
     a, b = _centred(patches), _centred(others)
     squares = np.square(a).sum(axis=(1, 2), keepdims=True)

@@ -152,7 +152,7 @@ class PointTracks:
         share of the windows without the point in which something is as like it as is asked for; what has a
         rival, or leads back to another place in the picture before, is refused as well.
     farthest
-        px from the middle of a prior beyond which nothing is looked for.
+        px from the middle of a prior beyond which nothing is searched.
     """
 
     patch: int = 5
@@ -178,7 +178,7 @@ class PointTracks:
         """Where the frame shows points of `prior`; or all points that are given with the frame.
 
         A given point is N(z; F, noise^2 I), whatever the prior. Otherwise every point of which `prior` knows
-        the look, and the place to a standard deviation of `farthest`, is looked for by normalised
+        the patch, and the place to a standard deviation of `farthest`, is searched for by normalised
         correlation. One that is found is area * N(z; F, R), as against being anywhere in the picture; one
         that is not found is no information.
         """
@@ -187,12 +187,10 @@ class PointTracks:
         if frame.image is None:
             return self.uniform()
         grey = grey_of(frame.image)
-        positions, found = self._looked_for(grey, prior)
+        positions, found = self._found(grey, prior)
         return PointMessage(positions, view=View(frame.time, found, grey, self.noise, self.patch))
 
-    def _looked_for(
-        self, grey: NDArray[np.uint8], prior: PointMessage
-    ) -> tuple[GaussianMessage, GivenPoints]:
+    def _found(self, grey: NDArray[np.uint8], prior: PointMessage) -> tuple[GaussianMessage, GivenPoints]:
         """Points of `prior` that are found in the picture."""
         identities, mean, covariance = prior.positions.moments
         if prior.patches is None:

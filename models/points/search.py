@@ -24,7 +24,7 @@ Grey = NDArray[np.uint8]
 Pixels = NDArray[np.float32]
 
 REACH = 3.0
-"""Standard deviations from where a point should be within which it is looked for."""
+"""Standard deviations from where a point should be within which it is searched for."""
 
 GRID = 0.5
 """px, standard deviation added to what is known of a position: places are compared pixel by pixel, and any
@@ -79,7 +79,7 @@ def likeliest_places(
     wide = covariance + GRID**2 * np.eye(2)
     deviation = np.sqrt(wide[:, [0, 1], [0, 1]].max(axis=1))
     radius = np.minimum(np.ceil(REACH * deviation + 0.5), farthest).astype(np.int64)
-    precision = np.linalg.inv(wide) if prior else np.zeros_like(wide)
+    precision: Numbers = np.linalg.inv(wide) if prior else np.zeros_like(wide)
     if count:
         windows = Windows(np.ascontiguousarray(mean), precision, radius)
         best_places(grey, windows, templates, side, REACH, SHARPNESS, NCC_NOISE, found)
@@ -88,7 +88,7 @@ def likeliest_places(
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Which of the points that were looked for were found, and where.
+    """Which of the points that were searched for were found, and where.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class Found:
 def find_points(
     grey: Grey, patches: Pixels, mean: Numbers, covariance: Numbers, false_alarms: float, farthest: float
 ) -> Found:
-    """Look for points in a picture.
+    """Search for points in a picture.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def find_points(
     false_alarms
         share of windows without the point in which something is as like it as is asked for.
     farthest
-        px from the mean beyond which nothing is looked for.
+        px from the mean beyond which nothing is searched.
     """
     places = likeliest_places(grey, patches, mean, covariance, farthest)
     way = align_patches(grey, patches, places.position[:, 0], NEAR)

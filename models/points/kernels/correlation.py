@@ -13,7 +13,7 @@ _f4 = np.float32
 
 
 class Windows(NamedTuple):
-    """Where n patches are looked for.
+    """Where n patches are searched for.
 
     Parameters
     ----------

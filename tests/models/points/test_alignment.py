@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.models.points.alignment import align_patches, sample_patches
-from rsmcm.models.points.patches import lit_as, ncc
+from rsmcm.models.points.patches import ncc, with_light_of
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, Texture, picture
 
@@ -119,4 +119,4 @@ def test_ncc_is_the_correlation_and_light_makes_no_difference() -> None:
     np.testing.assert_allclose(ncc(one, other), expected, atol=1e-6)
     np.testing.assert_allclose(ncc(2 * one + 30, one), 1, atol=1e-6)
     assert ncc(one[:1], np.full((1, 5, 5), 3, np.float32)) == 0
-    np.testing.assert_allclose(lit_as(one, 0.5 * one + 20), 0.5 * one + 20, rtol=1e-5)
+    np.testing.assert_allclose(with_light_of(one, 0.5 * one + 20), 0.5 * one + 20, rtol=1e-5)
