@@ -79,7 +79,7 @@ def likeliest_places(
     wide = covariance + GRID**2 * np.eye(2)
     deviation = np.sqrt(wide[:, [0, 1], [0, 1]].max(axis=1))
     radius = np.minimum(np.ceil(REACH * deviation + 0.5), farthest).astype(np.int64)
-    precision: Numbers = np.linalg.inv(wide) if prior else np.zeros_like(wide)
+    precision = np.asarray(np.linalg.inv(wide) if prior else np.zeros_like(wide), np.float64)
     if count:
         windows = Windows(np.ascontiguousarray(mean), precision, radius)
         best_places(grey, windows, templates, side, REACH, SHARPNESS, NCC_NOISE, found)
