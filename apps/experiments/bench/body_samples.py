@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ....chains.condensation import Condensation
 from ....inference.core.protocols import Incoming
 from ....inference.filters.resampling import systematic
-from ....models.body.parts import PartMessage
+from ....models.body.parts import BodyParts, PartMessage
 from ....models.body.upper_body import PARTS
 from ....models.core.frame import Frame
 from ....models.core.gaussian_mixtures import GaussianMixtures
@@ -124,12 +124,12 @@ def _condensation(looks: Numbers) -> Callable[[], object]:
     chain = Condensation(body, SAMPLES, start, 0, dynamics, likelihood)
     state = chain.initial(Frame(np.zeros((2, 2), np.uint8), 0.0, 1))
     frames = iter(looks)
-    nothing = GaussianMixtures.uniform(len(PARTS))
+    nothing, node = GaussianMixtures.uniform(len(PARTS)), BodyParts(1.0)
 
     def step() -> object:
         nonlocal state
         look: Any = next(frames)
-        state = chain.update(chain.predict(state, 1.0), Incoming({"parts": PartMessage(nothing, look)}))
+        state = chain.update(chain.predict(state, 1.0), Incoming({node: PartMessage(nothing, look)}))
         return state
 
     return step

@@ -15,7 +15,7 @@ from ....chains.gflow import GFlow, GFlowState
 from ....inference.core.protocols import Incoming
 from ....inference.face.texture_filter import Texture
 from ....inference.face.texture_likelihood import TexturedObject, TextureLikelihood
-from ....models.background.pixel_labels import PixelMessage
+from ....models.background.pixel_labels import PixelLabels, PixelMessage
 from ....models.face.image_pyramid import picture_levels
 from ....models.face.pose import Poses
 from ....models.face.surface_texels import SurfaceTexels
@@ -54,7 +54,7 @@ def seconds_a_frame(scene: FaceScene, experts: int, texels: int) -> Numbers:
     seconds = []
     for number in range(len(scene)):
         frame = scene.frame(number)
-        told = Incoming({"pixels": PixelMessage(image=frame.image)})
+        told = Incoming({PixelLabels(): PixelMessage(image=frame.image)})
         started = time.perf_counter()
         state = chain.initial(frame) if state is None else chain.predict(state, 1 / RATE)
         state = chain.update(state, told)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ....chains.adaptive_background import AdaptiveBackground
 from ....chains.gflow import GFlow
 from ....inference.core.graph import MultiChain
-from ....inference.core.recursive_bp import RecursiveBP
+from ....inference.core.recursive_bp import RecursiveBP, RunState
 from ....models.background.pixel_labels import PixelLabels
 from ...reports.expectations import Expectation
 from ...reports.experiment import Plot, Table, publish
@@ -94,7 +94,7 @@ def run(setting: Setting, method: str, seed: int) -> Trial:
     pixels, model = PixelLabels(), MultiChain()
     if method == SHARED:
         model.connect(AdaptiveBackground(), pixels)
-    engine, state = RecursiveBP(model.connect(chain, pixels)), None
+    engine, state = RecursiveBP(model.connect(chain, pixels)), RunState()
     vertices, spent = [], 0.0
     for frame in scene:
         begin = time.perf_counter()
