@@ -33,6 +33,12 @@ GIVEN_ACCELERATION, GIVEN_SPEED, GIVEN_LIMIT = 3.0, 10.0, 10.0
 leaves its way in 40 ms. The first speed: extents of the whole that a point crosses in a second. The limit:
 noise."""
 
+REFILL = 0.05
+"""Share of the points that are missing before new ones are sought."""
+
+CORNER_INTERVAL = 0.1
+"""s between two searches for corners, where there may be no others."""
+
 LEAST_POINTS = 8
 """Points that show how all of them move."""
 
@@ -131,12 +137,16 @@ def with_given(state: TrackerState, message: PointMessage) -> TrackerState:
     return replace(state, known=known, next_identity=largest + 1)
 
 
-def with_corners(state: TrackerState, most: int, spacing: float) -> TrackerState:
-    """With `most` new points where the picture has corners, `spacing` px from all that are followed."""
+def replenished(state: TrackerState, n_points: int, spacing: float) -> TrackerState:
+    """With new points where the picture has corners, `spacing` px from all that are followed.
+
+    As many as are missing of `n_points`; but only if many are, and if none were sought lately.
+    """
     known, view = state.known, state.view
-    if view is None or most < 1:
+    missing = n_points - int(known.alive.sum())
+    if view is None or missing < max(1, REFILL * n_points) or state.rested < CORNER_INTERVAL:
         return state
-    corners = view.corners(most, known.states.position[known.alive], spacing)
+    corners = view.corners(missing, known.states.position[known.alive], spacing)
     identities = state.next_identity + np.arange(len(corners))
     states = initial_states(state, view, corners, NEW_DEVIATION**2 * np.eye(2))
     return replace(
