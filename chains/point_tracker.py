@@ -3,9 +3,9 @@
 p(x(t + dt) | x(t)) = prod_i N(x_i(t + dt); A(dt) x_i(t), q Q(dt)),    p(F | x) = prod_i delta(u_i - H x_i)
 
 x_i are position H x_i (px) and velocity (px/s) of point i, which white acceleration of density q (px^2/s^3)
-moves out of its straight way; A and Q are those of `kinematic(2, dt)`. F holds positions u_i and patches a_i by
-identity. The message to F is prod_i N(u_i; H m_i, H P_i H^T), the predicted positions, and with it what points
-look like; the evidence is where the picture shows these patches (`PointTracks`).
+moves out of its straight way; A and Q are those of `kinematic(2, dt)`. F holds positions u_i and patches a_i
+by identity. The message to F is prod_i N(u_i; H m_i, H P_i H^T), the predicted positions, and with it what
+points look like; the evidence is where the picture shows these patches (`PointTracks`).
 
 It follows every point by itself and knows nothing of how points move together. Alone it loses a point that is
 not seen for a while, and takes it for another one when it comes back. With a second chain over the same
