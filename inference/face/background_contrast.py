@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...models.background.kernels.gaussian import ODDS_STEPS
 from ...models.background.pixel_labels import PixelMessage
+from ...models.core.grey import grey_of
 from ...models.face.image_pyramid import DARKEST, FINE_LIGHT_REACH, MIDDLE_GREY, blurred
 from ...models.face.outline import Box
 from ...models.face.pose import Poses
@@ -151,12 +152,6 @@ def _integral(
 
     over_bands(work, len(poses))
     return sums
-
-
-def grey_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """`(height, width)` uint8 of a grey or BGR picture."""
-    grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-    return np.ascontiguousarray(grey)
 
 
 def units(image: NDArray[np.uint8], size: float, *, local_mean: bool) -> Map:

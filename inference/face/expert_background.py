@@ -10,9 +10,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.grey import grey_of
 from ...models.face.outline import Box
 from ...models.numerics.threads import over_bands
-from .background_contrast import N_GREYS, Backdrop, grey_of
+from .background_contrast import N_GREYS, Backdrop
 from .kernels import background_maps as background_map_kernels
 
 Map = NDArray[np.float32]

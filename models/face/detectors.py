@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.frame import Frame
+from ..core.grey import grey_of
 
 Array = NDArray[np.float64]
 
@@ -81,9 +82,7 @@ class HaarFaces:
         """Boxes `(k, 4)` px, the largest first."""
         if frame.image is None:
             return np.zeros((0, 4))
-        grey: Any = frame.image
-        if grey.ndim == 3:
-            grey = cv2.cvtColor(grey, cv2.COLOR_BGR2GRAY)
+        grey = grey_of(frame.image)
         if self.height is None:
             least = max(24, min(grey.shape) // 8)
             return _largest_first(self._frontal.detectMultiScale(grey, 1.1, 5, minSize=(least, least)))

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.grey import grey_of
+
 Picture = NDArray[np.float32]
 
 MIDDLE_GREY = 128.0
@@ -53,8 +55,7 @@ def picture_levels(image: NDArray[np.uint8], size: float, *, n_levels: int, loca
     least = 2 * 2 ** (n_levels - 1)
     if min(image.shape[:2]) < least:
         raise ValueError(f"image: got {image.shape[:2]}, expected at least {least} px either way")
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    raw = grey.astype(np.float32)
+    raw = grey_of(image).astype(np.float32)
     picture = without_light(raw, FINE_LIGHT_REACH * size) if local_mean else raw
     levels = [Level(smoothed(picture, SMOOTHING[0] * size), 1.0)]
     picture = without_light(raw, COARSE_LIGHT_REACH * size) if local_mean and n_levels > 1 else raw
