@@ -14,6 +14,7 @@ from rsmcm.models.background.kernels import layers as layer_kernels
 from rsmcm.models.background.layers import Layer, LayerStack
 from rsmcm.models.background.pixel_labels import PixelMessage
 from rsmcm.models.numerics.threads import set_threads, thread_count
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 SIZE = (30, 40)
@@ -216,7 +217,27 @@ def test_without_an_image_the_predictions_speak():
     expected = 0.8 * clear / (0.8 * clear + 0.2 * explained)
     np.testing.assert_allclose(message.background_probability(), expected, atol=0.01)  # stored odds
     assert message.subtraction is None
-    assert message.log_mass == 0
+    expected = np.log(0.8 * clear + 0.2 * explained).sum()
+    assert message.log_mass == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("strength", [1.0, 10.0, 100.0])
+@pytest.mark.parametrize("ghost", [False, True])
+def test_over_all_images_densities_sum_to_the_mass_without_one(strength, ghost):
+    def one(value):
+        return np.full(1, value, np.float32)
+
+    scene = background(
+        1, size=(1, 1), mean=one(130)[None], variance=one(10), noise=one(100),
+        candidate=np.zeros(1, np.uint8), seen=np.zeros(1, np.uint8),
+        light=LightField(np.ones((2, 2), np.float32), (1, 1)),
+    )  # fmt: skip
+    mask, appearance = one(0.7)[None], np.full((1, 1, 1), 90, np.float32)
+    layers = LayerStack([Layer(0, 0, mask, None if ghost else appearance, strength=strength, ghost=ghost)])
+    densities = [
+        PixelMessage(scene, layers, np.full((1, 1), value, np.uint8)).log_mass for value in range(256)
+    ]
+    assert logsumexp(densities) == pytest.approx(PixelMessage(scene, layers).log_mass, abs=0.01)
 
 
 def test_without_a_background_labels_are_even():
