@@ -3,6 +3,7 @@
 from .adaptive_background import AdaptiveBackground
 from .articulated_pose import ArticulatedPose
 from .blob_tracker import BlobTracker
+from .condensation import Condensation
 from .factor_structure import FactorStructure
 from .flesh_tracker import FleshTracker
 from .gflow import GFlow
@@ -15,6 +16,7 @@ __all__ = [
     "AdaptiveBackground",
     "ArticulatedPose",
     "BlobTracker",
+    "Condensation",
     "FactorStructure",
     "FleshTracker",
     "GFlow",
