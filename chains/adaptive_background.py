@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from ..inference.core.protocols import Incoming
 from ..models.background import colour
 from ..models.background.gaussian import BackgroundPrediction, LightField
-from ..models.background.kernels.gaussian import light_ratios, second_look
+from ..models.background.kernels.gaussian import (
+    Gaussians,
+    SecondColours,
+    Settling,
+    learn_second_colours,
+    light_ratios,
+)
 from ..models.background.kernels.layers import update_behind
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
@@ -78,8 +84,7 @@ class BackgroundState:
     def picture(self) -> NDArray[np.uint8]:
         """The empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
         height, width = self.size
-        field = LightField(self.light, self.size)
-        rows, position = field.rows(), field.row_positions()
+        rows, position = LightField(self.light, self.size).along_rows
         above = position.astype(np.intp)
         share = (position - above)[:, None]
         light = rows[above] * (1 - share) + rows[above + 1] * share
@@ -178,30 +183,26 @@ class AdaptiveBackground:
         reading, after = prediction.against(image), prediction.update(image)
         covered = array_pool.empty(reading.log_odds.shape, np.uint8)
         covered[:] = 0
-        light_rows, row_positions = prediction.light.rows(), prediction.light.row_positions()
+        light = prediction.light.along_rows
         for region in told.regions:
             update_behind(
-                region.top, region.left, region.shift, state.size[1], colour.patch(image, *region.box),
-                reading.pooled, state.mean, state.variance, state.noise, light_rows, row_positions,
-                np.float32(prediction.drift), np.float32(self.first_variance), np.float32(self.noise_rate),
-                after.mean, after.variance, after.noise, covered,
+                region.top, region.left, region.shift, colour.patch(image, *region.box), reading.pooled,
+                prediction.pixels, light, prediction.model, after, covered,
             )  # fmt: skip
-        candidate, seen = (
-            array_pool.empty(state.candidate.shape, np.uint8),
-            array_pool.empty(state.seen.shape, np.uint8),
-        )
-        np.copyto(candidate, state.candidate)
-        np.copyto(seen, state.seen)
-        elapsed = state.elapsed
-        if elapsed > 0 and np.isfinite(self.settle_time):
+        second = SecondColours(*(array_pool.empty(before.shape, np.uint8) for before in prediction.second))
+        for new, old in zip(second, prediction.second, strict=True):
+            np.copyto(new, old)
+        if state.elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
-            beginning = state.looks < BEGINNING
-            second_look(
-                np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, state.size[1], light_rows,
-                row_positions, colour.from_pixels(channels), colour.to_pixels(channels),
-                np.float32(prediction.tolerance), 2 * prediction.trusted_looks,
-                np.float32(self.first_variance), np.float32(UNSURE_VARIANCE if beginning else np.inf),
-                after.noise, after.mean, after.variance, candidate, seen,
+            settling = Settling(
+                np.float32(prediction.tolerance),
+                2 * prediction.trusted_looks,
+                np.float32(self.first_variance),
+                np.float32(UNSURE_VARIANCE if state.looks < BEGINNING else np.inf),
+            )
+            learn_second_colours(
+                np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, light,
+                colour.from_pixels(channels), colour.to_pixels(channels), settling, after, second,
             )  # fmt: skip
         return replace(
             state,
@@ -210,8 +211,8 @@ class AdaptiveBackground:
             noise=after.noise,
             light=prediction.light.blocks,
             covered=_share_of_blocks(covered.reshape(state.size), state.light.shape),
-            candidate=candidate,
-            seen=seen,
+            candidate=second.colours,
+            seen=second.seen,
             elapsed=0.0,
             looks=state.looks + 1,
         )
@@ -222,16 +223,14 @@ class AdaptiveBackground:
             light = self._light_now(state, image)
         return BackgroundPrediction(
             size=state.size,
-            mean=state.mean,
-            variance=state.variance,
-            noise=state.noise,
+            pixels=Gaussians(state.mean, state.variance, state.noise),
             light=LightField(light, state.size),
             prior=self.prior,
             drift=min(self.drift * state.elapsed, WIDEST_DRIFT),
-            noise_rate=self.noise_rate,
+            noise_share=self.noise_rate,
+            first_variance=self.first_variance,
             pooling=self.pooling,
-            candidate=state.candidate,
-            seen=state.seen,
+            second=SecondColours(state.candidate, state.seen),
             trusted_looks=round(min(max(0.5 * self.settle_time / max(state.elapsed, 1e-3), 2), 125)),
             tolerance=8.0 * len(state.mean) * self.noise,
         )
@@ -244,11 +243,8 @@ class AdaptiveBackground:
         """
         before = LightField(state.light, state.size)
         ratios, agreement = np.empty_like(state.light), np.empty_like(state.light)
-        height, width = state.size
-        light_ratios(
-            np.ascontiguousarray(image).reshape(-1), state.mean, before.rows(), before.row_positions(),
-            height, width, ratios, agreement,
-        )  # fmt: skip
+        flat = np.ascontiguousarray(image).reshape(-1)
+        light_ratios(flat, state.mean, before.along_rows, ratios, agreement)
         weight = np.where(agreement > 0.3, agreement, 0.0) * (1 - state.covered) ** 4 + 1e-3
         change = np.log(ratios) * (agreement > 0.3)
         around = _blurred(change * weight) / _blurred(weight)

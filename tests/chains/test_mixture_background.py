@@ -10,7 +10,8 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.background.gaussian import colour
 from rsmcm.models.background.kernels.gaussian import HIGHEST_NOISE, LOWEST_NOISE, ODDS_STEPS
-from rsmcm.models.background.mixture import REACH, Mixture, MixturePrediction
+from rsmcm.models.background.kernels.mixture import Mixture
+from rsmcm.models.background.mixture import REACH, MixturePrediction
 from rsmcm.models.background.pixel_labels import Layer, LayerStack, PixelMessage
 from scipy.stats import norm
 

@@ -28,16 +28,20 @@ def scene(channels, seed=0, size=(23, 37), prior=0.9, **changes):
     remembered = rng.integers(30, 220, shape).astype(np.uint8)
     values = {
         "size": size,
-        "mean": colour.to_planes(remembered) + rng.normal(0, 2, (channels, n_pixels)).astype(np.float32),
-        "variance": rng.uniform(0.5, 60, n_pixels).astype(np.float32),
-        "noise": rng.uniform(20, 400, n_pixels).astype(np.float32),
+        "pixels": kernels.Gaussians(
+            colour.to_planes(remembered) + rng.normal(0, 2, (channels, n_pixels)).astype(np.float32),
+            rng.uniform(0.5, 60, n_pixels).astype(np.float32),
+            rng.uniform(20, 400, n_pixels).astype(np.float32),
+        ),
         "light": LightField(rng.uniform(0.8, 1.2, (3, 4)).astype(np.float32), size),
         "prior": prior,
         "drift": 1.5,
-        "noise_rate": 0.03,
+        "noise_share": 0.03,
+        "first_variance": 20.0,
         "pooling": 0.3,
-        "candidate": np.zeros(n_pixels * channels, np.uint8),
-        "seen": np.zeros(n_pixels, np.uint8),
+        "second": kernels.SecondColours(
+            np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint8)
+        ),
         "trusted_looks": 10,
         "tolerance": 100.0,
     }
@@ -60,8 +64,8 @@ def exact(prediction, image):
     light = light_of(prediction.light)
     channels = prediction.channels
     seen = colour.FROM_BGR @ image.reshape(-1, 3).T if channels == 3 else image.reshape(1, -1).astype(float)
-    before = prediction.variance + prediction.drift
-    total = light**2 * before + prediction.noise
+    before = prediction.pixels.variance + prediction.drift
+    total = light**2 * before + prediction.pixels.noise
     difference = seen - light * prediction.mean
     density = norm.logpdf(difference, 0, np.sqrt(total)).sum(axis=0) + np.log(colour.VOLUME[channels])
     odds = np.log(prediction.prior) - np.log1p(-prediction.prior) + density + channels * np.log(256)
@@ -92,7 +96,7 @@ def test_update(channels):
     np.testing.assert_allclose(after.mean, prediction.mean + weight * gain * difference, rtol=1e-4, atol=5e-3)
     variance = (1 - weight * gain * light) * before + weight * (1 - weight) * gain**2 * square
     np.testing.assert_allclose(after.variance, np.clip(variance, 0.5, 60), rtol=1e-3)
-    noise = prediction.noise + prediction.noise_rate * weight * (square - total)
+    noise = prediction.pixels.noise + prediction.noise_share * weight * (square - total)
     np.testing.assert_allclose(after.noise, np.clip(noise, 20, 400), rtol=1e-3)
 
 
@@ -101,9 +105,11 @@ def test_the_update_is_the_moments_of_a_mixture():
     rng = np.random.default_rng(3)
     mean, variance, noise, shown, prior = 100.0, 40.0, 60.0, 118.0, 0.3
     prediction, _ = scene(
-        1, size=(4, 4), prior=prior, drift=0.0, noise_rate=0.0,
-        mean=np.full((1, 16), mean, np.float32), variance=np.full(16, variance, np.float32),
-        noise=np.full(16, noise, np.float32), light=LightField(np.ones((2, 2), np.float32), (4, 4)),
+        1, size=(4, 4), prior=prior, drift=0.0, noise_share=0.0,
+        pixels=kernels.Gaussians(
+            np.full((1, 16), mean, np.float32), np.full(16, variance, np.float32),
+            np.full(16, noise, np.float32),
+        ), light=LightField(np.ones((2, 2), np.float32), (4, 4)),
     )  # fmt: skip
     image = np.full((4, 4), shown, np.uint8)
     weights = np.array([prior * norm.pdf(shown, mean, np.sqrt(variance + noise)), (1 - prior) / 256])
@@ -123,7 +129,7 @@ def test_likelihood_is_the_integral_over_labels_and_values():
     for k, shown in enumerate(image.reshape(-1).astype(float)):
         mean, deviation = light[k] * prediction.mean[0, k], light[k] * before[k] ** 0.5
         of_background, _ = quad(
-            lambda value, m=mean, d=deviation, s=shown, n=prediction.noise[k]: (
+            lambda value, m=mean, d=deviation, s=shown, n=prediction.pixels.noise[k]: (
                 norm.pdf(value, m, d) * norm.pdf(s, value, n**0.5)
             ),
             mean - 12 * deviation, mean + 12 * deviation, limit=200,
@@ -185,7 +191,7 @@ def test_a_second_colour_that_was_seen_often_is_background(channels):
     rng = np.random.default_rng(8)
     candidate = np.clip(image.astype(int) + rng.integers(-6, 7, image.shape), 0, 255).astype(np.uint8)
     seen = rng.integers(0, 20, own.size).astype(np.uint8)
-    recalled, _ = scene(channels, candidate=candidate.reshape(-1), seen=seen)
+    recalled, _ = scene(channels, second=kernels.SecondColours(candidate.reshape(-1), seen))
     gap = np.square(colour.to_planes(image).astype(float) - colour.to_planes(candidate)).sum(axis=0)
     known = (own < 0) & (seen >= 10) & (gap < 100.0)
     assert 5 < known.sum() < (own < 0).sum()
@@ -199,10 +205,12 @@ def second_look(channels, candidate, seen, looks, covered=None, odds=-40, tolera
     variance, noise = np.full(9, known, np.float32), np.full(9, 30, np.float32)
     covered = np.zeros(9, np.uint8) if covered is None else covered
     to_planes = colour.from_pixels(channels)
-    kernels.second_look(
-        image, np.full(9, odds, np.int8), covered, 3, np.full((3, 3), 2, np.float32), np.zeros(3, np.float32),
-        to_planes, np.linalg.inv(to_planes), np.float32(tolerance), looks, np.float32(20), np.float32(4),
-        noise, mean, variance, candidate, seen,
+    kernels.learn_second_colours(
+        image, np.full(9, odds, np.int8), covered,
+        kernels.Light(np.full((3, 3), 2, np.float32), np.zeros(3, np.float32)),
+        to_planes, np.linalg.inv(to_planes),
+        kernels.Settling(np.float32(tolerance), looks, np.float32(20), np.float32(4)),
+        kernels.Gaussians(mean, variance, noise), kernels.SecondColours(candidate, seen),
     )  # fmt: skip
     return mean, variance
 
@@ -255,7 +263,7 @@ def test_no_second_look_at_objects_and_background():
 def test_light_is_interpolated_between_block_centres(size):
     blocks = np.random.default_rng(9).uniform(0.5, 2, (3, 4)).astype(np.float32)
     field = LightField(blocks, size)
-    rows, position = field.rows(), field.row_positions()
+    rows, position = field.along_rows
     above = position.astype(int)
     share = (position - above)[:, None]
     light = rows[above] * (1 - share) + rows[above + 1] * share
@@ -269,8 +277,8 @@ def test_light_ratios_are_medians_of_samples(channels):
     image = np.clip(image * 1.2, 0, 255).astype(np.uint8)
     image[:20, :20] = 255  # nothing to be learned from saturated pixels
     ratios, agreement = np.empty((3, 4), np.float32), np.empty((3, 4), np.float32)
-    rows, position = prediction.light.rows(), prediction.light.row_positions()
-    kernels.light_ratios(image.reshape(-1), prediction.mean, rows, position, 61, 83, ratios, agreement)
+    light = prediction.light.along_rows
+    kernels.light_ratios(image.reshape(-1), prediction.mean, light, ratios, agreement)
     luma = colour.to_planes(image)[0].reshape(61, 83)
     expected = (light_of(prediction.light) * prediction.mean[0]).reshape(61, 83)
     for row in range(3):
