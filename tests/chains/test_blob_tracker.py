@@ -5,8 +5,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from rsmcm.chains import AdaptiveBackground, BlobTracker, GroundPlane
-from rsmcm.chains.blob_tracker import POSITIVE, Blob
+from rsmcm.chains.blob_tracker import POSITIVE
 from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference.objects.blobs import Blob
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels
 
 HEIGHT, WIDTH = SIZE = (120, 160)
