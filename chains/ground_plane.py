@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.core.protocols import Incoming
+from ..inference.filters.linear_motion import kinematic
 from ..inference.objects.ground_plane import (
     HALF_HIDDEN,
     GroundState,
@@ -105,16 +106,8 @@ class GroundPlane:
 
     def predict(self, state: GroundState, dt: float) -> GroundState:
         """Feet walk on, but for a random force; perspective and sizes stay."""
-        feet, before = state.feet.copy(), state.feet_covariance
-        feet[:, :, 0] += dt * feet[:, :, 1]
-        force = (0.5 * (self.acceleration * state.heights) ** 2)[
-            :, None
-        ]  # px^2/s^3: what lasts half a second
-        covariance = np.empty_like(before)
-        crossed = before[:, :, 0, 1] + dt * before[:, :, 1, 1]
-        covariance[:, :, 0, 0] = before[:, :, 0, 0] + dt * (before[:, :, 0, 1] + crossed) + dt**3 / 3 * force
-        covariance[:, :, 0, 1] = covariance[:, :, 1, 0] = crossed + dt**2 / 2 * force
-        covariance[:, :, 1, 1] = before[:, :, 1, 1] + dt * force
+        force = 0.5 * (self.acceleration * state.heights[:, None]) ** 2  # px^2/s^3: it lasts half a second
+        feet, covariance = kinematic(2, dt).moved(state.feet, state.feet_covariance, force)
         return replace(state, feet=feet, feet_covariance=covariance, unseen=state.unseen + dt)
 
     def message(self, state: GroundState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage:
