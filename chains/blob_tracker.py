@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from ..inference.core.protocols import Incoming
+from ..inference.filters.linear_motion import kinematic
 from ..inference.objects.blob_geometry import (
     FRESH,
     THINNEST,
@@ -37,7 +38,7 @@ from ..models.objects.object_boxes import ObjectBoxes
 
 POSITIVE = (
     "smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration", "first_speed",
-    "patience", "hidden_patience", "confirmed_hits", "ghost_evidence", "parting_time", "size_time",
+    "patience", "hidden_patience", "confirmed_time", "ghost_evidence", "parting_time", "size_time",
 )  # fmt: skip
 """Parameters of `BlobTracker` that must be more than 0."""
 
@@ -47,11 +48,14 @@ GROWTH = 1.3
 BENEFIT_OF_DOUBT = 0.6
 """What the mask of a still blob keeps of pixels that fit its colours as well as the background's."""
 
-RENDERING_NOISE = 0.05
-"""px^2 per frame, of rendering a blob at whole pixels."""
+SWEEP = 0.8
+"""s after which a mask is freed of crumbs again."""
 
-SWEEP = 8
-"""Every how many looks a mask is freed of crumbs."""
+FADING = 0.15
+"""s, time constant with which a mask fades where it reaches too far."""
+
+OUTLINE_TIME = 0.2
+"""s after which a comparison of outlines is worth a whole new one."""
 
 
 @dataclass(frozen=True)
@@ -75,16 +79,18 @@ class BlobTracker:
     temper
         how many independent looks one pixel of a registration is worth.
     acceleration
-        blob lengths per s^2, of the random force on a blob.
+        blob lengths/s^2, standard deviation of what moves a blob out of its straight way; it lasts half a
+        second.
     first_speed
-        blob lengths per s, standard deviation of a new blob's velocity.
+        blob lengths/s, standard deviation of a new blob's velocity.
     patience, hidden_patience
         s for which a blob that should be visible, or is hidden by another, may stay unseen.
-    confirmed_hits
-        frames in which an object must have been seen before it is reported.
+    confirmed_time
+        s for which an object must have been seen before it is reported, in every frame.
     ghost_evidence
         nats from which on a blob is taken for a ghost: log ratio of the contrast across its outline in the
-        background's picture and in the image, less 0.25 a frame, summed over frames and never below 0.
+        background's picture and in the image, less 0.25, summed over comparisons every 0.2 s and never
+        below 0.
     parting_time
         s for which a blob's mask must have had a waist before it becomes two.
     size_time
@@ -100,12 +106,12 @@ class BlobTracker:
     outliers: float = 0.1
     strength: float = 10.0
     temper: float = 0.15
-    acceleration: float = 2.0
+    acceleration: float = 0.9
     first_speed: float = 2.0
     patience: float = 0.6
     hidden_patience: float = 3.0
-    confirmed_hits: int = 5
-    ghost_evidence: float = 2.5
+    confirmed_time: float = 0.35
+    ghost_evidence: float = 1.25
     parting_time: float = 0.4
     size_time: float = 2.0
     name: str = "blobs"
@@ -126,11 +132,20 @@ class BlobTracker:
         if frame.image is None:
             raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
         height, width = frame.image.shape[:2]
-        return BlobState((), 0, (height, width), 0.0, self.confirmed_hits)
+        return BlobState((), 0, (height, width), 0.0, self.confirmed_time)
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
         """First-order dynamics: velocity stays, but for a random force."""
-        blobs = tuple(self._moved(blob, dt) for blob in state.blobs)
+        blobs = state.blobs
+        if blobs:
+            means = np.stack([(blob.position, blob.velocity) for blob in blobs]).swapaxes(1, 2)
+            covariances = np.stack([blob.covariance for blob in blobs])
+            force = 0.5 * (self.acceleration * np.array([blob.length for blob in blobs])) ** 2  # px^2/s^3
+            means, covariances = kinematic(2, dt).moved(means, covariances, force)
+            blobs = tuple(
+                blob.changed(position=mean[:, 0], velocity=mean[:, 1], covariance=covariance)
+                for blob, mean, covariance in zip(blobs, means, covariances, strict=True)
+            )
         return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
 
     def message(
@@ -145,7 +160,7 @@ class BlobTracker:
         blobs, layers = self._last(self._registered, state, told)
         if feature.name == self.pixels:
             return PixelMessage(layers=layers)
-        shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.hits >= FRESH]
+        shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.seen >= FRESH]
         if told.image is None or not shown:
             return feature.uniform()
         x, y, width, height = np.array([blob.box for blob in shown]).T
@@ -173,16 +188,6 @@ class BlobTracker:
         for corner, mask, planes in scene.unexplained(kept, self._least_area(scene)):
             kept.append(Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread))
         return replace(state, blobs=tuple(kept), born=next(numbers) - 1, elapsed=0.0)
-
-    def _moved(self, blob: Blob, dt: float) -> Blob:
-        (place, both), (_, speed) = blob.covariance.tolist()
-        push = self.acceleration * blob.length * dt
-        place += 2 * dt * both + dt * dt * speed + 0.25 * (push * dt) ** 2 + RENDERING_NOISE
-        both += dt * speed + 0.5 * push * push * dt
-        return blob.changed(
-            position=blob.position + dt * blob.velocity,
-            covariance=np.array([[place, both], [both, speed + push * push]]),
-        )
 
     def _registered(self, state: BlobState, told: PixelMessage) -> tuple[list[Blob], LayerStack]:
         """Blobs front to back at the place where this frame shows them, and their layers."""
@@ -220,8 +225,9 @@ class BlobTracker:
             taken = (new > 0.2) & (new > mask)
             mask[taken] = new[taken]
             appearance[:, taken] = patch.planes[:, taken]
-        elif blob.hits >= FRESH:
-            fade_beyond(mask, *(GROWTH * scene.expected_size(blob)))
+        elif blob.seen >= FRESH:
+            kept = np.float32(math.exp(-scene.elapsed / FADING))
+            fade_beyond(mask, *(GROWTH * scene.expected_size(blob)), kept)
         confidence = seen / max(visible, 1e-6)
         if visible <= 0.3 * total or confidence <= 0.35:
             return blob.changed(
@@ -234,14 +240,14 @@ class BlobTracker:
         speed = math.hypot(*blob.velocity)
         follow = 1 - math.exp(-scene.elapsed / self.colour_time)
         spread = blob.spread + follow * (2 * variance - blob.spread)
-        grown = 1 - math.exp(-scene.elapsed / (self.mask_time if blob.hits < FRESH else self.size_time))
+        grown = 1 - math.exp(-scene.elapsed / (self.mask_time if blob.seen < FRESH else self.size_time))
         size = blob.size + grown * (np.array(blob.box[:1:-1]) - blob.size)
         return blob.changed(
             mask=mask,
             appearance=appearance,
             size=size if entered is None else np.maximum(size, likely_size(mask)),
             spread=min(max(spread, 0.2 * self.spread), self.spread),
-            hits=blob.hits + 1,
+            seen=blob.seen + scene.elapsed,
             unseen=0.0,
             still=blob.still + scene.elapsed if speed < max(2.0, 0.06 * blob.length) else 0.0,
             confidence=confidence,
@@ -254,7 +260,9 @@ class BlobTracker:
         in_image, in_picture, length = outline_contrast(patch.planes, picture, patch.free, mask, 2)
         if length < 8:
             return blob.ghost_evidence
-        return max(blob.ghost_evidence + math.log((in_picture + 3) / (in_image + 3)) - 0.25, 0.0)
+        worth = min(scene.elapsed / OUTLINE_TIME, 1.0)
+        found = worth * (math.log((in_picture + 3) / (in_image + 3)) - 0.25)
+        return max(blob.ghost_evidence + found, 0.0)
 
     def _least_area(self, scene: BlobScene) -> float:
         """px of the smallest object."""
@@ -262,12 +270,12 @@ class BlobTracker:
 
     def _lives(self, blob: Blob, in_front: Sequence[Blob], scene: BlobScene) -> bool:
         mass = blob.shape.mass
-        thin = mass < THINNEST * blob.length**2 * (1.0 if blob.hits < FRESH else 0.5)
+        thin = mass < THINNEST * blob.length**2 * (1.0 if blob.seen < FRESH else 0.5)
         if thin or mass < self._least_area(scene):
             return False
         if float(blob.mask[scene.inside(blob)].sum()) < 0.1 * mass:
             return False
-        if blob.hits < self.confirmed_hits:
+        if blob.seen < self.confirmed_time:
             return blob.unseen == 0.0
         hidden = blob.unseen > 0 and is_hidden(blob, in_front)
         return blob.unseen < (self.hidden_patience if hidden else self.patience)
@@ -283,7 +291,8 @@ class BlobTracker:
         if parting < self.parting_time or min(left, right) < max(
             self._least_area(scene), 0.25 * max(left, right)
         ):
-            return [blob if blob.hits % SWEEP else blob.changed(mask=without_crumbs(blob.mask))]
+            due = blob.seen // SWEEP > (blob.seen - scene.elapsed) // SWEEP
+            return [blob.changed(mask=without_crumbs(blob.mask)) if due else blob]
         larger, smaller = halves(blob)
         blob = blob.changed(parting=0.0, still=0.0, ghost_evidence=0.0)
         return [

@@ -13,8 +13,8 @@ from .blobs import MARGIN, Blob, Map, Pair
 THINNEST = 0.08
 """Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
 
-FRESH = 10
-"""Frames seen, below which a blob may still be a part of another."""
+FRESH = 0.85
+"""s for which a blob was seen, below which it may still be a part of another."""
 
 
 def cover_by(free: Map, top: int, left: int, blobs: Sequence[Blob]) -> None:
@@ -81,7 +81,7 @@ def fitted(blob: Blob) -> Blob:
 
 
 def are_pieces(one: Blob, other: Blob) -> bool:
-    """Whether two blobs, the second seen in no more frames, are parts of one object.
+    """Whether two blobs, the second seen for no longer, are parts of one object.
 
     What touches a blob right after it was born belongs to it if it is above, below or small, and the two
     together are not much larger than the larger (or the first is as new); so do blobs that have stood still
@@ -96,7 +96,7 @@ def are_pieces(one: Blob, other: Blob) -> bool:
     stacked = -gap_x > 0.7 * min(width, other_width)
     tall = max(y + height, other_y + other_height) - min(y, other_y)
     wide = max(x + width, other_x + other_width) - min(x, other_x)
-    if other.hits >= FRESH:
+    if other.seen >= FRESH:
         alike = math.hypot(*(one.velocity - other.velocity)) < 0.2 * tall
         one_body = -gap_y < 0.2 * min(height, other_height) and tall < 3.2 * wide and alike
         return stacked and (one_body or min(one.still, other.still) > 1.5)
@@ -104,7 +104,7 @@ def are_pieces(one: Blob, other: Blob) -> bool:
     small = min(width * height, other_width * other_height) < 0.35 * max(
         width * height, other_width * other_height
     )
-    return (stacked or small) and (one.hits < FRESH or modest)
+    return (stacked or small) and (one.seen < FRESH or modest)
 
 
 def halves(blob: Blob) -> tuple[Map, Map]:
@@ -117,9 +117,9 @@ def halves(blob: Blob) -> tuple[Map, Map]:
 
 
 def merged(blobs: Sequence[Blob]) -> list[Blob]:
-    """Pieces of one object become one blob again (see `are_pieces`), under the identity seen most."""
+    """Pieces of one object become one blob again (see `are_pieces`), the one seen for the longest."""
     result: list[Blob] = []
-    for blob in sorted(blobs, key=lambda blob: (-blob.hits, blob.identity)):
+    for blob in sorted(blobs, key=lambda blob: (-blob.seen, blob.identity)):
         other = next((k for k, kept in enumerate(result) if are_pieces(kept, blob)), None)
         if other is None:
             result.append(blob)
@@ -146,5 +146,5 @@ def joined(one: Blob, other: Blob) -> Blob:
         mask=mask,
         appearance=appearance,
         size=likely_size(mask),
-        hits=max(one.hits, other.hits),
+        seen=max(one.seen, other.seen),
     )

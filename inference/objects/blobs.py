@@ -61,8 +61,8 @@ class Blob:
         `(channels, height, width)` float32 planes.
     spread
         squared grey levels: variance of its colours about `appearance`.
-    hits
-        frames in which it was seen.
+    seen
+        s for which it was seen.
     unseen, still
         s since it was last seen, and for which it has not moved.
     confidence
@@ -82,7 +82,7 @@ class Blob:
     mask: Map
     appearance: Map
     spread: float
-    hits: int
+    seen: float
     unseen: float
     still: float
     confidence: float
@@ -120,7 +120,7 @@ class Blob:
             mask=mask,
             appearance=np.where(mask > 0.2, planes, np.float32(UNKNOWN_COLOUR)),
             spread=spread,
-            hits=1,
+            seen=0.0,
             unseen=0.0,
             still=0.0,
             confidence=1.0,
@@ -189,20 +189,20 @@ class BlobState:
     size
         `(height, width)` px of the picture.
     elapsed
-        s since the last look.
-    confirmed_hits
-        frames in which an object must have been seen before it is reported.
+        s since the last frame with an image.
+    confirmed_time
+        s for which an object must have been seen before it is reported.
     """
 
     blobs: tuple[Blob, ...]
     born: int
     size: tuple[int, int]
     elapsed: float
-    confirmed_hits: int
+    confirmed_time: float
 
     def tracks(self) -> list[Track]:
         """Objects that are sure enough to be reported, by identity."""
-        found = [blob for blob in self.blobs if blob.hits >= self.confirmed_hits]
+        found = [blob for blob in self.blobs if blob.seen >= self.confirmed_time]
         return [
             Track(
                 blob.identity, blob.box, blob.confidence, (float(blob.velocity[1]), float(blob.velocity[0]))
