@@ -5,6 +5,7 @@ The RSMCM paper's low-level chain (§4.2): a Gaussian per pixel, whose posterior
 chains predict, the background stays as it is behind an object that they track.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from ..inference.core.protocols import Incoming
 from ..models.background import colour
 from ..models.background.gaussian import BackgroundPrediction, LightField
 from ..models.background.kernels.gaussian import (
+    SETTLED,
     Gaussians,
     SecondColours,
     Settling,
@@ -31,16 +33,25 @@ from ..models.numerics import array_pool
 Planes = NDArray[np.float32]
 
 UNSURE_VARIANCE = 4.0
-"""Variance of a value that was seen in a few looks only, and gives way easily in the beginning."""
+"""Variance of a value that was seen a few times only, and gives way easily in the beginning."""
 
 WIDEST_DRIFT = 255.0**2 / 12
 """Squared grey levels: of a value that may be anything, as far as it can wander however long nobody looks."""
 
-BEGINNING = 60
-"""Looks after which nothing that was there from the first is taken for the scene by mistake any more."""
+BEGINNING = 4.0
+"""s after which nothing that was there from the first is taken for the scene by mistake any more."""
 
-FASTEST_LIGHT = 0.05
-"""Log of the most that light changes from look to look; a lamp that is switched takes a few."""
+LEAST_TIME = 0.3
+"""s for which a second colour must have been seen in any case."""
+
+MOST_NOISE_SHARE = 0.1
+"""Of a single observation in a pixel's noise, however long ago the one before was."""
+
+FASTEST_LIGHT = 1.0
+"""Log of the most that light changes in a second; a lamp that is switched takes a few frames."""
+
+STEADY_LIGHT, LIGHT_TIME = 0.02, 0.3
+"""Log of a change below which it may be noise, and s, the time constant with which it is followed then."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,18 +67,18 @@ class BackgroundState:
     variance
         `(n_pixels,)` float32, squared grey levels: of the mean.
     noise
-        `(n_pixels,)` float32, squared grey levels: of a single look at the pixel.
+        `(n_pixels,)` float32, squared grey levels: of a single observation.
     light
         `(block_rows, block_columns)` float32: today's light relative to that of `mean`.
     covered
         `(block_rows, block_columns)` float32: share of the block behind known objects.
     candidate, seen
         second hypothesis: `(n_pixels * channels,)` uint8 colour that is neither background nor an object,
-        and `(n_pixels,)` uint8 how many looks it has lasted.
+        and `(n_pixels,)` uint16 how much of the settling time it has lasted (see `SecondColours`).
     elapsed
-        s since the last look.
-    looks
-        how many there have been.
+        s since the last frame with an image.
+    age
+        s for which the scene has been seen.
     """
 
     size: tuple[int, int]
@@ -77,9 +88,9 @@ class BackgroundState:
     light: Planes
     covered: Planes
     candidate: NDArray[np.uint8]
-    seen: NDArray[np.uint8]
+    seen: NDArray[np.uint16]
     elapsed: float
-    looks: int
+    age: float
 
     def picture(self) -> NDArray[np.uint8]:
         """The empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
@@ -100,8 +111,9 @@ class AdaptiveBackground:
     prior
         P(B=1) of a pixel of which nobody else knows anything.
     noise
-        squared grey levels: sensor noise plus the scene's own, at first; `noise_rate` is the share by which a
-        pixel's own noise follows what is seen of it each frame (0: fixed variance as in the paper).
+        squared grey levels: sensor noise plus the scene's own, at first.
+    noise_rate
+        1/s, at which a pixel's own noise follows what is seen of it (0: fixed variance as in the paper).
     drift
         squared grey levels per second by which a background value may wander.
     first_variance
@@ -117,7 +129,7 @@ class AdaptiveBackground:
 
     prior: float = 0.95
     noise: float = 30.0
-    noise_rate: float = 0.02
+    noise_rate: float = 0.3
     drift: float = 1.25
     first_variance: float = 20.0
     settle_time: float = 3.0
@@ -156,9 +168,9 @@ class AdaptiveBackground:
             light=np.ones(_light_grid(height, width), np.float32),
             covered=np.zeros(_light_grid(height, width), np.float32),
             candidate=np.zeros(image.size, np.uint8),
-            seen=np.zeros(n_pixels, np.uint8),
+            seen=np.zeros(n_pixels, np.uint16),
             elapsed=0.0,
-            looks=0,
+            age=0.0,
         )
 
     def predict(self, state: BackgroundState, dt: float) -> BackgroundState:
@@ -189,16 +201,16 @@ class AdaptiveBackground:
                 region.top, region.left, region.shift, colour.patch(image, *region.box), reading.pooled,
                 prediction.pixels, light, prediction.model, after, covered,
             )  # fmt: skip
-        second = SecondColours(*(array_pool.empty(before.shape, np.uint8) for before in prediction.second))
-        for new, old in zip(second, prediction.second, strict=True):
-            np.copyto(new, old)
+        second = SecondColours(array_pool.copy(state.candidate), array_pool.copy(state.seen))
         if state.elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
+            scale = SETTLED / self.settle_time
             settling = Settling(
                 np.float32(prediction.tolerance),
-                2 * prediction.trusted_looks,
+                min(max(round(scale * state.elapsed), 1), SETTLED // 4),  # at least four times
+                min(round(scale * LEAST_TIME), SETTLED),
                 np.float32(self.first_variance),
-                np.float32(UNSURE_VARIANCE if state.looks < BEGINNING else np.inf),
+                np.float32(UNSURE_VARIANCE if state.age < BEGINNING else np.inf),
             )
             learn_second_colours(
                 np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, light,
@@ -214,7 +226,7 @@ class AdaptiveBackground:
             candidate=second.colours,
             seen=second.seen,
             elapsed=0.0,
-            looks=state.looks + 1,
+            age=state.age + state.elapsed,
         )
 
     def _prediction(self, state: BackgroundState, image: NDArray[np.uint8] | None) -> BackgroundPrediction:
@@ -227,11 +239,10 @@ class AdaptiveBackground:
             light=LightField(light, state.size),
             prior=self.prior,
             drift=min(self.drift * state.elapsed, WIDEST_DRIFT),
-            noise_share=self.noise_rate,
+            noise_share=min(-math.expm1(-self.noise_rate * state.elapsed), MOST_NOISE_SHARE),
             first_variance=self.first_variance,
             pooling=self.pooling,
             second=SecondColours(state.candidate, state.seen),
-            trusted_looks=round(min(max(0.5 * self.settle_time / max(state.elapsed, 1e-3), 2), 125)),
             tolerance=8.0 * len(state.mean) * self.noise,
         )
 
@@ -252,8 +263,9 @@ class AdaptiveBackground:
         smooth = _blurred(
             cv2.medianBlur(cv2.copyMakeBorder(change, 1, 1, 1, 1, cv2.BORDER_REFLECT_101), 3)[1:-1, 1:-1]
         )
-        smooth = np.clip(smooth, -FASTEST_LIGHT, FASTEST_LIGHT)
-        follow = np.where(np.abs(smooth) > 0.02, 1.0, 0.2)
+        fastest = FASTEST_LIGHT * state.elapsed
+        follow = np.where(np.abs(smooth) > STEADY_LIGHT, 1.0, -math.expm1(-state.elapsed / LIGHT_TIME))
+        smooth = np.clip(smooth, -fastest, fastest)
         light: Planes = np.clip(state.light * np.exp(follow * smooth), 0.1, 10.0).astype(np.float32)
         return light
 

@@ -141,8 +141,8 @@ class BackgroundPrediction:
         weight of what the 5 x 5 pixels around a pixel saw in its own log odds: neighbours mostly share their
         label, but are not independent looks. 0 makes every pixel decide for itself.
     second
-        second colour of every pixel: seen for `trusted_looks`, what is within `tolerance` (squared grey
-        levels) of it is background too.
+        second colour of every pixel: once known, what is within `tolerance` (squared grey levels) of it is
+        background too.
     """
 
     size: tuple[int, int]
@@ -154,7 +154,6 @@ class BackgroundPrediction:
     first_variance: float
     pooling: float
     second: SecondColours
-    trusted_looks: int
     tolerance: float
     _readings: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
     _updates: dict[int, Gaussians] = field(default_factory=dict)
@@ -217,10 +216,7 @@ class BackgroundPrediction:
 
         def subtract(first: int, end: int) -> None:
             kernel(first, end, flat, self.pixels, light, model, after, log_odds)
-            recall(
-                first * width, end * width, flat, self.second, self.trusted_looks, self.channels, tolerance,
-                log_odds,
-            )  # fmt: skip
+            recall(first * width, end * width, flat, self.second, self.channels, tolerance, log_odds)
 
         over_bands(subtract, height)
         pooled = pool(log_odds, self.size, self.prior, self.pooling)

@@ -232,8 +232,8 @@ def test_where_something_was_from_the_start_there_is_no_ghost_for_long():
     shown = np.abs(beliefs[-1]["background"].picture().astype(float) - SCENE)[place]
     assert shown.mean() < 5
     # what has left is one track until it is out
-    (mover,) = tracks_of(beliefs[45])
-    assert mover.box == pytest.approx((50 + 60 * 1.4, 50, 16, 40), abs=3)
+    (mover,) = tracks_of(beliefs[49])
+    assert mover.box == pytest.approx((50 + 60 * 1.56, 50, 16, 40), abs=3)
 
 
 def test_missing_frames_are_bridged_by_the_motion(walk):

@@ -20,6 +20,9 @@ ODDS_STEPS = 20.0
 LOWEST_VARIANCE, HIGHEST_VARIANCE = 0.5, 60.0
 LOWEST_NOISE, HIGHEST_NOISE = 20.0, 400.0
 
+SETTLED = 1 << 14
+"""Steps of the settling time: a second colour seen for so long has settled."""
+
 _UNUSABLE = _f4(1e30)
 _SIGNS = np.uint64(0x8080808080808080)
 
@@ -65,22 +68,24 @@ class PixelModel(NamedTuple):
 class SecondColours(NamedTuple):
     """A second hypothesis: `(n_pixels * channels,)` uint8 colours, and for how long each was seen.
 
-    `seen` is `(n_pixels,)` uint8, in looks.
+    `seen` is `(n_pixels,)` uint16, the share of the settling time in steps of 1 / `SETTLED`.
     """
 
     colours: NDArray[np.uint8]
-    seen: NDArray[np.uint8]
+    seen: NDArray[np.uint16]
 
 
 class Settling(NamedTuple):
     """When a second colour takes the mean's place.
 
-    It is the same colour within `tolerance` (squared grey levels), settles after `looks`, and has `variance`
-    then; a mean of more than `unsure_variance` gives way earlier.
+    It is the same colour within `tolerance` (squared grey levels); `step` is what one observation adds to the
+    time for which it was seen, `least` the least time. It has `variance` then; a mean of more than
+    `unsure_variance` gives way earlier.
     """
 
     tolerance: np.float32
-    looks: int
+    step: int
+    least: int
     variance: np.float32
     unsure_variance: np.float32
 
@@ -355,16 +360,16 @@ def foreground_spans(log_odds, spans):
 
 
 @compiled
-def recall(first, end, pixels, second, trusted_looks, channels, tolerance, log_odds):
+def recall(first, end, pixels, second, channels, tolerance, log_odds):
     """Foreground that shows the second colour of a pixel known to have two is background after all.
 
-    `first` and `end` are pixels.
+    It is known when it was seen for half the settling time. `first` and `end` are pixels.
     """
     spans = np.empty((end - first) // 64 + 1, np.int64)
     for k in range(foreground_spans(log_odds[first:end], spans)):
         start = first + spans[k]
         for i in range(start, min(start + 64, end)):
-            known = log_odds[i] < 0 and second.seen[i] >= trusted_looks
+            known = log_odds[i] < 0 and 2 * second.seen[i] >= SETTLED
             if known and colour_gap(pixels, second.colours, i, channels) < tolerance:
                 log_odds[i] = np.int8(ODDS_STEPS)
 
@@ -375,9 +380,9 @@ def learn_second_colours(
 ):
     """A second hypothesis for pixels that show neither the background nor a predicted object.
 
-    A colour that lasts changes places with the mean (see `Settling`). A mean that was hardly seen itself
-    gives way to one that was seen about twice as often, also behind an object: it may only seem to be one
-    because the scene was never seen without what stood there at first.
+    A colour that lasts changes places with the mean (see `Settling`); another one wears it out twice as fast.
+    A mean that was hardly seen itself gives way to one that was seen about twice as often, also behind an
+    object: it may only seem to be one because the scene was never seen without what stood there at first.
     """
     mean, variance, candidate, seen = after.mean, after.variance, second.colours, second.seen
     channels, width = mean.shape[0], light_field.rows.shape[1]
@@ -389,16 +394,17 @@ def learn_second_colours(
             if log_odds[i] >= 0 or (covered[i] != 0 and not unsure):
                 continue
             if seen[i] == 0 or colour_gap(pixels, candidate, i, channels) >= settling.tolerance:
-                if seen[i] > 2:
-                    seen[i] -= 2
+                if seen[i] > 2 * settling.step:
+                    seen[i] -= 2 * settling.step
                 else:
-                    seen[i] = 1
+                    seen[i] = settling.step
                     for k in range(channels):
                         candidate[channels * i + k] = pixels[channels * i + k]
                 continue
-            seen[i] += 1
-            own = int(5 + 2 * after.noise[i] / variance[i])
-            if seen[i] < (min(settling.looks, own) if unsure else settling.looks):
+            seen[i] += settling.step
+            # noise over variance is about how often the mean was seen
+            own = settling.least + settling.step * int(2 * after.noise[i] / variance[i])
+            if seen[i] < (min(SETTLED, own) if unsure else SETTLED):
                 continue
             y = i // width
             x = i - y * width
@@ -416,4 +422,4 @@ def learn_second_colours(
                     value += from_planes[channel, k] * old[k]
                 candidate[channels * i + channel] = np.uint8(min(max(value + _f4(0.5), _f4(0)), _f4(255)))
             variance[i] = settling.variance
-            seen[i] = 0 if unsure else settling.looks // 2
+            seen[i] = 0 if unsure else SETTLED // 2

@@ -41,9 +41,8 @@ def background(channels=3, **changes):
         "first_variance": 20.0,
         "pooling": 0.0,
         "second": gaussian_kernels.SecondColours(
-            np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint8)
+            np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)
         ),
-        "trusted_looks": 10,
         "tolerance": 50.0,
     }
     return BackgroundPrediction(**{**values, **changes})
