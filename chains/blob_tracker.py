@@ -7,13 +7,14 @@ then speaks to them at its registered place: a place shared by all its pixels is
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import count
+from typing import overload
 
 import cv2
 import numpy as np
 
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Cavity, Incoming, Port
 from ..inference.filters.linear_motion import kinematic
 from ..inference.objects.blob_geometry import (
     FRESH,
@@ -28,10 +29,10 @@ from ..inference.objects.blob_geometry import (
 from ..inference.objects.blob_scene import BlobScene, cut_out
 from ..inference.objects.blobs import Blob, BlobState, Map
 from ..inference.objects.registration import front_to_back, registered
-from ..models.background.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage
+from ..models.background.layers import Layer, LayerStack
+from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
-from ..models.core.last_call import LastCall
 from ..models.objects.kernels.blobs import Patch, learn, outline_contrast
 from ..models.objects.kernels.masks import fade_beyond
 from ..models.objects.object_boxes import ObjectBoxes
@@ -95,8 +96,6 @@ class BlobTracker:
         s for which a blob's mask must have had a waist before it becomes two.
     size_time
         s in which a blob's usual size follows its box; its mask does not reach much further.
-    pixels
-        name of the pixels' feature node; another node that it is connected to is one of boxes.
     """
 
     smallest: float = 0.0003
@@ -115,10 +114,8 @@ class BlobTracker:
     parting_time: float = 0.4
     size_time: float = 2.0
     name: str = "blobs"
-    pixels: str = "pixels"
-    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
 
-    uses_cavity = True
+    ports = (Port(PixelLabels, Cavity.OTHERS), Port(ObjectBoxes, optional=True))
 
     def __post_init__(self) -> None:
         for name in POSITIVE:
@@ -148,6 +145,10 @@ class BlobTracker:
             )
         return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
 
+    @overload
+    def message(self, state: BlobState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
+    @overload
+    def message(self, state: BlobState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage: ...
     def message(
         self, state: BlobState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
     ) -> PixelMessage | GaussianMessage:
@@ -156,12 +157,12 @@ class BlobTracker:
         To pixels: where they cover them and with which colours, front to back. To boxes: where they stand and
         how large they look, of those that were well seen in the last frame.
         """
-        told: PixelMessage = incoming[self.pixels]
-        blobs, layers = self._last(self._registered, state, told)
-        if feature.name == self.pixels:
+        pixels = incoming[PixelLabels]
+        blobs, layers = incoming.once(self._registered, state, pixels)
+        if isinstance(feature, PixelLabels):
             return PixelMessage(layers=layers)
         shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.seen >= FRESH]
-        if told.image is None or not shown:
+        if pixels.image is None or not shown:
             return feature.uniform()
         x, y, width, height = np.array([blob.box for blob in shown]).T
         deviations = np.stack(
@@ -175,12 +176,11 @@ class BlobTracker:
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Objects after the frame: registered, learned from, born and ended."""
-        told: PixelMessage = incoming[self.pixels]
-        if told.image is None or told.reading is None:
+        pixels = incoming[PixelLabels]
+        if pixels.subtraction is None:
             return state
-        blobs, layers = self._last(self._registered, state, told)
-        boxes = next((incoming[name] for name in incoming if name != self.pixels), None)
-        scene = BlobScene(told, layers, boxes, state.elapsed)
+        blobs, layers = incoming.once(self._registered, state, pixels)
+        scene = BlobScene(pixels, layers, incoming.get(ObjectBoxes), state.elapsed)
         learned = [self._learned(blob, blobs[:rank], scene) for rank, blob in enumerate(blobs)]
         kept = [blob for rank, blob in enumerate(learned) if self._lives(blob, blobs[:rank], scene)]
         numbers = count(state.born + 1)
@@ -189,12 +189,12 @@ class BlobTracker:
             kept.append(Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread))
         return replace(state, blobs=tuple(kept), born=next(numbers) - 1, elapsed=0.0)
 
-    def _registered(self, state: BlobState, told: PixelMessage) -> tuple[list[Blob], LayerStack]:
+    def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[list[Blob], LayerStack]:
         """Blobs front to back at the place where this frame shows them, and their layers."""
-        if told.image is None or told.reading is None:
+        if pixels.subtraction is None:
             blobs = front_to_back(state.blobs)
         else:
-            blobs = registered(state.blobs, told, self.outliers, self.temper)
+            blobs = registered(state.blobs, pixels, self.outliers, self.temper)
         return blobs, LayerStack([self._layer(blob) for blob in blobs])
 
     def _layer(self, blob: Blob) -> Layer:

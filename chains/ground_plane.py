@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Incoming, Port
 from ..inference.filters.linear_motion import kinematic
 from ..inference.objects.ground_plane import (
     HALF_HIDDEN,
@@ -68,6 +68,8 @@ class GroundPlane:
     patience: float = 3.0
     name: str = "ground"
 
+    ports = (Port(ObjectBoxes),)
+
     def __post_init__(self) -> None:
         for name in (
             "stature",
@@ -118,8 +120,7 @@ class GroundPlane:
 
     def update(self, state: GroundState, incoming: Incoming) -> GroundState:
         """Perspective and objects after a look at what others say of the boxes."""
-        (told,) = incoming.values()
-        identities, boxes, covariances = told.moments
+        identities, boxes, covariances = incoming[ObjectBoxes].moments
         state = self._joined(state, identities, boxes)
         if not len(identities):
             return state

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 import cv2
 import numpy as np
 
-from ...models.background.pixel_labels import LayerStack, PixelMessage
+from ...models.background.layers import LayerStack
+from ...models.background.pixel_labels import PixelMessage
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.objects.kernels.blobs import Patch, count_foreground, gather
 from ...models.objects.kernels.masks import clear_blocks
@@ -19,14 +20,14 @@ def cut_out(
 ) -> Patch:
     """What the image and the background say of the pixels in a box, and what no blob in front covers."""
     assert pixels.image is not None
-    assert pixels.reading is not None
+    assert pixels.subtraction is not None
     image = pixels.image if pixels.image.ndim == 3 else pixels.image[:, :, None]
     patch = Patch(
         np.empty((image.shape[2], *shape), np.float32),
         np.empty(shape, np.float32),
         np.empty(shape, np.float32),
     )
-    gather(image, pixels.reading.pooled.reshape(image.shape[:2]), top, left, patch)
+    gather(image, pixels.subtraction.pooled.reshape(image.shape[:2]), top, left, patch)
     cover_by(patch.free, top, left, in_front)
     return patch
 
@@ -120,9 +121,9 @@ class BlobScene:
         """Top, left, bottom, right and area px of foreground, block by block."""
         height, width = self.size
         scale = max(1, round(max(height, width) / 192))
-        assert self.pixels.reading is not None
+        assert self.pixels.subtraction is not None
         counts = np.empty((-(-height // scale), -(-width // scale)), np.int32)
-        count_foreground(self.pixels.reading.pooled, width, scale, counts)
+        count_foreground(self.pixels.subtraction.pooled, width, scale, counts)
         for blob in blobs:
             clear_blocks(counts, *blob.corner, blob.mask, scale)
         spots = (counts * 4 >= scale * scale).astype(np.uint8)

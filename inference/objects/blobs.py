@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.background.kernels.layers import Sprite
-from ...models.background.pixel_labels import log_density_ratio
+from ...models.background.layers import log_density_ratio
 from ...models.objects.kernels.blobs import UNKNOWN_COLOUR
 from ...models.objects.kernels.masks import MaskShape, shape_of
 
