@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ...models.face.pose import Poses, exponential
+from ...models.face.pose import Poses
+from ...models.numerics.rotations import exponential
 from .texture_likelihood import TextureLikelihood
 
 STEP = 0.3

@@ -21,7 +21,8 @@ from rsmcm.models.face import detectors
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.model_files import write_model
 from rsmcm.models.face.morphable_model import MorphableModel
-from rsmcm.models.face.pose import Poses, exponential
+from rsmcm.models.face.pose import Poses
+from rsmcm.models.numerics.rotations import exponential
 
 from ...conftest import Command, names, summary_of
 

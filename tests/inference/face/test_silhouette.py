@@ -16,8 +16,9 @@ from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.image_pyramid import Level
 from rsmcm.models.face.morphable_model import MorphableModel
 from rsmcm.models.face.outline import Box, MeshEdges, covered, outline
-from rsmcm.models.face.pose import Poses, exponential
+from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.numerics.rotations import exponential
 from scipy.spatial import ConvexHull
 
 from ...support.surfaces import bumpy, poses_near
