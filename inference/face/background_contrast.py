@@ -141,13 +141,10 @@ def _integral(
 ) -> Array:
     """`(n,)`: integral of a map of the box over the texels that are `on` `(n_experts, n_texels)`."""
     sums = np.empty(len(poses))
-    texels, positions = surface.texels, surface.positions(poses)
+    positions = surface.positions(poses)
 
     def work(a: int, b: int) -> None:
-        place_kernels.map_sums(
-            positions[a:b], owner[a:b], surface.groups, texels.first, texels.weights, texels.offsets,
-            texels.areas, on, map_, box.top, box.left, sums[a:b],
-        )  # fmt: skip
+        place_kernels.map_sums(positions[a:b], owner[a:b], surface.used_texels, on, map_, box, sums[a:b])
 
     over_bands(work, len(poses))
     return sums

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...models.face.outline import Box
 from ...models.numerics.threads import over_bands
-from .background_contrast import N_GREYS, Backdrop, grey_of
+from .background_contrast import Backdrop, grey_of
 from .kernels import background_maps as background_map_kernels
 
 Map = NDArray[np.float32]
@@ -25,6 +25,10 @@ NOISE = 20.0
 
 WANDERING = 1.0
 """Squared grey levels per look by which a pixel's background may change, Psi_b."""
+
+MAP_NOISE = background_map_kernels.MapNoise(
+    np.float32(NOISE), np.float32(WANDERING), np.float32(UNKNOWN_VARIANCE)
+)
 
 LEAST_RATIO = -9.0
 """Nats: no pixel speaks louder against the background, whatever has come before it."""
@@ -65,9 +69,8 @@ class ExpertBackground:
         everywhere = np.empty(n)
 
         def work(a: int, b: int) -> None:
-            background_map_kernels.read_maps(
-                grey, self.mean[a:b], self.variance[a:b], box.top, box.left, np.float32(UNKNOWN_VARIANCE),
-                np.float32(NOISE), np.float32(np.log(N_GREYS)), np.float32(LEAST_RATIO), ratio[a:b],
+            background_map_kernels.compare_with_maps(
+                grey, self.mean[a:b], self.variance[a:b], box, MAP_NOISE, np.float32(LEAST_RATIO), ratio[a:b],
                 trust[a:b], everywhere[a:b],
             )  # fmt: skip
 
@@ -86,10 +89,16 @@ class ExpertBackground:
 
         def work(a: int, b: int) -> None:
             background_map_kernels.update_maps(
-                grey, self.mean, self.variance, parents[a:b], hidden[a:b], box.top, box.left,
-                np.float32(NOISE), np.float32(WANDERING), np.float32(UNKNOWN_VARIANCE), mean[a:b],
+                grey,
+                self.mean,
+                self.variance,
+                parents[a:b],
+                hidden[a:b],
+                box,
+                MAP_NOISE,
+                mean[a:b],
                 variance[a:b],
-            )  # fmt: skip
+            )
 
         over_bands(work, n)
         return replace(self, mean=mean, variance=variance)

@@ -64,10 +64,10 @@ class Silhouette:
         share = self.effective_pixels / np.maximum(inside.sum(axis=(1, 2)), 1)
         targets = np.empty_like(places)
         information = np.empty((*places.shape[:2], 3))
-        place_kernels.scan(
-            self.backdrop.border, box.top, box.left, places, found.normals.astype(np.float64),
-            found.lengths.astype(np.float64), share, REACH, float(2**level), NOISE, targets, information,
-        )  # fmt: skip
+        scans = place_kernels.Scans(
+            places, found.normals.astype(np.float64), found.lengths.astype(np.float64), REACH, float(2**level)
+        )
+        place_kernels.find_edges(self.backdrop.border, box, scans, share, NOISE, targets, information)
         bases = self.model.bases[:, found.vertices]  # (n_bases, n, n_points, 2, 3)
         bases = np.einsum("npe,knpec->npkc", found.weights, bases)
         return PointTerms(np.ascontiguousarray(bases), targets, information)

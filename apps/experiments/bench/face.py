@@ -123,14 +123,14 @@ def _by_remap(
     """The same normal equations with a Jacobian of every texel."""
     texels = surface.texels
     positions, rows = surface.rows(poses)
-    corners = surface.groups[texels.group_of_texel]
+    corners = surface.used_texels.groups[texels.group_of_texel]
     places = np.einsum("na,nac->nc", texels.weights, positions[0][corners])
     texel_rows = np.einsum("na,nacd->ncd", texels.weights, rows[0][corners][..., : poses.dimension])
     value, across, down = (
         cv2.remap(picture, places[:, 0], places[:, 1], cv2.INTER_LINEAR)[:, 0] for picture in pictures
     )
     jacobian = across[:, None] * texel_rows[:, 0] + down[:, None] * texel_rows[:, 1]
-    triangles = positions[0][surface.groups]
+    triangles = positions[0][surface.used_texels.groups]
     edges = triangles[:, 1:] - triangles[:, :1]
     size = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
     area = (size / np.maximum(np.diff(texels.first), 1))[texels.group_of_texel]

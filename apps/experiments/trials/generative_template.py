@@ -272,19 +272,16 @@ class _Frame:
         """How texels of the finest level look in a pose, and whether they are the template's."""
         surface, level = self.tracker.surface, self.levels[0]
         texels, n = surface.texels, len(surface.texels)
-        height, width = level.image.shape
         positions, rows = surface.rows(pose)
         places, area = np.empty((2, n), np.float32), np.empty(n, np.float32)
         value, across, down = (np.empty(n, np.float32) for _ in range(3))
         warp_kernels.texel_places(
-            positions[0], surface.groups, texels.first, 1, texels.weights, texels.offsets, texels.areas,
-            self.visible, np.float32(1), places, area,
-        )  # fmt: skip
-        warp_kernels.sample_with_slopes(
-            level.image.reshape(-1), width, height, places, n, value, across, down, area
+            positions[0], surface.used_texels, 1, self.visible, level.scale, places, area
         )
+        samples = warp_kernels.Samples(value, across, down, area)
+        warp_kernels.sample_with_slopes(level, places, n, samples)
         area = np.maximum(area, 0)  # off the picture
-        corners = surface.groups[texels.group_of_texel]
+        corners = surface.used_texels.groups[texels.group_of_texel]
         shapes = rows[0][..., RIGID : RIGID + len(covariance)].astype(np.float64)
         moves = sum(texels.weights[:, corner, None, None] * shapes[corners[:, corner]] for corner in range(3))
         slopes = across[:, None] * moves[:, 0] + down[:, None] * moves[:, 1]

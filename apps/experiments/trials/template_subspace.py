@@ -21,7 +21,6 @@ from ....inference.face.gauss_newton import Peaks, find_peaks
 from ....inference.face.pose_dynamics import PosePrior
 from ....inference.face.texture_likelihood import Equations, TexturedObject, TextureLikelihood
 from ....models.face.image_pyramid import MIDDLE_GREY, Level
-from ....models.face.kernels import warp as warp_kernels
 from ....models.face.pose import Poses
 
 Array = NDArray[np.float64]
@@ -197,15 +196,9 @@ class SubspaceLikelihood:
 
     def _sampled(self, level: int, poses: Poses) -> tuple[Array, Array]:
         """Texels in the picture `(n, n_texels)`, and the areas that they stand for, 0 if not used there."""
-        surface, texels, image = self.surface, self.surface.texels, self.levels[level].image
-        height, width = image.shape
-        values = np.empty((len(poses), len(texels)), np.float32)
-        areas = np.empty_like(values)
-        warp_kernels.sample_texels(
-            image.reshape(-1), width, height, np.float32(self.levels[level].scale), surface.positions(poses),
-            surface.groups, texels.first, texels.weights, texels.offsets, texels.areas,
-            self._templates.visible[:1].repeat(len(poses), axis=0), values, areas,
-        )  # fmt: skip
+        texels = self.surface.texels
+        visible = self._templates.visible[:1].repeat(len(poses), axis=0)
+        values, areas = self.surface.sampled(self.levels[level], poses, visible)
         group, counts = texels.group_of_texel, np.diff(texels.first)
         part = -(-counts // 4**level)  # a coarse level takes a first part of each group
         used = np.arange(len(texels)) - texels.first[group] < part[group]

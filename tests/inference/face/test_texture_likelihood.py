@@ -47,7 +47,7 @@ def test_vertices_without_texels_are_left_out() -> None:
     surface = TexturedObject(model, SurfaceTexels.dense(model, 5))
     poses = poses_near(2, 3, 0)
     used = np.unique(surface.texels.groups)
-    np.testing.assert_array_equal(used[surface.groups], surface.texels.groups)
+    np.testing.assert_array_equal(used[surface.used_texels.groups], surface.texels.groups)
     assert surface.positions(poses).shape == (2, len(used), 2)
 
 
