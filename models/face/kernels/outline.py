@@ -12,12 +12,12 @@ _f4 = np.float32
 
 class OutlinePoints(NamedTuple):
     """Room for points on outlines: `(n, room)` with two vertices, their shares and px of outline that the
-    point stands for, and the unit normal outwards; `count` `(n,)` says how many there are."""
+    point stands for, and the unit normal outwards; `counts` `(n,)` says how many there are."""
 
     vertices: NDArray[np.int64]
     weights: NDArray[np.float32]
     normals: NDArray[np.float32]
-    count: NDArray[np.int64]
+    counts: NDArray[np.int64]
 
 
 @compiled
