@@ -1,22 +1,13 @@
 """How beliefs move: what chains and features promise, the graph of them, and the engines."""
 
-from ..chains.condensation import Condensation
-from .core.coordinate_ascent import CoordinateAscent, Solution
-from .core.graph import MultiChain
-from .core.protocols import BatchChain, Chain, FeatureNode, Incoming, Message
-from .core.recursive_bp import Belief, RecursiveBP, RunState
+from importlib import import_module
 
-__all__ = [
-    "BatchChain",
-    "Belief",
-    "Chain",
-    "Condensation",
-    "CoordinateAscent",
-    "FeatureNode",
-    "Incoming",
-    "Message",
-    "MultiChain",
-    "RecursiveBP",
-    "RunState",
-    "Solution",
-]
+import lazy_loader
+
+_own, __dir__, _names = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [*_names, "Condensation"]
+
+
+def __getattr__(name: str) -> object:
+    # Condensation is a chain, which was here once.
+    return import_module("rsmcm.chains").Condensation if name == "Condensation" else _own(name)

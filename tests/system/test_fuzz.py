@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from .fuzz.mutations import Files
-from .fuzz.readers import READERS
-from .fuzz.seeds import made
-from .fuzz.workers import REFUSED, RESULT, Seeds, input_of, outcomes, write
+from ..fuzz.mutations import Files
+from ..fuzz.readers import READERS
+from ..fuzz.seeds import made
+from ..fuzz.workers import REFUSED, RESULT, Seeds, input_of, outcomes, write
 
 
 @pytest.fixture(scope="module")

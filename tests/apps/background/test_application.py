@@ -145,12 +145,13 @@ def test_killed_in_the_middle(scene: Path, tmp_path: Path) -> None:
     """The state is saved every 5 frames, slowly enough that kill -9 comes in between."""
     slow = (
         "import sys, time\n"
-        "from rsmcm.apps import background, command_line\n"
-        "before = background.found_in\n"
+        "from rsmcm.apps import command_line\n"
+        "from rsmcm.apps.background import application\n"
+        "before = application.found_in\n"
         "def found_in(*arguments):\n"
         "    time.sleep(0.05)\n"
         "    return before(*arguments)\n"
-        "background.found_in = found_in\n"
+        "application.found_in = found_in\n"
         "command_line.main(sys.argv[1:])\n"
     )
     arguments = ["background", str(scene / "input"), "--out", str(tmp_path / "out"), "--every", "5"]

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.body.application import application as application
-from rsmcm.apps.body.application import report as body_report
-from rsmcm.apps.body.application import start as body_start
+from rsmcm.apps.body import application
+from rsmcm.apps.body import report as body_report
+from rsmcm.apps.body import start as body_start
 from rsmcm.apps.body.report import BodyRecord
 from rsmcm.apps.body.start import read_head, start_from_head
 from rsmcm.apps.body.writer import ANGLE_NAMES, N_DRAWN

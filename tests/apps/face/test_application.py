@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.face.application import application as application
-from rsmcm.apps.face.application import start as face_start
+from rsmcm.apps.face import application
+from rsmcm.apps.face import start as face_start
 from rsmcm.apps.face.report import FaceRecord, angles
 from rsmcm.apps.face.start import find_face, start_from_box, start_from_landmarks
 from rsmcm.apps.reports import time_plots

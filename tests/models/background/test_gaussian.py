@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from rsmcm.models.background.gaussian import BackgroundPrediction, LightField, colour
-from rsmcm.models.background.gaussian.kernels import gaussian as kernels
+from rsmcm.models.background.kernels import gaussian as kernels
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.integrate import quad
 from scipy.stats import norm

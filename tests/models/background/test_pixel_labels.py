@@ -10,7 +10,7 @@ from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.background.gaussian import BackgroundPrediction, LightField, colour
-from rsmcm.models.background.gaussian.kernels import layers as layer_kernels
+from rsmcm.models.background.kernels import layers as layer_kernels
 from rsmcm.models.background.pixel_labels import Layer, LayerStack, PixelMessage
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.stats import multivariate_normal

@@ -15,8 +15,8 @@ from rsmcm.models.core.frame import Frame
 from rsmcm.models.face import detectors
 from rsmcm.models.face.detectors import HaarFaces, YuNetFaces, default_faces
 
+from ...fuzz.networks import tiny_network
 from ...support.signer_clip import signer_clip
-from .fuzz.networks import tiny_network
 
 Image = NDArray[np.uint8]
 
