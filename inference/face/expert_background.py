@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...models.face.outline import Box
 from ...models.numerics.threads import over_bands
-from .background_contrast import Backdrop, grey_of
+from .background_contrast import BackgroundContrast, grey_of
 from .kernels import background_maps as background_map_kernels
 
 Map = NDArray[np.float32]
@@ -21,10 +21,10 @@ UNKNOWN_VARIANCE = 60.0**2
 """Squared grey levels: of a pixel whose background has never been seen."""
 
 NOISE = 20.0
-"""Squared grey levels of a look at a pixel, sigma_w^2."""
+"""Squared grey levels of a picture at a pixel, sigma_w^2."""
 
 WANDERING = 1.0
-"""Squared grey levels per look by which a pixel's background may change, Psi_b."""
+"""Squared grey levels per picture by which a pixel's background may change, Psi_b."""
 
 MAP_NOISE = background_map_kernels.MapNoise(
     np.float32(NOISE), np.float32(WANDERING), np.float32(UNKNOWN_VARIANCE)
@@ -43,7 +43,7 @@ class ExpertBackground:
     mean
         `(n_experts, height, width)` float32, raw grey levels.
     variance
-        `(n_experts, height, width)` float32, of the next look's prediction without its noise.
+        `(n_experts, height, width)` float32, of the next picture's prediction without its noise.
     """
 
     mean: Map
@@ -59,7 +59,7 @@ class ExpertBackground:
         """Backgrounds of the children of `parents`."""
         return replace(self, mean=self.mean[parents], variance=self.variance[parents])
 
-    def backdrop(self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map) -> Backdrop:
+    def contrast(self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map) -> BackgroundContrast:
         """As poses within the box are judged by it.
 
         Trust in a pixel is the share of the first variance that is gone: what was never seen says nothing.
@@ -75,9 +75,9 @@ class ExpertBackground:
             )  # fmt: skip
 
         over_bands(work, n)
-        return Backdrop.of(box, ratio, trust, tones, unit, everywhere)
+        return BackgroundContrast.of(box, ratio, trust, tones, unit, everywhere)
 
-    def after(
+    def updated(
         self, image: NDArray[np.uint8], parents: NDArray[np.int64], hidden: NDArray[np.uint8], box: Box
     ) -> Self:
         """Predicted background for the next picture, of the children of `parents`.

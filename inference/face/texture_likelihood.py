@@ -1,13 +1,12 @@
 """What a picture says of poses, given the textures that experts remember: p(y_t | u_1:t, y_1:t-1)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.last_call import LastCall
 from ...models.face.image_pyramid import Level
 from ...models.face.kernels import warp as warp_kernels
 from ...models.face.morphable_model import MorphableModel
@@ -35,7 +34,6 @@ class TexturedObject:
 
     model: MorphableModel
     texels: SurfaceTexels
-    _last_visible: LastCall = field(default_factory=LastCall, init=False, repr=False)
 
     @cached_property
     def _used(self) -> NDArray[np.int64]:
@@ -88,13 +86,7 @@ class TexturedObject:
         return self.model.bases[:, self._used].reshape(self.model.n_bases, -1)
 
     def visible(self, poses: Poses) -> NDArray[np.bool_]:
-        """`(n, n_texels)`: whether texels face the viewer with nothing before them.
-
-        A frame starts from the poses at which the one before ended: the last answer is remembered.
-        """
-        return self._last_visible(self._visible, poses)
-
-    def _visible(self, poses: Poses) -> NDArray[np.bool_]:
+        """`(n, n_texels)`: whether texels face the viewer with nothing before them."""
         if not len(self.model.triangles):
             return np.ones((len(poses), len(self.texels)), np.bool_)
         return visible(
@@ -104,7 +96,7 @@ class TexturedObject:
             self.texels.weights.astype(np.float64),
         )
 
-    def looks(
+    def observe(
         self, levels: Sequence[Level], poses: Poses, visible: NDArray[np.bool_]
     ) -> tuple[Map, NDArray[np.bool_]]:
         """What texels look like on each level `(n, n_levels, n_texels)`, and which are in the picture."""
@@ -185,10 +177,10 @@ class TextureLikelihood:
             rows[..., :dimension],
         )
 
-    def sums(self, poses: Poses, owner: NDArray[np.int64], behind: Map = NO_MAP, level: int = 0) -> Array:
-        """`(n, 4)`: sums over visible texels of a e^2 / tau, a log tau, a, and a times the map `behind`.
+    def sums(self, poses: Poses, owner: NDArray[np.int64], background: Map = NO_MAP, level: int = 0) -> Array:
+        """`(n, 4)`: sums over visible texels of a e^2 / tau, a log tau, a, and a times the map `background`.
 
-        `behind` is of the size of the picture on `level`.
+        `background` is of the size of the picture on `level`.
         """
         positions = self.surface.positions(poses)
         sums = np.empty((len(poses), 4))
@@ -196,7 +188,7 @@ class TextureLikelihood:
         def work(a: int, b: int) -> None:
             warp_kernels.texel_densities(
                 self.levels[level], 4**level, self.surface.used_texels, self._textures[level], owner[a:b],
-                positions[a:b], behind, sums[a:b],
+                positions[a:b], background, sums[a:b],
             )  # fmt: skip
 
         over_bands(work, len(poses))

@@ -37,7 +37,7 @@ class Level(NamedTuple):
     scale: float
 
 
-def picture_levels(image: NDArray[np.uint8], size: float, *, n_levels: int, local_mean: bool) -> list[Level]:
+def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local_mean: bool) -> list[Level]:
     """Levels of a picture, fine to coarse; each is half as large as the one before.
 
     With `local_mean` grey values are divided by their mean about them, y <- 128 y / (mean + 5), which takes

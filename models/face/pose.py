@@ -72,6 +72,15 @@ class Poses:
             np.concatenate([part.morphs for part in parts]),
         )
 
+    def replaced(self, which: NDArray[np.int64], poses: "Poses") -> Self:
+        """With `poses` in the places `which` `(k,)`."""
+        parts = []
+        for name in ("rotations", "translations", "morphs"):
+            part = getattr(self, name).copy()
+            part[which] = getattr(poses, name)
+            parts.append(part)
+        return type(self)(*parts)
+
     def moved(self, changes: Array) -> Self:
         """The poses changed by `changes` `(n, dimension)`; one pose may be moved in many ways."""
         turned = exponential(changes[:, :3]) @ self.rotations

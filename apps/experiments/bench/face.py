@@ -16,7 +16,7 @@ from ....inference.core.protocols import Incoming
 from ....inference.face.texture_filter import Texture
 from ....inference.face.texture_likelihood import TexturedObject, TextureLikelihood
 from ....models.background.pixel_labels import PixelMessage
-from ....models.face.image_pyramid import picture_levels
+from ....models.face.image_pyramid import image_pyramid
 from ....models.face.pose import Poses
 from ....models.face.surface_texels import SurfaceTexels
 from ....models.numerics.threads import set_threads, thread_count
@@ -98,7 +98,7 @@ def fused_claim(scene: FaceScene) -> Claim:
     image = scene.image(1)
     surface = TexturedObject(scene.model, SurfaceTexels.dense(scene.model, TEXELS))
     poses = scene.poses[0]
-    level = picture_levels(image, float(poses.sizes[0]), n_levels=1, local_mean=True)
+    level = image_pyramid(image, float(poses.sizes[0]), n_levels=1, local_mean=True)
     texture = Texture.unknown(1, 1, len(surface.texels), learn=False)
     likelihood = TextureLikelihood(
         surface, level, texture.mean, np.full_like(texture.variance, 36), surface.visible(poses)

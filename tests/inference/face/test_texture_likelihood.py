@@ -54,7 +54,7 @@ def test_vertices_without_texels_are_left_out() -> None:
 def test_looks_are_bilinear_values() -> None:
     likelihood = seen_by(3)
     surface, texels, poses = likelihood.surface, likelihood.surface.texels, poses_near(3, 4, 2)
-    looks, seen = surface.looks(likelihood.levels, poses, likelihood.visible)
+    looks, seen = surface.observe(likelihood.levels, poses, likelihood.visible)
     np.testing.assert_array_equal(seen, likelihood.visible)
     corners = surface.model.project(poses)[:, texels.groups][:, texels.group_of_texel]
     places = np.einsum("nc,pnca->pna", texels.weights, corners)
