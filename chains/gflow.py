@@ -3,12 +3,12 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Cavity, Incoming, Port
 from ..inference.face.coverage import Coverage
 from ..inference.face.pose_dynamics import PoseDynamics
 from ..inference.face.pose_filter import GFlowState, PoseFilter
@@ -17,7 +17,6 @@ from ..inference.face.texture_filter import Texture
 from ..inference.face.texture_likelihood import TexturedObject
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
-from ..models.core.last_call import LastCall
 from ..models.face.morphable_model import MorphableModel
 from ..models.face.outline import MeshEdges
 from ..models.face.pose import Poses
@@ -93,8 +92,7 @@ class GFlow:
         doubt what does not fit, and look for the object all over the picture when it is lost.
     background
         `"experts"`: each expert has a map of the background, eq. (2), and no other chain's is used. With
-        `"shared"` the background is the one that another chain predicts at the same feature node (connected
-        before this chain), or none.
+        `"shared"` the background is the one that another chain predicts at the same feature node, or none.
     tracked
         numbers of the vertices that are features of `PointTracks`, in increasing order, where it is connected
         to one: an identity there is the number of a vertex.
@@ -126,9 +124,8 @@ class GFlow:
     occlusion: bool = True
     seed: int = 0
     name: str = "gflow"
-    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
 
-    uses_cavity = True
+    ports = (Port(PixelLabels, Cavity.OTHERS), Port(PointTracks, optional=True))
 
     def __post_init__(self) -> None:
         for name in ("experts", "texels", "samples", "resample_every", "radius"):
@@ -248,6 +245,10 @@ class GFlow:
         """Poses may have changed by more when the next picture comes."""
         return replace(state, elapsed=state.elapsed + dt)
 
+    @overload
+    def message(self, state: GFlowState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
+    @overload
+    def message(self, state: GFlowState, feature: PointTracks, incoming: Incoming) -> PointMessage: ...
     def message(
         self, state: GFlowState, feature: PixelLabels | PointTracks, incoming: Incoming
     ) -> PixelMessage | PointMessage:
@@ -258,27 +259,30 @@ class GFlow:
         """
         if isinstance(feature, PointTracks):
             return self._vertices_predicted(state) or feature.uniform()
-        told: PixelMessage = incoming[feature]
-        if state.lost or not len(self.model.triangles) or (told.image is None and told.background is None):
+        others = incoming[feature]
+        if (
+            state.lost
+            or not len(self.model.triangles)
+            or (others.image is None and others.background is None)
+        ):
             return feature.uniform()
         seen = state
-        if told.background is not None and told.image is not None:
-            seen = self._last(self._filter.updated, state, told, _points_of(incoming))
+        if others.background is not None and others.image is not None:
+            seen = self.update(state, incoming)
             if seen.doubts and self.recover:
                 return feature.uniform()
-        coverage = Coverage.of(self.model, seen.poses, seen.weights, told.size)
+        coverage = Coverage.of(self.model, seen.poses, seen.weights, others.size)
         return PixelMessage(layers=coverage.layers(state.trust))
 
     def update(self, state: GFlowState, incoming: Incoming) -> GFlowState:
         """Experts and textures after the picture."""
-        return self._last(self._filter.updated, state, _pixels_of(incoming), _points_of(incoming))
+        return incoming.once(self._filter.updated, state, incoming[PixelLabels], incoming.get(PointTracks))
 
     def _vertices_predicted(self, state: GFlowState) -> PointMessage | None:
         if (state.doubts and self.recover) or not self.tracked or not state.elapsed:
             return None
-        prior = self._filter.prior(state)
         chosen = np.array(self.tracked, np.int64)
-        return PointMessage(predicted_points(self.model, prior, state.weights, chosen))
+        return PointMessage(predicted_points(self.model, self._filter.prior(state), state.weights, chosen))
 
     def mean_pose(self, state: GFlowState) -> Poses:
         """One pose: the experts' weighted mean."""
@@ -300,14 +304,3 @@ class GFlow:
         """`(n, 2)` px: where points of the surface are in the mean pose."""
         projected: Array = points.project(self.model, self.mean_pose(state))[0]
         return projected
-
-
-def _pixels_of(incoming: Incoming) -> PixelMessage:
-    told = next((told for told in incoming.values() if isinstance(told, PixelMessage)), None)
-    if told is None:
-        raise ValueError(f"G-flow: got the features {', '.join(incoming)}, expected a PixelLabels among them")
-    return told
-
-
-def _points_of(incoming: Incoming) -> PointMessage | None:
-    return next((told for told in incoming.values() if isinstance(told, PointMessage)), None)

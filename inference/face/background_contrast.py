@@ -182,11 +182,11 @@ class SharedBackground:
     @cached_property
     def ratio(self) -> Map:
         """`(height, width)` float32: log density of the background over that of anything, clipped."""
-        background, likelihood_ratio = self.message.background, self.message.reading
+        background, subtraction = self.message.background, self.message.subtraction
         assert background is not None
-        assert likelihood_ratio is not None
+        assert subtraction is not None
         prior = np.log(background.prior) - np.log1p(-background.prior)
-        odds: Map = likelihood_ratio.log_odds.reshape(self.message.size).astype(np.float32)
+        odds: Map = subtraction.log_odds.reshape(self.message.size).astype(np.float32)
         odds *= np.float32(1 / ODDS_STEPS)
         odds -= np.float32(prior)
         return odds
