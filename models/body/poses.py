@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.pose import exponential, logarithm
+from ..numerics.rotations import exponential, logarithm
 
 Array = NDArray[np.float64]
 
