@@ -23,10 +23,10 @@ from rsmcm.apps.runs import blank_frames
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.inference.body.samples import BodyMoments
 from rsmcm.models import Frame
-from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
 
 from ...conftest import Command, names, summary_of
+from ...support.body_poses import resting
 
 run = Command("body")
 complaint = run.complaint
@@ -505,7 +505,7 @@ def test_a_record_of_any_length() -> None:
     record = BodyRecord()
     picture = np.zeros((48, 64, 3), np.uint8)
     body = UpperBody.from_head(50.0)
-    joints = body.joints(BodyPoses.resting(np.array([[30.0, 20.0]])))[0]
+    joints = body.joints(resting(np.array([[30.0, 20.0]])))[0]
     found = BodyMoments(joints, np.tile(4 * np.eye(3), (8, 1, 1)), np.zeros(13), np.eye(13))
     for number in range(1, 101):
 
