@@ -37,9 +37,9 @@ GROUPS = 4
 class ArticulatedPose:
     """Likelihood sampling of an articulated body (RSMCM paper §4.1).
 
-    In every frame positions of head and hands are drawn from what reaches the feature node - face and flesh
+    In every frame positions of head and hands are drawn from what reaches the feature node - face and skin
     in the image, and the other chains' predictions - and completed to poses by inverse kinematics
-    (`LikelihoodSampler`). The posterior is the likelihood of the image (face, flesh, edges) times the other
+    (`LikelihoodSampler`). The posterior is the likelihood of the image (face, skin, edges) times the other
     chains' messages times the temporal prior: the mixture of the dynamics around the poses of the frame
     before, and around the same with their hands exchanged, in which unusual postures count less
     (`BodyDynamics`).

@@ -1,4 +1,4 @@
-"""How well poses of a body explain an image: face, flesh and occlusion edges (RSMCM paper §4.1)."""
+"""How well poses of a body explain an image: face, skin and occlusion edges (RSMCM paper §4.1)."""
 
 from dataclasses import dataclass, field
 
@@ -11,37 +11,35 @@ from .image_features import BodyImage
 from .kernels.likelihood import blob_terms, edge_features, edge_terms, hand_terms, head_terms, over_density
 from .poses import BodyPoses
 from .silhouette import silhouettes
+from .skin_colour import HIGHEST
 from .upper_body import UpperBody
 
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 
 CELLS = 5.0
-"""Entries of the flesh maps in a hand's radius."""
+"""Entries of the skin maps in a hand's radius."""
 
 WINDOWS = (0.4, 1.6)
-"""Hand radii: standard deviations of the windows that weigh flesh in a hand and flesh around it. Beside other
+"""Hand radii: standard deviations of the windows that weigh skin in a hand and skin around it. Beside other
 widths these had the least error, 0.03 head heights on hands of a synthetic signer."""
 
-FLESH_SCORES = (11.0, -1.0, 0.2)
-"""Nats of a place that looks all like a hand, and of one that does not; probability of a hand without flesh.
-With these a hand's place is known to about 0.07 head heights, as real hands are off their model by. Flesh is
+SKIN_SCORES = (11.0, -1.0, 0.2)
+"""Nats of a place that looks all like a hand, and of one that does not; probability of a hand without skin.
+With these a hand's place is known to about 0.07 head heights, as real hands are off their model by. Skin is
 hidden in bursts, where frame after frame says the same: the second must not drive a hand to the face."""
 
 LEVELS = 256
 """Entries of tables over distances and directions."""
 
-MOST_FLESH = 4.0
-"""Nats: greatest log odds of flesh."""
-
 HEAD_WINDOWS = (0.5, 1.2)
-"""Half widths and heights of the head: standard deviations of the windows for its flesh."""
+"""Half widths and heights of the head: standard deviations of the windows for its skin."""
 
 HEAD_SCORES = (5.0, 0.2)
-"""Nats of a place with all the flesh of a head, where no face is detected; probability of a head without."""
+"""Nats of a place with all the skin of a head, where no face is detected; probability of a head without."""
 
 NECK_RADIUS, NO_NECK = 0.28, -9.0
-"""Head heights: of bare flesh between head and shoulders; of none, since all that rests is left out."""
+"""Head heights: of bare skin between head and shoulders; of none, since all that rests is left out."""
 
 BLOB_COST = 4.0
 """Nats: of what looks like a hand and is neither hand nor head."""
@@ -73,9 +71,9 @@ EDGE_POINTS = 20.0
 
 @dataclass(frozen=True, eq=False)
 class _Maps:
-    """What is looked up for every pose: flesh of hands, flesh of the head if it is not detected, edges."""
+    """What is looked up for every pose: skin of hands, skin of the head if it is not detected, edges."""
 
-    flesh: tuple[Map, Map] | None
+    skin: tuple[Map, Map] | None
     head: Map | None
     ratios: Map
 
@@ -84,10 +82,10 @@ class _Maps:
 class BodyLikelihood:
     """Log likelihood of an image given poses, up to a constant of the image.
 
-    The image speaks through a face detector for the head, through flesh colour for the hands and through
+    The image speaks through a face detector for the head, through skin colour for the hands and through
     edges for the outline, as in the paper, which gives no formulas. Here each term is the log ratio of how
     likely the cue is under the pose to how likely it is anywhere in the picture, with a chance that the cue
-    fails: a hand without flesh, as is expected in every fifth frame, loses a few nats and no more.
+    fails: a hand without skin, as is expected in every fifth frame, loses a few nats and no more.
 
     Parameters
     ----------
@@ -104,11 +102,11 @@ class BodyLikelihood:
         return total
 
     def terms(self, image: BodyImage, poses: BodyPoses) -> Array:
-        """`(3, n)` nats: what face, flesh and edges say, each up to a constant.
+        """`(3, n)` nats: what face, skin and edges say, each up to a constant.
 
-        The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of flesh
+        The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of skin
         stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,
-        flesh that looks like one more hand with `blob_terms`, the outline with `edge_terms`.
+        skin that looks like one more hand with `blob_terms`, the outline with `edge_terms`.
         """
         maps = self._last(self._maps, image)
         parts = self.body.parts(poses)
@@ -116,8 +114,8 @@ class BodyLikelihood:
         terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
         if maps.head is not None:
             head_terms(parts[:, 0], maps.head, _scales(maps.head, image), np.array(HEAD_SCORES), terms[0])
-        if maps.flesh is not None:
-            self._add_flesh(terms[1], image, maps.flesh, parts, poses.roots)
+        if maps.skin is not None:
+            self._add_skin(terms[1], image, maps.skin, parts, poses.roots)
         outlines = silhouettes(self.body, poses)
         edge_terms(
             outlines.points, outlines.normals, outlines.visible, maps.ratios, EDGE_POINTS,
@@ -125,62 +123,62 @@ class BodyLikelihood:
         )  # fmt: skip
         return terms
 
-    def _add_flesh(
-        self, term: Array, image: BodyImage, flesh: tuple[Map, Map], parts: Array, roots: Array
+    def _add_skin(
+        self, term: Array, image: BodyImage, skin: tuple[Map, Map], parts: Array, roots: Array
     ) -> None:
         body = self.body
-        neck = NECK_RADIUS if image.moving is image.flesh else NO_NECK
+        neck = NECK_RADIUS if image.moving_skin is image.skin else NO_NECK
         hand_terms(
-            parts, roots, *flesh, _scales(flesh[0], image),
+            parts, roots, *skin, _scales(skin[0], image),
             body.hand, body.hand * np.array(WINDOWS), 0.5 * np.array([body.head_width, body.head_height]),
-            neck * body.head_height, np.array(FLESH_SCORES), term,
+            neck * body.head_height, np.array(SKIN_SCORES), term,
         )  # fmt: skip
         # the odds that a blob is a hand; what is hardly one need not be explained
         costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
         blob_terms(parts, image.blobs, costs, body.head_height * np.array(BLOB_REACH), term)
 
     def _maps(self, image: BodyImage) -> _Maps:
-        unit, flesh, head = self.body.head_height, None, None
-        if image.flesh is not None and image.moving is not None:
-            flesh = flesh_maps(image.moving, self.body.hand)
+        unit, skin, head = self.body.head_height, None, None
+        if image.skin is not None and image.moving_skin is not None:
+            skin = skin_maps(image.moving_skin, self.body.hand)
             if not image.mixtures.informative[0]:
-                head = head_map(image.flesh, self.body)
-        return _Maps(flesh, head, edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit))
+                head = head_map(image.skin, self.body)
+        return _Maps(skin, head, edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit))
 
 
-def flesh_maps(flesh: Map, hand: float) -> tuple[Map, Map]:
-    """Mean flesh, from 0 to 1, in Gaussian windows of a hand's size and around it.
+def skin_maps(skin: Map, hand: float) -> tuple[Map, Map]:
+    """Mean skin, from 0 to 1, in Gaussian windows of a hand's size and around it.
 
-    It grows with the log odds from where they are even: what is only rather like flesh, such as beige
+    It grows with the log odds from where they are even: what is only rather like skin, such as beige
     trousers, counts for little, and what is unlike it for nothing, however much.
 
     Parameters
     ----------
-    flesh
+    skin
         `(height, width)` float32 nats: log odds.
     hand
         px: radius. The maps have an entry each fifth of it, or each px.
     """
     shrink = min(CELLS / hand, 1.0)
-    share = _share(flesh, shrink)
+    share = _share(skin, shrink)
     centre, surround = (
         np.asarray(cv2.GaussianBlur(share, (0, 0), window * shrink * hand), np.float32) for window in WINDOWS
     )
     return centre, surround
 
 
-def head_map(flesh: Map, body: UpperBody) -> Map:
-    """How much more flesh there is in a head's place than around it, 1 for an ellipse of nothing else.
+def head_map(skin: Map, body: UpperBody) -> Map:
+    """How much more skin there is in a head's place than around it, 1 for an ellipse of nothing else.
 
     Parameters
     ----------
-    flesh
+    skin
         `(height, width)` float32 nats: log odds.
     body
         of the head.
     """
     shrink = min(CELLS / body.hand, 1.0)
-    share = _share(flesh, shrink)
+    share = _share(skin, shrink)
     across, down = 0.5 * shrink * body.head_width, 0.5 * shrink * body.head_height
     inner, outer = (
         cv2.GaussianBlur(share, (0, 0), window * across, sigmaY=window * down) for window in HEAD_WINDOWS
@@ -189,11 +187,11 @@ def head_map(flesh: Map, body: UpperBody) -> Map:
     return np.asarray((inner - outer) / np.float32(ideal), np.float32)
 
 
-def _share(flesh: Map, shrink: float) -> Map:
-    """Flesh from 0 to 1, in a picture that is `shrink` times as large."""
-    height, width = (max(round(shrink * length), 2) for length in flesh.shape)
-    coarse = cv2.resize(flesh, (width, height), interpolation=cv2.INTER_AREA)
-    return np.maximum(coarse, np.float32(0)) * np.float32(1 / MOST_FLESH)
+def _share(skin: Map, shrink: float) -> Map:
+    """Skin from 0 to 1, in a picture that is `shrink` times as large."""
+    height, width = (max(round(shrink * length), 2) for length in skin.shape)
+    coarse = cv2.resize(skin, (width, height), interpolation=cv2.INTER_AREA)
+    return np.maximum(coarse, np.float32(0)) * np.float32(1 / HIGHEST)
 
 
 def _scales(coarse: Map, image: BodyImage) -> Array:

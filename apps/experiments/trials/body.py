@@ -41,7 +41,7 @@ class SignerFilm:
 
     @classmethod
     def of(cls, **settings: Any) -> Self:
-        """The scene of these settings of `signer`; flesh is learned from it as from any clip."""
+        """The scene of these settings of `signer`; skin is learned from it as from any clip."""
         scene = signer(**settings)
         frames = list(scene)
         images = [frame.image for frame in frames if frame.image is not None]

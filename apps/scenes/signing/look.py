@@ -20,7 +20,7 @@ SAMPLES = 2  # of a pixel, across and down
 FARTHEST = 1e30  # depth of the room
 AMBIENT = 0.45  # share of the light that has no direction
 BRIGHTEST = 1.12  # light on what faces the lamp
-GLARE = np.array([236.0, 240.0, 242.0])  # BGR of blown-out flesh
+GLARE = np.array([236.0, 240.0, 242.0])  # BGR of blown-out skin
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The room behind a signer: a wall with shelves, books, pictures, and wooden things of flesh's colour."""
+"""The room behind a signer: a wall with shelves, books, pictures, and wooden things of skin's colour."""
 
 import cv2
 import numpy as np
@@ -112,7 +112,7 @@ def _board(canvas: Canvas, palette: Palette, unit: float, generator: np.random.G
 
 
 def _wooden(canvas: Canvas, palette: Palette, unit: float, generator: np.random.Generator) -> None:
-    """A vase, a bowl, a cork, a leg of a chair: round or long, in the colour of flesh."""
+    """A vase, a bowl, a cork, a leg of a chair: round or long, in the colour of skin."""
     height, width = canvas.shape[:2]
     centre = generator.uniform(0.02, 0.98, 2) * (width, height)
     radii = generator.uniform(7, 22, 2) * unit
