@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 
 from ..core.last_call import LastCall
 from .image_features import BodyImage
-from .kernels.likelihood import blob_terms, edge_features, edge_terms, hand_terms, head_terms, over_density
+from .kernels.likelihood import (
+    HandModel,
+    blob_terms,
+    edge_features,
+    edge_terms,
+    hand_terms,
+    head_terms,
+    over_density,
+)
 from .poses import BodyPoses
 from .silhouette import silhouettes
 from .skin_colour import HIGHEST
@@ -128,11 +136,7 @@ class BodyLikelihood:
     ) -> None:
         body = self.body
         neck = NECK_RADIUS if image.moving_skin is image.skin else NO_NECK
-        hand_terms(
-            parts, roots, *skin, _scales(skin[0], image),
-            body.hand, body.hand * np.array(WINDOWS), 0.5 * np.array([body.head_width, body.head_height]),
-            neck * body.head_height, np.array(SKIN_SCORES), term,
-        )  # fmt: skip
+        hand_terms(parts, roots, *skin, _scales(skin[0], image), hand_model(body, neck), term)
         # the odds that a blob is a hand; what is hardly one need not be explained
         costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
         blob_terms(parts, image.blobs, costs, body.head_height * np.array(BLOB_REACH), term)
@@ -144,6 +148,17 @@ class BodyLikelihood:
             if not image.mixtures.informative[0]:
                 head = head_map(image.skin, self.body)
         return _Maps(skin, head, edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit))
+
+
+def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS) -> HandModel:
+    """What a hand of this body looks like; the neck's radius is in head heights."""
+    return HandModel(
+        body.hand,
+        body.hand * np.array(WINDOWS),
+        0.5 * np.array([body.head_width, body.head_height]),
+        neck_radius * body.head_height,
+        np.array(SKIN_SCORES),
+    )
 
 
 def skin_maps(skin: Map, hand: float) -> tuple[Map, Map]:

@@ -1,6 +1,9 @@
 """Compiled loops that compare poses with the maps of one image."""
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled, exponential, inlined, logarithm
 
@@ -36,8 +39,23 @@ def _seen_or_not(nats, hidden):
     return logarithm((_f4(1.0) - hidden) * exponential(min(nats, _f4(60.0))) + hidden)
 
 
+class HandModel(NamedTuple):
+    """What a hand's skin looks like, and what else may be there."""
+
+    radius: float
+    """px."""
+    windows: NDArray[np.float64]
+    """`(2,)` px: standard deviations of the inner and the outer window."""
+    head: NDArray[np.float64]
+    """`(2,)` px: its half width and half height."""
+    neck_radius: float
+    """px."""
+    scores: NDArray[np.float64]
+    """`(3,)`: nats of all that a hand shows, and of nothing of it; probability of a hand without skin."""
+
+
 @compiled
-def hand_terms(parts, roots, centre, surround, scales, hand, windows, head, neck_radius, scores, out):
+def hand_terms(parts, roots, centre, surround, scales, hand, out):
     """Log likelihood ratios of both hands' skin, added to `out` `(n,)`.
 
     A hand is a disc of skin amid none, as two Gaussian windows see it: much in the inner one, little in the
@@ -51,16 +69,13 @@ def hand_terms(parts, roots, centre, surround, scales, hand, windows, head, neck
     centre, surround
         maps of skin, from 0 to 1, in the inner and the outer window; `scales` `(2,)` are their entries a px,
         along x and y.
-    hand, windows
-        px: its radius; the windows' standard deviations `(2,)`.
-    head, neck_radius
-        px: half width and half height `(2,)`; radius of the neck.
-    scores
-        `(3,)`: nats of a place that looks all like a hand, and of one that does not; probability of no skin.
+    hand
+        a `HandModel`.
     """
-    full, none, hidden = _f4(scores[0]), _f4(scores[1]), _f4(scores[2])
-    inner, outer = _f4(windows[0]), _f4(windows[1])
-    radius, wide, high, neck = _f4(hand), _f4(head[0]), _f4(head[1]), _f4(neck_radius)
+    full, none, hidden = _f4(hand.scores[0]), _f4(hand.scores[1]), _f4(hand.scores[2])
+    inner, outer = _f4(hand.windows[0]), _f4(hand.windows[1])
+    radius, neck = _f4(hand.radius), _f4(hand.neck_radius)
+    wide, high = _f4(hand.head[0]), _f4(hand.head[1])
     across, down = _f4(scales[0]), _f4(scales[1])
     head_radius = np.sqrt(wide * high)
     # a disc of skin of the hand's size, as the windows see it from its centre

@@ -23,6 +23,7 @@ from rsmcm.models.body.likelihood import (
     WINDOWS,
     BodyLikelihood,
     edge_ratios,
+    hand_model,
     skin_maps,
 )
 from rsmcm.models.body.poses import BodyPoses
@@ -87,11 +88,7 @@ def hand_scores(image: BodyImage, parts: Array, roots: Array) -> Array:
     skin = skin_maps(image.skin, BODY.hand)
     scales = np.array(skin[0].shape[::-1]) / SIZE[::-1]
     out = np.zeros(len(parts))
-    hand_terms(
-        parts, roots, *skin, scales, BODY.hand, BODY.hand * np.array(WINDOWS),
-        0.5 * np.array([BODY.head_width, BODY.head_height]), NECK_RADIUS * BODY.head_height,
-        np.array(SKIN_SCORES), out,
-    )  # fmt: skip
+    hand_terms(parts, roots, *skin, scales, hand_model(BODY), out)
     return out
 
 

@@ -163,11 +163,6 @@ def test_points_are_visible_where_the_picture_shows_their_part(seed: int) -> Non
     assert (beyond != own)[seen].mean() > 0.97
     assert (beyond != own)[~seen].mean() > 0.97
     assert (shown != own)[~seen].mean() > 0.8
-    # what is backed has the body beyond it, what is merely visible has the background
-    backed = outline.backed[pose, number]
-    assert (beyond[backed] > 0).mean() > 0.9
-    assert (beyond[seen & ~backed] == 0).mean() > 0.97
-    assert not (outline.backed & ~outline.visible).any()
 
 
 def test_neighbours_of_a_stretched_arm_do_not_hide_each_other() -> None:
@@ -180,7 +175,6 @@ def test_neighbours_of_a_stretched_arm_do_not_hide_each_other() -> None:
     limbs = np.isin(outline.part, LIMBS[:2]) & sideways & clear
     assert limbs.sum() >= 10
     assert outline.visible[0, limbs].all()
-    assert not outline.backed[0, limbs].any()
     # but the round end of the forearm lies within the elbow
     cap = (outline.part == OUTLINE_PARTS.index("left_forearm")) & ~sideways
     assert cap.sum() >= 1
@@ -229,7 +223,6 @@ def test_a_hand_hides_a_face_or_the_face_hides_the_hand(depth: int) -> None:
     if depth < 0:
         assert outline.visible[0, hand].all()
         assert not outline.visible[0, head & within].any()
-        assert outline.backed[0, hand].sum() >= 5
         assert BODY.masks(poses, SIZE)[0, 134, 288] == HANDS[0] + 1
     else:
         assert outline.visible[0, head].sum() >= 17
@@ -261,7 +254,7 @@ def test_outlines_are_moved_with_the_body_and_alike_in_every_batch() -> None:
     np.testing.assert_allclose(there.points, here.points + np.array([13, -40]), atol=1e-3)
     assert (there.visible == here.visible).mean() > 0.995
     alone = BODY.silhouettes(poses.take([7]))
-    for name in ("points", "normals", "visible", "backed"):
+    for name in ("points", "normals", "visible"):
         np.testing.assert_array_equal(getattr(alone, name)[0], getattr(here, name)[7])
 
 
@@ -292,5 +285,5 @@ def test_outlines_do_not_depend_on_threads() -> None:
             found.append(BODY.silhouettes(poses))
     finally:
         set_threads(before)
-    for name in ("points", "normals", "visible", "backed"):
+    for name in ("points", "normals", "visible"):
         np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
