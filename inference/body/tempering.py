@@ -64,21 +64,22 @@ class Tempered:
 def temper(
     dynamics: BodyDynamics,
     poses: BodyPoses,
-    log_weights: Array,
+    log_proposal: Array,
     log_prior: LogDensity,
     log_likelihood: LogDensity,
     n: int,
     random: np.random.Generator,
 ) -> Tempered:
-    """Bring samples from the prior to the posterior in a few steps.
+    """Bring draws of a proposal to the posterior in a few steps.
 
-    In each, the likelihood is taken to a power b that grows to 1, by as much as leaves enough samples with
-    weight; they are drawn again and moved by Metropolis steps that keep prior times likelihood^b as it is.
+    Weights make them samples of the prior at first. In each step the likelihood is taken to a power b that
+    grows to 1, by as much as leaves enough samples with weight; they are drawn again and moved by Metropolis
+    steps that keep prior times likelihood^b as it is.
 
     Parameters
     ----------
-    poses, log_weights
-        any number of samples, and what makes them samples of the prior.
+    poses, log_proposal
+        any number of draws, and the density from which they come, up to a constant.
     log_prior
         of the poses, up to a constant; minus infinity where a pose is impossible.
     log_likelihood
@@ -87,6 +88,7 @@ def temper(
         samples that are left.
     """
     likelihood, prior = log_likelihood(poses), log_prior(poses)
+    log_weights = prior - log_proposal
     power, evidence, moves, accepted = 0.0, 0.0, 0, 0
     for step in range(MOST_STEPS):
         rest = 1 - power

@@ -1,12 +1,12 @@
 """How well poses of a body explain an image: face, skin and occlusion edges (RSMCM paper §4.1)."""
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.last_call import LastCall
 from .image_features import BodyImage
 from .kernels.likelihood import (
     HandModel,
@@ -77,16 +77,11 @@ EDGE_POINTS = 20.0
 """Independent points of a whole outline: neighbours on it err together."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Maps:
-    """What is looked up for every pose: skin of hands, skin of the head if it is not detected, edges."""
-
-    skin: tuple[Map, Map] | None
-    head: Map | None
-    ratios: Map
+PoseLikelihood = Callable[[BodyImage], Callable[[BodyPoses], Array]]
+"""Of an image, and then of poses `(n,)`: log p(image | pose) in nats, up to a constant of the image."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class BodyLikelihood:
     """Log likelihood of an image given poses, up to a constant of the image.
 
@@ -102,52 +97,70 @@ class BodyLikelihood:
     """
 
     body: UpperBody
-    _last: LastCall = field(default_factory=LastCall, init=False, repr=False)
 
-    def __call__(self, image: BodyImage, poses: BodyPoses) -> Array:
+    def __call__(self, image: BodyImage) -> "ImageLikelihood":
+        """The likelihood of this image, ready for any number of poses."""
+        unit, skin, head = self.body.head_height, None, None
+        if image.skin is not None and image.moving_skin is not None:
+            skin = skin_maps(image.moving_skin, self.body.hand)
+            if not image.mixtures.informative[0]:
+                head = head_map(image.skin, self.body)
+        edges = edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit)
+        return ImageLikelihood(self.body, image, skin, head, edges)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageLikelihood:
+    """The maps of one image in which poses are looked up.
+
+    Parameters
+    ----------
+    body, image
+        which are compared.
+    skin
+        of hands, see `skin_maps`; `None` without colour.
+    head
+        skin of the head, if no face is detected, see `head_map`.
+    edges
+        see `edge_ratios`.
+    """
+
+    body: UpperBody
+    image: BodyImage
+    skin: tuple[Map, Map] | None
+    head: Map | None
+    edges: Map
+
+    def __call__(self, poses: BodyPoses) -> Array:
         """log p(image | pose) `(n,)` nats, up to a constant."""
-        total: Array = self.terms(image, poses).sum(axis=0)
+        total: Array = self.terms(poses).sum(axis=0)
         return total
 
-    def terms(self, image: BodyImage, poses: BodyPoses) -> Array:
+    def terms(self, poses: BodyPoses) -> Array:
         """`(3, n)` nats: what face, skin and edges say, each up to a constant.
 
         The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of skin
         stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,
         skin that looks like one more hand with `blob_terms`, the outline with `edge_terms`.
         """
-        maps = self._last(self._maps, image)
-        parts = self.body.parts(poses)
+        body, image = self.body, self.image
+        parts = body.parts(poses)
         terms = np.zeros((3, len(poses)))
         terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
-        if maps.head is not None:
-            head_terms(parts[:, 0], maps.head, _scales(maps.head, image), np.array(HEAD_SCORES), terms[0])
-        if maps.skin is not None:
-            self._add_skin(terms[1], image, maps.skin, parts, poses.roots)
-        outlines = silhouettes(self.body, poses)
+        if self.head is not None:
+            head_terms(parts[:, 0], self.head, _scales(self.head, image), np.array(HEAD_SCORES), terms[0])
+        if self.skin is not None:
+            hand = hand_model(body, NECK_RADIUS if image.moving_skin is image.skin else NO_NECK)
+            hand_terms(parts, poses.roots, *self.skin, _scales(self.skin[0], image), hand, terms[1])
+            # the odds that a blob is a hand; what is hardly one need not be explained
+            costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
+            blob_terms(parts, image.blobs, costs, body.head_height * np.array(BLOB_REACH), terms[1])
+        outlines = silhouettes(body, poses)
         edge_terms(
-            outlines.points, outlines.normals, outlines.visible, maps.ratios, EDGE_POINTS,
+            outlines.points, outlines.normals, outlines.visible, self.edges, EDGE_POINTS,
             np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)]), NO_EDGE, terms[2],
         )  # fmt: skip
         return terms
-
-    def _add_skin(
-        self, term: Array, image: BodyImage, skin: tuple[Map, Map], parts: Array, roots: Array
-    ) -> None:
-        body = self.body
-        neck = NECK_RADIUS if image.moving_skin is image.skin else NO_NECK
-        hand_terms(parts, roots, *skin, _scales(skin[0], image), hand_model(body, neck), term)
-        # the odds that a blob is a hand; what is hardly one need not be explained
-        costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
-        blob_terms(parts, image.blobs, costs, body.head_height * np.array(BLOB_REACH), term)
-
-    def _maps(self, image: BodyImage) -> _Maps:
-        unit, skin, head = self.body.head_height, None, None
-        if image.skin is not None and image.moving_skin is not None:
-            skin = skin_maps(image.moving_skin, self.body.hand)
-            if not image.mixtures.informative[0]:
-                head = head_map(image.skin, self.body)
-        return _Maps(skin, head, edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit))
 
 
 def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS) -> HandModel:

@@ -108,11 +108,14 @@ class _Walk:
         return 0.0
 
 
-def _likelihood(look: Numbers, vectors: _Vectors) -> Numbers:
-    off = vectors.values - look
-    logs: Numbers = np.einsum("nd,nd->n", off, off)
-    logs *= -0.5 / NOISE**2
-    return logs
+def _likelihood(measured: Numbers) -> Callable[[_Vectors], Numbers]:
+    def of(vectors: _Vectors) -> Numbers:
+        off = vectors.values - measured
+        logs: Numbers = np.einsum("nd,nd->n", off, off)
+        logs *= -0.5 / NOISE**2
+        return logs
+
+    return of
 
 
 def _condensation(looks: Numbers) -> Callable[[], object]:

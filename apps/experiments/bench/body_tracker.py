@@ -14,9 +14,10 @@ from ....chains.articulated_pose import ArticulatedPose
 from ....chains.flesh_tracker import FleshTracker
 from ....inference import MultiChain, RecursiveBP
 from ....inference.body.dynamics import BodyDynamics
-from ....models.body.image_features import edge_distances
+from ....models.body.image_features import BodyImage, edge_distances
 from ....models.body.likelihood import BodyLikelihood
 from ....models.body.parts import EDGE_REACH, HAND_RADIUS, BodyParts
+from ....models.body.poses import BodyPoses
 from ....models.body.skin_blobs import skin_blobs
 from ....models.body.upper_body import UpperBody
 from ....models.core.frame import Frame
@@ -91,9 +92,13 @@ def seconds_a_frame(film: BodyFilm, samples: int) -> tuple[Numbers, dict[str, Nu
     detector: Any = _Timed(film.parts.detector, spent, {"__call__": "detector"})
     colour: Any = _Timed(film.parts.skin, spent, {"log_odds": "colour"})
     dynamics: Any = _Timed(BodyDynamics(film.body), spent, {"log_density": "prior"})
-    likelihood: Any = _Timed(BodyLikelihood(film.body), spent, {"__call__": "likelihood"})
+    likelihood = BodyLikelihood(film.body)
+
+    def timed_likelihood(image: BodyImage) -> Callable[[BodyPoses], Numbers]:
+        return partial(spent.timed, "likelihood", spent.timed("likelihood", likelihood, image))
+
     parts = _Timed(replace(film.parts, detector=detector, skin=colour), spent, {"evidence": "features"})
-    pose = ArticulatedPose(film.body, samples, dynamics=dynamics, likelihood=likelihood)
+    pose = ArticulatedPose(film.body, samples, dynamics=dynamics, likelihood=timed_likelihood)
     poses = _Timed(pose, spent, dict.fromkeys(steps, "poses"))
     flesh = _Timed(FleshTracker(film.body), spent, dict.fromkeys(steps, "flesh"))
     engine = RecursiveBP(MultiChain().connect(flesh, parts).connect(poses, parts))

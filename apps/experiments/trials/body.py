@@ -140,9 +140,7 @@ class _Run:
             return state
         n = len(poses.poses)
         truth = self._film.scene.poses.take(np.zeros(n, np.int64))
-        known = replace(
-            poses, poses=truth, log_weights=np.full(n, -np.log(n)), ancestors=None, ancestor_weights=None
-        )
+        known = BodySamples.even(truth, poses.size, poses.random)
         return replace(state, states={**state.states, self._chain: known})
 
     def _effective(self, state: RunState) -> float:

@@ -193,27 +193,27 @@ def test_edges_equal_plain_numpy(seed: int) -> None:
 def test_poses_do_not_know_of_each_other() -> None:
     random = np.random.default_rng(0)
     likelihood, image, poses = BodyLikelihood(BODY), seen(signing()), scattered(30, random)
-    together = likelihood(image, poses)
+    together = likelihood(image)(poses)
     assert together.shape == (30,)
     order = random.permutation(30)
-    np.testing.assert_allclose(likelihood(image, poses.take(order)), together[order], rtol=1e-6)
-    np.testing.assert_allclose(likelihood(image, poses.take([7])), together[[7]], rtol=1e-6)
-    np.testing.assert_array_equal(likelihood.terms(image, poses).sum(axis=0), together)
+    np.testing.assert_allclose(likelihood(image)(poses.take(order)), together[order], rtol=1e-6)
+    np.testing.assert_allclose(likelihood(image)(poses.take([7])), together[[7]], rtol=1e-6)
+    np.testing.assert_array_equal(likelihood(image).terms(poses).sum(axis=0), together)
 
 
 def test_another_image_of_the_same_body_is_looked_at_anew() -> None:
     likelihood, poses = BodyLikelihood(BODY), signing()
     first, second = seen(poses), seen(poses, without=(0, 1))
-    before, after = likelihood(first, poses), likelihood(second, poses)
+    before, after = likelihood(first)(poses), likelihood(second)(poses)
     assert before != after
-    assert likelihood(first, poses) == before
+    assert likelihood(first)(poses) == before
 
 
 def test_the_true_pose_is_liked_best() -> None:
     random = np.random.default_rng(1)
     truth = signing()
-    for term in BodyLikelihood(BODY).terms(
-        seen(truth), BodyPoses.concatenated([truth, scattered(300, random)])
+    for term in BodyLikelihood(BODY)(seen(truth)).terms(
+        BodyPoses.concatenated([truth, scattered(300, random)])
     ):
         assert (term[0] > np.quantile(term[1:], 0.95)).all()
 
@@ -237,7 +237,7 @@ def test_a_hand_is_in_the_middle_of_its_skin(side: int) -> None:
 def test_a_hand_without_skin_loses_a_few_nats_and_no_more() -> None:
     poses = signing()
     likelihood = BodyLikelihood(BODY)
-    whole, hidden = (likelihood.terms(seen(poses, without=gone), poses)[SKIN, 0] for gone in ((), (0,)))
+    whole, hidden = (likelihood(seen(poses, without=gone)).terms(poses)[SKIN, 0] for gone in ((), (0,)))
     full, none, missing = SKIN_SCORES
     floor = np.log((1 - missing) * np.exp(none) + missing)
     assert 0 < whole - hidden <= full - floor
@@ -283,7 +283,7 @@ def test_skin_that_nobody_explains_costs_a_little() -> None:
     poses = signing()
     spot = np.array([[100.0, 300.0]])
     likelihood = BodyLikelihood(BODY)
-    alone, beside = likelihood(seen(poses), poses), likelihood(seen(poses, discs=spot), poses)
+    alone, beside = likelihood(seen(poses))(poses), likelihood(seen(poses, discs=spot))(poses)
     cost = BLOB_COST / (1 + np.exp(-1.5))
     assert (alone - beside)[0] == pytest.approx(cost, abs=0.02)
 
@@ -294,7 +294,7 @@ def test_skin_that_nobody_explains_costs_a_little() -> None:
 def test_without_colour_hands_are_known_by_edges_alone() -> None:
     poses = scattered(20, np.random.default_rng(2))
     grey = replace(seen(signing()), skin=None, moving_skin=None)
-    terms = BodyLikelihood(BODY).terms(grey, poses)
+    terms = BodyLikelihood(BODY)(grey).terms(poses)
     assert not terms[SKIN].any()
     assert np.ptp(terms[EDGES]) > 1
 
@@ -302,13 +302,13 @@ def test_without_colour_hands_are_known_by_edges_alone() -> None:
 def test_without_a_face_the_head_is_where_its_skin_is() -> None:
     poses = scattered(200, np.random.default_rng(3), 0.8)
     missed = replace(seen(signing()), mixtures=GaussianMixtures.uniform(3))
-    term = BodyLikelihood(BODY).terms(missed, poses)[HEAD]
+    term = BodyLikelihood(BODY)(missed).terms(poses)[HEAD]
     off = np.linalg.norm(BODY.parts(poses)[:, 0] - BODY.parts(signing())[:, 0], axis=1) / BODY.head_height
     assert term[off.argmin()] > 0.9 * HEAD_SCORES[0] + np.log(1 - HEAD_SCORES[1])
     assert term[off < 0.2].min() > term[off > 0.6].max() + 1
     far = replace(signing(), roots=np.array([[80.0, 300.0]]))
-    assert BodyLikelihood(BODY).terms(missed, far)[HEAD] == pytest.approx(0, abs=0.01)
-    grey = BodyLikelihood(BODY).terms(replace(missed, skin=None, moving_skin=None), poses)
+    assert BodyLikelihood(BODY)(missed).terms(far)[HEAD] == pytest.approx(0, abs=0.01)
+    grey = BodyLikelihood(BODY)(replace(missed, skin=None, moving_skin=None)).terms(poses)
     assert not grey[HEAD].any()
     assert np.isfinite(grey).all()
 
@@ -325,7 +325,7 @@ def test_an_empty_picture_says_next_to_nothing() -> None:
         blobs=np.zeros((0, 2)),
         blob_log_weights=np.zeros(0),
     )
-    terms = BodyLikelihood(BODY).terms(image, scattered(20, np.random.default_rng(4)))
+    terms = BodyLikelihood(BODY)(image).terms(scattered(20, np.random.default_rng(4)))
     assert np.isfinite(terms).all()
     assert np.ptp(terms[SKIN]) < 2  # before the face nothing is expected, elsewhere skin is missed
     assert terms[EDGES].max() <= 0
@@ -333,7 +333,7 @@ def test_an_empty_picture_says_next_to_nothing() -> None:
 
 def test_a_body_out_of_the_picture_is_no_error() -> None:
     away = replace(signing(), roots=np.array([[-900.0, 5000.0]]))
-    assert np.isfinite(BodyLikelihood(BODY)(seen(signing()), away)).all()
+    assert np.isfinite(BodyLikelihood(BODY)(seen(signing()))(away)).all()
 
 
 # --- edges --------------------------------------------------------------------------------------------------
@@ -385,7 +385,7 @@ def test_edges_say_less_where_there_are_many() -> None:
     likelihood = BodyLikelihood(BODY)
     gaps = []
     for edges, directions in (few, many):
-        term = likelihood.terms(replace(seen(signing()), edges=edges, edge_directions=directions), poses)[
+        term = likelihood(replace(seen(signing()), edges=edges, edge_directions=directions)).terms(poses)[
             EDGES
         ]
         gaps.append(term[0] - np.median(term[1:]))
@@ -407,7 +407,7 @@ def test_elbows_are_found_by_edges() -> None:
     bent[:, 0] = arms
     poses = replace(poses, arms=bent)
     poses = poses.take(reachable & BODY.allowed(poses))
-    term = BodyLikelihood(BODY).terms(seen(truth), BodyPoses.concatenated([truth, poses]))[EDGES]
+    term = BodyLikelihood(BODY)(seen(truth)).terms(BodyPoses.concatenated([truth, poses]))[EDGES]
     weights = np.exp(term[1:] - term[1:].max())
     elbows = BODY.joints(poses)[:, 3, :2]
     off = np.linalg.norm(weights @ elbows / weights.sum() - joints[3, :2])
