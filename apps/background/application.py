@@ -23,13 +23,14 @@ from ..io.results import (
     write_image,
 )
 from ..io.sources.open_source import Source
-from ..reports.report import RunRecord, write_report
 from ..runs.film_run import FilmJob, FilmRun, Writer
 from ..runs.interruption import Outcome
 from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
 from .parameters import SECTIONS, Parameters, build_chain, read_parameters, with_defaults
+from .record import RunRecord
+from .report import write_report
 
 Engine = Literal["recursive-bp", "feed-forward", "stand-alone"]
 ENGINES: tuple[Engine, ...] = ("recursive-bp", "feed-forward", "stand-alone")

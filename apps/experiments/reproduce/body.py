@@ -26,7 +26,7 @@ from ...body.measures import (
 from ...body.overlay import BodyOverlay
 from ...drawing.mosaic import mosaic
 from ...io.results import write_image, write_json
-from ...reports import report
+from ...reports import page, plots
 from ...reports.claims import HEADER, Claim, in_columns, print_tables
 from ...runs.parallel import in_processes
 from ...scenes import signer
@@ -114,18 +114,18 @@ def reproduce_body(out: Path) -> None:
     sheet = draw_samples(frames, {name: found[name][0] for name in IN_FIGURE}, reach)
     write_image(out / "fig-6.png", sheet)
     size, caption = (12.0, 4.5), f"Mean over {len(SEEDS)} scenes: over time, and over the time that is spent."
-    report.write_figure(out / "errors.png", lambda canvas: draw_errors(canvas, found), size)
+    plots.write_figure(out / "errors.png", lambda canvas: draw_errors(canvas, found), size)
     write_json(out / "results.json", as_json(trackers, found))
     sections = [
-        ("", [report.paragraph(FAIR), report.table(HEADER, [claim.cells for claim in claims])]),
+        ("", [page.paragraph(FAIR), page.table(HEADER, [claim.cells for claim in claims])]),
         ("Figures", [
-            report.picture(sheet, "Fig. 6: 40 poses of the posterior, over the picture and from the side."),
-            report.figure(lambda canvas: draw_errors(canvas, found), size, caption),
+            page.picture(sheet, "Fig. 6: 40 poses of the posterior, over the picture and from the side."),
+            plots.figure(lambda canvas: draw_errors(canvas, found), size, caption),
         ]),
-        ("Errors", [report.table(ERRORS, errors, "Of the posterior mean, over all frames but the first.")]),
-        ("Behaviour", [report.table(BEHAVIOUR, behaviour, NOTE)]),
+        ("Errors", [page.table(ERRORS, errors, "Of the posterior mean, over all frames but the first.")]),
+        ("Behaviour", [page.table(BEHAVIOUR, behaviour, NOTE)]),
     ]  # fmt: skip
-    report.write_page(out / "index.html", "Body", sections)
+    page.write_page(out / "index.html", "Body", sections)
     print(f"\npage: {out / 'index.html'}")
 
 

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from markupsafe import Markup
 
 from ...io.datasets import data_folder
 from ...io.results import write_image
-from ...reports import report
+from ...reports import page
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.progress import Progress
 from ...structure.application import Film, StructureJob, read_film
@@ -58,7 +59,7 @@ def reproduce_box(out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     lines: list[list[object]] = []
     claims: list[Claim] = []
-    sections: list[tuple[str, list[report.Html]]] = []
+    sections: list[tuple[str, list[Markup]]] = []
     for name, folder in folders.items():
         film = read_film(StructureJob(str(folder), out))
         results = [_result(name, method, film) for method in METHODS]
@@ -92,8 +93,8 @@ def reproduce_box(out: Path) -> None:
                 write_image(out / f"{start}.png", draw_points(image, result.found, middle))
         sections.append((name, parts))
     print_tables(LINE, lines, claims)
-    tables = [report.table(LINE, lines), report.table(HEADER, [claim.cells for claim in claims])]
-    report.write_page(out / "index.html", "Turning objects", [("", tables), *sections])
+    tables = [page.table(LINE, lines), page.table(HEADER, [claim.cells for claim in claims])]
+    page.write_page(out / "index.html", "Turning objects", [("", tables), *sections])
     print(f"\npage: {out / 'index.html'}")
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ....inference.factor_analysis.factorisation import factorise, predicted
 from ....models.points.affine_camera import affine_alignment
 from ...io.track_files import frames_of_tracks
-from ...reports import report
+from ...reports import page, plots
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.parallel import in_processes
 from ...scenes import Cylinder, cylinder
@@ -187,20 +187,20 @@ def reproduce_cylinder(out: Path) -> None:
     ]
     pictures = []
     for name, draw, size, caption in figures:
-        report.write_figure(out / name, draw, size)
-        pictures.append(report.figure(draw, size, caption))
+        plots.write_figure(out / name, draw, size)
+        pictures.append(plots.figure(draw, size, caption))
     all_lines = [
         [*cell.named, name, *(_in_words(values[name], measure) for measure in MEASURES)]
         for cell, values in everything.items()
         for name in METHODS
     ]
     sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
+        ("", [page.table(HEADER, [claim.cells for claim in claims])]),
         ("Figures", pictures),
-        ("Reprojection error", [report.table(error_header, error_lines, "In radii: median (quartiles).")]),
-        ("Everything", [report.table((*CHANCES, "method", *MEASURES.values()), all_lines)]),
+        ("Reprojection error", [page.table(error_header, error_lines, "In radii: median (quartiles).")]),
+        ("Everything", [page.table((*CHANCES, "method", *MEASURES.values()), all_lines)]),
     ]
-    report.write_page(out / "index.html", "Cylinder", sections)
+    page.write_page(out / "index.html", "Cylinder", sections)
     print(f"\npage: {out / 'index.html'}")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ...io.results import write_json
-from ...reports import report
+from ...reports import page, plots
 from ...reports.claims import HEADER, Claim, print_tables
 from ..trials.face import Measured, Tracker, as_json, measure, median, n_lost, quartiles
 
@@ -102,14 +102,14 @@ def reproduce_experts(out: Path) -> None:
         (9.0, 5.0),
         f"Fig. 3a: error of the mean pose's vertices, median of {len(SEEDS)} sequences.",
     )
-    report.write_figure(out / "fig-3a.png", lambda canvas: draw(canvas, found), size)
+    plots.write_figure(out / "fig-3a.png", lambda canvas: draw(canvas, found), size)
     write_json(out / "results.json", as_json(found))
     sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Figure", [report.figure(lambda canvas: draw(canvas, found), size, caption)]),
-        ("Everything", [report.table(LINE, lines, "Medians and quartiles over the sequences.")]),
+        ("", [page.table(HEADER, [claim.cells for claim in claims])]),
+        ("Figure", [plots.figure(lambda canvas: draw(canvas, found), size, caption)]),
+        ("Everything", [page.table(LINE, lines, "Medians and quartiles over the sequences.")]),
     ]
-    report.write_page(out / "index.html", "Experts", sections)
+    page.write_page(out / "index.html", "Experts", sections)
     print(f"\npage: {out / 'index.html'}")
 
 

@@ -16,7 +16,7 @@ from ....inference.core.graph import MultiChain
 from ....inference.core.recursive_bp import RecursiveBP
 from ....models.background.pixel_labels import PixelLabels
 from ...io.results import write_json
-from ...reports import report
+from ...reports import page, plots
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.parallel import in_processes
 from ...scenes import FaceScene, face
@@ -165,15 +165,15 @@ def reproduce_face_background(out: Path) -> None:
     print_tables(LINE, lines, claims)
     size = (12.0, 4.5)
     caption = f"Mean vertex error in each of {len(SEEDS)} scenes of {N_FRAMES} frames, and the median."
-    report.write_figure(out / "errors.png", lambda canvas: draw(canvas, found), size)
+    plots.write_figure(out / "errors.png", lambda canvas: draw(canvas, found), size)
     write_json(out / "results.json", {scene: _as_json(methods) for scene, methods in found.items()})
     note = "Medians and quartiles over the scenes; time in one thread, with another run beside it."
     sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Figure", [report.figure(lambda canvas: draw(canvas, found), size, caption)]),
-        ("Errors", [report.table(LINE, lines, note)]),
+        ("", [page.table(HEADER, [claim.cells for claim in claims])]),
+        ("Figure", [plots.figure(lambda canvas: draw(canvas, found), size, caption)]),
+        ("Errors", [page.table(LINE, lines, note)]),
     ]
-    report.write_page(out / "index.html", "Face and background", sections)
+    page.write_page(out / "index.html", "Face and background", sections)
     print(f"\npage: {out / 'index.html'}")
 
 

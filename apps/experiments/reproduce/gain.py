@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ...io.results import write_json
-from ...reports import report
+from ...reports import page, plots
 from ...reports.claims import HEADER, Claim, print_tables
 from ..trials.face import Measured, Tracker, as_json, measure, median, n_lost, quartiles
 
@@ -62,14 +62,14 @@ def reproduce_gain(out: Path) -> None:
         f"Fig. 3b: error of the mean pose's vertices over the gain, median and quartiles of {len(SEEDS)} "
         "sequences; dashed, gains learned by each texel."
     )
-    report.write_figure(out / "fig-3b.png", lambda canvas: draw(canvas, everything), size)
+    plots.write_figure(out / "fig-3b.png", lambda canvas: draw(canvas, everything), size)
     write_json(out / "results.json", {scene: as_json(found) for scene, found in everything.items()})
     sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Figure", [report.figure(lambda canvas: draw(canvas, everything), size, caption)]),
-        ("Everything", [report.table(LINE, lines, "Medians and quartiles over the sequences.")]),
+        ("", [page.table(HEADER, [claim.cells for claim in claims])]),
+        ("Figure", [plots.figure(lambda canvas: draw(canvas, everything), size, caption)]),
+        ("Everything", [page.table(LINE, lines, "Medians and quartiles over the sequences.")]),
     ]
-    report.write_page(out / "index.html", "Gain", sections)
+    page.write_page(out / "index.html", "Gain", sections)
     print(f"\npage: {out / 'index.html'}")
 
 

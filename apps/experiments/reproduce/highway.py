@@ -11,7 +11,7 @@ from ...evaluation.metrics import PixelScore, total
 from ...io.datasets import data_folder
 from ...io.ground_truth import MaskTruth, read_ground_truth
 from ...io.sources.open_source import open_source
-from ...reports import report
+from ...reports import page
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.progress import Progress
 from ..trials.baselines import SETTINGS, CleanUp, Setting, readable_images, sweep_subtractors
@@ -70,6 +70,6 @@ def reproduce_highway(out: Path) -> None:
     ]
     header = ("method", "clean-up", "precision", "recall", "F")
     print_tables(header, lines, claims)
-    tables = [report.table(header, lines), report.table(HEADER, [claim.cells for claim in claims])]
-    report.write_page(out / "index.html", "CDnet highway", [("", tables)])
+    tables = [page.table(header, lines), page.table(HEADER, [claim.cells for claim in claims])]
+    page.write_page(out / "index.html", "CDnet highway", [("", tables)])
     print(f"\npage: {out / 'index.html'}")

@@ -15,7 +15,7 @@ from ...evaluation.metrics import ErrorClasses, TrackScores, error_classes, eval
 from ...io.datasets import data_folder
 from ...io.ground_truth import BoxTruth, read_ground_truth
 from ...io.sources.open_source import open_source
-from ...reports import report
+from ...reports import page
 from ...reports.claims import HEADER, Claim, in_columns, print_tables
 from ...runs.progress import Progress
 from ..trials.baselines import (
@@ -160,8 +160,8 @@ def reproduce_pets(out: Path, long: bool) -> None:
     print(in_columns(usual_header, usual_lines), end="\n\n")
     print_tables(header, [[line.get(name, "") for name in header] for line in lines], claims)
     tables = [
-        report.table(usual_header, usual_lines),
-        report.table(HEADER, [claim.cells for claim in claims]),
+        page.table(usual_header, usual_lines),
+        page.table(HEADER, [claim.cells for claim in claims]),
     ]
     write_comparison(out, "PETS2009 S2.L1", lines, gallery, tables)
     print(f"\npage: {out / 'compare.html'}")

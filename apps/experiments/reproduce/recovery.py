@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ....chains.gflow import GFlow
 from ....models.face.pose import Poses
 from ...io.results import write_json
-from ...reports import report
+from ...reports import page, plots
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.parallel import in_processes
 from ..trials.face import Film, taught_texture
@@ -93,17 +93,17 @@ def reproduce_recovery(out: Path) -> None:
         ),
     ]
     for name, draw, size, _ in figures:
-        report.write_figure(out / name, draw, size)
+        plots.write_figure(out / name, draw, size)
     write_json(
         out / "results.json",
         {start: {"errors": [one.errors for one in runs]} for start, runs in found.items()},
     )
     sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Figures", [report.figure(draw, size, caption) for _, draw, size, caption in figures]),
-        ("Errors", [report.table(line, lines, "Medians over the sequences (least - most).")]),
+        ("", [page.table(HEADER, [claim.cells for claim in claims])]),
+        ("Figures", [plots.figure(draw, size, caption) for _, draw, size, caption in figures]),
+        ("Errors", [page.table(line, lines, "Medians over the sequences (least - most).")]),
     ]
-    report.write_page(out / "index.html", "Recovery", sections)
+    page.write_page(out / "index.html", "Recovery", sections)
     print(f"\npage: {out / 'index.html'}")
 
 

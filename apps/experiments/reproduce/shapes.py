@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ....inference.structure.nonrigid import LEAST_FRAMES, NonrigidShape, learn_shape
 from ...io.datasets import data_folder
-from ...reports import report
+from ...reports import page, plots
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.progress import Progress
 
@@ -100,7 +100,7 @@ def reproduce_shapes(out: Path) -> None:
     ]
     print_tables(header, lines, claims)
     pictures = [
-        report.figure(
+        plots.figure(
             lambda canvas, each=each: draw(canvas, each),  # type: ignore[misc]
             (12.0, 5.5),
             f"{each.name}, {each.missing:.0%} missing: from the camera and from above; circles: truth",
@@ -109,11 +109,11 @@ def reproduce_shapes(out: Path) -> None:
         if each.missing in (MISSING[0], MISSING[-1])
     ]
     sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Errors", [report.table(header, lines, EXPLANATION)]),
+        ("", [page.table(HEADER, [claim.cells for claim in claims])]),
+        ("Errors", [page.table(header, lines, EXPLANATION)]),
         ("Shapes", pictures),
     ]
-    report.write_page(out / "index.html", "Deformable shapes", sections)
+    page.write_page(out / "index.html", "Deformable shapes", sections)
     print(f"\npage: {out / 'index.html'}")
 
 

@@ -12,7 +12,7 @@ from ...background.methods import CHAINS, Model
 from ...drawing.mosaic import mosaic
 from ...evaluation.metrics import PixelScore, joined, total
 from ...io.results import write_image
-from ...reports import report
+from ...reports import page
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.progress import Progress
 from ...scenes import Scene, sleeping_man
@@ -66,9 +66,9 @@ def reproduce_sleeping_man(out: Path, long: bool) -> None:
     for name, picture in figures.items():
         write_image(out / f"{name.lower().replace('. ', '-')}.png", picture)
     captions = {"Fig. 1": "the background by itself", "Fig. 7": "background and blobs together"}
-    pictures = [report.picture(picture, f"{name}: {captions[name]}") for name, picture in figures.items()]
-    tables = [report.table(header, lines), report.table(HEADER, [claim.cells for claim in claims])]
-    report.write_page(out / "index.html", "Sleeping man", [("", tables), ("Figures", pictures)])
+    pictures = [page.picture(picture, f"{name}: {captions[name]}") for name, picture in figures.items()]
+    tables = [page.table(header, lines), page.table(HEADER, [claim.cells for claim in claims])]
+    page.write_page(out / "index.html", "Sleeping man", [("", tables), ("Figures", pictures)])
     print(f"\npage: {out / 'index.html'}")
 
 

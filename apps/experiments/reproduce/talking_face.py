@@ -20,7 +20,7 @@ from ....models.face.model_files import read_correspondences, read_model
 from ...face.start import FaceStart, start_from_landmarks
 from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source
-from ...reports import report
+from ...reports import page, plots
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.progress import Progress
 
@@ -120,11 +120,11 @@ def reproduce_talking_face(out: Path) -> None:
     lines = [each.row for each in outcomes]
     print_tables(header, lines, claims)
     sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Errors", [report.table(header, lines, EXPLANATION)]),
-        ("Over time", [report.figure(lambda canvas: draw(canvas, outcomes), (12.0, 5.0), EXPLANATION)]),
+        ("", [page.table(HEADER, [claim.cells for claim in claims])]),
+        ("Errors", [page.table(header, lines, EXPLANATION)]),
+        ("Over time", [plots.figure(lambda canvas: draw(canvas, outcomes), (12.0, 5.0), EXPLANATION)]),
     ]
-    report.write_page(out / "index.html", "A talking face", sections)
+    page.write_page(out / "index.html", "A talking face", sections)
     print(f"\npage: {out / 'index.html'}")
 
 

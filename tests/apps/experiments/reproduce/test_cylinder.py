@@ -15,7 +15,7 @@ from rsmcm.apps.experiments.reproduce.cylinder import (
     SINGLE_COHERENT,
     Cell,
 )
-from rsmcm.apps.reports import report
+from rsmcm.apps.reports import plots
 from rsmcm.apps.scenes import cylinder
 from rsmcm.apps.structure.metrics import StructureScores
 
@@ -94,7 +94,7 @@ def test_shapes_are_drawn_where_they_belong(tmp_path: Path) -> None:
     found = experiment.Recovered(truth.positions, mapped, points)
     np.testing.assert_allclose(experiment.aligned(found, truth), truth.shape, atol=1e-10)
     shapes = dict.fromkeys(METHODS, found)
-    report.write_figure(
+    plots.write_figure(
         tmp_path / "a.png", lambda canvas: experiment.draw_shapes(canvas, shapes, truth), (9, 4)
     )
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
