@@ -12,7 +12,7 @@ from ...models.body.parts import PartMessage
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import PARTS, UpperBody
 from ...models.core.gaussian_mixtures import GaussianMixtures
-from ..filters.resampling import normalised, systematic
+from ..filters.resampling import log_sum, normalised, systematic
 from .dynamics import Ancestors, BodyDynamics
 
 Array = NDArray[np.float64]
@@ -88,10 +88,9 @@ class BodySamples:
     def reweighed(self, log_factors: Array) -> Self:
         """With weights multiplied by factors, whose mean is the evidence."""
         log_weights = self.log_weights + log_factors
-        peak = float(log_weights.max())
-        if not np.isfinite(peak):  # nothing fits: the prediction is kept
+        evidence = log_sum(log_weights)
+        if not np.isfinite(evidence):  # nothing fits: the prediction is kept
             return self
-        evidence = peak + float(np.log(np.exp(log_weights - peak).sum()))
         return replace(
             self,
             log_weights=log_weights - evidence,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...models.body.inverse_kinematics import arm_at, log_volume, swivels
 from ...models.body.poses import BodyPoses
-from ..filters.resampling import normalised, systematic
+from ..filters.resampling import log_sum, normalised, systematic
 from .dynamics import BodyDynamics, around
 
 Array = NDArray[np.float64]
@@ -95,8 +95,7 @@ def temper(
         rise = rest if step == MOST_STEPS - 1 else _rise(log_weights, likelihood, rest)
         power += rise
         log_weights = log_weights + rise * likelihood
-        peak = float(log_weights.max())
-        evidence += peak + float(np.log(np.exp(log_weights - peak).mean()))
+        evidence += log_sum(log_weights) - np.log(len(log_weights))
         if power >= 1 and len(poses) == n and _effective(log_weights) > KEPT * n:
             return Tempered(poses, normalised(log_weights), evidence, accepted / max(moves, 1))
         chosen = systematic(log_weights, n, random)
