@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face_paint import mottle
+from ..random_fields import mottle
 from .paint import Palette, colour
 
 Array = NDArray[np.float64]
@@ -14,7 +14,7 @@ Pixels = NDArray[np.float32]
 SHIFT = 4  # fractional bits of the corners' coordinates
 
 
-def paint_room(
+def paint_background(
     size: tuple[int, int], palette: Palette, clutter: float, generator: np.random.Generator
 ) -> Pixels:
     """What is behind the signer, `(height, width, 3)`; with `clutter` 0 a plain wall."""

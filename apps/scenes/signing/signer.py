@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from ....models.body.poses import BodyPoses
 from ....models.body.upper_body import PARTS, UpperBody
 from ....models.core.frame import Frame
+from ..random_fields import wander
 from .faults import MISSING, Distractor, ListedFaces, bursts, face_boxes, false_skin
 from .look import Look
-from .motion import signing, wander
+from .motion import signing
 from .shape import HandShape, Solid, blob, surface
 
 Array = NDArray[np.float64]

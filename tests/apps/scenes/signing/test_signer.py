@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import signer
+from rsmcm.apps.scenes.rendering_kernels import draw_mesh
 from rsmcm.apps.scenes.signing.faults import BOX_NOISE, FACE_BELOW, FACE_BOX, MISSING, bursts
-from rsmcm.apps.scenes.signing.kernels import draw_solid
 from rsmcm.models.core.frame import Frame
 
 HANDS = (4, 7)  # of JOINTS
@@ -263,7 +263,7 @@ def test_near_triangles_hide_far_ones():
     texture = np.full((4, 4, 3), 100, np.float32)
     attributes = np.column_stack([np.full((3, 2), 1.5), [1.0, 0.5, 0.5]])
     one = np.array([[0, 1, 2]])
-    draw_solid(colours, depths, corners, attributes, one, texture)
+    draw_mesh(colours, depths, corners, attributes, one, texture)
     columns, rows = np.meshgrid(np.arange(30), np.arange(20))
     # shares of the corners from the linear equations they obey
     system = np.vstack([corners[:, :2].T, np.ones(3)])
@@ -273,9 +273,9 @@ def test_near_triangles_hide_far_ones():
     light = (shares.T @ attributes[:, 2]).reshape(20, 30)
     np.testing.assert_allclose(colours[inside], 100 * light[inside][:, None].repeat(3, axis=1), rtol=1e-5)
     before = colours.copy()
-    draw_solid(colours, depths, corners - nearer, attributes, one, 2 * texture)
+    draw_mesh(colours, depths, corners - nearer, attributes, one, 2 * texture)
     np.testing.assert_array_equal(colours, before)
-    draw_solid(colours, depths, corners + nearer, attributes, one, 2 * texture)
+    draw_mesh(colours, depths, corners + nearer, attributes, one, 2 * texture)
     np.testing.assert_allclose(colours, 2 * before, rtol=1e-6)
 
 
