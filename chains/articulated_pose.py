@@ -1,7 +1,6 @@
 """The pose of a person's upper body in 13 degrees of freedom, by likelihood sampling."""
 
 from dataclasses import KW_ONLY, dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,9 @@ from ..inference.body.samples import (
     weighted_moments,
 )
 from ..inference.body.tempering import temper
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Incoming, Port
 from ..models.body.likelihood import BodyLikelihood, PoseLikelihood
-from ..models.body.parts import PartMessage
+from ..models.body.parts import BodyParts, PartMessage
 from ..models.body.poses import BodyPoses
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
@@ -95,6 +94,8 @@ class ArticulatedPose:
     likelihood: PoseLikelihood | None = None
     name: str = "pose"
 
+    ports = (Port(BodyParts),)
+
     def __post_init__(self) -> None:
         if self.samples < 10:
             raise ValueError(f"samples: got {self.samples}, expected 10 or more")
@@ -112,16 +113,16 @@ class ArticulatedPose:
         """Draws of the dynamics around the poses of the frame before."""
         return predicted(self._dynamics, state, self.samples, dt)
 
-    def message(self, state: BodySamples, feature: Any, incoming: Incoming) -> PartMessage:
+    def message(self, state: BodySamples, feature: BodyParts, incoming: Incoming) -> PartMessage:
         """Where the parts should be (mu_{X -> F}): mixtures with the moments of the predicted poses."""
         return part_message(self.body, state.poses, state.weights, GROUPS)
 
     def update(self, state: BodySamples, incoming: Incoming) -> BodySamples:
         """Samples of the posterior, or of the prediction where there is nothing to sample from."""
-        (message,) = incoming.values()
-        told, image = message.told, message.image
+        message = incoming[BodyParts]
+        others, image = message.predicted, message.image
         if image is None or not image.mixtures.informative.any():
-            return stationary(state, told.log_values(self.body.parts(state.poses)).sum(axis=1))
+            return stationary(state, others.log_values(self.body.parts(state.poses)).sum(axis=1))
         dynamics, past, random = self._dynamics, state.ancestors, copied(state.random)
         n = CANDIDATES * self.samples if past else max(FIRST, CANDIDATES * self.samples)
         mixtures = self._mixtures(message, image.mixtures, state)
@@ -134,7 +135,7 @@ class ArticulatedPose:
                 prior = dynamics.log_density_anywhere(poses, state.size)
             else:
                 prior = dynamics.log_density(poses, past)
-            prior += told.log_values(self.body.parts(poses)).sum(axis=1)
+            prior += others.log_values(self.body.parts(poses)).sum(axis=1)
             return np.where(self.body.allowed(poses), prior, -np.inf)
 
         likelihood = (self.likelihood or BodyLikelihood(self.body))(image)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..inference.body.dynamics import BodyDynamics
 from ..inference.body.samples import BodySamples, copied, part_message
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Incoming, Port
 from ..inference.filters.resampling import normalised, systematic
 from ..models.body.likelihood import BodyLikelihood, PoseLikelihood
 from ..models.body.parts import BodyParts, PartMessage
@@ -72,6 +72,8 @@ class Condensation:
     likelihood: PoseLikelihood | None = None
     name: str = "condensation"
 
+    ports = (Port(BodyParts),)
+
     def __post_init__(self) -> None:
         if self.samples < 2:
             raise ValueError(f"samples: got {self.samples}, expected 2 or more")
@@ -113,14 +115,13 @@ class Condensation:
 
     def update(self, state: BodySamples, incoming: Incoming) -> BodySamples:
         """Weights times the likelihood of the image; as they are where there is none."""
-        (heard,) = incoming.values()
-        told: PartMessage = heard
+        message = incoming[BodyParts]
         log_factors = np.zeros(len(state.poses))
-        if told.told.informative.any():
-            log_factors += told.told.log_values(self.body.parts(state.poses)).sum(axis=1)
-        if told.image is not None:
+        if message.predicted.informative.any():
+            log_factors += message.predicted.log_values(self.body.parts(state.poses)).sum(axis=1)
+        if message.image is not None:
             likelihood = self.likelihood or BodyLikelihood(self.body)
-            log_factors += likelihood(told.image)(state.poses)
-        if told.image is None and not log_factors.any():
+            log_factors += likelihood(message.image)(state.poses)
+        if message.image is None and not log_factors.any():
             return replace(state, log_evidence=0.0, stationary=True)
         return state.reweighed(log_factors)

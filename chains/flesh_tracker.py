@@ -15,8 +15,8 @@ from scipy.special import expit, logit
 from ..inference.body.flesh_tracks import HANDS, HEAD, LEFT, RIGHT, FleshTracks
 from ..inference.body.part_assignment import Assignment, PartChoices
 from ..inference.body.part_filter import MovingParts, PartPosterior
-from ..inference.core.protocols import Incoming
-from ..models.body.parts import PartMessage
+from ..inference.core.protocols import Incoming, Port
+from ..models.body.parts import BodyParts, PartMessage
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
 from ..models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
@@ -72,6 +72,8 @@ class FleshTracker:
     hiding: float = 1.5
     name: str = "flesh"
 
+    ports = (Port(BodyParts),)
+
     def __post_init__(self) -> None:
         for name in ("hand_speed", "head_speed", "velocity_time", "patience"):
             if not getattr(self, name) > 0:
@@ -107,7 +109,7 @@ class FleshTracker:
             unseen=state.unseen + dt,
         )
 
-    def message(self, state: FleshTracks, feature: object, incoming: Incoming) -> PartMessage:
+    def message(self, state: FleshTracks, feature: BodyParts, incoming: Incoming) -> PartMessage:
         """Where each part should be (mu_{X -> F}) or, as far as that is not trusted, anywhere in reach.
 
         Hands that may be exchanged are at both places. It integrates to 1.
@@ -136,7 +138,7 @@ class FleshTracker:
         followed themselves, as the product of messages would have it: a chain of poses predicts from the same
         pictures that the parts have been seen in, and a part that nothing confirms would grow ever surer.
         """
-        (message,) = incoming.values()
+        message = incoming[BodyParts]
         state = self._within_reach(state)
         kept, swapped = (_Hypothesis.of(self, each, message) for each in (state, state.exchanged_hands))
         log_odds = float(logit(max(state.exchanged, LEAST_PROBABILITY)))
@@ -204,7 +206,7 @@ class _Hypothesis:
 
     @classmethod
     def of(cls, tracker: FleshTracker, state: FleshTracks, message: PartMessage) -> Self:
-        others, image = message.told, message.image
+        others, image = message.predicted, message.image
         detections = GaussianMixtures.uniform(others.n_parts) if image is None else image.mixtures
         posterior = tracker.posterior(state, detections, others)
         choices = PartChoices.of(posterior, detections, tracker.body.hand, tracker.hiding)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...models.body.upper_body import JOINTS
 from ..body.joint_files import COLUMNS
 from ..io.results import write_atomically, write_image, write_text
-from ..reports.claims import in_columns
+from ..reports.expectations import in_columns
 from ..runs.interruption import Outcome
 from ..runs.progress import Progress
 from ..scenes import FaceScene, Scene, SignerScene, cylinder, face, signer, sleeping_man

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from ...inference import Belief, RecursiveBP
-from ...inference.core.recursive_bp import BEGINNING, RunState
+from ...inference.core.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
 from ..io.results import naming, segment_pattern, write_json
@@ -111,7 +111,7 @@ class FilmRun(ABC):
     def __init__(self, job: FilmJob, settings: Mapping[str, Any]) -> None:
         self.job = job
         self.settings = settings
-        self.state = BEGINNING
+        self.state = RunState()
         self.notes: list[str] = []
         self.interruption = Interruption()
         self._frames = SeenFrames(iter(()))

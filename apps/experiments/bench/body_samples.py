@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from ....chains.condensation import Condensation
 from ....inference.core.protocols import Incoming
-from ....models.body.parts import PartMessage
+from ....models.body.parts import BodyParts, PartMessage
 from ....models.body.upper_body import PARTS
 from ....models.core.frame import Frame
 from ....models.core.gaussian_mixtures import GaussianMixtures
-from ...reports.claims import HEADER, Claim, in_columns
+from ...reports.expectations import HEADER, Expectation, in_columns
 from .points import in_turns
 
 Numbers = NDArray[np.float64]
@@ -30,7 +30,7 @@ STEP, NOISE = 0.1, 0.3  # standard deviations of a walk and of its measurements
 N_FRAMES = 400  # more than there are steps in the measurement
 
 
-def bootstrap_times() -> list[Claim]:
+def bootstrap_times() -> list[Expectation]:
     """A step of CONDENSATION over vectors with a Gaussian walk and likelihood, beside a bootstrap filter."""
     random = np.random.default_rng(0)
     measured = STEP * random.normal(size=(N_FRAMES, DIMENSION)).cumsum(axis=0)
@@ -39,12 +39,14 @@ def bootstrap_times() -> list[Claim]:
         methods["particles"] = _bootstrap(measured)
     seconds = in_turns(methods, rounds=15, turn=20)
     what = f"CONDENSATION's step, {SAMPLES} x {DIMENSION}"
-    claims = [Claim(f"{what}, ms", 1e3 * seconds["ours"])]
+    expectations = [Expectation(f"{what}, ms", 1e3 * seconds["ours"])]
     if "particles" in seconds:
-        claims.append(
-            Claim(f"particles' bootstrap filter over {what}", seconds["particles"] / seconds["ours"], ">=", 2)
+        expectations.append(
+            Expectation(
+                f"particles' bootstrap filter over {what}", seconds["particles"] / seconds["ours"], ">=", 2
+            )
         )
-    return claims
+    return expectations
 
 
 # --- the same walk for both ---------------------------------------------------------------------------------
@@ -100,12 +102,12 @@ def _condensation(measured: Numbers) -> Callable[[], object]:
     chain = Condensation(body, SAMPLES, start, 0, dynamics, likelihood)
     state = chain.initial(Frame(np.zeros((2, 2), np.uint8), 0.0, 1))
     frames = iter(measured)
-    nothing = GaussianMixtures.uniform(len(PARTS))
+    nothing, node = GaussianMixtures.uniform(len(PARTS)), BodyParts(1.0)
 
     def step() -> object:
         nonlocal state
         now: Any = next(frames)
-        state = chain.update(chain.predict(state, 1.0), Incoming({"parts": PartMessage(nothing, now)}))
+        state = chain.update(chain.predict(state, 1.0), Incoming({node: PartMessage(nothing, now)}))
         return state
 
     return step
@@ -137,4 +139,4 @@ def _bootstrap(measured: Numbers) -> Callable[[], object]:
 
 
 if __name__ == "__main__":
-    print(in_columns(HEADER, [claim.cells for claim in bootstrap_times()]))
+    print(in_columns(HEADER, [expectation.cells for expectation in bootstrap_times()]))
