@@ -10,18 +10,13 @@ from numpy.typing import NDArray
 
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models import Frame, ObjectBoxes, PixelLabels
+from ..drawing.boxes import OverlayWriter, draw_overlay
 from ..evaluation.scoring import Scoring, track_rows
+from ..io.files import write_image
 from ..io.ground_truth import MaskTruth, common_frames, read_ground_truth
-from ..io.results import (
-    MaskWriter,
-    OverlayWriter,
-    TrackedObject,
-    TrackWriter,
-    draw_overlay,
-    read_tracks,
-    segment_pattern,
-    write_image,
-)
+from ..io.masks import MaskWriter
+from ..io.mot import TrackedObject, TrackWriter, read_tracks
+from ..io.segments import segment_pattern
 from ..io.sources.open_source import Source
 from ..reports.report import RunRecord, write_report
 from ..runs.film_run import FilmJob, FilmRun, Writer

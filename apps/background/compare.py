@@ -12,11 +12,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ...models.core.atomic_files import write_atomically, write_text
 from ...models.core.frame import Frame
 from ..drawing.mosaic import mosaic
 from ..evaluation.scoring import Scoring
 from ..experiments.trials.baselines import CleanUp, OpenCVSubtractor
-from ..io.results import write_atomically, write_image, write_json, write_text
+from ..io.files import write_image, write_json
 from ..io.sources.open_source import open_source
 from ..reports import report
 from ..runs.interruption import Interruption, Outcome

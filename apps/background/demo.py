@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import JOINTS
+from ...models.core.atomic_files import write_atomically, write_text
 from ..body.joint_files import COLUMNS
-from ..io.results import write_atomically, write_image, write_text
+from ..io.files import write_image
 from ..reports.claims import in_columns
 from ..runs.interruption import Outcome
 from ..runs.progress import Progress

@@ -15,7 +15,7 @@ from ...chains.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.core.frame import Frame
-from ..io.results import segment_pattern
+from ..io.segments import segment_pattern
 from ..io.sources.open_source import open_source
 from ..runs.blank_frames import SeenFrames
 from ..runs.film_run import FilmJob, FilmRun, Writer

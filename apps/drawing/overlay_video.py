@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ..io.results import PLAYABLE, SegmentedVideo
+from ..io.segmented_video import PLAYABLE, SegmentedVideo
 
 Image = NDArray[np.uint8]
 

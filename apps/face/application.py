@@ -18,7 +18,7 @@ from ...models.face.built_in_model import face_model
 from ...models.face.model_files import read_correspondences, read_model
 from ...models.face.morphable_model import MorphableModel
 from ..io.point_files import read_points
-from ..io.results import segment_pattern
+from ..io.segments import segment_pattern
 from ..io.sources.open_source import open_source
 from ..runs.film_run import FilmJob, FilmRun, Writer
 from ..runs.interruption import Outcome

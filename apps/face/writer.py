@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...chains.gflow import GFlow, GFlowState
 from ...models.core.frame import Frame
 from ..drawing.overlay_video import OverlayVideo, caption
-from ..io.results import write_image
+from ..io.files import write_image
 from ..io.row_writer import RowWriter
 from .landmark_files import GivenLandmarks
 from .overlay import FaceOverlay, TrackedFace, texture_picture

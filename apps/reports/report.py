@@ -22,9 +22,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ...models.core.atomic_files import write_atomically
 from ...models.core.frame import Frame
+from ..drawing.boxes import identity_colour
 from ..drawing.mosaic import fitting
-from ..io.results import identity_colour, write_atomically
 
 Image = NDArray[np.uint8]
 

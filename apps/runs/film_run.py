@@ -18,7 +18,8 @@ from ...inference import Belief, RecursiveBP
 from ...inference.core.recursive_bp import BEGINNING, RunState
 from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
-from ..io.results import naming, segment_pattern, write_json
+from ..io.files import write_json
+from ..io.segments import segment_pattern
 from ..io.sources.open_source import Source, describe, open_source
 from .blank_frames import SeenFrames
 from .interruption import Interrupted, Interruption, Outcome
@@ -360,9 +361,7 @@ class FilmRun(ABC):
             "notes": self.notes,
             "finished": finished,
         }
-        path = self.job.out / STATE
-        with naming(path):
-            SavedRun(about, self.state, self.memory()).save(path, self.chains, self.kinds)
+        SavedRun(about, self.state, self.memory()).save(self.job.out / STATE, self.chains, self.kinds)
         self._is_saved = True
 
     def _summary(self) -> dict[str, Any]:

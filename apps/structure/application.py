@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...inference import Solution
 from ...models.core.frame import Frame
 from ..evaluation.predictions import write_predictions
-from ..io.results import naming, write_json
+from ..io.files import write_json
 from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
 from ..io.track_files import frames_of_tracks, read_track_file
 from ..runs.interruption import Interrupted, Interruption, Outcome
@@ -216,8 +216,7 @@ class StructureRun:
             "seconds": self._seconds(),
             "finished": finished,
         }
-        with naming(self._state):
-            self._engine.save(self._state, solution, about)
+        self._engine.save(self._state, solution, about)
         self._is_saved = True
 
     def _seconds(self) -> float:

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ..io.results import identity_colour
+from ..drawing.boxes import identity_colour
 from ..reports.report import (
     MOST_SNAPSHOTS,
     Html,

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.array_files import read_arrays
+from ...models.core.atomic_files import write_atomically
 
 FORMAT = "rsmcm state 2"
 EXPECTED = "expected a state that was saved here"
@@ -54,18 +55,11 @@ def save(path: str | Path, values: Mapping[str, Any], kinds: Mapping[str, Any]) 
     arrays: Arrays = {}
     skeleton = json.dumps({"format": FORMAT, "values": _encode(values, arrays, "")})
     _restore(json.loads(skeleton)["values"], kinds, arrays)
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with open(partial, "wb") as stream:
-            whole = {SKELETON: np.array(skeleton), **arrays}
-            np.savez(stream, allow_pickle=False, **whole, **{DIGEST: np.array(_digest(whole))})
-            stream.flush()
-            os.fsync(stream.fileno())  # a power cut right after the new name leaves no empty file
-        os.replace(partial, path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+    whole = {SKELETON: np.array(skeleton), **arrays}
+    with write_atomically(Path(path)) as unfinished, unfinished.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **whole, **{DIGEST: np.array(_digest(whole))})
+        stream.flush()
+        os.fsync(stream.fileno())  # a power cut right after the new name leaves no empty file
 
 
 def load(path: str | Path, kinds: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from cyclopts import App
 from rsmcm.apps import command_line
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.command_line import main
-from rsmcm.apps.io.results import PLAYABLE, SegmentedVideo
+from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.scenes import sleeping_man
 
 from ..conftest import modified

@@ -12,8 +12,8 @@ from rsmcm.apps.body.start import start_from_head
 from rsmcm.apps.evaluation.scoring import Scoring, track_rows
 from rsmcm.apps.evaluation.validity import report_validity
 from rsmcm.apps.io.ground_truth import BoxTruth, read_ground_truth
+from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.point_files import read_points
-from rsmcm.apps.io.results import read_tracks
 from rsmcm.apps.io.sources.open_source import IMAGE_SUFFIXES, open_source
 from rsmcm.apps.runs.region import read_region
 from rsmcm.apps.structure.application import StructureJob, read_film

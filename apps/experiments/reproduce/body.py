@@ -25,7 +25,7 @@ from ...body.measures import (
 )
 from ...body.overlay import BodyOverlay
 from ...drawing.mosaic import mosaic
-from ...io.results import write_image, write_json
+from ...io.files import write_image, write_json
 from ...reports import report
 from ...reports.claims import HEADER, Claim, in_columns, print_tables
 from ...runs.parallel import in_processes

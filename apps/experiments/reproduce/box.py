@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ...io.datasets import data_folder
-from ...io.results import write_image
+from ...io.files import write_image
 from ...reports import report
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.progress import Progress

@@ -15,7 +15,7 @@ from ....chains.gflow import GFlow
 from ....inference.core.graph import MultiChain
 from ....inference.core.recursive_bp import RecursiveBP
 from ....models.background.pixel_labels import PixelLabels
-from ...io.results import write_json
+from ...io.files import write_json
 from ...reports import report
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.parallel import in_processes

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...io.results import write_json
+from ...io.files import write_json
 from ...reports import report
 from ...reports.claims import HEADER, Claim, print_tables
 from ..trials.face import Measured, Tracker, as_json, measure, median, n_lost, quartiles

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ....chains.gflow import GFlow
 from ....models.face.pose import Poses
-from ...io.results import write_json
+from ...io.files import write_json
 from ...reports import report
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.parallel import in_processes

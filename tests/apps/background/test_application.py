@@ -19,7 +19,7 @@ from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.parameters import SECTIONS, read_parameters, with_defaults
 from rsmcm.apps.evaluation.scoring import Scoring, track_rows
 from rsmcm.apps.io.ground_truth import MaskTruth, read_ground_truth
-from rsmcm.apps.io.results import read_tracks
+from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.sources.open_source import open_source
 from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.runs.region import read_region, stands_inside

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
-from rsmcm.apps.io.results import identity_colour
+from rsmcm.apps.drawing.boxes import identity_colour
 from rsmcm.apps.reports import report
 from rsmcm.apps.reports.report import RunRecord, TrackHistory
 from rsmcm.apps.scenes import TruthBox
