@@ -24,7 +24,8 @@ from ..runs.interruption import Interruption, Outcome
 from ..runs.output_folder import output_folder
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
-from .application import APPLICATION, COMPARISON, Found, Job, read_truth
+from .application import COMPARISON, BackgroundRun, Found, read_truth
+from .job import BackgroundJob
 from .methods import Method, Model, Usual
 from .parameters import Parameters, read_parameters
 
@@ -160,7 +161,7 @@ def methods_of_figure_8(size: tuple[int, int], parameters: Parameters) -> list[M
     ]
 
 
-def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
+def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
     """Run all methods over the job's source; writes `compare.*` and two figures into its folder.
 
     Ctrl-C ends it after the current frame with the comparison until there. Returned are how it ended, and
@@ -171,7 +172,7 @@ def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
     ValueError, OSError
         in one line, whatever is wrong with the job.
     """
-    parameters = read_parameters(job.config) if job.config else {}
+    parameters = read_parameters(job.config, job.chain)
     with (
         Interruption() as interruption,
         open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source,
@@ -199,7 +200,7 @@ def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
                 progress.update()
     lines = [tally.values(n_frames) for tally in tallies.values()] if n_frames else []
     if lines:
-        with output_folder(job.out, APPLICATION, add=True) as folder:
+        with output_folder(job.out, BackgroundRun.application, add=True) as folder:
             folder.add(COMPARISON)
             write_comparison(job.out, source.name, lines, gallery)
     summary = {"source": source.name, "frames": n_frames, "stream": source.stream}

@@ -16,8 +16,9 @@ from ...reports import report
 from ...reports.claims import HEADER, Claim, print_tables
 from ...runs.parallel import in_processes
 from ...scenes import Cylinder, cylinder
+from ...structure.job import Coherence
 from ...structure.metrics import REJECTED, StructureScores, score_structure
-from ...structure.reconstruction import Coherence, reconstruct
+from ...structure.reconstruction import reconstruct
 
 Numbers = NDArray[np.float64]
 
