@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 PACKAGES := models inference chains apps
-MODULES := $(sort $(shell find $(PACKAGES) -name '*.py'))
+MODULES := $(sort $(shell find $(PACKAGES) -type f -not -path '*/__pycache__/*'))
 # Shows all that pyenv has, where there is one.
 NOX := PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd :) $(BIN)/nox
 

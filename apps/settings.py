@@ -11,6 +11,8 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 from cyclopts import App, ArgumentCollection
 from cyclopts.config import Dict
 
+from ..models.core.limits import MOST_SETTINGS
+from ..models.core.text_files import read_text
 from .complaints import meant
 
 T = TypeVar("T")
@@ -19,8 +21,6 @@ OPTION = "--config"
 """Which names the file on the command line."""
 
 SCALARS = (bool, int, float, str)
-NODES = ("name", "pixels")
-"""Fields of chains that name nodes of the graph, which is the application's own."""
 
 
 def read_settings(path: Path) -> dict[str, Any]:
@@ -33,9 +33,6 @@ def read_settings(path: Path) -> dict[str, Any]:
     OSError
         if it cannot be read.
     """
-    from ..models.core.limits import MOST_SETTINGS  # not above: the command line's help needs no numpy
-    from ..models.core.text_files import read_text
-
     text = read_text(path, "expected a TOML file of parameters", MOST_SETTINGS)
     try:
         return tomllib.loads(text)
@@ -124,7 +121,7 @@ def plain_fields(made: Any) -> dict[str, Any]:
 def _kinds(kind: type[Any]) -> dict[str, Any]:
     """Types of the fields that a file can say; the name of a chain is the graph's."""
     hints = get_type_hints(kind)
-    named = [each.name for each in fields(kind) if each.init and each.name not in NODES]
+    named = [each.name for each in fields(kind) if each.init and each.name != "name"]
     return {name: hints[name] for name in named if _readable(hints[name])}
 
 

@@ -1,27 +1,5 @@
 """Pluggable chains, one a file."""
 
-from .adaptive_background import AdaptiveBackground
-from .articulated_pose import ArticulatedPose
-from .blob_tracker import BlobTracker
-from .condensation import Condensation
-from .factor_structure import FactorStructure
-from .flesh_tracker import FleshTracker
-from .gflow import GFlow
-from .ground_plane import GroundPlane
-from .mixture_background import MixtureBackground
-from .point_tracker import PointTracker
-from .recursive_structure import RecursiveStructure
+import lazy_loader
 
-__all__ = [
-    "AdaptiveBackground",
-    "ArticulatedPose",
-    "BlobTracker",
-    "Condensation",
-    "FactorStructure",
-    "FleshTracker",
-    "GFlow",
-    "GroundPlane",
-    "MixtureBackground",
-    "PointTracker",
-    "RecursiveStructure",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,21 +5,20 @@ The RSMCM paper's low-level chain (§4.2): a Gaussian per pixel, whose posterior
 chains predict, the background stays as it is behind an object that they track.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Cavity, Incoming, Port
 from ..models.background import colour
 from ..models.background.gaussian import BackgroundPrediction, LightField
 from ..models.background.kernels.gaussian import light_ratios, second_look
 from ..models.background.kernels.layers import update_behind
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
-from ..models.core.last_call import LastCall
 from ..models.numerics import array_pool
 
 Planes = NDArray[np.float32]
@@ -119,7 +118,6 @@ class AdaptiveBackground:
     pooling: float = 0.3
     follow_light: bool = True
     name: str = "background"
-    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not 0 < self.prior < 1:
@@ -132,9 +130,10 @@ class AdaptiveBackground:
                 raise ValueError(f"{name}: got {getattr(self, name)}, expected 0 or more")
 
     @property
-    def uses_cavity(self) -> bool:
+    def ports(self) -> tuple[Port, ...]:
         """The light of a frame is found in its image before the pixels are predicted."""
-        return self.follow_light
+        cavity = Cavity.IMAGE if self.follow_light else Cavity.NOTHING
+        return (Port(PixelLabels, cavity, sole="background"),)
 
     def initial(self, frame: Frame) -> BackgroundState:
         """The first image is taken for the empty scene, with the variance of a single look."""
@@ -162,7 +161,7 @@ class AdaptiveBackground:
 
     def message(self, state: BackgroundState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
         """P(B) and the predicted value of every pixel (mu_{R -> F}), under the light of this frame."""
-        return PixelMessage(background=self._last(self._prediction, state, incoming[feature].image))
+        return PixelMessage(background=self._predicted(state, incoming))
 
     def update(self, state: BackgroundState, incoming: Incoming) -> BackgroundState:
         """Background after the frame, each pixel weighted by r = P(B=1 | everything).
@@ -170,16 +169,16 @@ class AdaptiveBackground:
         With prediction N(R; m, s), d = I - m and K = s / (s + noise) the mean becomes m + r K d and the
         variance (1 - r K) s + r (1 - r) K^2 d^2.
         """
-        (told,) = incoming.values()
-        image = told.image
+        others = incoming[PixelLabels]
+        image = others.image
         if image is None:
             return state
-        prediction = self._last(self._prediction, state, image)
+        prediction = self._predicted(state, incoming)
         reading, after = prediction.against(image), prediction.update(image)
         covered = array_pool.empty(reading.log_odds.shape, np.uint8)
         covered[:] = 0
         light_rows, row_positions = prediction.light.rows(), prediction.light.row_positions()
-        for region in told.regions:
+        for region in others.regions:
             update_behind(
                 region.top, region.left, region.shift, state.size[1], colour.patch(image, *region.box),
                 reading.pooled, state.mean, state.variance, state.noise, light_rows, row_positions,
@@ -216,10 +215,12 @@ class AdaptiveBackground:
             looks=state.looks + 1,
         )
 
+    def _predicted(self, state: BackgroundState, incoming: Incoming) -> BackgroundPrediction:
+        image = incoming[PixelLabels].image if self.follow_light else None
+        return incoming.once(self._prediction, state, image)
+
     def _prediction(self, state: BackgroundState, image: NDArray[np.uint8] | None) -> BackgroundPrediction:
-        light = state.light
-        if image is not None and self.follow_light:
-            light = self._light_now(state, image)
+        light = state.light if image is None else self._light_now(state, image)
         return BackgroundPrediction(
             size=state.size,
             mean=state.mean,

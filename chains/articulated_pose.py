@@ -2,7 +2,6 @@
 
 import copy
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +10,9 @@ from ..inference.body.dynamics import BodyDynamics
 from ..inference.body.likelihood_sampling import LikelihoodSampler, Past
 from ..inference.body.samples import LEAST_SPREAD, BodySamples, first, part_message, predicted, stationary
 from ..inference.body.tempering import temper
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Incoming, Port
 from ..models.body.likelihood import BodyLikelihood
-from ..models.body.parts import PartMessage
+from ..models.body.parts import BodyParts, PartMessage
 from ..models.body.poses import BodyPoses
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
@@ -77,6 +76,8 @@ class ArticulatedPose:
         if there are fewer than 10 samples, or no poses to start from.
     """
 
+    ports = (Port(BodyParts),)
+
     def __init__(
         self,
         body: UpperBody,
@@ -113,16 +114,16 @@ class ArticulatedPose:
         """Draws of the dynamics around the poses of the frame before."""
         return predicted(self.dynamics, state, self.samples, dt)
 
-    def message(self, state: BodySamples, feature: Any, incoming: Incoming) -> PartMessage:
+    def message(self, state: BodySamples, feature: BodyParts, incoming: Incoming) -> PartMessage:
         """Where the parts should be (mu_{X -> F}): mixtures with the moments of the predicted poses."""
         return part_message(self.body, state.poses, state.weights, GROUPS)
 
     def update(self, state: BodySamples, incoming: Incoming) -> BodySamples:
         """Samples of the posterior, or of the prediction where there is nothing to sample from."""
-        (message,) = incoming.values()
-        told, image = message.told, message.image
+        message = incoming[BodyParts]
+        others, image = message.predicted, message.image
         if image is None or not image.mixtures.informative.any():
-            return stationary(state, told.log_values(self.body.parts(state.poses)).sum(axis=1))
+            return stationary(state, others.log_values(self.body.parts(state.poses)).sum(axis=1))
         random = copy.deepcopy(state.random)
         past = _past(state)
         n = CANDIDATES * self.samples if past else max(FIRST, CANDIDATES * self.samples)
@@ -137,7 +138,7 @@ class ArticulatedPose:
                 prior = self.dynamics.log_density_anywhere(poses, state.size)
             else:
                 prior = self.dynamics.log_density(poses, past.poses, past.weights, past.elapsed)
-            return np.where(self.body.allowed(poses), prior + told.log_values(parts).sum(axis=1), -np.inf)
+            return np.where(self.body.allowed(poses), prior + others.log_values(parts).sum(axis=1), -np.inf)
 
         def log_likelihood(poses: BodyPoses) -> Array:
             return self.likelihood(image, poses)

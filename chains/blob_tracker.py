@@ -7,20 +7,20 @@ then speaks to them at its registered place: a place shared by all its pixels is
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count
-from typing import Any
+from typing import Any, overload
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.core.protocols import Incoming
-from ..models.background.pixel_labels import Layer, LayerStack, PixelLabels, PixelMessage, log_density_ratio
+from ..inference.core.protocols import Cavity, Incoming, Port
+from ..models.background.layers import Layer, LayerStack, log_density_ratio
+from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
-from ..models.core.last_call import LastCall
 from ..models.objects.kernels.blobs import (
     UNKNOWN_COLOUR,
     count_foreground,
@@ -246,8 +246,6 @@ class BlobTracker:
         s for which a blob's mask must have had a waist before it becomes two.
     size_time
         s in which a blob's usual size follows its box; its mask does not reach much further.
-    pixels
-        name of the pixels' feature node; another node that it is connected to is one of boxes.
     """
 
     smallest: float = 0.0003
@@ -266,10 +264,8 @@ class BlobTracker:
     parting_time: float = 0.4
     size_time: float = 2.0
     name: str = "blobs"
-    pixels: str = "pixels"
-    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
 
-    uses_cavity = True
+    ports = (Port(PixelLabels, Cavity.OTHERS), Port(ObjectBoxes, optional=True))
 
     def __post_init__(self) -> None:
         for name in POSITIVE:
@@ -290,6 +286,10 @@ class BlobTracker:
         blobs = tuple(self._moved(blob, dt) for blob in state.blobs)
         return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
 
+    @overload
+    def message(self, state: BlobState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
+    @overload
+    def message(self, state: BlobState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage: ...
     def message(
         self, state: BlobState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
     ) -> PixelMessage | GaussianMessage:
@@ -298,12 +298,12 @@ class BlobTracker:
         To pixels: where they cover them and with which colours, front to back. To boxes: where they stand and
         how large they look, of those that were well seen in the last frame.
         """
-        told: PixelMessage = incoming[self.pixels]
-        blobs, layers = self._last(self._registered, state, told)
-        if feature.name == self.pixels:
+        others = incoming[PixelLabels]
+        blobs, layers = incoming.once(self._registered, state, others)
+        if isinstance(feature, PixelLabels):
             return PixelMessage(layers=layers)
         shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.hits >= FRESH]
-        if told.image is None or not shown:
+        if others.image is None or not shown:
             return feature.uniform()
         x, y, width, height = np.array([blob.box for blob in shown]).T
         deviations = np.stack(
@@ -317,12 +317,12 @@ class BlobTracker:
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Objects after the frame: registered, learned from, born and ended."""
-        told: PixelMessage = incoming[self.pixels]
-        if told.image is None or told.reading is None:
+        others = incoming[PixelLabels]
+        if others.image is None or others.subtraction is None:
             return state
-        blobs, layers = self._last(self._registered, state, told)
-        boxes = next((incoming[name] for name in incoming if name != self.pixels), None)
-        scene = _Scene(told, layers, boxes, state.elapsed)
+        blobs, layers = incoming.once(self._registered, state, others)
+        boxes = incoming.get(ObjectBoxes)
+        scene = _Scene(others, layers, boxes, state.elapsed)
         learned = [self._learned(blob, blobs[:rank], scene) for rank, blob in enumerate(blobs)]
         kept = [blob for rank, blob in enumerate(learned) if self._lives(blob, blobs[:rank], scene)]
         numbers = count(state.born + 1)
@@ -340,13 +340,13 @@ class BlobTracker:
             covariance=np.array([[place, both], [both, speed + push * push]]),
         )
 
-    def _registered(self, state: BlobState, told: PixelMessage) -> tuple[list[Blob], LayerStack]:
+    def _registered(self, state: BlobState, others: PixelMessage) -> tuple[list[Blob], LayerStack]:
         """Blobs front to back at the place where this frame shows them, and their layers."""
         blobs = sorted(state.blobs, key=lambda blob: (-blob.foot, blob.identity))
-        if told.image is not None and told.reading is not None:
+        if others.image is not None and others.subtraction is not None:
             placed: list[Blob] = []
             for blob in blobs:
-                placed.append(self._placed(blob, placed, told))
+                placed.append(self._placed(blob, placed, others))
             blobs = placed
         return blobs, LayerStack([self._layer(blob) for blob in blobs])
 
@@ -357,18 +357,18 @@ class BlobTracker:
             return Layer(top, left, np.asarray(shape, np.float32), None, ghost=True)
         return Layer(top, left, blob.mask, blob.appearance, blob.spread, self.outliers, self.strength)
 
-    def _placed(self, blob: Blob, in_front: Sequence[Blob], told: PixelMessage) -> Blob:
+    def _placed(self, blob: Blob, in_front: Sequence[Blob], others: PixelMessage) -> Blob:
         """Register a blob with the pixels that nothing in front covers; update place and velocity."""
         top, left = blob.corner
         (place, both), (_, speed) = blob.covariance.tolist()
         reach = int(min(max(2.5 * math.sqrt(place) + 1, 2), max(6, min(0.35 * blob.length, 24))))
-        window = _Window(told, top - reach, left - reach, blob.mask.shape, reach)
+        window = _Window(others, top - reach, left - reach, blob.mask.shape, reach)
         window.hide(in_front)
-        assert told.background is not None
+        assert others.background is not None
         down, right, variance_y, variance_x = search(
             reach, blob.position[0] - top, blob.position[1] - left, 1 / max(place, 0.25),
             np.float32(self.temper), max(1, blob.mask.size // 1500), window.planes,
-            density_without(window.odds, np.float32(told.background.prior)), window.free, blob.mask,
+            density_without(window.odds, np.float32(others.background.prior)), window.free, blob.mask,
             blob.appearance, *self._colour_model(blob),
         )  # fmt: skip
         variance = min(max(variance_y, variance_x, 0.25), 100.0)
@@ -390,7 +390,7 @@ class BlobTracker:
         if blob.ghost_evidence >= self.ghost_evidence:
             return blob.changed(unseen=math.inf)
         blob = _fitted(blob)
-        window = _Window(scene.told, *blob.corner, blob.mask.shape)
+        window = _Window(scene.others, *blob.corner, blob.mask.shape)
         window.hide(in_front)
         mask, appearance = np.empty_like(blob.mask), np.empty_like(blob.appearance)
         explained = scene.explained(*blob.corner, blob.mask.shape)
@@ -500,7 +500,7 @@ class BlobTracker:
             if area < max(smallest, THINNEST * max(bottom - top, right - left) ** 2):
                 continue
             top, left, bottom, right = top - MARGIN, left - MARGIN, bottom + MARGIN, right + MARGIN
-            window = _Window(scene.told, top, left, (bottom - top, right - left))
+            window = _Window(scene.others, top, left, (bottom - top, right - left))
             window.hide(blobs)
             mask = np.minimum(0.9, window.free / (1 + np.exp(window.odds))).astype(np.float32)
             if float(mask.sum()) < smallest:
@@ -528,17 +528,17 @@ class _Window:
     """What is known of the pixels in a box: planes, log odds of background, and what nothing else covers."""
 
     def __init__(
-        self, told: PixelMessage, top: int, left: int, shape: tuple[int, int], border: int = 0
+        self, others: PixelMessage, top: int, left: int, shape: tuple[int, int], border: int = 0
     ) -> None:
-        assert told.image is not None
-        assert told.reading is not None
-        image = told.image if told.image.ndim == 3 else told.image[:, :, None]
+        assert others.image is not None
+        assert others.subtraction is not None
+        image = others.image if others.image.ndim == 3 else others.image[:, :, None]
         rows, columns = shape[0] + 2 * border, shape[1] + 2 * border
         self.top, self.left = top, left
         self.planes = np.empty((image.shape[2], rows, columns), np.float32)
         self.odds = np.empty((rows, columns), np.float32)
         self.free = np.empty((rows, columns), np.float32)
-        log_odds = told.reading.pooled.reshape(image.shape[:2])
+        log_odds = others.subtraction.pooled.reshape(image.shape[:2])
         gather(image, log_odds, top, left, self.planes, self.odds, self.free)
 
     def hide(self, blobs: Sequence[Blob]) -> None:
@@ -550,17 +550,17 @@ class _Scene:
     """A frame as blobs need it when they are updated."""
 
     def __init__(
-        self, told: PixelMessage, layers: LayerStack, boxes: GaussianMessage | None, elapsed: float
+        self, others: PixelMessage, layers: LayerStack, boxes: GaussianMessage | None, elapsed: float
     ) -> None:
-        self.told = told
+        self.others = others
         self._expected: dict[int, tuple[Pair, Pair]] = {}
         if boxes is not None:
             sides = [HEIGHT, WIDTH]
             for identity, mean, covariance in zip(*boxes.moments, strict=True):
                 self._expected[int(identity)] = (mean[sides], covariance.diagonal()[sides])
-        self.size = told.size
+        self.size = others.size
         self.elapsed = elapsed
-        self._regions = layers.regions(told.image, told.size)
+        self._regions = layers.regions(others.image, others.size)
 
     def expected_size(self, blob: Blob) -> Pair:
         """Usual height and width px of a blob, and what other chains expect of it, by their precisions."""
@@ -580,7 +580,7 @@ class _Scene:
 
     def picture(self, top: int, left: int, shape: tuple[int, int]) -> Map:
         """Planes of the remembered background in a box."""
-        background = self.told.background
+        background = self.others.background
         assert background is not None
         planes = background.mean.reshape(-1, *self.size)
         out = np.zeros((len(planes), *shape), np.float32)
@@ -610,9 +610,9 @@ class _Scene:
         """Top, left, bottom, right and area px of foreground spots that do not touch a blob."""
         height, width = self.size
         scale = max(1, round(max(height, width) / 192))
-        assert self.told.reading is not None
+        assert self.others.subtraction is not None
         counts = np.empty((-(-height // scale), -(-width // scale)), np.int32)
-        count_foreground(self.told.reading.pooled, width, scale, counts)
+        count_foreground(self.others.subtraction.pooled, width, scale, counts)
         for blob in blobs:
             clear_blocks(counts, *blob.corner, blob.mask, scale)
         spots = (counts * 4 >= scale * scale).astype(np.uint8)

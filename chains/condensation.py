@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..inference.body.dynamics import BodyDynamics
 from ..inference.body.samples import BodySamples, part_message
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Incoming, Port
 from ..inference.filters.resampling import normalised, systematic
 from ..models.body.image_features import BodyImage
 from ..models.body.likelihood import BodyLikelihood
@@ -82,6 +82,8 @@ class Condensation:
     likelihood: Likelihood | None = None
     name: str = "condensation"
 
+    ports = (Port(BodyParts),)
+
     def __post_init__(self) -> None:
         if self.samples < 2:
             raise ValueError(f"samples: got {self.samples}, expected 2 or more")
@@ -144,14 +146,13 @@ class Condensation:
 
     def update(self, state: BodySamples, incoming: Incoming) -> BodySamples:
         """Weights times the likelihood of the image; as they are where there is none."""
-        (heard,) = incoming.values()
-        told: PartMessage = heard
+        others = incoming[BodyParts]
         log_factors = np.zeros(len(state.poses))
-        if told.told.informative.any():
-            log_factors += told.told.log_values(self.body.parts(state.poses)).sum(axis=1)
-        if told.image is not None:
-            log_factors += self._likelihood(told.image, state.poses)
-        if told.image is None and not log_factors.any():
+        if others.predicted.informative.any():
+            log_factors += others.predicted.log_values(self.body.parts(state.poses)).sum(axis=1)
+        if others.image is not None:
+            log_factors += self._likelihood(others.image, state.poses)
+        if others.image is None and not log_factors.any():
             return replace(state, log_evidence=0.0, stationary=True)
         return state.reweighed(log_factors)
 

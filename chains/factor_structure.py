@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.core.protocols import BatchIncoming
+from ..inference.core.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ..inference.factor_analysis.factorisation import Factorisation, factorise, predicted
 from ..inference.structure.track_association import link_tracks
 from ..models.core.gaussian_message import GaussianMessage
@@ -69,9 +69,11 @@ class FactorStructure:
     associate: bool = True
     name: str = "structure"
 
+    ports = (Port(PointTracks, Cavity.OTHERS),)
+
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: StructureTrajectory | None = None
-    ) -> StructureTrajectory:
+    ) -> Smoothed[StructureTrajectory]:
         """Shape and cameras that explain what comes in; always found anew, so that no early error stays.
 
         Raises
@@ -88,7 +90,7 @@ class FactorStructure:
             point = np.arange(len(identities))
         stated = 1 / float(np.median(weights[weights > 0]))
         noise = fit.noise_variance * stated
-        return StructureTrajectory(identities, point, fit, noise, max(noise - stated, 0.0))
+        return Smoothed(StructureTrajectory(identities, point, fit, noise, max(noise - stated, 0.0)))
 
     def messages(self, trajectory: StructureTrajectory, feature: PointTracks) -> list[PointMessage]:
         """Where the points of all tracks are in each frame, seen or not; nothing of tracks without one."""
@@ -108,7 +110,7 @@ def _observations(
     incoming_over_time: Sequence[BatchIncoming],
 ) -> tuple[NDArray[np.int64], Numbers, Numbers]:
     """Identities `(n,)`, positions `(n_frames, n, 2)` and 1 / variances `(n_frames, n)` of what comes in."""
-    moments = [message.positions.moments for incoming in incoming_over_time for message in incoming.values()]
+    moments = [incoming[PointTracks].positions.moments for incoming in incoming_over_time]
     identities = np.unique(np.concatenate([each for each, _, _ in moments]))
     positions = np.zeros((len(moments), len(identities), 2))
     weights = np.zeros((len(moments), len(identities)))

@@ -14,8 +14,8 @@ from scipy.special import expit, logit
 
 from ..inference.body.part_assignment import Assignment, PartChoices
 from ..inference.body.part_filter import MovingParts, PartPosterior
-from ..inference.core.protocols import Incoming
-from ..models.body.parts import PartMessage
+from ..inference.core.protocols import Incoming, Port
+from ..models.body.parts import BodyParts, PartMessage
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
 from ..models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
@@ -120,6 +120,8 @@ class FleshTracker:
     hiding: float = 1.5
     name: str = "flesh"
 
+    ports = (Port(BodyParts),)
+
     def __post_init__(self) -> None:
         for name in ("hand_speed", "head_speed", "lasts", "patience"):
             if not getattr(self, name) > 0:
@@ -163,7 +165,7 @@ class FleshTracker:
             covariances=np.where(forgotten[:, None, None], anywhere.covariances, parts.covariances),
         )
 
-    def message(self, state: FleshTracks, feature: object, incoming: Incoming) -> PartMessage:
+    def message(self, state: FleshTracks, feature: BodyParts, incoming: Incoming) -> PartMessage:
         """Where each part should be (mu_{X -> F}) or, as far as that is not trusted, anywhere in reach.
 
         Hands that may be exchanged are at both places. It integrates to 1.
@@ -191,17 +193,19 @@ class FleshTracker:
         followed themselves, as the product of messages would have it: a chain of poses predicts from the same
         pictures that the parts have been seen in, and a part that nothing confirms would grow ever surer.
         """
-        (message,) = incoming.values()
+        message = incoming[BodyParts]
         looks = _Look.at(self, state, message), _Look.at(self, _exchanged(state), message)
         log_odds = float(logit(max(state.exchanged, LEAST))) + float(
             (looks[1].best.log_masses - looks[0].best.log_masses).sum()
         )
         return looks[int(log_odds > 0)].followed(float(expit(-abs(log_odds))))
 
-    def posterior(self, state: FleshTracks, seen: GaussianMixtures, told: GaussianMixtures) -> PartPosterior:
+    def posterior(
+        self, state: FleshTracks, seen: GaussianMixtures, others: GaussianMixtures
+    ) -> PartPosterior:
         """What is known of parts: where they should be, or anywhere, times what is seen; others weigh it."""
         own = MovingParts(state.means, state.covariances)
-        return PartPosterior.of((own, self._anywhere(state)), _log_shares(state), seen).weighed(told)
+        return PartPosterior.of((own, self._anywhere(state)), _log_shares(state), seen).weighed(others)
 
     @property
     def _speeds(self) -> Array:
@@ -237,17 +241,17 @@ class _Look:
     tracker: FleshTracker
     state: FleshTracks
     seen: GaussianMixtures
-    told: GaussianMixtures
+    others: GaussianMixtures
     known: PartPosterior
     best: Assignment
 
     @classmethod
     def at(cls, tracker: FleshTracker, state: FleshTracks, message: PartMessage) -> Self:
-        told, image = message.told, message.image
-        seen = GaussianMixtures.uniform(told.n_parts) if image is None else image.mixtures
-        known = tracker.posterior(state, seen, told)
+        others, image = message.predicted, message.image
+        seen = GaussianMixtures.uniform(others.n_parts) if image is None else image.mixtures
+        known = tracker.posterior(state, seen, others)
         choices = PartChoices.of(known, seen, tracker.body.hand, tracker.hiding)
-        return cls(tracker, state, seen, told, known, choices.best())
+        return cls(tracker, state, seen, others, known, choices.best())
 
     def followed(self, exchanged: float) -> FleshTracks:
         """Parts that follow what they are taken for; before, hands were `exchanged` with this probability."""
@@ -259,7 +263,7 @@ class _Look:
         if shared.any():
             # Parts that are one thing are somewhere in it, not all in its middle.
             wider = seen.covariances + np.where(shared[:, None, None], within, 0.0)[:, None]
-            known = self.tracker.posterior(state, replace(seen, covariances=wider), self.told)
+            known = self.tracker.posterior(state, replace(seen, covariances=wider), self.others)
         parts, located = known.taken_for(labels)
         covariances = parts.covariances.copy()
         # Where in the thing a hidden part is does not become clearer by looking again.

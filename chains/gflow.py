@@ -4,12 +4,12 @@ import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Cavity, Incoming, Port
 from ..inference.face.background_contrast import Behind, Reading, first_trust, tones, units
 from ..inference.face.coverage import Coverage, widened
 from ..inference.face.expert_background import ExpertBackground
@@ -25,7 +25,6 @@ from ..inference.face.texture_likelihood import TexturedObject, TextureLikelihoo
 from ..inference.filters.resampling import log_sum, normalised
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
-from ..models.core.last_call import LastCall
 from ..models.face.image_pyramid import Level, picture_levels
 from ..models.face.morphable_model import MorphableModel
 from ..models.face.outline import MeshEdges
@@ -179,8 +178,7 @@ class GFlow:
         doubt what does not fit, and look for the object all over the picture when it is lost.
     background
         `"experts"`: each expert has a map of the background, eq. (2), and no other chain's is used. With
-        `"shared"` the background is the one that another chain predicts at the same feature node (connected
-        before this chain), or none.
+        `"shared"` the background is the one that another chain predicts at the same feature node, or none.
     tracked
         numbers of the vertices that are features of `PointTracks`, in increasing order, where it is connected
         to one: an identity there is the number of a vertex.
@@ -212,9 +210,8 @@ class GFlow:
     occlusion: bool = True
     seed: int = 0
     name: str = "gflow"
-    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
 
-    uses_cavity = True
+    ports = (Port(PixelLabels, Cavity.OTHERS), Port(PointTracks, optional=True))
 
     def __post_init__(self) -> None:
         for name in ("experts", "texels", "samples", "resample_every"):
@@ -341,6 +338,10 @@ class GFlow:
         """Poses may have changed by more when the next picture comes."""
         return replace(state, elapsed=state.elapsed + dt)
 
+    @overload
+    def message(self, state: GFlowState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
+    @overload
+    def message(self, state: GFlowState, feature: PointTracks, incoming: Incoming) -> PointMessage: ...
     def message(
         self, state: GFlowState, feature: PixelLabels | PointTracks, incoming: Incoming
     ) -> PixelMessage | PointMessage:
@@ -351,20 +352,27 @@ class GFlow:
         """
         if isinstance(feature, PointTracks):
             return self._vertices_predicted(state) or feature.uniform()
-        told: PixelMessage = incoming[feature]
-        if state.lost or not len(self.model.triangles) or (told.image is None and told.background is None):
+        others = incoming[feature]
+        if (
+            state.lost
+            or not len(self.model.triangles)
+            or (others.image is None and others.background is None)
+        ):
             return feature.uniform()
         seen = state
-        if told.background is not None and told.image is not None:
-            seen = self._last(self._after, state, told, _points_of(incoming))
+        if others.background is not None and others.image is not None:
+            seen = self._updated(state, incoming)
             if seen.doubts and self.recover:
                 return feature.uniform()
-        coverage = Coverage.of(self.model, seen.poses, seen.weights, told.size)
+        coverage = Coverage.of(self.model, seen.poses, seen.weights, others.size)
         return PixelMessage(layers=coverage.layers(state.trust))
 
     def update(self, state: GFlowState, incoming: Incoming) -> GFlowState:
         """Experts and textures after the picture."""
-        return self._last(self._after, state, _pixels_of(incoming), _points_of(incoming))
+        return self._updated(state, incoming)
+
+    def _updated(self, state: GFlowState, incoming: Incoming) -> GFlowState:
+        return incoming.once(self._after, state, incoming[PixelLabels], incoming.get(PointTracks))
 
     def _vertices_predicted(self, state: GFlowState) -> PointMessage | None:
         if (state.doubts and self.recover) or not self.tracked or not state.elapsed:
@@ -373,8 +381,8 @@ class GFlow:
         chosen = np.array(self.tracked, np.int64)
         return PointMessage(predicted_points(self.model, prior, state.weights, chosen))
 
-    def _after(self, state: GFlowState, told: PixelMessage, points: PointMessage | None) -> GFlowState:
-        image = told.image
+    def _after(self, state: GFlowState, others: PixelMessage, points: PointMessage | None) -> GFlowState:
+        image = others.image
         if image is None:
             return state
         state = replace(state, random=copy.deepcopy(state.random))
@@ -384,7 +392,7 @@ class GFlow:
         elif state.lost and self.recover:
             generation = self._found_again(state, levels)
         else:
-            generation = self._followed(state, levels, self._behind(state, told), points)
+            generation = self._followed(state, levels, self._behind(state, others), points)
         after = self._textured(state, generation, levels)
         if after.doubts and self.recover and not state.lost:
             # it may have jumped: looked for as if it were lost, and believed where it is found
@@ -395,28 +403,28 @@ class GFlow:
             return after
         if self.background == "experts":
             return self._with_own_background(after, generation, image)
-        return after if told.background is None else self._with_trust(after, told)
+        return after if others.background is None else self._with_trust(after, others)
 
-    def _behind(self, state: GFlowState, told: PixelMessage) -> Behind | None:
+    def _behind(self, state: GFlowState, others: PixelMessage) -> Behind | None:
         """The background of this picture near the object, if somebody predicts it."""
-        own, trust, image = state.background, state.trust, told.image
-        if image is None or (own is None and (told.background is None or trust is None)):
+        own, trust, image = state.background, state.trust, others.image
+        if image is None or (own is None and (others.background is None or trust is None)):
             return None
-        coverage = Coverage.of(self.model, state.poses, state.weights, told.size, margin=state.size)
+        coverage = Coverage.of(self.model, state.poses, state.weights, others.size, margin=state.size)
         usual = tones(image, coverage.inner, coverage.box)
         unit = units(image, state.size, local_mean=self.local_mean)
         if own is not None:
             return Behind(own.backdrop(image, coverage.box, usual, unit), self._whole)
         assert trust is not None
-        return Behind(Reading(told).backdrop(trust, coverage.box, usual, unit), self._whole)
+        return Behind(Reading(others).backdrop(trust, coverage.box, usual, unit), self._whole)
 
-    def _with_trust(self, state: GFlowState, told: PixelMessage) -> GFlowState:
+    def _with_trust(self, state: GFlowState, others: PixelMessage) -> GFlowState:
         """How well the background is known that another chain predicts."""
-        coverage = Coverage.of(self.model, state.poses, state.weights, told.size)
+        coverage = Coverage.of(self.model, state.poses, state.weights, others.size)
         trust = state.trust
         if trust is None:
-            trust = first_trust(coverage.hidden, coverage.box, told.size)
-        return replace(state, trust=Reading(told).trust_after(trust, coverage.hidden, coverage.box))
+            trust = first_trust(coverage.hidden, coverage.box, others.size)
+        return replace(state, trust=Reading(others).trust_after(trust, coverage.hidden, coverage.box))
 
     def _with_own_background(
         self, state: GFlowState, generation: Generation, image: NDArray[np.uint8]
@@ -555,14 +563,3 @@ class GFlow:
         """`(n, 2)` px: where points of the surface are in the mean pose."""
         projected: Array = points.project(self.model, self.mean_pose(state))[0]
         return projected
-
-
-def _pixels_of(incoming: Incoming) -> PixelMessage:
-    told = next((told for told in incoming.values() if isinstance(told, PixelMessage)), None)
-    if told is None:
-        raise ValueError(f"G-flow: got the features {', '.join(incoming)}, expected a PixelLabels among them")
-    return told
-
-
-def _points_of(incoming: Incoming) -> PointMessage | None:
-    return next((told for told in incoming.values() if isinstance(told, PointMessage)), None)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Incoming, Port
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
 from ..models.objects.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH, ObjectBoxes
@@ -148,6 +148,8 @@ class GroundPlane:
     patience: float = 3.0
     name: str = "ground"
 
+    ports = (Port(ObjectBoxes),)
+
     def __post_init__(self) -> None:
         for name in (
             "stature",
@@ -236,8 +238,7 @@ class GroundPlane:
 
     def update(self, state: GroundState, incoming: Incoming) -> GroundState:
         """Perspective and objects after a look at what others say of the boxes."""
-        (told,) = incoming.values()
-        identities, boxes, covariances = told.moments
+        identities, boxes, covariances = incoming[ObjectBoxes].moments
         state = self._joined(state, identities, boxes)
         if not len(identities):
             return state

@@ -4,17 +4,16 @@ Stauffer and Grimson's mixture of Gaussians per pixel (CVPR 1999), with one diff
 of a pixel slows its learning, so that objects that they track do not become background.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Incoming, Port
 from ..models.background import colour
 from ..models.background.mixture import Mixture, MixturePrediction
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
-from ..models.core.last_call import LastCall
 from ..models.numerics import array_pool
 
 REVEALED = 3.0
@@ -74,7 +73,8 @@ class MixtureBackground:
     first_variance: float = 30.0
     pooling: float = 0.3
     name: str = "background"
-    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
+
+    ports = (Port(PixelLabels, sole="background"),)
 
     def __post_init__(self) -> None:
         for name in ("prior", "background_share"):
@@ -110,7 +110,7 @@ class MixtureBackground:
 
     def message(self, state: MixtureState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
         """P(B) and the predicted values of every pixel (mu_{R -> F})."""
-        return PixelMessage(background=self._last(self._prediction, state))
+        return PixelMessage(background=incoming.once(self._prediction, state))
 
     def update(self, state: MixtureState, incoming: Incoming) -> MixtureState:
         """The mixture after the frame, learned at each pixel's own rate.
@@ -119,17 +119,17 @@ class MixtureBackground:
         chain speaks. Where others are sure of background that shows itself as something else (an object of
         the first image that has left), that look is taken for it at once.
         """
-        (told,) = incoming.values()
-        image = told.image
+        others = incoming[PixelLabels]
+        image = others.image
         if image is None:
             return state
-        prediction = self._last(self._prediction, state)
+        prediction = incoming.once(self._prediction, state)
         height, width = state.size
         rate = float(-np.expm1(-self.rate * state.elapsed))
         rates = array_pool.empty((height, width), np.float32)
         rates[:] = rate
         pooled = prediction.against(image).pooled.reshape(height, width)
-        for region in told.regions:
+        for region in others.regions:
             relative = 1 / (self.prior + (1 - self.prior) * np.exp(-region.shift))
             revealed = (region.shift > REVEALED) & (pooled[region.window] < 0)
             rates[region.window] = np.where(revealed, 1, rate * np.minimum(relative, 1))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.core.protocols import BatchIncoming, Incoming
+from ..inference.core.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ..inference.points.duplicate_tracks import Same, on_one_spot, rename, renamed, same_points, united
 from ..inference.points.known_points import KnownPoints
 from ..inference.points.motion_noise import learned_motion
@@ -87,6 +87,8 @@ class PointTracker:
     limit: float = 8.0
     name: str = "tracker"
 
+    ports = (Port(PointTracks, sole="appearance"),)
+
     def __post_init__(self) -> None:
         for name in ("n_points", "spacing", "limit"):
             if not getattr(self, name) > 0:
@@ -112,10 +114,10 @@ class PointTracker:
 
     def update(self, state: TrackerState, incoming: Incoming) -> TrackerState:
         """Points after a look: those that are found again, those that are lost, and new ones."""
-        (told,) = incoming.values()
-        state = followed(state, told, learns=self.acceleration is None)
-        if told.view is not None:
-            state = self._with_new(state) if told.view.grey is not None else with_given(state, told)
+        others = incoming[PointTracks]
+        state = followed(state, others, learns=self.acceleration is None)
+        if others.view is not None:
+            state = self._with_new(state) if others.view.grey is not None else with_given(state, others)
         return replace(state, known=state.known.without_oldest(MEMORY * self.n_points))
 
     def _with_new(self, state: TrackerState) -> TrackerState:
@@ -127,7 +129,7 @@ class PointTracker:
 
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: PointTrajectory | None = None
-    ) -> PointTrajectory:
+    ) -> Smoothed[PointTrajectory]:
         """Points in all frames, given what all frames show and what other chains say.
 
         In pictures points are followed from frame to frame as in filtering. In later rounds the points of the
@@ -135,21 +137,20 @@ class PointTracker:
         where they were found first; there are no others. Identities that others take for one point, and that
         look alike, are one, and so are those that are found on one spot again and again.
         """
-        (name,) = incoming_over_time[0]
-        told = [incoming.told(name) for incoming in incoming_over_time]
-        if not any(incoming.frame.image is not None for incoming in incoming_over_time):
-            looks = zip(incoming_over_time, told, strict=True)
-            return self._smoothed(
-                [incoming.look(name, message) for incoming, message in looks], told, incoming_over_time
+        others = [incoming.others(PointTracks) for incoming in incoming_over_time]
+        if any(incoming.frame.image is not None for incoming in incoming_over_time):
+            search = _Search(self, incoming_over_time, others, current)
+            evidence, known = search.run()
+            trajectory = replace(
+                self._smoothed(evidence, search.others, incoming_over_time),
+                looks=Looks(known.identities, known.first, known.patches),
+                absorbed=np.array(sorted(search.same.items()), np.int64).reshape(-1, 2),
             )
-        search = _Search(self, incoming_over_time, told, current)
-        evidence, known = search.run()
-        trajectory = self._smoothed(evidence, search.told, incoming_over_time)
-        return replace(
-            trajectory,
-            looks=Looks(known.identities, known.first, known.patches),
-            absorbed=np.array(sorted(search.same.items()), np.int64).reshape(-1, 2),
-        )
+        else:
+            pairs = zip(incoming_over_time, others, strict=True)
+            evidence = [incoming.search(PointTracks, message) for incoming, message in pairs]
+            trajectory = self._smoothed(evidence, others, incoming_over_time)
+        return Smoothed(trajectory, {incoming_over_time[0].node(PointTracks): evidence})
 
     def messages(self, trajectory: PointTrajectory, feature: PointTracks) -> list[PointMessage]:
         """Where the evidence of all other frames says that points are (mu_{R -> F}): nobody hears
@@ -159,20 +160,20 @@ class PointTracker:
     def _smoothed(
         self,
         evidence: Sequence[PointMessage],
-        told: Sequence[PointMessage],
+        others: Sequence[PointMessage],
         incoming_over_time: Sequence[BatchIncoming],
     ) -> PointTrajectory:
         """Smooth tracks of all points that were found in any frame."""
         times = np.array([incoming.frame.time for incoming in incoming_over_time])
         seen = Gathered.of([message.positions for message in evidence], times)
-        others = Gathered.of([message.positions for message in told], times, seen.identities)
+        expected = Gathered.of([message.positions for message in others], times, seen.identities)
         motion = learned_motion(
             seen.measured, None if self.acceleration is None else LASTS * self.acceleration**2
         )
         views = [message.view for message in evidence if message.view is not None]
         greys = [view.grey for view in views if view.grey is not None]
         limit = self.limit if greys or not views else GIVEN_LIMIT * views[0].noise
-        return smoothed_trajectory(seen, others, motion, limit, greys[0].shape if greys else None)
+        return smoothed_trajectory(seen, expected, motion, limit, greys[0].shape if greys else None)
 
 
 class _Search:
@@ -182,7 +183,7 @@ class _Search:
     ----------
     same
         identities that are one point.
-    told
+    others
         what others say of points, once for each.
     """
 
@@ -190,13 +191,12 @@ class _Search:
         self,
         tracker: PointTracker,
         incoming_over_time: Sequence[BatchIncoming],
-        told: Sequence[PointMessage],
+        others: Sequence[PointMessage],
         current: PointTrajectory | None,
     ) -> None:
         self._tracker, self._incoming, self._current = tracker, incoming_over_time, current
-        self._name = next(iter(incoming_over_time[0]))
-        self._all_told = told
-        self._unite({} if current is None else same_points(current, told))
+        self._all_others = others
+        self._unite({} if current is None else same_points(current, others))
 
     def run(self) -> tuple[list[PointMessage], KnownPoints]:
         """What frames show of points, and those points."""
@@ -210,12 +210,12 @@ class _Search:
 
     def _unite(self, same: Same) -> None:
         self.same = same
-        self.told = [renamed(message, same) for message in self._all_told]
+        self.others = [renamed(message, same) for message in self._all_others]
 
     def _followed(self) -> tuple[list[PointMessage], KnownPoints]:
         state, last = None, 0.0
         evidence = []
-        for time, (incoming, told) in enumerate(zip(self._incoming, self.told, strict=True)):
+        for time, (incoming, others) in enumerate(zip(self._incoming, self.others, strict=True)):
             frame = incoming.frame
             if state is not None:
                 state = predicted(state, frame.time - last)
@@ -223,31 +223,31 @@ class _Search:
                 state = self._beginning(frame)
             last = frame.time
             if state is None:
-                evidence.append(incoming.look(self._name, told))
+                evidence.append(incoming.search(PointTracks, others))
             else:
-                state, seen = self._looked(state, incoming, told, time)
+                state, seen = self._looked(state, incoming, others, time)
                 evidence.append(seen)
         return evidence, KnownPoints.none() if state is None else state.known
 
     def _looked(
-        self, state: TrackerState, incoming: BatchIncoming, told: PointMessage, time: int
+        self, state: TrackerState, incoming: BatchIncoming, others: PointMessage, time: int
     ) -> tuple[TrackerState, PointMessage]:
         """The state after a look at a frame, and what was seen.
 
         A point that begins in the frame is looked for there at once: what cannot be told from its
         surroundings in the very picture that it was cut from is no point.
         """
-        prior = message_of(state) * told
-        seen: PointMessage = incoming.look(self._name, prior)
-        before = followed(state, told * seen, learns=self._tracker.acceleration is None)
+        prior = message_of(state) * others
+        seen: PointMessage = incoming.search(PointTracks, prior)
+        before = followed(state, others * seen, learns=self._tracker.acceleration is None)
         if seen.view is None:
             return before, seen
         if seen.view.grey is None:
-            return with_given(before, told * seen), seen
+            return with_given(before, others * seen), seen
         after = (
             self._tracker._with_new(before)
             if self._current is None
-            else self._begun_again(before, told, time)
+            else self._begun_again(before, others, time)
         )
         known = after.known
         new = known.alive & ~np.isin(known.identities, before.known.identities[before.known.alive])
@@ -255,7 +255,9 @@ class _Search:
             return after, seen
         begun = message_of(replace(after, known=known.only(new)))
         patches = Patches(known.identities, known.patches)
-        seen = incoming.look(self._name, PointMessage(prior.positions * begun.positions, patches, prior.view))
+        seen = incoming.search(
+            PointTracks, PointMessage(prior.positions * begun.positions, patches, prior.view)
+        )
         found = NOBODY if seen.view is None else seen.view.found.identities
         alive = known.alive & ~(new & ~np.isin(known.identities, found))
         return replace(after, known=replace(known, alive=alive), view=seen.view), seen
@@ -271,7 +273,7 @@ class _Search:
             state, known=KnownPoints.lost(looks.identities[kept], looks.first[kept], looks.first[kept])
         )
 
-    def _begun_again(self, state: TrackerState, told: PointMessage, time: int) -> TrackerState:
+    def _begun_again(self, state: TrackerState, others: PointMessage, time: int) -> TrackerState:
         """With points that were found first in this frame in the round before, unless others know better."""
         known, view, current = state.known, state.view, self._current
         if current is None or current.looks is None or view is None:
@@ -280,7 +282,7 @@ class _Search:
         names, once = np.unique(rename(current.identities[first], self.same), return_index=True)
         points = first[once]
         position = current.position[time, points]
-        begins = ~known.alive[known.places_of(names)] & _plausible(told.positions, names, position)
+        begins = ~known.alive[known.places_of(names)] & _plausible(others.positions, names, position)
         points, places, position = points[begins], known.places_of(names[begins]), position[begins]
         patches = known.patches.copy()
         patches[places] = current.looks.first[current.looks.places_of(current.identities[points])]
@@ -291,9 +293,9 @@ class _Search:
 NOBODY = np.zeros(0, np.int64)
 
 
-def _plausible(told: GaussianMessage, identities: Identities, positions: Numbers) -> Mask:
+def _plausible(others: GaussianMessage, identities: Identities, positions: Numbers) -> Mask:
     """`(n,)`: whether points may be at `positions`, `(n, 2)` px, as far as anything is said of them."""
-    known, mean, covariance = told.only(np.isin(told.identities, identities)).moments
+    known, mean, covariance = others.only(np.isin(others.identities, identities)).moments
     place = np.searchsorted(identities, known)
     off = positions[place] - mean
     spread = covariance + BORN**2 * np.eye(2)

@@ -4,18 +4,17 @@ The conclusion of the RSMCM paper claims this filter without giving it; what is 
 per frame. `inference.rigid_structure` has its mathematics.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..inference.core.protocols import Incoming
+from ..inference.core.protocols import Cavity, Incoming, Port
 from ..inference.structure import camera_motion
 from ..inference.structure.camera_motion import CameraMotion
 from ..inference.structure.recursive import Registration, Seen, Structure, join, register, take_in
 from ..inference.structure.recursive_start import LEAST_SEEN, Window, first_structure
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
-from ..models.core.last_call import LastCall
 from ..models.points.point_tracks import NOWHERE, PointMessage, PointTracks
 
 LOST = 0.5
@@ -63,8 +62,8 @@ class RecursiveStructure:
     patience: float = 20.0
     most_points: int = 2000
     name: str = "structure"
-    uses_cavity: bool = field(default=True, init=False, repr=False)
-    _last: LastCall = field(default_factory=LastCall, init=False, repr=False, compare=False)
+
+    ports = (Port(PointTracks, Cavity.OTHERS),)
 
     def __post_init__(self) -> None:
         if not self.patience > 0:
@@ -94,17 +93,17 @@ class RecursiveStructure:
         structure = state.structure
         if structure is None or not len(structure):
             return feature.uniform()
-        found = self._last(_registered, structure, state, incoming[feature])
+        found = incoming.once(_registered, structure, state, incoming[feature])
         return PointMessage(
             GaussianMessage.from_moments(structure.identities, found.means, found.covariances)
         )
 
     def update(self, state: StructureState, incoming: Incoming) -> StructureState:
         """Camera and points after a look."""
-        (told,) = incoming.values()
-        seen, structure = _seen(state, told), state.structure
+        others = incoming[PointTracks]
+        seen, structure = _seen(state, others), state.structure
         if structure is not None:
-            found = self._last(_registered, structure, state, told)
+            found = incoming.once(_registered, structure, state, others)
             if len(seen) < LEAST_SEEN or not _lost(found.motion, structure.extent):
                 structure = take_in(structure, found, state.elapsed, state.time)
                 structure = self._remembered(join(structure, seen))
@@ -120,19 +119,19 @@ class RecursiveStructure:
         return structure if len(latest) == len(structure) else structure.only(np.sort(latest))
 
 
-def _seen(state: StructureState, told: PointMessage) -> Seen:
+def _seen(state: StructureState, others: PointMessage) -> Seen:
     """The points that the frame shows: where they were found, as sure as the message is of them.
 
     What the tracker expects of a point comes from frames that the shape has been fitted to as well, and from
-    what this chain told it of them. Counted as one more look it would be such errors' own confirmation, so
+    what this chain tells it of them. Counted as one more look it would be such errors' own confirmation, so
     where the frame has a view, positions are those found in it.
     """
-    identities, positions, covariances = told.positions.moments
+    identities, positions, covariances = others.positions.moments
     variances = 0.5 * np.trace(covariances, axis1=1, axis2=2)
-    if told.view is None:
+    if others.view is None:
         return Seen(identities, positions, variances)
-    found = told.view.found
-    if state.time - told.view.time > 0.5 * state.elapsed:  # a tracker's view of an earlier frame
+    found = others.view.found
+    if state.time - others.view.time > 0.5 * state.elapsed:  # a tracker's view of an earlier frame
         found = NOWHERE
     common, here, there = np.intersect1d(
         identities, found.identities, assume_unique=True, return_indices=True
@@ -140,8 +139,8 @@ def _seen(state: StructureState, told: PointMessage) -> Seen:
     return Seen(common, found.positions[there], variances[here])
 
 
-def _registered(structure: Structure, state: StructureState, told: PointMessage) -> Registration:
-    return register(structure, _seen(state, told))
+def _registered(structure: Structure, state: StructureState, others: PointMessage) -> Registration:
+    return register(structure, _seen(state, others))
 
 
 def _lost(motion: CameraMotion, extent: float) -> bool:

@@ -2,28 +2,12 @@
 
 from importlib import import_module
 
-from .core.coordinate_ascent import CoordinateAscent, Solution
-from .core.graph import MultiChain
-from .core.protocols import BatchChain, Chain, FeatureNode, Incoming, Message
-from .core.recursive_bp import Belief, RecursiveBP, RunState
+import lazy_loader
 
-__all__ = [
-    "BatchChain",
-    "Belief",
-    "Chain",
-    "Condensation",
-    "CoordinateAscent",
-    "FeatureNode",
-    "Incoming",
-    "Message",
-    "MultiChain",
-    "RecursiveBP",
-    "RunState",
-    "Solution",
-]
+_own, __dir__, _names = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [*_names, "Condensation"]
 
 
 def __getattr__(name: str) -> object:
-    if name == "Condensation":  # a chain, which was here once; not imported at once, since chains import us
-        return getattr(import_module("rsmcm.chains"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    # Condensation is a chain, which was here once.
+    return import_module("rsmcm.chains").Condensation if name == "Condensation" else _own(name)

@@ -1,28 +1,5 @@
 """What the world looks like: features, pictures, colours. No time, no engine."""
 
-from .background.pixel_labels import PixelLabels
-from .body.parts import BodyParts
-from .body.poses import BodyPoses
-from .body.upper_body import UpperBody
-from .core.categorical import Categorical
-from .core.frame import Frame
-from .face.detectors import HaarFaces, YuNetFaces
-from .face.morphable_model import MorphableModel
-from .face.pose import Poses
-from .objects.object_boxes import ObjectBoxes
-from .points.point_tracks import PointTracks
+import lazy_loader
 
-__all__ = [
-    "BodyParts",
-    "BodyPoses",
-    "Categorical",
-    "Frame",
-    "HaarFaces",
-    "MorphableModel",
-    "ObjectBoxes",
-    "PixelLabels",
-    "PointTracks",
-    "Poses",
-    "UpperBody",
-    "YuNetFaces",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

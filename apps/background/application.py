@@ -18,7 +18,6 @@ from ..io.masks import MaskWriter
 from ..io.mot import TrackedObject, TrackWriter, read_tracks
 from ..io.segments import segment_pattern
 from ..io.sources.open_source import Source
-from ..reports.report import RunRecord, write_report
 from ..runs.film_run import FilmRun, Writer
 from ..runs.interruption import Outcome
 from ..runs.memory import BACKGROUND
@@ -33,6 +32,8 @@ from .parameters import (
     read_parameters,
     with_defaults,
 )
+from .record import RunRecord
+from .report import write_report
 
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 

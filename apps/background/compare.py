@@ -2,24 +2,25 @@
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ...models.core.atomic_files import write_atomically, write_text
+from ...models.core.atomic_files import write_text
 from ...models.core.frame import Frame
 from ..drawing.mosaic import mosaic
 from ..evaluation.scoring import Scoring
 from ..experiments.trials.baselines import CleanUp, OpenCVSubtractor
 from ..io.files import write_image, write_json
 from ..io.sources.open_source import open_source
-from ..reports import report
+from ..reports import page, plots, snapshots
 from ..runs.interruption import Interruption, Outcome
 from ..runs.output_folder import output_folder
 from ..runs.progress import Progress
@@ -111,7 +112,7 @@ class Gallery:
         if self.count % self.stride == 0:
             made = [picture for model, found in systems for picture in (model.background(), found.foreground)]
             self.moments.append(
-                Moment(number, tuple(report.small(picture, PICTURE_WIDTH) for picture in (image, *made)))
+                Moment(number, tuple(snapshots.small(picture, PICTURE_WIDTH) for picture in (image, *made)))
             )
             if len(self.moments) > MOST_PICTURES:
                 del self.moments[1::2]
@@ -212,7 +213,7 @@ def write_comparison(
     title: str,
     lines: Sequence[dict[str, Any]],
     gallery: Gallery,
-    above: Sequence[report.Html] = (),
+    above: Sequence[Markup] = (),
 ) -> None:
     """Write the table (CSV, JSON), Figs. 8 and 11 (PNG), and a page with all of them below `above`."""
     header = list(dict.fromkeys(name for line in lines for name in line))
@@ -227,25 +228,15 @@ def write_comparison(
     rows = [(name, [each.pictures[k] for each in moments]) for k, name in enumerate(FIGURE_ROWS)]
     columns = [f"frame {each.number}" for each in moments]
     write_image(folder / "compare-pictures.png", mosaic(rows, columns))
-    parts = [*above, report.table(header, [[line.get(name, "–") for name in header] for line in lines])]
+    parts = [*above, page.table(header, [[line.get(name, "–") for name in header] for line in lines])]
     if "total" in header:
-        save_figure(folder / "compare-errors.png", lambda canvas: _draw_errors(canvas, lines), (9, 4))
-        parts.append(
-            report.figure(lambda canvas: _draw_errors(canvas, lines), (9, 4), "Errors, as in Fig. 8")
-        )
-    report.write_page(
+        plots.write_figure(folder / "compare-errors.png", lambda canvas: _draw_errors(canvas, lines), (9, 4))
+        parts.append(plots.figure(lambda canvas: _draw_errors(canvas, lines), (9, 4), "Errors, as in Fig. 8"))
+    page.write_page(
         folder / "compare.html",
         f"{Path(title).name}: comparison",
-        [("", parts), ("Pictures over time, as in Fig. 11", [report.picture_grid(rows, columns)])],
+        [("", parts), ("Pictures over time, as in Fig. 11", [page.picture_grid(rows, columns)])],
     )
-
-
-def save_figure(path: Path, draw: Callable[[Figure], None], size: tuple[float, float]) -> None:
-    """Write a plot of `size` (inches) as PNG."""
-    canvas = Figure(figsize=size, layout="constrained", dpi=120)
-    draw(canvas)
-    with write_atomically(path) as unfinished:
-        canvas.savefig(unfinished, format="png")
 
 
 def _draw_errors(canvas: Figure, lines: Sequence[dict[str, Any]]) -> None:

@@ -15,7 +15,7 @@ from ...models.body.upper_body import JOINTS
 from ...models.core.atomic_files import write_atomically, write_text
 from ..body.joint_files import COLUMNS
 from ..io.files import write_image
-from ..reports.claims import in_columns
+from ..reports.expectations import in_columns
 from ..runs.interruption import Outcome
 from ..runs.progress import Progress
 from ..scenes import FaceScene, Scene, SignerScene, cylinder, face, signer, sleeping_man

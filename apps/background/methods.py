@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference import RecursiveBP
-from ...inference.core.recursive_bp import BEGINNING
+from ...inference.core.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ..experiments.trials.baselines import CleanUp, KalmanHungarian, Subtractor, component_boxes
 from .application import Found, build_model, found_in
@@ -51,7 +51,7 @@ class Model:
         self.tracks = engine != "stand-alone"
         self._size = size
         self._engine = RecursiveBP(build_model(engine, parameters))
-        self._state = BEGINNING
+        self._state = RunState()
 
     def step(self, frame: Frame) -> Found:
         """Take in the next frame."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -14,7 +15,8 @@ from ...inference.body.samples import BodyMoments, BodySamples
 from ...models.body.upper_body import JOINTS, PARTS
 from ...models.core.frame import Frame
 from ..reports.frame_lists import listed, listed_periods, periods
-from ..reports.report import Html, Section, cards, figure, paragraph, table, write_run_page
+from ..reports.page import Section, cards, paragraph, table, write_run_page
+from ..reports.plots import figure
 from ..reports.snapshots import Snapshots
 from ..reports.time_plots import BLUE, GREEN, ORANGE, Line, over_time
 from ..runs.frame_record import FrameRecord
@@ -155,7 +157,7 @@ def write_body_report(path: Path, record: BodyRecord, summary: Mapping[str, Any]
     write_run_page(path, title, _summary(summary), summary["notes"], sections, summary["parameters"])
 
 
-def _summary(summary: Mapping[str, Any]) -> Html:
+def _summary(summary: Mapping[str, Any]) -> Markup:
     shares = {
         f"{name.replace('_', ' ')} seen": f"{100 * share:.0f} %" for name, share in summary["seen"].items()
     }
@@ -170,7 +172,7 @@ def _summary(summary: Mapping[str, Any]) -> Html:
     return cards(values)
 
 
-def _over_time(record: BodyRecord, plots: Sequence[tuple[str, Sequence[Line]]], caption: str) -> Html:
+def _over_time(record: BodyRecord, plots: Sequence[tuple[str, Sequence[Line]]], caption: str) -> Markup:
     """Plots in which periods without any feature are shaded."""
     time_of = dict(zip(record.numbers, record.times, strict=True))
     shaded = [(time_of[first], time_of[last]) for first, last in record.stationary_periods]
@@ -179,7 +181,7 @@ def _over_time(record: BodyRecord, plots: Sequence[tuple[str, Sequence[Line]]], 
     return over_time(record.times, plots, caption, shaded)
 
 
-def _places(record: BodyRecord) -> Html:
+def _places(record: BodyRecord) -> Markup:
     places, spreads = np.array(record.places), HALF_90 * np.array(record.spreads)
     plots = []
     for axis, name in enumerate(("x, px\n(to the right)", "y, px\n(down)", "z, px\n(away)")):
@@ -191,7 +193,7 @@ def _places(record: BodyRecord) -> Html:
     return _over_time(record, plots, "Posterior means, with bands that hold 90 % of a Gaussian.")
 
 
-def _seen(record: BodyRecord) -> Html:
+def _seen(record: BodyRecord) -> Markup:
     seen = np.array(record.seen)
     rows = [
         (name.replace("_", " "), int(np.count_nonzero(seen[:, part])), f"{100 * share:.1f} %")
@@ -213,7 +215,7 @@ def _seen(record: BodyRecord) -> Html:
         axis.set_xlim(times[0] - each, times[-1] + each)
         axis.set_xlabel("time in the video, s")
 
-    return Html(
+    return Markup(
         table(("part", "frames in which it was seen", "of those that are not missing"), rows)
         + figure(
             draw,
@@ -224,7 +226,7 @@ def _seen(record: BodyRecord) -> Html:
     )
 
 
-def _tracker(record: BodyRecord) -> Html:
+def _tracker(record: BodyRecord) -> Markup:
     return _over_time(
         record,
         [
@@ -237,6 +239,6 @@ def _tracker(record: BodyRecord) -> Html:
     )
 
 
-def _body(body: Mapping[str, Any]) -> Html:
+def _body(body: Mapping[str, Any]) -> Markup:
     rows = [(name.replace("_", " "), value) for name, value in body["lengths"].items()]
-    return Html(paragraph(body["origin"]) + table(("length", "px"), rows))
+    return Markup(paragraph(body["origin"]) + table(("length", "px"), rows))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.validity.estimate import FEWEST_GROUPS, Comparison, Interval, compare
-from ..reports.claims import in_columns
+from ..reports.expectations import in_columns
 from .predictions import FILE, PairRecord, read_predictions
 
 WRITTEN_BY = "rsmcm structure"

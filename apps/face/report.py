@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ...models.core.frame import Frame
 from ...models.face.pose import Poses
 from ..reports.frame_lists import listed, listed_periods, periods
-from ..reports.report import Html, Section, cards, paragraph, picture_grid, table, write_run_page
+from ..reports.page import Section, cards, paragraph, picture_grid, table, write_run_page
 from ..reports.time_plots import BLUE, GREEN, ORANGE, Line, over_time
 from ..runs.frame_record import FrameRecord
 
@@ -188,7 +189,7 @@ def write_face_report(
     write_run_page(path, title, _summary(summary), summary["notes"], sections, summary["parameters"])
 
 
-def _summary(summary: Mapping[str, Any]) -> Html:
+def _summary(summary: Mapping[str, Any]) -> Markup:
     values = {
         "frames": f"{summary['frames']}",
         "frames a second": f"{summary['frames_per_second']:.1f}",
@@ -203,7 +204,7 @@ def _summary(summary: Mapping[str, Any]) -> Html:
     return cards(values)
 
 
-def _over_time(record: FaceRecord, plots: Sequence[tuple[str, Sequence[Line]]], caption: str) -> Html:
+def _over_time(record: FaceRecord, plots: Sequence[tuple[str, Sequence[Line]]], caption: str) -> Markup:
     """Plots in which lost periods are shaded and re-initialisations dotted."""
     time_of = dict(zip(record.numbers, record.times, strict=True))
     lost = [(time_of[first], time_of[last]) for first, last in record.lost_periods]
@@ -215,7 +216,7 @@ def _over_time(record: FaceRecord, plots: Sequence[tuple[str, Sequence[Line]]], 
     return over_time(record.times, plots, caption.strip(), lost, restarted)
 
 
-def _pose(record: FaceRecord) -> Html:
+def _pose(record: FaceRecord) -> Markup:
     turns = np.array(record.angles)
     lines = [
         Line(name, ink, turns[:, k])
@@ -229,7 +230,7 @@ def _pose(record: FaceRecord) -> Html:
     )
 
 
-def _evidence(record: FaceRecord) -> Html:
+def _evidence(record: FaceRecord) -> Markup:
     return _over_time(
         record,
         [
@@ -242,17 +243,17 @@ def _evidence(record: FaceRecord) -> Html:
     )
 
 
-def _errors(record: FaceRecord, error: Mapping[str, Any]) -> Html:
+def _errors(record: FaceRecord, error: Mapping[str, Any]) -> Markup:
     rows = [(name.replace("_", " "), value) for name, value in error.items()]
     plot = _over_time(
         record,
         [("error, px", [Line("error", BLUE, np.array(record.errors))])],
         "Mean distance of the carried landmarks from the given ones.",
     )
-    return Html(table(("measure", "value"), rows) + plot)
+    return Markup(table(("measure", "value"), rows) + plot)
 
 
-def _expression(record: FaceRecord, names: Sequence[str]) -> Html:
+def _expression(record: FaceRecord, names: Sequence[str]) -> Markup:
     morphs = np.array(record.morphs)
     shares = morphs[:, 1:] / morphs[:, :1]
     largest = np.sort(np.argsort(-np.abs(shares).max(axis=0))[:MOST_MORPHS])

@@ -4,13 +4,19 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import cv2
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from .report import MOST_SNAPSHOTS, SNAPSHOT_WIDTH, Html, picture_grid, small
+from ..drawing.mosaic import fitting
+from .page import picture_grid
 
 Image = NDArray[np.uint8]
+
+MOST_SNAPSHOTS = 8
+SNAPSHOT_WIDTH = 480  # px; wider pictures are kept smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +71,20 @@ class Snapshots:
         """Take over what `saved` was."""
         self._kept, self._count, self._stride = list(saved["kept"]), saved["count"], saved["stride"]
 
-    def row(self, name: str) -> Html:
+    def row(self, name: str) -> Markup:
         """All pictures beside each other in a row of that name."""
         columns = [f"frame {each.number}, {each.time:.1f} s" for each in self._kept]
         return picture_grid([(name, [each.picture for each in self._kept])], columns)
 
-    def column(self) -> Html:
+    def column(self) -> Markup:
         """All pictures below each other."""
         rows = [(f"{each.time:.1f} s", [each.picture]) for each in self._kept]
         return picture_grid(rows, [""])
+
+
+def small(image: Image, most: int = SNAPSHOT_WIDTH) -> Image:
+    """A copy that is at most so many px wide, and four times as high."""
+    size = fitting(image.shape, most)
+    if size[1] >= image.shape[0]:
+        return image.copy()
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

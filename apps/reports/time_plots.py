@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from .report import Html, figure
+from .plots import figure
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ def over_time(
     caption: str,
     shaded: Sequence[tuple[float, float]] = (),
     dotted: Sequence[float] = (),
-) -> Html:
+) -> Markup:
     """Plots below each other over one axis of time.
 
     Parameters

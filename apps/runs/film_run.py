@@ -14,7 +14,7 @@ from itertools import chain
 from typing import Any, ClassVar, Protocol, TypeVar
 
 from ...inference import Belief, RecursiveBP
-from ...inference.core.recursive_bp import BEGINNING, RunState
+from ...inference.core.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
 from ..io.files import write_json
@@ -65,7 +65,7 @@ class FilmRun(Run[F]):
 
     def __init__(self, job: F) -> None:
         super().__init__(job)
-        self.state = BEGINNING
+        self.state = RunState()
         self.before: list[int] = []
         self._frames = SeenFrames(iter(()))
 

@@ -1,18 +1,5 @@
 """Generated scenes with exact ground truth: a street for background and tracks, cylinder, face, signer."""
 
-from .signing.signer import SignerScene, signer
-from .street import Scene, TruthBox, sleeping_man
-from .talking_face import FaceScene, face
-from .turning_cylinder import Cylinder, cylinder
+import lazy_loader
 
-__all__ = [
-    "Cylinder",
-    "FaceScene",
-    "Scene",
-    "SignerScene",
-    "TruthBox",
-    "cylinder",
-    "face",
-    "signer",
-    "sleeping_man",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -11,17 +12,9 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from ..drawing.boxes import identity_colour
-from ..reports.report import (
-    MOST_SNAPSHOTS,
-    Html,
-    Section,
-    cards,
-    figure,
-    paragraph,
-    picture_grid,
-    small,
-    write_run_page,
-)
+from ..reports.page import Section, cards, paragraph, picture_grid, write_run_page
+from ..reports.plots import figure
+from ..reports.snapshots import MOST_SNAPSHOTS, small
 from .reconstruction import Numbers, Reconstruction
 from .surface_views import surface_views
 from .track_overlay import draw_points
@@ -78,7 +71,7 @@ def write_structure_report(
     write_run_page(path, title, _summary(frames, found), notes, sections, parameters)
 
 
-def _summary(frames: Sequence[Frame], found: Reconstruction) -> Html:
+def _summary(frames: Sequence[Frame], found: Reconstruction) -> Markup:
     return cards(
         {
             "frames": f"{len(frames)}",
@@ -94,7 +87,7 @@ def _summary(frames: Sequence[Frame], found: Reconstruction) -> Html:
 
 def shape_pictures(
     frames: Sequence[Frame], found: Reconstruction, colours: NDArray[np.uint8], title: str = ""
-) -> Html:
+) -> Markup:
     """The points from three sides, each in its own colour, and as a surface where there are images.
 
     Parameters
@@ -110,11 +103,11 @@ def shape_pictures(
     views = surface_views(frames, found, TURNS) if found.geometry == "euclidean" else []
     if views:
         columns = [f"turned by {angle}°" for angle in TURNS]
-        parts = Html(parts + picture_grid([(f"{title}surface", [small(view) for view in views])], columns))
+        parts = Markup(parts + picture_grid([(f"{title}surface", [small(view) for view in views])], columns))
     return parts
 
 
-def _three_sides(found: Reconstruction, colours: NDArray[np.uint8], title: str) -> Html:
+def _three_sides(found: Reconstruction, colours: NDArray[np.uint8], title: str) -> Markup:
     centred = found.shape - np.median(found.shape, axis=0)
     # What is badly known lies anywhere, and would make everything else small.
     shown = np.all(np.abs(centred) <= 2 * np.quantile(np.abs(centred), 0.9, axis=0), axis=1)
@@ -147,7 +140,7 @@ def _three_sides(found: Reconstruction, colours: NDArray[np.uint8], title: str) 
     return figure(draw, (13, 4.6), f"{title}{caption}")
 
 
-def track_pictures(frames: Sequence[Frame], found: Reconstruction) -> Html:
+def track_pictures(frames: Sequence[Frame], found: Reconstruction) -> Markup:
     """Tracks on some of the frames, or by themselves where there are no images."""
     with_image = [index for index, frame in enumerate(frames) if frame.image is not None]
     if not with_image:
@@ -162,10 +155,10 @@ def track_pictures(frames: Sequence[Frame], found: Reconstruction) -> Html:
         pictures.append(small(draw_points(image, found, index)))
     columns = [f"frame {frames[index].number}, {frames[index].time:.1f} s" for index in chosen]
     note = paragraph("Dots are seen, with the way that they came; rings are predicted.")
-    return Html(note + picture_grid([("tracks", pictures)], columns))
+    return Markup(note + picture_grid([("tracks", pictures)], columns))
 
 
-def _tracks_alone(found: Reconstruction) -> Html:
+def _tracks_alone(found: Reconstruction) -> Markup:
     """Paths of the points in the plane of the picture; what was not seen is dashed."""
     drawn = _spread(found.n_points, MOST_DRAWN)
 
@@ -192,7 +185,7 @@ def _spread(count: int, most: int) -> list[int]:
     return [round(number) for number in np.linspace(0, count - 1, min(count, most)).tolist()]
 
 
-def _over_time(numbers: NDArray[np.int64], found: Reconstruction) -> Html:
+def _over_time(numbers: NDArray[np.int64], found: Reconstruction) -> Markup:
     curves = (
         ("reprojection\nerror, px", found.reprojection_errors),
         ("points seen", np.count_nonzero(found.observed, axis=1).astype(np.float64)),
@@ -211,7 +204,7 @@ def _over_time(numbers: NDArray[np.int64], found: Reconstruction) -> Html:
     return figure(draw, (11, 4), "Root mean square over the points seen in a frame.")
 
 
-def _rounds(found: Reconstruction) -> Html:
+def _rounds(found: Reconstruction) -> Markup:
     values: Numbers = np.array(found.objective)
     ended = "It ended by itself." if found.converged else "It was ended before it converged."
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 from math import inf
 from operator import mul
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,18 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from . import checkpoint
 from .graph import MultiChain
-from .protocols import BatchChain, BatchIncoming, Message, name_of, require
+from .protocols import (
+    BatchChain,
+    BatchIncoming,
+    FeatureNode,
+    Message,
+    MessageType,
+    Named,
+    Smoothed,
+    TrajectoryType,
+    name_of,
+    require,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +80,13 @@ class Solution:
         """The highest that was reached."""
         return max(report.objective for report in self.rounds)
 
-    def __getitem__(self, key: Any, /) -> Any:
+    @overload
+    def __getitem__(self, key: BatchChain[TrajectoryType], /) -> TrajectoryType: ...
+    @overload
+    def __getitem__(self, key: FeatureNode[MessageType], /) -> list[MessageType]: ...
+    @overload
+    def __getitem__(self, key: str, /) -> Any: ...
+    def __getitem__(self, key: Named | str, /) -> Any:
         name = name_of(key)
         if name in self._slices.trajectories:
             return self._slices.trajectories[name]
@@ -78,11 +95,19 @@ class Solution:
         known = ", ".join([*self._slices.model.chains, *self._slices.model.features])
         raise KeyError(f"{name}: not part of the model, expected one of {known}")
 
-    def messages(self, chain: Any, feature: Any) -> Sequence[Any]:
+    @overload
+    def messages(self, chain: Named | str, feature: FeatureNode[MessageType]) -> Sequence[MessageType]: ...
+    @overload
+    def messages(self, chain: Named | str, feature: str) -> Sequence[Any]: ...
+    def messages(self, chain: Named | str, feature: Named | str) -> Sequence[Any]:
         """What the chain says of the feature, for each frame, also where nobody hears it (no feedback)."""
-        return self._slices.spoken[name_of(chain), name_of(feature)]
+        return self._slices.sent[name_of(chain), name_of(feature)]
 
-    def evidence(self, feature: Any) -> list[Any]:
+    @overload
+    def evidence(self, feature: FeatureNode[MessageType]) -> list[MessageType]: ...
+    @overload
+    def evidence(self, feature: str) -> list[Any]: ...
+    def evidence(self, feature: Named | str) -> list[Any]:
         """What the frames say of the feature."""
         return [self._slices.evidence(name_of(feature), time) for time in range(len(self.frames))]
 
@@ -90,10 +115,10 @@ class Solution:
 class CoordinateAscent:
     """Coordinate ascent (Algorithm 2): chain after chain gets its best trajectory, the others held fixed.
 
-    The first round is the feed-forward pipeline: a chain hears only those that were connected before it. A
-    chain that would hear the same again is left alone, so that a model without feedback needs one round. When
-    chains approximate (a tracker that looks anew where others tell it to may find other points), the
-    objective can fall; the best round is what is kept.
+    Chains have their turn in the order of `MultiChain.chains`. The first round is the feed-forward pipeline:
+    a chain hears only those before it. A chain that would hear the same again is left alone, so that a model
+    without feedback needs one round. When chains approximate (a tracker that searches anew where others
+    expect points may find other points), the objective can fall; the best round is what is kept.
 
     Parameters
     ----------
@@ -117,6 +142,7 @@ class CoordinateAscent:
             raise ValueError("model: got no chain, expected at least one")
         for name, chain in model.chains.items():
             require(f"chain {name!r}", chain, BatchChain)
+        model.check_complete()
         if most_rounds < 1:
             raise ValueError(f"most_rounds: got {most_rounds}, expected 1 or more")
         self.model = model.copy()
@@ -247,16 +273,22 @@ class CoordinateAscent:
                 raise TypeError(f"{method.__qualname__}: no return annotation, which says what is saved")
             return hints["return"]
 
+        def smoothed(method: Any) -> Any:
+            kind = returned(method)
+            if get_origin(kind) is not Smoothed:
+                raise TypeError(f"{method.__qualname__}: returns {kind}, expected Smoothed[...]")
+            return get_args(kind)[0]
+
         slices = {
-            "trajectories": {name: returned(type(chain).smooth) for name, chain in self.model.chains.items()},
+            "trajectories": {name: smoothed(type(chain).smooth) for name, chain in self.model.chains.items()},
             "evidence": {
                 name: list[returned(type(node).evidence) | None] | None  # type: ignore[misc]
                 for name, node in self.model.features.items()
             },
-            "looking": dict[str, str],
+            "searching": dict[str, str],
             "smoothed": dict[str, int],
-            "seen": dict[str, int],
-            "heard": dict[str, tuple[int, ...]],
+            "searches": dict[str, int],
+            "read": dict[str, tuple[int, ...]],
         }
         return {
             "best": slices,
@@ -274,22 +306,20 @@ class _Slices:
         self.model = model
         self.frames = frames
         self.trajectories: dict[str, Any] = {}
-        self.spoken: dict[tuple[str, str], Sequence[Message]] = {}
+        self.sent: dict[tuple[str, str], Sequence[Message]] = {}
         self._evidence: dict[str, list[Message | None]] = {}
-        self._looking: dict[str, str] = {}
-        """Feature: the chain that looks there by itself."""
-        self._looked: set[str] = set()
-        """Features at which the chain whose turn it is has begun to look."""
+        self._searching: dict[str, str] = {}
+        """Feature: the chain that searches there by itself."""
         self._smoothed: dict[str, int] = {}
         """Chain: how often its trajectory was worked out."""
-        self._seen: dict[str, int] = {}
-        """Feature: how often a chain that looks there by itself has looked."""
-        self._heard: dict[str, tuple[int, ...]] = {}
+        self._searches: dict[str, int] = {}
+        """Feature: how often a chain that searches there by itself has done so."""
+        self._read: dict[str, tuple[int, ...]] = {}
         """Chain: numbers of all that its trajectory was worked out from."""
 
     def copy(self) -> "_Slices":
         other = _Slices(self.model, self.frames)
-        for name in ("trajectories", "spoken", "_evidence", "_looking", "_smoothed", "_seen", "_heard"):
+        for name in ("trajectories", "sent", "_evidence", "_searching", "_smoothed", "_searches", "_read"):
             setattr(other, name, dict(getattr(self, name)))
         return other
 
@@ -298,10 +328,10 @@ class _Slices:
         return {
             "trajectories": self.trajectories,
             "evidence": {name: self._evidence.get(name) for name in self.model.features},
-            "looking": self._looking,
+            "searching": self._searching,
             "smoothed": self._smoothed,
-            "seen": self._seen,
-            "heard": self._heard,
+            "searches": self._searches,
+            "read": self._read,
         }
 
     @classmethod
@@ -320,48 +350,53 @@ class _Slices:
                 if len(messages) != len(frames):
                     raise ValueError(f"state: got {len(messages)} frames, expected {len(frames)}")
                 slices._evidence[name] = messages
-        slices._looking, slices._smoothed = saved["looking"], saved["smoothed"]
-        slices._seen, slices._heard = saved["seen"], saved["heard"]
+        slices._searching, slices._smoothed = saved["searching"], saved["smoothed"]
+        slices._searches, slices._read = saved["searches"], saved["read"]
         for name in slices.trajectories:
-            slices._speak(name)
+            slices._send(name)
         return slices
 
     def ascend(self) -> tuple[str, ...]:
         """One round: every chain to which something new is said or shown gets its best trajectory."""
         smoothed = []
         for name, chain in self.model.chains.items():
-            if self._heard.get(name) == self._news(name):
+            if self._read.get(name) == self._inputs(name):
                 continue
-            self._looked.clear()
             incoming = [_BatchIncoming(self, name, time) for time in range(len(self.frames))]
-            self.trajectories[name] = chain.smooth(incoming, self.trajectories.get(name))
-            self._heard[name] = self._news(name)
+            result = chain.smooth(incoming, self.trajectories.get(name))
+            self.trajectories[name] = result.trajectory
+            self._read[name] = self._inputs(name)
             self._smoothed[name] = self._smoothed.get(name, 0) + 1
-            self._speak(name)
+            self._send(name)
+            for node, evidence in result.evidence.items():
+                self._evidence[node.name] = list(evidence)
+                self._searching[node.name] = name
+                self._searches[node.name] = self._searches.get(node.name, 0) + 1
             for feature in self.model.features_of(name):
-                if feature not in self._looking and name in self.model.speakers(feature):
-                    self._evidence.pop(feature, None)  # there are other places to look at
+                if feature not in self._searching and name in self.model.senders(feature):
+                    self._evidence.pop(feature, None)  # there are other places to search
             smoothed.append(name)
         return tuple(smoothed)
 
-    def _speak(self, chain: str) -> None:
+    def _send(self, chain: str) -> None:
         for feature in self.model.features_of(chain):
             node = self.model.features[feature]
-            self.spoken[chain, feature] = self.model.chains[chain].messages(self.trajectories[chain], node)
+            self.sent[chain, feature] = self.model.chains[chain].messages(self.trajectories[chain], node)
 
-    def _news(self, chain: str) -> tuple[int, ...]:
+    def _inputs(self, chain: str) -> tuple[int, ...]:
         """Numbers of all that the chain's trajectory depends on: messages, and evidence that others found."""
         features = self.model.features_of(chain)
-        said = [
+        messages = [
             self._smoothed.get(other, 0)
             for feature in features
-            for other in self.model.speakers(feature)
+            for other in self.model.senders(feature)
             if other != chain
         ]
-        shown = [
-            0 if self._looking.get(feature) in (None, chain) else self._seen[feature] for feature in features
+        searches = [
+            0 if self._searching.get(feature) in (None, chain) else self._searches[feature]
+            for feature in features
         ]
-        return (*said, *shown)
+        return (*messages, *searches)
 
     def objective(self) -> float:
         total = sum(trajectory.log_prior for trajectory in self.trajectories.values())
@@ -370,14 +405,14 @@ class _Slices:
         return float(total)
 
     def belief(self, feature: str, time: int) -> Any:
-        return self.told(feature, time) * self.evidence(feature, time)
+        return self.messages(feature, time) * self.evidence(feature, time)
 
-    def told(self, feature: str, time: int, without: str | None = None) -> Any:
+    def messages(self, feature: str, time: int, without: str | None = None) -> Any:
         """Product of the chains' messages."""
         factors = [
-            self.spoken[name, feature][time]
-            for name in self.model.speakers(feature)
-            if name != without and (name, feature) in self.spoken
+            self.sent[name, feature][time]
+            for name in self.model.senders(feature)
+            if name != without and (name, feature) in self.sent
         ]
         return reduce(mul, factors) if factors else self.model.features[feature].uniform()
 
@@ -385,44 +420,44 @@ class _Slices:
         """What was seen last, or what is seen where all messages so far have mass."""
         seen = self._evidence.setdefault(feature, [None] * len(self.frames))
         if seen[time] is None:
-            seen[time] = self._see(feature, time, self.told(feature, time))
+            seen[time] = self.search(feature, time, self.messages(feature, time))
         return seen[time]
 
-    def look(self, chain: str, feature: str, time: int, prior: Any) -> Any:
-        """What is seen where `prior` has mass; what was seen in earlier rounds is forgotten."""
-        if feature not in self._looked:
-            self._looked.add(feature)
-            self._looking[feature] = chain
-            self._seen[feature] = self._seen.get(feature, 0) + 1
-            self._evidence[feature] = [None] * len(self.frames)
-        message = self._evidence[feature][time] = self._see(feature, time, prior)
-        return message
-
-    def _see(self, feature: str, time: int, prior: Any) -> Any:
+    def search(self, feature: str, time: int, prior: Any) -> Any:
+        """What is seen where `prior` has mass."""
         frame, node = self.frames[time], self.model.features[feature]
         return node.uniform() if frame.missing else node.evidence(frame, prior)
 
 
 class _BatchIncoming(BatchIncoming):
     def __init__(self, slices: _Slices, chain: str, time: int) -> None:
+        super().__init__(_Products(slices, chain, time))
         self._slices, self._chain, self._time = slices, chain, time
         self.frame = slices.frames[time]
 
-    def __getitem__(self, key: Any, /) -> Any:
-        feature = name_of(key)
-        return self.told(feature) * self._slices.evidence(feature, self._time)
+    def others(self, feature: Any, /) -> Any:
+        return self._slices.messages(self.node(feature).name, self._time, without=self._chain)
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._slices.model.features_of(self._chain))
+    def search(self, feature: Any, prior: Any, /) -> Any:
+        return self._slices.search(self.node(feature).name, self._time, prior)
+
+
+class _Products(Mapping[Named, Message]):
+    """Product of evidence and other chains' messages at each of a chain's feature nodes, at one time."""
+
+    def __init__(self, slices: _Slices, chain: str, time: int) -> None:
+        self._slices, self._chain, self._time = slices, chain, time
+
+    def __getitem__(self, feature: Named) -> Message:
+        slices, name, time = self._slices, feature.name, self._time
+        product: Message = slices.messages(name, time, self._chain) * slices.evidence(name, time)
+        return product
+
+    def __iter__(self) -> Iterator[Named]:
+        return (self._slices.model.features[name] for name in self._slices.model.features_of(self._chain))
 
     def __len__(self) -> int:
         return len(self._slices.model.features_of(self._chain))
-
-    def told(self, feature: Any, /) -> Any:
-        return self._slices.told(name_of(feature), self._time, without=self._chain)
-
-    def look(self, feature: Any, prior: Any, /) -> Any:
-        return self._slices.look(self._chain, name_of(feature), self._time, prior)
 
 
 def _as_frames(items: Iterable[Frame | NDArray[np.uint8] | None], dt: float) -> list[Frame]:

@@ -1,13 +1,24 @@
 """The graph of chains, feature nodes and the image, and the order of messages that follows from it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Never, Protocol, Self, TypeVar
 
 import networkx as nx
 
-from .protocols import BatchChain, Chain, FeatureNode, require, uses_cavity
+from .protocols import (
+    BatchChain,
+    Cavity,
+    Chain,
+    FeatureNode,
+    Incoming,
+    MessageType,
+    Named,
+    Port,
+    require,
+)
 
 IMAGE = "image"
 """Name of the observation in the graph."""
@@ -17,6 +28,30 @@ AnyChain = Chain[Any] | BatchChain[Any]
 
 Step = tuple[str, str]
 """One message of a time slice: its sender (a chain, or `IMAGE`) and the feature node that it goes to."""
+
+Method = TypeVar("Method", bound=Callable[..., Any], covariant=True)
+
+
+class Speaker(Chain[Any], Protocol[Method]):
+    """A chain, as a type checker has to see it to know what it says to which feature.
+
+    With `message` as a property, the message's type is taken from the feature that the chain is connected to,
+    and then looked for among the overloads of the chain's method.
+    """
+
+    @property
+    def message(self) -> Method:
+        """The method."""
+        ...
+
+
+class BatchSpeaker(BatchChain[Any], Protocol[Method]):
+    """The same of a batch chain."""
+
+    @property
+    def messages(self) -> Method:
+        """The method."""
+        ...
 
 
 class MultiChain:
@@ -35,8 +70,16 @@ class MultiChain:
         self.graph: nx.Graph[str] = nx.Graph()
         self.graph.add_node(IMAGE, kind="observation", node=None)
 
-    def connect(self, chain: AnyChain, feature: FeatureNode[Any], feedback: bool = True) -> Self:
+    def connect(
+        self,
+        chain: Speaker[Callable[[Any, Never, Incoming], MessageType]]
+        | BatchSpeaker[Callable[[Any, Never], Sequence[MessageType]]],
+        feature: FeatureNode[MessageType],
+        feedback: bool = True,
+    ) -> Self:
         """Let the chain speak to the feature node and hear from it.
+
+        The order of connections changes nothing.
 
         Parameters
         ----------
@@ -54,9 +97,11 @@ class MultiChain:
         Raises
         ------
         TypeError
-            if `chain` or `feature` lacks what its protocol asks for.
+            if `chain` or `feature` lacks what its protocol asks for, or the chain has no port for such a
+            feature.
         ValueError
-            if the two are connected already or a name is taken by another object.
+            if the two are connected already, a name is taken by another object, the chain's port is taken by
+            another feature, or another chain says already what only one may say there.
         """
         require("chain", chain, Chain, BatchChain)
         require("feature", feature, FeatureNode)
@@ -68,29 +113,53 @@ class MultiChain:
                 )
         if self.graph.has_edge(chain.name, feature.name):
             raise ValueError(f"connect: {chain.name!r} and {feature.name!r} are connected already")
+        port = self._free_port(chain, feature)
+        if feedback and port.sole is not None:
+            for other in self.senders(feature.name):
+                if self._port(other, feature.name).sole == port.sole:
+                    raise ValueError(
+                        f"connect: got {chain.name!r} for the {port.sole} of {feature.name!r}, which "
+                        f"{other!r} says already, expected one chain to say it"
+                    )
         self.graph.add_node(chain.name, kind="chain", node=chain)
         self.graph.add_node(feature.name, kind="feature", node=feature)
         self.graph.add_edge(IMAGE, feature.name)
-        self.graph.add_edge(chain.name, feature.name, feedback=feedback)
+        self.graph.add_edge(chain.name, feature.name, feedback=feedback, port=port)
+        for derived in ("chains", "features", "_features_of", "_senders"):
+            self.__dict__.pop(derived, None)
         return self
 
-    @property
+    @cached_property
     def chains(self) -> dict[str, Any]:
-        """Chains by name, in order of connection."""
-        return self._nodes("chain")
+        """Chains by name, in the order in which they have their turn.
 
-    @property
-    def features(self) -> dict[str, FeatureNode[Any]]:
-        """Feature nodes by name, in order of connection."""
-        return self._nodes("feature")
+        That is the order of what they want to find in their cavities; those with a cut message come last, and
+        ties go by name.
+        """
+        chains = self._nodes("chain")
 
-    def features_of(self, chain: str) -> list[str]:
-        """Names of the features that the chain reads."""
-        return list(self.graph[chain])
+        def turn(name: str) -> tuple[bool, Cavity, str]:
+            cut = not all(edge["feedback"] for edge in self.graph[name].values())
+            return cut, max(self.cavity(name, feature) for feature in self.graph[name]), name
 
-    def speakers(self, feature: str) -> list[str]:
-        """Names of the chains that send messages to the feature."""
-        return [name for name, edge in self.graph[feature].items() if edge.get("feedback")]
+        return {name: chains[name] for name in sorted(chains, key=turn)}
+
+    @cached_property
+    def features(self) -> dict[str, Any]:
+        """Feature nodes by name, in the order of names."""
+        return dict(sorted(self._nodes("feature").items()))
+
+    def features_of(self, chain: str) -> tuple[str, ...]:
+        """Names of the features that the chain reads, in order."""
+        return self._features_of[chain]
+
+    def senders(self, feature: str) -> tuple[str, ...]:
+        """Names of the chains that send messages to the feature, in the order in which they speak."""
+        return self._senders.get(feature, ())
+
+    def cavity(self, chain: str, feature: str) -> Cavity:
+        """What the chain wants to find at the feature before it speaks there."""
+        return self._port(chain, feature).cavity
 
     def copy(self) -> "MultiChain":
         """The same chains and features; further connections of one do not show in the other."""
@@ -100,10 +169,27 @@ class MultiChain:
 
     def components(self) -> Iterator[tuple[list[str], list[str]]]:
         """Features and chains that influence each other: the parts that remain when cut edges are removed."""
-        chains = self.chains
-        edges = [(name, feature) for feature in self.features for name in self.speakers(feature)]
+        edges = [(name, feature) for feature in self.features for name in self.senders(feature)]
         for part in nx.connected_components(nx.Graph(edges)):
-            yield [name for name in self.features if name in part], [name for name in chains if name in part]
+            features = [name for name in self.features if name in part]
+            yield features, [name for name in self.chains if name in part]
+
+    def check_complete(self) -> None:
+        """Make sure that every chain is connected to what it cannot do without.
+
+        Raises
+        ------
+        ValueError
+            if one is not.
+        """
+        for name, chain in self.chains.items():
+            met = [self._port(name, feature) for feature in self.graph[name]]
+            for port in chain.ports:
+                if not port.optional and port not in met:
+                    raise ValueError(
+                        f"model: {name!r} is connected to {', '.join(self.features_of(name))}, "
+                        f"expected a {port.kind.__name__} too, which it needs"
+                    )
 
     def check(self) -> None:
         """Make sure that messages can be passed in a finite order.
@@ -133,9 +219,9 @@ class MultiChain:
     def schedule(self) -> list[Step]:
         """Every message to a feature once, in an order that makes sum-product exact.
 
-        What the order leaves open is settled by what approximate messages want: at each feature first the
-        chains that need no cavity, then the image (whose likelihood is worked out where those have mass),
-        then the chains that use their cavity, in order of connection.
+        What the order leaves open is settled by what chains want to find at each feature (`Cavity`): first
+        those speak that want nothing, then the image (whose likelihood is worked out where those have mass),
+        then the chains that want the image, at last those that want to hear the others, by their names.
 
         Raises
         ------
@@ -144,30 +230,57 @@ class MultiChain:
         """
         self.check()
         needs = self._dependencies()
-
-        def prefer(first: Step, then: Step) -> None:
-            if not nx.has_path(needs, then, first):
-                needs.add_edge(first, then)
-
-        chains = self.chains
         for feature in self.features:
-            early = [(name, feature) for name in self.speakers(feature) if not uses_cavity(chains[name])]
-            late = [(name, feature) for name in self.speakers(feature) if uses_cavity(chains[name])]
-            for step in early:
-                prefer(step, (IMAGE, feature))
-            for step in late:
-                for before in [*early, (IMAGE, feature)]:
-                    prefer(before, step)
-            for before, step in pairwise(late):
-                prefer(before, step)
-        position = {step: number for number, step in enumerate(needs)}
-        return list(nx.lexicographical_topological_sort(needs, position.__getitem__))
+            senders = self.senders(feature)
+            early = [(name, feature) for name in senders if self.cavity(name, feature) == Cavity.NOTHING]
+            late = [(name, feature) for name in senders if self.cavity(name, feature) != Cavity.NOTHING]
+            before = [*early, (IMAGE, feature)]
+            wanted = [(step, (IMAGE, feature)) for step in early]
+            wanted += [(step, then) for then in late for step in before]
+            wanted += pairwise(late)
+            for first, then in wanted:
+                if not nx.has_path(needs, then, first):
+                    needs.add_edge(first, then)
+        return list(nx.lexicographical_topological_sort(needs))
 
     def draw(self, path: str | Path) -> None:
         """Draw the graph to an SVG or PNG file (by its suffix)."""
         from .graph_drawing import draw  # matplotlib is slow to import
 
         draw(self, path)
+
+    def _free_port(self, chain: Any, feature: Named) -> Port:
+        """The chain's port for the feature, which no other feature has taken."""
+        ports: list[Port] = [port for port in chain.ports if isinstance(feature, port.kind)]
+        if not ports:
+            kinds = " or ".join(port.kind.__name__ for port in chain.ports) or "none at all"
+            raise TypeError(
+                f"connect: got {feature.name!r}, a {type(feature).__name__}, for {chain.name!r}, "
+                f"expected a feature that this {type(chain).__name__} meets: {kinds}"
+            )
+        for other in self._features_of.get(chain.name, ()):
+            if self._port(chain.name, other) == ports[0] and not ports[0].many:
+                raise ValueError(
+                    f"connect: got {feature.name!r} for {chain.name!r}, which meets {other!r} already, "
+                    f"expected one {ports[0].kind.__name__}"
+                )
+        return ports[0]
+
+    @cached_property
+    def _features_of(self) -> dict[str, tuple[str, ...]]:
+        return {name: tuple(sorted(self.graph[name])) for name in self.chains}
+
+    @cached_property
+    def _senders(self) -> dict[str, tuple[str, ...]]:
+        senders = {}
+        for feature in self.features:
+            found = [name for name, edge in self.graph[feature].items() if edge.get("feedback")]
+            senders[feature] = tuple(sorted(found, key=lambda name: (self.cavity(name, feature), name)))
+        return senders
+
+    def _port(self, chain: str, feature: str) -> Port:
+        port: Port = self.graph.edges[chain, feature]["port"]
+        return port
 
     def _nodes(self, kind: str) -> dict[str, Any]:
         return {name: data["node"] for name, data in self.graph.nodes.items() if data["kind"] == kind}
@@ -177,12 +290,12 @@ class MultiChain:
         needs: nx.DiGraph[Step] = nx.DiGraph()
         for feature in self.features:
             needs.add_node((IMAGE, feature))
-            needs.add_nodes_from((name, feature) for name in self.speakers(feature))
+            needs.add_nodes_from((name, feature) for name in self.senders(feature))
         for chain, feature in list(needs):
             if chain != IMAGE:
                 for other in self.features_of(chain):
                     if other != feature:
-                        senders = [IMAGE, *self.speakers(other)]
+                        senders = [IMAGE, *self.senders(other)]
                         needs.add_edges_from(
                             ((sender, other), (chain, feature)) for sender in senders if sender != chain
                         )

@@ -53,7 +53,7 @@ def draw(model: MultiChain, path: str | Path) -> None:
                 nodes[chain],
                 places[feature],
                 places[chain],
-                chain in model.speakers(feature),
+                chain in model.senders(feature),
             )
     for feature in model.features:
         _edge(axes, nodes[feature], nodes[IMAGE], places[feature], places[IMAGE], True)

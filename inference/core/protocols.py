@@ -1,14 +1,17 @@
 """What chains, feature nodes and messages promise each other: all that an engine knows of them."""
 
-from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol, Self, TypeVar, overload
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, Generic, Never, Protocol, Self, TypeVar, cast, overload
 
 from ...models.core.frame import Frame
 
 State = TypeVar("State")
 TrajectoryType = TypeVar("TrajectoryType", bound="Trajectory")
-MessageType = TypeVar("MessageType")
+MessageType = TypeVar("MessageType", bound="Message")
+Result = TypeVar("Result")
 
 
 class Message(Protocol):
@@ -16,6 +19,8 @@ class Message(Protocol):
 
     Products are commutative and associative, and the node's `uniform()`, the constant 1, is neutral. They
     are not normalised: beliefs are, when something is read from them. What a chain predicts integrates to 1.
+    An engine multiplies the same factors only once in a time slice and hands out that one object, so that a
+    message may keep what it works out.
     """
 
     @property
@@ -26,12 +31,21 @@ class Message(Protocol):
     def __mul__(self, other: Self, /) -> Self: ...
 
 
-class FeatureNode(Protocol[MessageType]):
-    """A latent feature of the scene, F, on which chains meet; `MessageType` is what they exchange there."""
+class Named(Protocol):
+    """A chain or a feature node, as far as a model tells it by its name."""
 
     @property
     def name(self) -> str:
         """Unique name among the chains and features of a model."""
+        ...
+
+
+class FeatureNode(Named, Protocol[MessageType]):
+    """A latent feature of the scene, F, on which chains meet; `MessageType` is what they exchange there."""
+
+    @property
+    def searches(self) -> bool:
+        """Whether `evidence` looks for the feature where `prior` has mass; if not, `prior` is uniform."""
         ...
 
     def uniform(self) -> MessageType:
@@ -41,48 +55,151 @@ class FeatureNode(Protocol[MessageType]):
     def evidence(self, frame: Frame, prior: MessageType, /) -> MessageType:
         """phi(I, F), the likelihood of the frame, which is not missing, worked out where `prior` has mass.
 
-        `prior` only says where to look and is not part of the answer.
+        `prior` only says where to search and is not part of the answer.
         """
         ...
 
 
-class Incoming(Mapping[str, Any]):
-    """Messages that reach a chain, by feature node or its name: `incoming[pixels]`, `incoming["pixels"]`.
+class Cavity(IntEnum):
+    """What a chain finds in a feature's own entry of `incoming` when it speaks to that feature.
 
-    `incoming[f]` is the product of the evidence and of all other chains' messages at f.
+    It may use that to decide where a mixture is projected onto the feature's form, never as information,
+    which would be counted twice. In a time slice those speak first that need the least; ties go by name.
     """
 
-    def __init__(self, messages: Mapping[str, Any]) -> None:
+    NOTHING = 0
+    """The uniform message: it speaks from the past, and from its other features, alone."""
+
+    IMAGE = 1
+    """The evidence."""
+
+    OTHERS = 2
+    """The evidence times the messages of those that have spoken before."""
+
+
+@dataclass(frozen=True)
+class Port:
+    """A kind of feature node that a chain meets.
+
+    Parameters
+    ----------
+    kind
+        class of the feature node.
+    cavity
+        what the chain wants to find there before it speaks.
+    optional
+        whether a model is complete when the chain is not connected to such a node.
+    many
+        whether the chain meets any number of these nodes, and not just one.
+    sole
+        name of a factor of the chain's message that only one chain may speak to a node: messages with two of
+        them have no product.
+    """
+
+    kind: type
+    cavity: Cavity = Cavity.NOTHING
+    optional: bool = False
+    many: bool = False
+    sole: str | None = None
+
+
+class Scratch:
+    """Results of pure functions, each worked out once as long as this lives."""
+
+    def __init__(self) -> None:
+        self._results: dict[tuple[object, ...], tuple[tuple[object, ...], Any]] = {}
+
+    def once(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """`function(*arguments)`, or what it was for the very same objects."""
+        key = (function, *map(id, arguments))
+        if key not in self._results:
+            # the arguments stay alive, so that no other object gets the id of one
+            self._results[key] = arguments, function(*arguments)
+        result: Result = self._results[key][1]
+        return result
+
+
+class Incoming:
+    """Messages that reach a chain, by the kind of feature node or by the node itself.
+
+    `incoming[PixelLabels]` and `incoming[pixels]` are the product of the evidence and of all other chains'
+    messages at that node; `incoming.get(ObjectBoxes)` is `None` where the chain is connected to none.
+    Iteration gives the nodes. What is not asked for is not worked out.
+
+    Parameters
+    ----------
+    messages
+        by feature node.
+    scratch
+        of the time slice; a new one where it is left out.
+    """
+
+    def __init__(self, messages: Mapping[Any, Message], scratch: Scratch | None = None) -> None:
         self._messages = messages
+        self._scratch = scratch or Scratch()
 
     @overload
-    def __getitem__(self, feature: FeatureNode[MessageType], /) -> MessageType: ...
+    def __getitem__(self, key: type[FeatureNode[MessageType]], /) -> MessageType: ...
     @overload
-    def __getitem__(self, feature: str, /) -> Any: ...
-    def __getitem__(self, feature: FeatureNode[Any] | str, /) -> Any:
-        return self._messages[name_of(feature)]
+    def __getitem__(self, key: FeatureNode[MessageType], /) -> MessageType: ...
+    def __getitem__(self, key: type | Named, /) -> Message:
+        return self._messages[self.node(key)]
 
-    def __iter__(self) -> Iterator[str]:
+    def get(self, kind: type[FeatureNode[MessageType]], /) -> MessageType | None:
+        """The message at the one node of that kind; `None` where there is no such node."""
+        return self[kind] if self._found(kind) else None
+
+    def by_name(self, kind: type[FeatureNode[MessageType]], /) -> dict[str, MessageType]:
+        """Messages at all nodes of that kind, for chains that meet any number of them."""
+        return {node.name: cast(MessageType, self._messages[node]) for node in self._found(kind)}
+
+    def once(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """`function(*arguments)` of a pure function, worked out once in a time slice.
+
+        Arguments are the same if they are the very same objects, as predicted states and messages of the
+        same factors are. Functions are the same if they are equal: methods of one chain, not lambdas.
+        """
+        return self._scratch.once(function, *arguments)
+
+    def node(self, key: type | Named, /) -> Named:
+        """The feature node that the chain is connected to, or the one of that kind.
+
+        Raises
+        ------
+        KeyError
+            if there is no such node, or there are several of that kind.
+        """
+        found = self._found(key)
+        if len(found) != 1:
+            names = ", ".join(node.name for node in self) or "none"
+            asked = key.__name__ if isinstance(key, type) else key.name
+            raise KeyError(f"{asked}: got {len(found)} such nodes among {names}, expected one")
+        return found[0]
+
+    def __iter__(self) -> Iterator[Named]:
         return iter(self._messages)
 
     def __len__(self) -> int:
         return len(self._messages)
 
+    def _found(self, key: type | Named) -> list[Named]:
+        if isinstance(key, type):
+            return [node for node in self if isinstance(node, key)]
+        return [node for node in self if node.name == key.name]
 
-class Chain(Protocol[State]):
-    """A hidden state with its own dynamics, which predicts and reads feature nodes.
 
-    States are values: no method changes the state it is given, and one that draws random numbers draws from
-    a copy (`copy.deepcopy(state.random)`) and puts that into the state it returns.
+class Chain(Named, Protocol[State]):
+    """A hidden state with its own dynamics, which predicts and observes feature nodes.
 
-    A class attribute `uses_cavity = True` tells the engine that `message` makes use of its own feature's
-    entry in `incoming` (to decide where a mixture is projected onto the node's form; never as information):
-    the engine then lets the other chains of that feature and the image speak first.
+    A chain holds parameters and nothing else: what it knows is in its states, what it works out for one time
+    slice goes through `incoming.once`. States are values: no method changes the state it is given, and one
+    that draws random numbers draws from a copy (`copy.deepcopy(state.random)`) and puts that into the state
+    it returns. Whatever a method gives depends on its arguments alone.
     """
 
     @property
-    def name(self) -> str:
-        """Unique name among the chains and features of a model."""
+    def ports(self) -> tuple[Port, ...]:
+        """The kinds of feature node that it meets, and what it wants to find there."""
         ...
 
     def initial(self, frame: Frame, /) -> State:
@@ -93,13 +210,15 @@ class Chain(Protocol[State]):
         ...
 
     def predict(self, state: State, dt: float, /) -> State:
-        """mu_{X(t-1) -> X(t)}: the state `dt` seconds on."""
+        """mu_{X(t-1) -> X(t)}: the state `dt` seconds on; in two steps it is the same as in one."""
         ...
 
-    def message(self, state: State, feature: Any, incoming: Incoming, /) -> Message:
+    def message(self, state: State, feature: Never, incoming: Incoming, /) -> Message:
         """mu_{X -> F}: the integral over X of prediction, p(F | X) and the *other* features' `incoming`.
 
-        It keeps its scale: without other features, or with uniform ones, it integrates to 1.
+        It keeps its scale: without other features, or with uniform ones, it integrates to 1. The feature's
+        own entry is what the chain's port asks for (see `Cavity`). A chain of several kinds of feature
+        declares one overload for each, so that a type checker knows what it says to which.
         """
         ...
 
@@ -117,7 +236,24 @@ class Trajectory(Protocol):
         ...
 
 
-class BatchIncoming(Incoming):
+@dataclass(frozen=True)
+class Smoothed(Generic[TrajectoryType]):
+    """What a batch chain makes of a sequence.
+
+    Parameters
+    ----------
+    trajectory
+        the best one.
+    evidence
+        by feature node, for each frame: what a search of its own found (see `BatchIncoming.search`). It is
+        the evidence for everybody until the chain searches again.
+    """
+
+    trajectory: TrajectoryType
+    evidence: Mapping[Any, Sequence[Message]] = field(default_factory=dict)
+
+
+class BatchIncoming(Incoming, ABC):
     """What reaches a batch chain at one time, while all other chains are held where they are.
 
     `incoming[f]` is the product of the evidence and of all other chains' messages at f, as in filtering.
@@ -126,41 +262,47 @@ class BatchIncoming(Incoming):
     frame: Frame
 
     @abstractmethod
-    def told(self, feature: FeatureNode[MessageType] | str, /) -> Any:
+    def others(self, feature: type[FeatureNode[MessageType]] | FeatureNode[MessageType], /) -> MessageType:
         """Product of the other chains' messages at the feature, without the image."""
 
     @abstractmethod
-    def look(self, feature: FeatureNode[MessageType] | str, prior: Any, /) -> Any:
-        """Evidence at the feature, worked out anew where `prior` has mass.
+    def search(
+        self, feature: type[FeatureNode[MessageType]] | FeatureNode[MessageType], prior: MessageType, /
+    ) -> MessageType:
+        """Evidence at the feature where `prior` has mass.
 
-        A chain that knows better than the others where to look (a tracker knows it from the frame before)
-        looks by itself. What it saw stays the evidence for everybody until it looks again.
+        A chain that knows better than the others where to search (a tracker knows it from the frame before)
+        does it itself, and returns what it goes by with its trajectory (see `Smoothed`).
         """
 
 
-class BatchChain(Protocol[TrajectoryType]):
-    """A hidden state that is estimated at all times at once."""
+class BatchChain(Named, Protocol[TrajectoryType]):
+    """A hidden state that is estimated at all times at once. Rules are those of `Chain`."""
 
     @property
-    def name(self) -> str:
-        """Unique name among the chains and features of a model."""
+    def ports(self) -> tuple[Port, ...]:
+        """The kinds of feature node that it meets.
+
+        In each round chains have their turn in the order of what they want in their cavities.
+        """
         ...
 
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: TrajectoryType | None = None, /
-    ) -> TrajectoryType:
+    ) -> Smoothed[TrajectoryType]:
         """Best trajectory given `incoming_over_time`, one entry for each frame in order of time.
 
-        `current` is the chain's trajectory of the round before, to start from.
+        `current` is the chain's trajectory of the round before, to start from. The return annotation says
+        how a saved trajectory is read back.
         """
         ...
 
-    def messages(self, trajectory: TrajectoryType, feature: Any, /) -> Sequence[Message]:
+    def messages(self, trajectory: TrajectoryType, feature: Never, /) -> Sequence[Message]:
         """mu_{X -> F} for each frame: what the trajectory says of the feature."""
         ...
 
 
-def name_of(key: Any) -> str:
+def name_of(key: Named | str) -> str:
     """Name of a chain or feature node, or the name itself."""
     return key if isinstance(key, str) else str(key.name)
 
@@ -169,17 +311,19 @@ def require(what: str, node: object, *protocols: type) -> None:
     """Make sure that an object has all members of one of the protocols.
 
     A member counts however the object provides it, `__getattr__` included: a wrapper that hands on what it
-    does not know to a chain is a chain. (`isinstance` looks past `__getattr__` since Python 3.12.)
+    does not know to a chain is a chain. (`isinstance` looks past `__getattr__` since Python 3.12.) One of a
+    feature node has to have its `__class__` too, by which ports tell it.
 
     Raises
     ------
     TypeError
-        if it has not; the message starts with `what` and names the missing members.
+        if it has not; the message starts with `what` and names the missing members. A class in place of an
+        instance is refused as well.
     """
+    if isinstance(node, type):
+        raise TypeError(f"{what}: got the class {node.__name__}, expected an instance: {node.__name__}(...)")
     missing = {
-        protocol.__name__: [
-            name for name in vars(protocol) if not name.startswith("_") and not hasattr(node, name)
-        ]
+        protocol.__name__: [name for name in _members(protocol) if not hasattr(node, name)]
         for protocol in protocols
     }
     if all(missing.values()):
@@ -187,6 +331,7 @@ def require(what: str, node: object, *protocols: type) -> None:
         raise TypeError(f"{what}: got {type(node).__name__}, expected {expected}")
 
 
-def uses_cavity(chain: Chain[Any]) -> bool:
-    """Whether the chain wants to hear what else reaches a feature before it speaks to it."""
-    return bool(getattr(chain, "uses_cavity", False))
+def _members(protocol: type) -> list[str]:
+    """Public members, those of `Named` first."""
+    bases = [base for base in reversed(protocol.__mro__) if base not in (object, Protocol, Generic)]
+    return [name for base in bases for name in vars(base) if not name.startswith("_")]

@@ -1,19 +1,30 @@
 """Algorithm 1 of the RSMCM paper, recursive belief propagation, for any number of chains and features."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints, overload
+from typing import Any, Generic, TypeVar, get_type_hints, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from . import checkpoint
-from .graph import IMAGE, MultiChain
-from .protocols import Chain, FeatureNode, Incoming, Message, MessageType, name_of, require, uses_cavity
+from .graph import IMAGE, MultiChain, Step
+from .protocols import (
+    Cavity,
+    Chain,
+    FeatureNode,
+    Incoming,
+    Message,
+    MessageType,
+    Named,
+    Scratch,
+    name_of,
+    require,
+)
 
 State = TypeVar("State")
 
@@ -21,6 +32,8 @@ State = TypeVar("State")
 @dataclass(frozen=True, eq=False)
 class RunState:
     """All that a run needs to go on: a value that can be kept, branched from, saved and loaded.
+
+    `RunState()` is that of a run which has not begun.
 
     Parameters
     ----------
@@ -32,10 +45,10 @@ class RunState:
         of the frames' images; `None` as long as there was none.
     """
 
-    states: Mapping[str, Any]
-    number: int
-    time: float
-    shape: tuple[int, ...] | None
+    states: Mapping[str, Any] = field(default_factory=dict)
+    number: int = 0
+    time: float = -inf
+    shape: tuple[int, ...] | None = None
 
     @staticmethod
     def kinds(chains: Mapping[str, Any]) -> dict[str, Any]:
@@ -69,7 +82,21 @@ class RunState:
         return cls(**{**saved, "states": saved["states"] or {}})
 
 
-BEGINNING = RunState({}, 0, -inf, None)
+class Sent(Generic[MessageType]):
+    """A message that is worked out when it is first multiplied."""
+
+    def __init__(self, work_out: Callable[[], MessageType], read: Sequence["Factors"] = ()) -> None:
+        self._work_out = work_out
+        self.read = read
+        """Factors of all that it depends on."""
+
+    @cached_property
+    def message(self) -> MessageType:
+        """The message itself."""
+        return self._work_out()
+
+
+Factors = tuple[Sent[Any], ...]
 
 
 class TimeSlice:
@@ -82,34 +109,30 @@ class TimeSlice:
         self.model = model
         self.predictions = predictions
         self.frame = frame
-        self._sent: dict[tuple[str, str], Message] = {}
-        self._read: dict[tuple[str, str], list[Message]] = {}
-        self._products: dict[tuple[str, tuple[int, ...]], tuple[Sequence[Message], Any]] = {}
+        self._scratch = Scratch()
+        self._sent: dict[Step, Sent[Any]] = {}
+        self._products: dict[tuple[str, Factors], Any] = {}
 
     def send(self, sender: str, feature: str) -> None:
-        """Work out one message, unless it would be the one sent before."""
-        node = self.model.features[feature]
+        """Send a message that follows from what has been sent by now, unless it is the one sent before."""
+        before = self._sent.get((sender, feature))
         if sender == IMAGE:
-            if not self.frame.missing and (IMAGE, feature) not in self._sent:
-                self._sent[IMAGE, feature] = node.evidence(self.frame, self.product(feature))
+            if not self.frame.missing and before is None:
+                self._sent[IMAGE, feature] = self._evidence(feature)
             return
-        chain = self.model.chains[sender]
-        incoming = self.incoming(sender)
-        read = [incoming[name] for name in incoming if name != feature or uses_cavity(chain)]
-        before = self._read.get((sender, feature))
-        if before is None or any(old is not new for old, new in zip(before, read, strict=True)):
-            self._sent[sender, feature] = chain.message(self.predictions[sender], node, incoming)
-            self._read[sender, feature] = read
+        entries = {name: self._factors(name, sender) for name in self.model.features_of(sender)}
+        entries[feature] = self._cavity(sender, feature)
+        read = tuple(entries.values())
+        if before is None or before.read != read:
+            self._sent[sender, feature] = Sent(lambda: self._message(sender, feature, entries), read)
 
     def incoming(self, chain: str) -> Incoming:
         """All that reaches the chain by now except for its own messages."""
-        return Incoming({name: self.product(name, chain) for name in self.model.features_of(chain)})
+        return self._incoming({name: self._factors(name, chain) for name in self.model.features_of(chain)})
 
-    def product(self, feature: str, without: str | None = None) -> Any:
-        """Product of what the feature has been sent by now, but for one chain's message."""
-        senders = [IMAGE, *self.model.speakers(feature)]
-        sent = [self._sent.get((name, feature)) for name in senders if name != without]
-        return self._multiply(feature, [message for message in sent if message is not None])
+    def product(self, feature: str) -> Any:
+        """Product of all that the feature has been sent by now."""
+        return self._multiply(feature, self._factors(feature))
 
     def log_evidence(self) -> float:
         """Log normaliser of the slice, summed over its components."""
@@ -124,30 +147,68 @@ class TimeSlice:
 
         The component that hears this chain elsewhere conditions on it, so that nothing is counted twice.
         """
-        reads = [
-            feature for feature in self.model.features_of(name) if name not in self.model.speakers(feature)
-        ]
+        model = self.model
+        reads = [feature for feature in model.features_of(name) if name not in model.senders(feature)]
         if not reads:
             return 0.0
-        chain, features = self.model.chains[name], self.model.features
-        incoming = {
-            feature: self.product(feature) if feature in reads else features[feature].uniform()
-            for feature in self.model.features_of(name)
-        }
-        message = chain.message(self.predictions[name], features[reads[0]], Incoming(incoming))
-        return float((incoming[reads[0]] * message).log_mass)
+        entries = {name: self._factors(name) if name in reads else () for name in model.features_of(name)}
+        return float((self.product(reads[0]) * self._message(name, reads[0], entries)).log_mass)
 
-    def _multiply(self, feature: str, factors: Sequence[Message]) -> Any:
+    def _evidence(self, feature: str) -> Sent[Any]:
+        node = self.model.features[feature]
+        found = self._factors(feature) if node.searches else ()
+        return Sent(lambda: node.evidence(self.frame, self._multiply(feature, found)))
+
+    def _message(self, chain: str, feature: str, entries: Mapping[str, Factors]) -> Any:
+        node = self.model.features[feature]
+        message = self.model.chains[chain].message(self.predictions[chain], node, self._incoming(entries))
+        return message
+
+    def _cavity(self, chain: str, feature: str) -> Factors:
+        """What the chain finds of others at a feature to which it is about to speak."""
+        wanted = self.model.cavity(chain, feature)
+        if wanted == Cavity.OTHERS:
+            return self._factors(feature, chain)
+        image = self._sent.get((IMAGE, feature))
+        return () if image is None or wanted == Cavity.NOTHING else (image,)
+
+    def _factors(self, feature: str, without: str | None = None) -> Factors:
+        """What the feature has been sent by now, but for one chain's message."""
+        steps = [(name, feature) for name in (IMAGE, *self.model.senders(feature)) if name != without]
+        return tuple(self._sent[step] for step in steps if step in self._sent)
+
+    def _incoming(self, entries: Mapping[str, Factors]) -> Incoming:
+        return Incoming(_Products(self, entries), self._scratch)
+
+    def _multiply(self, feature: str, factors: Factors) -> Any:
         if len(factors) == 1:
-            return factors[0]
-        key = (feature, tuple(map(id, factors)))
+            return factors[0].message
+        key = feature, factors
         if key not in self._products:
             if factors:
-                product = self._multiply(feature, factors[:-1]) * factors[-1]
+                product = self._multiply(feature, factors[:-1]) * factors[-1].message
             else:
                 product = self.model.features[feature].uniform()
-            self._products[key] = (factors, product)  # the factors stay alive, so that no other gets their id
-        return self._products[key][1]
+            self._products[key] = product
+        return self._products[key]
+
+
+class _Products(Mapping[Named, Message]):
+    """Product of some factors at each of a chain's feature nodes, worked out when it is asked for."""
+
+    def __init__(self, time_slice: TimeSlice, factors: Mapping[str, Factors]) -> None:
+        self._slice = time_slice
+        self._factors = factors
+
+    def __getitem__(self, feature: Named) -> Message:
+        product: Message = self._slice._multiply(feature.name, self._factors[feature.name])
+        return product
+
+    def __iter__(self) -> Iterator[Named]:
+        return (self._slice.model.features[name] for name in self._factors)
+
+    def __len__(self) -> int:
+        return len(self._factors)
 
 
 class Belief:
@@ -232,11 +293,12 @@ class RecursiveBP:
             require(f"chain {name!r}", chain, Chain)
         if sweeps < 1:
             raise ValueError(f"sweeps: got {sweeps}, expected 1 or more")
+        model.check_complete()
         self.model = model.copy()
         self.sweeps = sweeps
         self._schedule = self.model.schedule()
 
-    def step(self, state: RunState | None, frame: Frame) -> Belief:
+    def step(self, state: RunState, frame: Frame) -> Belief:
         """Take in one frame.
 
         The first frame in which there is something to see is met with the chains' initial states, later ones
@@ -245,7 +307,7 @@ class RecursiveBP:
         Parameters
         ----------
         state
-            of the run until now, which is left as it is; `None` at the beginning.
+            of the run until now, which is left as it is; `RunState()` at the beginning.
         frame
             the next frame.
 
@@ -255,28 +317,27 @@ class RecursiveBP:
             if the frame is not later than the last one, has another size or type, or if `state` belongs to
             other chains.
         """
-        before = state or BEGINNING
-        shape = before.shape if frame.image is None else frame.image.shape
-        if not frame.time > before.time:
+        shape = state.shape if frame.image is None else frame.image.shape
+        if not frame.time > state.time:
             raise ValueError(
                 f"frames: got time {frame.time} s at frame {frame.number}, "
-                f"expected later than {before.time} s at frame {before.number}"
+                f"expected later than {state.time} s at frame {state.number}"
             )
-        if before.shape is not None and shape != before.shape:
+        if state.shape is not None and shape != state.shape:
             raise ValueError(
-                f"frames: got {shape} uint8 at frame {frame.number}, expected {before.shape} uint8"
+                f"frames: got {shape} uint8 at frame {frame.number}, expected {state.shape} uint8"
             )
-        if frame.missing and not before.states:
+        if frame.missing and not state.states:
             return Belief(frame, RunState({}, frame.number, frame.time, None), None)
 
         chains = self.model.chains
-        if not before.states:
+        if not state.states:
             predictions = {name: chain.initial(frame) for name, chain in chains.items()}
-        elif before.states.keys() == chains.keys():
-            dt = frame.time - before.time
-            predictions = {name: chain.predict(before.states[name], dt) for name, chain in chains.items()}
+        elif state.states.keys() == chains.keys():
+            dt = frame.time - state.time
+            predictions = {name: chain.predict(state.states[name], dt) for name, chain in chains.items()}
         else:
-            raise ValueError(f"state: got chains {', '.join(before.states)}, expected {', '.join(chains)}")
+            raise ValueError(f"state: got chains {', '.join(state.states)}, expected {', '.join(chains)}")
         time_slice = TimeSlice(self.model, predictions, frame)
         for sender, feature in self._schedule * self.sweeps:
             time_slice.send(sender, feature)
@@ -300,20 +361,21 @@ class RecursiveBP:
         dt
             seconds from one plain image to the next.
         state
-            to go on from; `None` at the beginning.
+            to go on from; from the beginning where it is left out.
 
         Raises
         ------
         ValueError
             as `step` does, or if something is not an image.
         """
+        state = state or RunState()
         for item in frames:
             if isinstance(item, Frame):
                 frame = item
             else:
                 image = None if item is None else np.asarray(item)
-                time, number = (state.time + dt, state.number + 1) if state else (0.0, 1)
-                frame = Frame(image, time, number)
+                time = state.time + dt if state.time > -inf else 0.0
+                frame = Frame(image, time, state.number + 1)
             belief = self.step(state, frame)
             state = belief.state
             yield belief

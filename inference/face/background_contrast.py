@@ -175,20 +175,20 @@ class Reading:
 
     Parameters
     ----------
-    told
+    others
         with image and background.
     """
 
-    told: PixelMessage
+    others: PixelMessage
 
     @cached_property
     def ratio(self) -> Map:
         """`(height, width)` float32: log density of the background over that of anything, clipped."""
-        background, reading = self.told.background, self.told.reading
+        background, subtraction = self.others.background, self.others.subtraction
         assert background is not None
-        assert reading is not None
+        assert subtraction is not None
         prior = np.log(background.prior) - np.log1p(-background.prior)
-        odds: Map = reading.log_odds.reshape(self.told.size).astype(np.float32)
+        odds: Map = subtraction.log_odds.reshape(self.others.size).astype(np.float32)
         odds *= np.float32(1 / ODDS_STEPS)
         odds -= np.float32(prior)
         return odds

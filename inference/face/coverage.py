@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.background.pixel_labels import Layer, LayerStack
+from ...models.background.layers import Layer, LayerStack
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.outline import Box, covered
 from ...models.face.pose import Poses

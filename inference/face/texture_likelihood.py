@@ -1,14 +1,13 @@
 """What a picture says of poses, given the textures that experts remember: p(y_t | u_1:t, y_1:t-1)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.last_call import LastCall
 from ...models.face.image_pyramid import Level
 from ...models.face.kernels import warp as warp_kernels
 from ...models.face.morphable_model import MorphableModel
@@ -36,7 +35,6 @@ class TexturedObject:
 
     model: MorphableModel
     texels: SurfaceTexels
-    _last_visible: LastCall = field(default_factory=LastCall, init=False, repr=False)
 
     @cached_property
     def _used(self) -> NDArray[np.int64]:
@@ -87,21 +85,8 @@ class TexturedObject:
         return self.model.bases[:, self._used].reshape(self.model.n_bases, -1)
 
     def visible(self, poses: Poses) -> NDArray[np.bool_]:
-        """`(n, n_texels)`: whether texels face the viewer with nothing before them.
-
-        A frame starts from the poses at which the one before ended: the last answer is remembered.
-        """
-        return self._last_visible(self._visible, poses)
-
-    def _visible(self, poses: Poses) -> NDArray[np.bool_]:
-        if not len(self.model.triangles):
-            return np.ones((len(poses), len(self.texels)), np.bool_)
-        return visible(
-            self.model.positions(poses),
-            self.model.triangles,
-            self._corners,
-            self.texels.weights.astype(np.float64),
-        )
+        """`(n, n_texels)`: whether texels face the viewer with nothing before them."""
+        return _visible(self, poses)
 
     def looks(
         self, levels: Sequence[Level], poses: Poses, visible: NDArray[np.bool_]
@@ -123,6 +108,18 @@ class TexturedObject:
             over_bands(work, n)
             seen &= area > 0
         return values, seen
+
+
+@lru_cache(maxsize=2)  # a frame starts from the poses at which the one before ended
+def _visible(surface: TexturedObject, poses: Poses) -> NDArray[np.bool_]:
+    if not len(surface.model.triangles):
+        return np.ones((len(poses), len(surface.texels)), np.bool_)
+    return visible(
+        surface.model.positions(poses),
+        surface.model.triangles,
+        surface._corners,
+        surface.texels.weights.astype(np.float64),
+    )
 
 
 @dataclass(frozen=True, eq=False)

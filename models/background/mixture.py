@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.last_call import LastCall
 from ..numerics import array_pool
 from ..numerics.threads import over_bands
 from . import colour
@@ -65,8 +64,7 @@ class MixturePrediction:
     prior: float
     share: float
     pooling: float
-    _read: LastCall = field(default_factory=LastCall, init=False, repr=False)
-    _planes: LastCall = field(default_factory=LastCall, init=False, repr=False)
+    _compared: dict[int, tuple[NDArray[np.uint8], Planes, Subtraction]] = field(default_factory=dict)
 
     @property
     def mean(self) -> Planes:
@@ -76,14 +74,14 @@ class MixturePrediction:
 
     def against(self, image: NDArray[np.uint8]) -> Subtraction:
         """Read an image against the prediction; the same image is read only once."""
-        return self._read(self._subtract, image)
+        return self._comparison(image)[2]
 
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
         """Log probability of the image, summed over its pixels as if they were independent (nats).
 
         `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0.
         """
-        planes, mixture = self._planes(colour.to_planes, image), self.mixture
+        planes, mixture = self._comparison(image)[1], self.mixture
         total = mixture_log_evidence(
             self.size[1], planes, mixture.weights, mixture.means, mixture.variances, np.float32(self.share),
             np.float32(log_prior_odds(self.prior, len(planes))),
@@ -114,7 +112,7 @@ class MixturePrediction:
             squared grey levels, of a new component.
         """
         height, width = self.size
-        planes, before = self._planes(colour.to_planes, image), self.mixture
+        planes, before = self._comparison(image)[1], self.mixture
         after = Mixture(
             array_pool.empty(before.weights.shape, np.float32),
             array_pool.empty(before.means.shape, np.float32),
@@ -131,9 +129,16 @@ class MixturePrediction:
         over_bands(learn, height)
         return after
 
-    def _subtract(self, image: NDArray[np.uint8]) -> Subtraction:
+    def _comparison(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Planes, Subtraction]:
+        """The image, its planes, and what they say."""
+        if id(image) not in self._compared:
+            planes = colour.to_planes(image)
+            self._compared[id(image)] = image, planes, self._subtract(planes)
+        return self._compared[id(image)]
+
+    def _subtract(self, planes: Planes) -> Subtraction:
         height, width = self.size
-        planes, mixture = self._planes(colour.to_planes, image), self.mixture
+        mixture = self.mixture
         log_prior = np.float32(log_prior_odds(self.prior, len(planes)))
         log_odds = array_pool.empty((height * width,), np.int8)
 

@@ -1,12 +1,12 @@
 """How well poses of a body explain an image: face, flesh and occlusion edges (RSMCM paper §4.1)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.last_call import LastCall
 from .image_features import BodyImage
 from .kernels.likelihood import blob_terms, edge_features, edge_terms, hand_terms, head_terms, over_density
 from .poses import BodyPoses
@@ -96,7 +96,6 @@ class BodyLikelihood:
     """
 
     body: UpperBody
-    _last: LastCall = field(default_factory=LastCall, init=False, repr=False)
 
     def __call__(self, image: BodyImage, poses: BodyPoses) -> Array:
         """log p(image | pose) `(n,)` nats, up to a constant."""
@@ -110,7 +109,7 @@ class BodyLikelihood:
         stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,
         flesh that looks like one more hand with `blob_terms`, the outline with `edge_terms`.
         """
-        maps = self._last(self._maps, image)
+        maps = _maps(self.body, image)
         parts = self.body.parts(poses)
         terms = np.zeros((3, len(poses)))
         terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
@@ -139,13 +138,15 @@ class BodyLikelihood:
         costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
         blob_terms(parts, image.blobs, costs, body.head_height * np.array(BLOB_REACH), term)
 
-    def _maps(self, image: BodyImage) -> _Maps:
-        unit, flesh, head = self.body.head_height, None, None
-        if image.flesh is not None and image.moving is not None:
-            flesh = flesh_maps(image.moving, self.body.hand)
-            if not image.mixtures.informative[0]:
-                head = head_map(image.flesh, self.body)
-        return _Maps(flesh, head, edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit))
+
+@lru_cache(maxsize=2)
+def _maps(body: UpperBody, image: BodyImage) -> _Maps:
+    unit, flesh, head = body.head_height, None, None
+    if image.flesh is not None and image.moving is not None:
+        flesh = flesh_maps(image.moving, body.hand)
+        if not image.mixtures.informative[0]:
+            head = head_map(image.flesh, body)
+    return _Maps(flesh, head, edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit))
 
 
 def flesh_maps(flesh: Map, hand: float) -> tuple[Map, Map]:

@@ -66,19 +66,19 @@ class PartMessage:
 
     Parameters
     ----------
-    told
+    predicted
         product of the chains' messages.
     image
         what the image says; `None` where it says nothing.
     """
 
-    told: GaussianMixtures
+    predicted: GaussianMixtures
     image: BodyImage | None = None
 
     @property
     def mixtures(self) -> GaussianMixtures:
         """The product of all."""
-        return self.told if self.image is None else self.told * self.image.mixtures
+        return self.predicted if self.image is None else self.predicted * self.image.mixtures
 
     @property
     def log_mass(self) -> float:
@@ -86,7 +86,9 @@ class PartMessage:
         return float(self.mixtures.log_masses.sum())
 
     def __mul__(self, other: Self) -> Self:
-        return type(self)(self.told * other.told, self.image if other.image is None else other.image)
+        if self.image is not None and other.image is not None:
+            raise ValueError("part message: got two images, expected at most one")
+        return type(self)(self.predicted * other.predicted, self.image or other.image)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +112,8 @@ class BodyParts:
     detector: PartDetector | None = None
     still: NDArray[np.float32] | None = None
     name: str = "parts"
+
+    searches = True
 
     def __post_init__(self) -> None:
         if not 0 < self.head_height < np.inf:
@@ -213,7 +217,7 @@ class BodyParts:
             hands.log_weights,
             mixtures,
         )
-        return PartMessage(self.uniform().told, seen)
+        return PartMessage(self.uniform().predicted, seen)
 
     def _moving(self, flesh: NDArray[np.float32], faces: Array) -> NDArray[np.float32]:
         """Flesh less what is there all the time; but of faces none is lost, since heads move."""
@@ -226,7 +230,7 @@ class BodyParts:
 
     def _known_head(self, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: the head's centre, k = 1, if the chains know it."""
-        means, covariances = prior.told.moments(float(shape[0] * shape[1]), (shape[1] / 2, shape[0] / 2))
+        means, covariances = prior.predicted.moments(float(shape[0] * shape[1]), (shape[1] / 2, shape[0] / 2))
         known = np.linalg.eigvalsh(covariances[0])[-1] < (KNOWN * self.head_height) ** 2
         return means[:1] if known else np.zeros((0, 2))
 

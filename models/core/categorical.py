@@ -63,6 +63,8 @@ class Categorical:
     size: int
     log_likelihood: Callable[[Frame], ArrayLike] | None = None
 
+    searches = False
+
     def uniform(self) -> CategoricalMessage:
         """The constant 1."""
         return CategoricalMessage(np.zeros(self.size))

@@ -24,6 +24,8 @@ class ObjectBoxes:
 
     name: str = "objects"
 
+    searches = False
+
     def uniform(self) -> GaussianMessage:
         """The message that mentions no object."""
         return GaussianMessage.uniform(BOX)

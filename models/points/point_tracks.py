@@ -161,6 +161,8 @@ class PointTracks:
     farthest: float = 24.0
     name: str = "points"
 
+    searches = True
+
     def __post_init__(self) -> None:
         if self.patch < 3 or self.patch % 2 == 0:
             raise ValueError(f"patch: got {self.patch} px, expected an odd number from 3")

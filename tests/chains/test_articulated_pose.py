@@ -14,6 +14,7 @@ from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 BODY = UpperBody.from_head(90.0)
 SIZE = (360, 640)
 DT = 0.04
+NODE = BodyParts(90.0)
 NOTHING = GaussianMixtures.uniform(len(PARTS))
 FRAME = Frame(np.zeros((*SIZE, 3), np.uint8), 0.0, 1)
 
@@ -52,7 +53,7 @@ def started(chain, seed=0):
     pose = BodyDynamics(BODY).draw_anywhere(1, SIZE, random)
     pose.roots[:] = (320.0, 200.0)
     message = PartMessage(NOTHING, picture(seen(BODY.parts(pose)[0], 5.0, chance=0.9999)))
-    return chain.update(chain.initial(FRAME), Incoming({"parts": message})), pose
+    return chain.update(chain.initial(FRAME), Incoming({NODE: message})), pose
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -79,7 +80,7 @@ def test_posterior_is_that_of_a_bootstrap_filter_with_many_samples(seed):
         [np.zeros(1)] * 3, list((target + 3.0)[:, None]), [60.0**2 * np.eye(2)[None]] * 3
     )
     message = PartMessage(told, picture(seen(target, 15.0)))
-    found = moments(BODY, chain.update(prediction, Incoming({"parts": message})))
+    found = moments(BODY, chain.update(prediction, Incoming({NODE: message})))
 
     ancestors = prediction.ancestors.take(
         random.choice(len(prediction.ancestors), 400_000, p=prediction.ancestor_weights)
@@ -106,13 +107,13 @@ def test_nothing_is_invented_when_all_features_fail():
     state, _ = started(chain)
     prediction = chain.predict(state, DT)
     for message in (PartMessage(NOTHING), PartMessage(NOTHING, picture(NOTHING))):
-        after = chain.update(prediction, Incoming({"parts": message}))
+        after = chain.update(prediction, Incoming({NODE: message}))
         assert after.stationary
         assert np.array_equal(after.poses.roots, prediction.poses.roots)
         assert np.array_equal(after.weights, prediction.weights)
     spreads = []
     for _ in range(20):
-        state = chain.update(chain.predict(state, DT), Incoming({"parts": PartMessage(NOTHING)}))
+        state = chain.update(chain.predict(state, DT), Incoming({NODE: PartMessage(NOTHING)}))
         spreads.append(np.trace(moments(BODY, state).joint_covariances[4]))
     assert spreads[-1] > 2 * spreads[0]  # it becomes less sure
 
@@ -123,7 +124,7 @@ def test_a_stationary_chain_still_hears_the_others():
     prediction = chain.predict(state, 0.2)
     aside = np.einsum("n,npx->px", prediction.weights, BODY.parts(prediction.poses)) + np.array([15.0, 0.0])
     told = GaussianMixtures.of_parts([np.zeros(1)] * 3, list(aside[:, None]), [400.0 * np.eye(2)[None]] * 3)
-    after = chain.update(prediction, Incoming({"parts": PartMessage(told)}))
+    after = chain.update(prediction, Incoming({NODE: PartMessage(told)}))
     moved = moments(BODY, after).joints[4, 0] - moments(BODY, prediction).joints[4, 0]
     assert moved > 2
 
@@ -133,7 +134,7 @@ def test_detections_out_of_reach_leave_the_prediction():
     state, _ = started(chain)
     prediction = chain.predict(state, DT)
     far = seen([[20.0, 20.0], [600.0, 300.0], [600.0, 20.0]], 1.0, chance=1 - 1e-12)
-    after = chain.update(prediction, Incoming({"parts": PartMessage(NOTHING, picture(far))}))
+    after = chain.update(prediction, Incoming({NODE: PartMessage(NOTHING, picture(far))}))
     assert after.stationary
     assert np.array_equal(after.poses.roots, prediction.poses.roots)
 
@@ -146,11 +147,11 @@ def test_message_is_a_density_about_the_prediction():
     message = chain.message(prediction, None, Incoming({}))
     assert message.image is None
     assert message.log_mass == pytest.approx(0.0, abs=1e-9)
-    mean, _ = message.told.moments(1.0, (0, 0))
+    mean, _ = message.predicted.moments(1.0, (0, 0))
     wanted = np.einsum("n,npx->px", prediction.weights, BODY.parts(prediction.poses))
     assert mean == pytest.approx(wanted, abs=1e-6)
-    expected = part_message(BODY, prediction.poses, prediction.weights, GROUPS).told
-    assert np.array_equal(message.told.means, expected.means)
+    expected = part_message(BODY, prediction.poses, prediction.weights, GROUPS).predicted
+    assert np.array_equal(message.predicted.means, expected.means)
 
 
 def test_state_is_saved_and_the_run_goes_on_as_it_would_have(tmp_path):

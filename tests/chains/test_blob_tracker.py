@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rsmcm.chains import AdaptiveBackground, BlobTracker, GroundPlane
 from rsmcm.chains.blob_tracker import POSITIVE, Blob
-from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels
 
 HEIGHT, WIDTH = SIZE = (120, 160)
@@ -268,7 +268,7 @@ def test_without_objects_nothing_is_said():
         assert belief.log_evidence == other.log_evidence
     tracker, message = BlobTracker(), pixels.uniform()
     state = tracker.initial(Frame(frames[0], 0.0, 1))
-    said = tracker.message(state, pixels, {"pixels": message})
+    said = tracker.message(state, pixels, Incoming({pixels: message}))
     assert not said.layers
     assert said.background is None
     assert said.image is None

@@ -45,7 +45,7 @@ class RootLikelihood:
 
 
 def told(place: Array | None) -> Incoming:
-    return Incoming({"parts": PartMessage(UNIFORM, None if place is None else Seen(place))})  # type: ignore[arg-type]
+    return Incoming({BodyParts(50.0): PartMessage(UNIFORM, None if place is None else Seen(place))})  # type: ignore[arg-type]
 
 
 def chain(samples: int = 500, seed: int = 0) -> Condensation:
@@ -144,11 +144,11 @@ def test_goes_on_the_same_after_save_and_resume(tmp_path: Path) -> None:
 def test_message_has_the_moments_of_the_samples() -> None:
     condensation = chain()
     state = condensation.predict(condensation.initial(FIRST), DT)
-    message = condensation.message(state, BodyParts(50.0), Incoming({"parts": PartMessage(UNIFORM)}))
+    message = condensation.message(state, BodyParts(50.0), Incoming({BodyParts(50.0): PartMessage(UNIFORM)}))
     assert message.image is None
-    np.testing.assert_allclose(message.told.log_masses, 0, atol=1e-9)
+    np.testing.assert_allclose(message.predicted.log_masses, 0, atol=1e-9)
     places = BODY.parts(state.poses)
-    mean, _ = message.told.moments(1.0, (0, 0))
+    mean, _ = message.predicted.moments(1.0, (0, 0))
     np.testing.assert_allclose(mean, np.einsum("n,npx->px", state.weights, places), atol=1e-6)
 
 
@@ -157,7 +157,7 @@ def test_hears_what_other_chains_say() -> None:
     state = condensation.predict(condensation.initial(FIRST), DT)
     hands = BODY.parts(START)[0]
     said = GaussianMixtures.of_parts([[0.0]] * 3, hands[:, None], [[25 * np.eye(2)]] * 3)
-    after = condensation.update(state, Incoming({"parts": PartMessage(said)}))
+    after = condensation.update(state, Incoming({BodyParts(50.0): PartMessage(said)}))
     factors = said.log_values(BODY.parts(state.poses)).sum(axis=1)
     both = np.isfinite(state.log_weights)
     differences = after.log_weights[both] - state.log_weights[both] - factors[both]

@@ -1,7 +1,7 @@
 """Tracks of head and hands: against filterpy, van Loan's integral and enumeration, and in made-up scenes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import permutations, product
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.inference.body.part_assignment import Assignment, PartChoices
 from rsmcm.inference.body.part_filter import MovingParts, PartPosterior
 from rsmcm.models.body.image_features import BodyImage
-from rsmcm.models.body.parts import PartMessage
+from rsmcm.models.body.parts import BodyParts, PartMessage
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
@@ -88,7 +88,7 @@ def told(*places: Sequence[float], spread: float = 0.2) -> PartMessage:
 
 
 def updated(state: FleshTracks, message: PartMessage, tracker: FleshTracker = TRACKER) -> FleshTracks:
-    return tracker.update(state, Incoming({"parts": message}))
+    return tracker.update(state, Incoming({BodyParts(HEIGHT): message}))
 
 
 def stepped(state: FleshTracks, message: PartMessage, tracker: FleshTracker = TRACKER) -> FleshTracks:
@@ -297,7 +297,7 @@ def test_hands_that_met_may_be_exchanged_until_somebody_knows() -> None:
     assert last.exchanged > 0.3
     message = TRACKER.message(last, None, Incoming({}))
     places = np.repeat(ways[-1][:, None], 3, axis=1)
-    both = message.told.log_values(places)
+    both = message.predicted.log_values(places)
     assert np.abs(both[0] - both[1])[1:].max() < 2
     for upper, lower in ((LEFT, RIGHT), (RIGHT, LEFT)):
         truth = [(0.0, 0.0)] * 3
@@ -376,7 +376,7 @@ def test_nobody_in_view_is_nothing_known() -> None:
     np.testing.assert_array_equal(state.labels, NO_LABEL)
     assert np.isfinite(state.covariances).all()
     message = TRACKER.message(state, None, Incoming({}))
-    assert np.sqrt(message.told.moments(1.0, (0, 0))[1][:, 0, 0]).min() > HEIGHT
+    assert np.sqrt(message.predicted.moments(1.0, (0, 0))[1][:, 0, 0]).min() > HEIGHT
 
 
 def test_at_first_left_is_left() -> None:
@@ -454,7 +454,7 @@ def test_covariances_stay_positive_definite_and_messages_integrate_to_one(seed: 
         assert ((state.trust >= 0) & (state.trust <= 1)).all()
         assert 0 <= state.exchanged <= 0.5
         message = TRACKER.message(state, None, Incoming({}))
-        np.testing.assert_allclose(message.told.log_masses, 0.0, atol=1e-9)
+        np.testing.assert_allclose(message.predicted.log_masses, 0.0, atol=1e-9)
 
 
 @given(SEEDS)
@@ -498,18 +498,16 @@ def test_states_are_left_as_they_are() -> None:
 # --- in an engine ---
 
 
-@dataclass(frozen=True)
-class Seen:
+class Seen(BodyParts):
     """Feature node that sees in frame n what it was given for it."""
 
-    looks: tuple[PartMessage, ...]
-    name: str = "parts"
-
-    def uniform(self) -> PartMessage:
-        return PartMessage(GaussianMixtures.uniform(3))
+    def __init__(self, looks: tuple[PartMessage, ...]) -> None:
+        super().__init__(HEIGHT)
+        object.__setattr__(self, "looks", looks)
 
     def evidence(self, frame: Frame, prior: PartMessage) -> PartMessage:
-        return self.looks[frame.number - 1]
+        looks: tuple[PartMessage, ...] = self.looks  # type: ignore[attr-defined]
+        return looks[frame.number - 1]
 
 
 def wandering(seed: int, frames: int) -> tuple[PartMessage, ...]:

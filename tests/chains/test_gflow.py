@@ -10,7 +10,7 @@ from rsmcm.apps.scenes import FaceScene, face
 from rsmcm.chains.gflow import GFlow, GFlowState
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.core.checkpoint import load, save
-from rsmcm.inference.core.recursive_bp import BEGINNING
+from rsmcm.inference.core.recursive_bp import RunState
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_points import SurfacePoints
@@ -72,7 +72,7 @@ def test_resumes_from_a_file(
     resumed = load(tmp_path / "state.npz", {"face": GFlowState})["face"]
     chain = chain_for(scene)
     engine = RecursiveBP(MultiChain().connect(chain, PixelLabels()))
-    state = replace(BEGINNING, states={chain.name: resumed}, time=7 / 25)
+    state = replace(RunState(), states={chain.name: resumed}, time=7 / 25)
     for number in range(8, 14):
         belief = engine.step(state, Frame(images[number], number / 25, number + 1))
         state = belief.state

@@ -181,7 +181,7 @@ def test_trust_grows_where_predictions_come_true_and_the_object_is_not() -> None
     changed = scene.copy()
     changed[:20] = 200
     for image, visible in ((scene, ~hidden), (changed, hidden)):
-        told = chain.message(state, PIXELS, Incoming({"pixels": PixelMessage(image=image)}))
+        told = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage(image=image)}))
         trust = Reading(told * PixelMessage(image=image)).trust_after(trust, ~visible, box)
     assert (trust[45, 65], trust[60, 5]) == (UNSEEN, pytest.approx(1 - 0.875**2))
     assert trust[5, 5] == pytest.approx(0.125 * 0.875)
@@ -261,11 +261,11 @@ def test_a_tracker_that_knows_nothing_says_nothing() -> None:
     scene = face(2, 0, (192, 128))
     chain = GFlow(scene.model, scene.poses[0], experts=2, texels=300)
     state = chain.initial(scene.frame(0))
-    nothing = chain.message(state, PIXELS, Incoming({"pixels": PixelMessage()}))
+    nothing = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage()}))
     assert nothing.layers.layers == ()
     assert nothing.image is None
     lost = replace(state, doubts=9, looks=5)
-    told = Incoming({"pixels": PixelMessage(image=scene.image(0))})
+    told = Incoming({PIXELS: PixelMessage(image=scene.image(0))})
     message = chain.message(lost, PIXELS, told)
     assert lost.lost
     assert message.layers.layers == ()

@@ -71,7 +71,7 @@ def test_measured_points_are_those_of_the_message_that_were_chosen() -> None:
 def test_before_it_has_seen_anything_it_mentions_no_point() -> None:
     scene = face(1, 0, (192, 128))
     chain, points = GFlow(scene.model, scene.poses[0], experts=2, texels=300, tracked=CHOSEN), PointTracks()
-    message = chain.message(chain.initial(scene.frame(0)), points, Incoming({"points": points.uniform()}))
+    message = chain.message(chain.initial(scene.frame(0)), points, Incoming({points: points.uniform()}))
     assert len(message.positions) == 0
 
 
@@ -113,7 +113,7 @@ def test_the_tracker_is_helped_by_what_the_face_predicts() -> None:
         for number, frame in enumerate(with_points(scene, 0.5, seed)):
             if first is not None and second is not None:
                 dt = frame.time - first.time
-                nobody = Incoming({"points": node.uniform()})
+                nobody = Incoming({node: node.uniform()})
                 face_says = chain.message(chain.predict(first.states["gflow"], dt), node, nobody)
                 track_says = tracker.message(tracker.predict(second.states["tracker"], dt), node, nobody)
                 found = node.evidence(frame, node.uniform())

@@ -15,7 +15,7 @@ from rsmcm.chains.gflow import GFlow
 from rsmcm.inference.core.protocols import Incoming
 from rsmcm.inference.face import gauss_newton
 from rsmcm.inference.face.pose_dynamics import PoseDynamics
-from rsmcm.models.background.pixel_labels import PixelMessage
+from rsmcm.models.background.pixel_labels import PixelLabels, PixelMessage
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.image_pyramid import picture_levels
 from rsmcm.models.face.morphable_model import MorphableModel
@@ -126,7 +126,7 @@ def by_hand(
 def by_chain(chain: GFlow, pictures: Sequence[NDArray[np.uint8]]) -> list[Array]:
     state, tracks = chain.initial(Frame(pictures[0], 0.0, 1)), []
     for picture in pictures:
-        state = chain.update(state, Incoming({"pixels": PixelMessage(image=picture)}))
+        state = chain.update(state, Incoming({PixelLabels(): PixelMessage(image=picture)}))
         tracks.append(chain.model.project(chain.mean_pose(state))[0])
         state = chain.predict(state, 0.04)
     return tracks

@@ -4,14 +4,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import AdaptiveBackground, GroundPlane
 from rsmcm.chains.ground_plane import LEAST_SPREAD, GroundState
-from rsmcm.inference import Incoming, MultiChain, RecursiveBP
+from rsmcm.inference import Incoming, MultiChain, Port, RecursiveBP
 from rsmcm.inference.core.recursive_bp import Belief
 from rsmcm.models import ObjectBoxes, PixelLabels
 from rsmcm.models.background.pixel_labels import PixelMessage
@@ -104,6 +104,7 @@ class WanderingBoxes:
     """Toy tracker, exact in every message: each box is a random walk, and who is seen first is new."""
 
     name = "boxes"
+    ports = (Port(ObjectBoxes, many=True),)
 
     def __init__(self, wander: Table) -> None:
         self.wander = np.diag(wander) ** 2
@@ -118,12 +119,13 @@ class WanderingBoxes:
         return GaussianMessage.from_moments(state.identities, state.means, state.covariances)
 
     def message(self, state: WanderingState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage:
+        others = incoming.by_name(ObjectBoxes)
         other = "objects" if feature.name == "detections" else "detections"
-        return self.predicted(state) * incoming.get(other, UNIFORM)
+        return self.predicted(state) * others.get(other, UNIFORM)
 
     def update(self, state: WanderingState, incoming: Incoming) -> WanderingState:
         product = self.predicted(state)
-        for message in incoming.values():
+        for message in incoming.by_name(ObjectBoxes).values():
             product = product * message
         return WanderingState(*product.moments)
 
@@ -253,9 +255,9 @@ def test_horizon_and_heights_are_not_made_up() -> None:
 def test_says_nothing_of_nobody() -> None:
     ground = GroundPlane()
     state = ground.predict(ground.initial(Frame(BLANK, 0.0, 1)), DT)
-    told = Incoming({"objects": boxes_of(np.array([1]), np.array([[100.0, 300.0, 30.0, 80.0]]))})
+    told = Incoming({OBJECTS: boxes_of(np.array([1]), np.array([[100.0, 300.0, 30.0, 80.0]]))})
     assert not len(ground.message(state, OBJECTS, told))
-    assert ground.update(state, Incoming({"objects": UNIFORM})) is state
+    assert ground.update(state, Incoming({OBJECTS: UNIFORM})) is state
 
 
 def test_message_is_a_density_from_the_past_alone(walk: tuple[World, list[Belief], list[Belief]]) -> None:
@@ -264,7 +266,7 @@ def test_message_is_a_density_from_the_past_alone(walk: tuple[World, list[Belief
     ground = GroundPlane()
     message = ground.message(state, OBJECTS, Incoming({}))
     assert message.log_mass == pytest.approx(0, abs=1e-6)
-    told = Incoming({"objects": boxes_of(state.identities, np.full((6, 4), 50.0))})
+    told = Incoming({OBJECTS: boxes_of(state.identities, np.full((6, 4), 50.0))})
     again = ground.message(state, OBJECTS, told)
     np.testing.assert_array_equal(again.information, message.information)
     np.testing.assert_array_equal(again.vector, message.vector)
@@ -327,8 +329,8 @@ def test_identities_are_only_names() -> None:
     one = two = ground.initial(Frame(BLANK, 0.0, 1))
     for boxes in world.measured[:60]:
         one, two = (ground.predict(state, DT) for state in (one, two))
-        one = ground.update(one, Incoming({"objects": boxes_of(np.arange(6), boxes)}))
-        two = ground.update(two, Incoming({"objects": boxes_of(names, boxes)}))
+        one = ground.update(one, Incoming({OBJECTS: boxes_of(np.arange(6), boxes)}))
+        two = ground.update(two, Incoming({OBJECTS: boxes_of(names, boxes)}))
     order = np.argsort(names)
     np.testing.assert_allclose(two.scene[2:], one.scene[2:][order], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(two.scene[:2], one.scene[:2], rtol=1e-9)
@@ -347,7 +349,7 @@ def test_what_does_not_fit_the_plane_is_not_forced_onto_it(
     car = np.array([[300.0, 300.0, 90.0, 30.0]])
     for _ in range(80):
         state = ground.predict(state, DT)
-        state = ground.update(state, Incoming({"objects": boxes_of(np.array([50]), car)}))
+        state = ground.update(state, Incoming({OBJECTS: boxes_of(np.array([50]), car)}))
     assert state.expected_height(300.0)[0] == pytest.approx(before, rel=0.02)
     _, covariance = ground.message(state, OBJECTS, Incoming({})).marginal(50)
     assert covariance[3, 3] > 30**2
@@ -359,7 +361,7 @@ def test_boxes_that_the_edge_cuts_off_do_not_teach_heights(
     state: GroundState = walk[2][-1]["ground"]
     ground = GroundPlane()
     half = np.array([[300.0, SIZE[0] - 0.5, 40.0, 60.0]])
-    after = ground.update(ground.predict(state, DT), Incoming({"objects": boxes_of(np.array([60]), half)}))
+    after = ground.update(ground.predict(state, DT), Incoming({OBJECTS: boxes_of(np.array([60]), half)}))
     np.testing.assert_allclose(after.scene[:2], state.scene[:2], atol=1e-5)
 
 
@@ -367,8 +369,8 @@ def test_who_is_gone_is_forgotten_after_a_while() -> None:
     ground = GroundPlane(patience=1.0)
     boxes = np.array([[100.0, 300.0, 30.0, 80.0], [300.0, 400.0, 40.0, 110.0]])
     state = ground.initial(Frame(BLANK, 0.0, 1))
-    state = ground.update(state, Incoming({"objects": boxes_of(np.array([1, 2]), boxes)}))
-    only_second = Incoming({"objects": boxes_of(np.array([2]), boxes[1:])})
+    state = ground.update(state, Incoming({OBJECTS: boxes_of(np.array([1, 2]), boxes)}))
+    only_second = Incoming({OBJECTS: boxes_of(np.array([2]), boxes[1:])})
     for _ in range(9):
         state = ground.update(ground.predict(state, DT), only_second)
     np.testing.assert_array_equal(state.identities, [1, 2])
@@ -379,7 +381,7 @@ def test_who_is_gone_is_forgotten_after_a_while() -> None:
     np.testing.assert_array_equal(state.identities, [2])
     assert state.scene_covariance.shape == (3, 3)
     for _ in range(30):
-        state = ground.update(ground.predict(state, DT), Incoming({"objects": UNIFORM}))
+        state = ground.update(ground.predict(state, DT), Incoming({OBJECTS: UNIFORM}))
     assert not len(state.identities)
     assert not len(ground.message(state, OBJECTS, only_second))
 
@@ -417,6 +419,7 @@ class ForegroundBoxes:
     """Toy middle level: the spots of foreground that others see, left to right, as objects' boxes."""
 
     name = "spots"
+    ports = (Port(PixelLabels), Port(ObjectBoxes))
 
     def initial(self, frame: Frame) -> int:
         return 0
@@ -424,12 +427,16 @@ class ForegroundBoxes:
     def predict(self, state: int, dt: float) -> int:
         return state + 1
 
+    @overload
+    def message(self, state: int, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
+    @overload
+    def message(self, state: int, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage: ...
     def message(
         self, state: int, feature: PixelLabels | ObjectBoxes, incoming: Incoming
     ) -> GaussianMessage | PixelMessage:
         if isinstance(feature, PixelLabels):
             return feature.uniform()
-        told = incoming["pixels"]
+        told = incoming[PixelLabels]
         spots = find_objects(label(told.foreground())[0]) if told.image is not None else []
         large = [spot for spot in spots if (spot[0].stop - spot[0].start) > 10]
         boxes = [
@@ -482,7 +489,7 @@ def test_is_quick(walk: tuple[World, list[Belief], list[Belief]]) -> None:
     """About 0.17 ms for ten objects on an idle machine; the bound leaves room for a busy one."""
     world = people_on_a_plane(9, 10, 100)
     ground = GroundPlane()
-    told = [Incoming({"objects": boxes_of(np.arange(10), boxes)}) for boxes in world.measured]
+    told = [Incoming({OBJECTS: boxes_of(np.arange(10), boxes)}) for boxes in world.measured]
     state = ground.initial(Frame(BLANK, 0.0, 1))
     durations = []
     for incoming in told:

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.chains import AdaptiveBackground, BlobTracker, MixtureBackground
-from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.background.gaussian import colour
 from rsmcm.models.background.kernels.gaussian import HIGHEST_NOISE, LOWEST_NOISE, ODDS_STEPS
+from rsmcm.models.background.layers import Layer, LayerStack
 from rsmcm.models.background.mixture import REACH, Mixture, MixturePrediction
-from rsmcm.models.background.pixel_labels import Layer, LayerStack, PixelMessage
+from rsmcm.models.background.pixel_labels import PixelMessage
 from scipy.stats import norm
 
 SIZE = (7, 11)
@@ -96,7 +97,7 @@ def test_it_is_stauffer_and_grimson_s(channels, components):
             continue
         odds = [each.log_odds(value) for each, value in zip(textbook, planes, strict=True)]
         np.testing.assert_allclose(
-            belief[pixels].reading.log_odds / ODDS_STEPS, np.clip(odds, -6, 6), atol=1.1 / ODDS_STEPS
+            belief[pixels].subtraction.log_odds / ODDS_STEPS, np.clip(odds, -6, 6), atol=1.1 / ODDS_STEPS
         )
         for each, value in zip(textbook, planes, strict=True):
             each.learn(value, -np.expm1(-chain.rate * dt))
@@ -146,7 +147,7 @@ def test_time_counts_and_not_frames():
 def heard(chain, background, image, layers):
     """The chain's state after an image, told of layers."""
     told = PixelMessage(image=image, layers=LayerStack(layers))
-    return chain.update(chain.predict(background, 1.0), {"pixels": told})
+    return chain.update(chain.predict(background, 1.0), Incoming({PixelLabels(): told}))
 
 
 def test_what_others_cover_is_not_learned():
@@ -233,7 +234,7 @@ def test_a_saved_run_goes_on_as_if_nothing_had_happened(channels, tmp_path):
 def test_a_missing_frame_changes_nothing():
     chain = MixtureBackground()
     background = replace(chain.initial(Frame(np.zeros(SIZE, np.uint8), 0.0, 1)), elapsed=2.0)
-    assert chain.update(background, {"pixels": PixelMessage()}) is background
+    assert chain.update(background, Incoming({PixelLabels(): PixelMessage()})) is background
 
 
 @pytest.mark.parametrize(

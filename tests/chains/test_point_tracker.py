@@ -8,8 +8,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains import PointTracker
-from rsmcm.inference import CoordinateAscent, MultiChain, RecursiveBP
-from rsmcm.inference.core.protocols import BatchIncoming, Incoming
+from rsmcm.inference import (
+    BatchIncoming,
+    Cavity,
+    CoordinateAscent,
+    Incoming,
+    MultiChain,
+    Port,
+    RecursiveBP,
+    Smoothed,
+)
 from rsmcm.inference.points.trajectory import PointTrajectory
 from rsmcm.models import Frame, PointTracks
 from rsmcm.models.core.frame import GivenPoints
@@ -175,6 +183,8 @@ class PlaneKnown:
     deviation: float = 0.7
     name: str = "plane"
 
+    ports = (Port(PointTracks, Cavity.OTHERS),)
+
     def _pose(self, time: float) -> Pose:
         return self.poses[round(time / DT)]
 
@@ -196,7 +206,7 @@ class PlaneKnown:
         return self._message(state, state.time, groups=False)
 
     def update(self, state: Places, incoming: Incoming) -> Places:
-        (told,) = incoming.values()
+        told = incoming[PointTracks]
         if told.view is None:
             return state
         identities, mean, _ = told.positions.moments
@@ -206,10 +216,12 @@ class PlaneKnown:
         order = np.argsort(together)
         return replace(state, identities=together[order], points=points[order])
 
-    def smooth(self, incoming_over_time: Sequence[BatchIncoming], current: Places | None = None) -> Places:
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: Places | None = None
+    ) -> Smoothed[Places]:
         points: dict[int, list[Numbers]] = {}
         for incoming in incoming_over_time:
-            (told,) = incoming.values()
+            told = incoming[PointTracks]
             identities, mean, covariance = told.positions.moments
             for identity, point, known in zip(
                 identities.tolist(), self._pose(incoming.frame.time).on_plane(mean), covariance, strict=True
@@ -217,7 +229,8 @@ class PlaneKnown:
                 if np.trace(known) < 1:
                     points.setdefault(identity, []).append(point)
         identities = np.array(sorted(points), np.int64)
-        return Places(identities, np.array([np.median(points[k], axis=0) for k in identities.tolist()]), 0.0)
+        medians = np.array([np.median(points[k], axis=0) for k in identities.tolist()])
+        return Smoothed(Places(identities, medians, 0.0))
 
     def messages(self, trajectory: Places, feature: PointTracks) -> list[PointMessage]:
         return [self._message(trajectory, DT * t, groups=True) for t in range(len(self.poses))]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains.point_tracker import PointTracker
 from rsmcm.chains.recursive_structure import RecursiveStructure, StructureState
-from rsmcm.inference import Incoming, MultiChain, RecursiveBP
+from rsmcm.inference import Cavity, Incoming, MultiChain, RecursiveBP
 from rsmcm.inference.structure import camera_motion as motion_filter
 from rsmcm.inference.structure.camera_motion import CameraMotion
 from rsmcm.inference.structure.recursive import (
@@ -378,7 +378,7 @@ def test_no_shape_where_motion_does_not_determine_it(kind: str) -> None:
     for belief in run.run(scene.frames()):
         assert belief["structure"].structure is None
     message = RecursiveStructure().message(
-        belief["structure"], points, Incoming({"points": points.uniform()})
+        belief["structure"], points, Incoming({PointTracks(): points.uniform()})
     )
     assert not len(message.positions)
 
@@ -400,7 +400,7 @@ class Followed:
 
 def follow(scene: Scene, begin: int = 25, **options: float) -> tuple[Followed, StructureState]:
     run, chain, points = engine(**options)
-    nothing = Incoming({"points": points.uniform()})
+    nothing = Incoming({PointTracks(): points.uniform()})
     parts: dict[str, list[Numbers]] = {field.name: [] for field in fields(Followed)}
     unseen = np.zeros(scene.visible.shape[1], int)
     state = None
@@ -415,7 +415,7 @@ def follow(scene: Scene, begin: int = 25, **options: float) -> tuple[Followed, S
         if t < begin or guess is None:
             continue
         evidence = points.evidence(frame, points.uniform())
-        given = chain.message(ahead, points, Incoming({"points": evidence})).positions
+        given = chain.message(ahead, points, Incoming({PointTracks(): evidence})).positions
         for name, message in (("before", guess), ("given_others", given)):
             identities, means, covariances = message.moments
             off = means - scene.positions[t, identities]
@@ -520,12 +520,14 @@ def test_what_is_said_of_a_point_never_comes_back() -> None:
     ahead = chain.predict(last.state.states["structure"], DT)
     identities = np.arange(40)
     cavity = told(identities, scene.observed[60])
-    message = chain.message(ahead, points, Incoming({"points": cavity})).positions
+    message = chain.message(ahead, points, Incoming({PointTracks(): cavity})).positions
     for point in (0, 17):
         for shift in (1.5, 400.0):
             positions = scene.observed[60].copy()
             positions[point] += shift
-            other = chain.message(ahead, points, Incoming({"points": told(identities, positions)})).positions
+            other = chain.message(
+                ahead, points, Incoming({PointTracks(): told(identities, positions)})
+            ).positions
             np.testing.assert_allclose(other.marginal(point)[0], message.marginal(point)[0], atol=1e-6)
             # its neighbours hear of it, if it is not too far off
             heard = np.abs(other.marginal(5)[0] - message.marginal(5)[0]).max()
@@ -533,7 +535,9 @@ def test_what_is_said_of_a_point_never_comes_back() -> None:
         silent = chain.message(
             ahead,
             points,
-            Incoming({"points": told(np.delete(identities, point), np.delete(scene.observed[60], point, 0))}),
+            Incoming(
+                {PointTracks(): told(np.delete(identities, point), np.delete(scene.observed[60], point, 0))}
+            ),
         ).positions
         np.testing.assert_allclose(silent.marginal(point)[0], message.marginal(point)[0], atol=0.02)
 
@@ -543,10 +547,10 @@ def test_chain_that_knows_nothing_is_uniform() -> None:
     frame = next(cylinder(0).frames())
     state = chain.initial(frame)
     cavity = points.evidence(frame, points.uniform())
-    message = chain.message(state, points, Incoming({"points": cavity}))
+    message = chain.message(state, points, Incoming({PointTracks(): cavity}))
     assert not len(message.positions)
     assert message.log_mass == 0
-    assert chain.uses_cavity
+    assert [port.cavity for port in chain.ports] == [Cavity.OTHERS]
 
 
 def test_message_integrates_to_one_and_belief_is_sharper_than_evidence() -> None:
@@ -554,7 +558,7 @@ def test_message_integrates_to_one_and_belief_is_sharper_than_evidence() -> None
     run, chain, points = engine()
     *_, last = run.run(scene.frames())
     ahead = chain.predict(last.state.states["structure"], DT)
-    message = chain.message(ahead, points, Incoming({"points": points.uniform()}))
+    message = chain.message(ahead, points, Incoming({PointTracks(): points.uniform()}))
     assert message.log_mass == pytest.approx(0, abs=1e-6)
     assert np.isfinite(last.log_evidence)
     _, means, covariances = last[points].positions.only(scene.visible[-1]).moments
@@ -573,7 +577,7 @@ def test_only_what_the_frame_shows_is_taken_in() -> None:
     frame = Frame(None, DT * 40, 41, GivenPoints(scene.observed[40, :20], np.arange(20)))
     found = points.evidence(frame, points.uniform())
     guesses = told(np.arange(40), scene.positions[40] + 1.0)
-    after = chain.update(ahead, Incoming({"points": found * guesses})).structure
+    after = chain.update(ahead, Incoming({PointTracks(): found * guesses})).structure
     assert after is not None
     assert (after.unseen[20:] > 0).all()
     assert (after.unseen[:20] == 0).mean() > 0.8
@@ -590,7 +594,7 @@ def test_only_what_the_frame_shows_is_taken_in() -> None:
     assert alone is not None
     np.testing.assert_allclose(after.shape, alone.shape, atol=1e-9)
     earlier = replace(told(np.arange(40), scene.positions[40]), view=replace(found.view, time=DT * 39))
-    waiting = chain.update(ahead, Incoming({"points": earlier})).structure
+    waiting = chain.update(ahead, Incoming({PointTracks(): earlier})).structure
     assert waiting is not None
     assert (waiting.unseen > 0).all()
 
@@ -709,7 +713,9 @@ def test_states_are_values() -> None:
     copies = {
         name: getattr(before.structure, name).copy() for name in ("shape", "shape_covariance", "unseen")
     }
-    chain.update(chain.predict(before, DT), Incoming({"points": told(np.arange(40), scene.observed[40])}))
+    chain.update(
+        chain.predict(before, DT), Incoming({PointTracks(): told(np.arange(40), scene.observed[40])})
+    )
     for name, array in copies.items():
         np.testing.assert_array_equal(getattr(before.structure, name), array)
 

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from rsmcm.inference import Incoming, MultiChain
+from rsmcm.inference import Cavity, Incoming, MultiChain, Port
 from rsmcm.models.core.categorical import Categorical, CategoricalMessage
 from rsmcm.models.core.frame import Frame
 
@@ -20,6 +20,8 @@ class DiscreteState:
 
 class DiscreteChain:
     """A hidden Markov chain with tables p(F | X) of `(n_states, size)` for its features."""
+
+    ports: tuple[Port, ...] = (Port(Categorical, many=True),)
 
     def __init__(self, name: str, prior: Table, transition: Table, tables: Mapping[str, Table]) -> None:
         self.name = name
@@ -44,16 +46,16 @@ class DiscreteChain:
 
     def _weighted(self, state: DiscreteState, incoming: Incoming, without: str = "") -> Table:
         weights = state.probabilities
-        for name in incoming:
+        for name, message in incoming.by_name(Categorical).items():
             if name != without:
-                weights = weights * (self.tables[name] @ np.exp(incoming[name].log_weights))
+                weights = weights * (self.tables[name] @ np.exp(message.log_weights))
         return weights
 
 
 class CavityChain(DiscreteChain):
     """Listens before it speaks, as projected mixtures do; what it says is the same."""
 
-    uses_cavity = True
+    ports = (Port(Categorical, Cavity.OTHERS, many=True),)
 
 
 def random_table(random: np.random.Generator, *shape: int) -> Table:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rsmcm.apps.drawing.mosaic import TALLEST, fitting, mosaic
 from rsmcm.apps.drawing.overlay_video import LONGEST_SIDE, enlargement
-from rsmcm.apps.reports.report import small
+from rsmcm.apps.reports.snapshots import small
 
 from ..conftest import Command, names, summary_of
 

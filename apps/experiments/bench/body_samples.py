@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from ....chains.condensation import Condensation
 from ....inference.core.protocols import Incoming
 from ....inference.filters.resampling import systematic
-from ....models.body.parts import PartMessage
+from ....models.body.parts import BodyParts, PartMessage
 from ....models.body.upper_body import PARTS
 from ....models.core.frame import Frame
 from ....models.core.gaussian_mixtures import GaussianMixtures
-from ...reports.claims import HEADER, Claim, in_columns
+from ...reports.expectations import HEADER, Expectation, in_columns
 from .points import in_turns
 
 Numbers = NDArray[np.float64]
@@ -32,10 +32,10 @@ STEP, NOISE = 0.1, 0.3  # standard deviations of a walk and of the looks at it
 N_FRAMES = 400  # more than there are steps in the measurement
 
 
-def resampling_times() -> list[Claim]:
+def resampling_times() -> list[Expectation]:
     """Systematic resampling, ours from log weights, filterpy's from weights."""
     random = np.random.default_rng(0)
-    claims = []
+    expectations = []
     for n in (SAMPLES, 20 * SAMPLES):
         weights = random.dirichlet(np.ones(n))
         log_weights = np.log(weights)
@@ -48,14 +48,14 @@ def resampling_times() -> list[Claim]:
 
         seconds = in_turns({"ours": ours, "filterpy": theirs}, rounds=20)
         many = in_turns({"ours": ours}, rounds=20, turn=20)["ours"]
-        claims += [
-            Claim(f"systematic resampling of {n}, us", 1e6 * many),
-            Claim(f"filterpy over systematic resampling of {n}", seconds["filterpy"] / many, ">=", 50),
+        expectations += [
+            Expectation(f"systematic resampling of {n}, us", 1e6 * many),
+            Expectation(f"filterpy over systematic resampling of {n}", seconds["filterpy"] / many, ">=", 50),
         ]
-    return claims
+    return expectations
 
 
-def bootstrap_times() -> list[Claim]:
+def bootstrap_times() -> list[Expectation]:
     """A step of CONDENSATION over vectors with a Gaussian walk and likelihood, beside a bootstrap filter."""
     random = np.random.default_rng(0)
     looks = STEP * random.normal(size=(N_FRAMES, DIMENSION)).cumsum(axis=0)
@@ -64,12 +64,14 @@ def bootstrap_times() -> list[Claim]:
         methods["particles"] = _bootstrap(looks)
     seconds = in_turns(methods, rounds=15, turn=20)
     what = f"CONDENSATION's step, {SAMPLES} x {DIMENSION}"
-    claims = [Claim(f"{what}, ms", 1e3 * seconds["ours"])]
+    expectations = [Expectation(f"{what}, ms", 1e3 * seconds["ours"])]
     if "particles" in seconds:
-        claims.append(
-            Claim(f"particles' bootstrap filter over {what}", seconds["particles"] / seconds["ours"], ">=", 2)
+        expectations.append(
+            Expectation(
+                f"particles' bootstrap filter over {what}", seconds["particles"] / seconds["ours"], ">=", 2
+            )
         )
-    return claims
+    return expectations
 
 
 # --- the same walk for both ---------------------------------------------------------------------------------
@@ -122,12 +124,12 @@ def _condensation(looks: Numbers) -> Callable[[], object]:
     chain = Condensation(body, SAMPLES, start, 0, dynamics, likelihood)
     state = chain.initial(Frame(np.zeros((2, 2), np.uint8), 0.0, 1))
     frames = iter(looks)
-    nothing = GaussianMixtures.uniform(len(PARTS))
+    nothing, node = GaussianMixtures.uniform(len(PARTS)), BodyParts(1.0)
 
     def step() -> object:
         nonlocal state
         look: Any = next(frames)
-        state = chain.update(chain.predict(state, 1.0), Incoming({"parts": PartMessage(nothing, look)}))
+        state = chain.update(chain.predict(state, 1.0), Incoming({node: PartMessage(nothing, look)}))
         return state
 
     return step
@@ -159,4 +161,6 @@ def _bootstrap(looks: Numbers) -> Callable[[], object]:
 
 
 if __name__ == "__main__":
-    print(in_columns(HEADER, [claim.cells for claim in [*resampling_times(), *bootstrap_times()]]))
+    print(
+        in_columns(HEADER, [expectation.cells for expectation in [*resampling_times(), *bootstrap_times()]])
+    )

@@ -15,12 +15,12 @@ from ....chains.gflow import GFlow, GFlowState
 from ....inference.core.protocols import Incoming
 from ....inference.face.texture_filter import Texture
 from ....inference.face.texture_likelihood import TexturedObject, TextureLikelihood
-from ....models.background.pixel_labels import PixelMessage
+from ....models.background.pixel_labels import PixelLabels, PixelMessage
 from ....models.face.image_pyramid import picture_levels
 from ....models.face.pose import Poses
 from ....models.face.surface_texels import SurfaceTexels
 from ....models.numerics.threads import set_threads, thread_count
-from ...reports.claims import HEADER, Claim, in_columns
+from ...reports.expectations import HEADER, Expectation, in_columns
 from ...scenes import FaceScene, face
 from .points import in_turns
 
@@ -34,7 +34,7 @@ TURNS = 10
 Numbers = NDArray[np.float64]
 
 
-def face_claims() -> list[Claim]:
+def face_claims() -> list[Expectation]:
     """All of them; on two threads where the tracker runs, on one where a peer runs beside it."""
     before = thread_count()
     scene = face(N_FRAMES, seed=0, size=SIZE)
@@ -54,7 +54,7 @@ def seconds_a_frame(scene: FaceScene, experts: int, texels: int) -> Numbers:
     seconds = []
     for number in range(len(scene)):
         frame = scene.frame(number)
-        told = Incoming({"pixels": PixelMessage(image=frame.image)})
+        told = Incoming({PixelLabels(): PixelMessage(image=frame.image)})
         started = time.perf_counter()
         state = chain.initial(frame) if state is None else chain.predict(state, 1 / RATE)
         state = chain.update(state, told)
@@ -62,27 +62,27 @@ def seconds_a_frame(scene: FaceScene, experts: int, texels: int) -> Numbers:
     return np.array(seconds[WARM_UP:])
 
 
-def rate_claims(scene: FaceScene) -> list[Claim]:
+def rate_claims(scene: FaceScene) -> list[Expectation]:
     """How often faster than the film: means over continuation and resampling frames."""
-    claims = []
+    expectations = []
     for experts, wanted in ((EXPERTS, 1.0), (1, 3.0)):
         seconds = seconds_a_frame(scene, experts, TEXELS)
         what = f"G-flow 480x640, {experts} x {TEXELS} texels, two threads: speed over {RATE:g} frames/s"
-        claims.append(Claim(what, 1 / (RATE * float(seconds.mean())), ">=", wanted))
-    return claims
+        expectations.append(Expectation(what, 1 / (RATE * float(seconds.mean())), ">=", wanted))
+    return expectations
 
 
-def growth_claims(scene: FaceScene) -> list[Claim]:
+def growth_claims(scene: FaceScene) -> list[Expectation]:
     """Powers of time in experts and in texels."""
     experts = {n: float(np.median(seconds_a_frame(scene, n, TEXELS))) for n in (10, 20, 40, 80)}
     texels = {n: float(np.median(seconds_a_frame(scene, EXPERTS, n))) for n in (2000, 4000, 8000, 16000)}
     return [
-        Claim("G-flow: power of time in experts, 10 to 80", _power(experts), "<=", 1.1),
-        Claim("G-flow: power of time in texels, 2000 to 16000", _power(texels), "<=", 1.1),
+        Expectation("G-flow: power of time in experts, 10 to 80", _power(experts), "<=", 1.1),
+        Expectation("G-flow: power of time in texels, 2000 to 16000", _power(texels), "<=", 1.1),
     ]
 
 
-def memory_claim(scene: FaceScene) -> Claim:
+def memory_claim(scene: FaceScene) -> Expectation:
     """Peak of what is allocated while it tracks."""
     tracemalloc.start()
     try:
@@ -90,10 +90,10 @@ def memory_claim(scene: FaceScene) -> Claim:
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    return Claim(f"G-flow: peak memory of {EXPERTS} x {TEXELS} texels, MB", peak / 2**20)
+    return Expectation(f"G-flow: peak memory of {EXPERTS} x {TEXELS} texels, MB", peak / 2**20)
 
 
-def fused_claim(scene: FaceScene) -> Claim:
+def fused_claim(scene: FaceScene) -> Expectation:
     """Normal equations of one expert, beside three remaps and numpy."""
     image = scene.image(1)
     surface = TexturedObject(scene.model, SurfaceTexels.dense(scene.model, TEXELS))
@@ -114,7 +114,7 @@ def fused_claim(scene: FaceScene) -> Claim:
         5,
     )
     what = f"G-flow: remap and numpy over the fused normal equations, {TEXELS} texels, time"
-    return Claim(what, seconds["remap"] / seconds["fused"], ">=", 6.0)
+    return Expectation(what, seconds["remap"] / seconds["fused"], ">=", 6.0)
 
 
 def _by_remap(
@@ -144,4 +144,4 @@ def _power(seconds: dict[int, float]) -> float:
 
 
 if __name__ == "__main__":
-    print(in_columns(HEADER, [claim.cells for claim in face_claims()]))
+    print(in_columns(HEADER, [expectation.cells for expectation in face_claims()]))

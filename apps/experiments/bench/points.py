@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ....inference.filters.kalman import PointStates, filter_tracks, predict, smooth, update
 from ....models.points.patch_search import sample_patches, search_patches
-from ...reports.claims import HEADER, Claim, in_columns
+from ...reports.expectations import HEADER, Expectation, in_columns
 
 Numbers = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ N_PATCHES = 300
 SIDE, REACH = 5, 10  # px
 
 
-def point_claims() -> list[Claim]:
+def point_claims() -> list[Expectation]:
     """All of them."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -55,7 +55,7 @@ def in_turns(methods: Mapping[str, Callable[[], object]], rounds: int, turn: int
 # --- Kalman filter and smoother -----------------------------------------------------------------------------
 
 
-def kalman_claims() -> list[Claim]:
+def kalman_claims() -> list[Expectation]:
     """Filter and smoother, per point and step, for points that are seen in all frames."""
     random = np.random.default_rng(0)
     places = random.normal(0, 2, (N_FRAMES, N_POINTS, 2)).cumsum(axis=0)
@@ -86,15 +86,19 @@ def kalman_claims() -> list[Claim]:
     )
     of = {name: 1e6 * value / (N_POINTS * N_FRAMES) for name, value in seconds.items()}
     return [
-        Claim("Kalman filter frame by frame, us a point and step", of["frame by frame"]),
-        Claim("Kalman filter of whole tracks, us a point and step", of["filter"]),
-        Claim("RTS smoother, us a point and step", of["smoother"]),
-        Claim("filterpy over filter frame by frame", of["filterpy"] / of["frame by frame"], ">=", 150),
-        Claim("filterpy over filter of whole tracks", of["filterpy"] / of["filter"], ">=", 150),
-        Claim("simdkalman over filter frame by frame", of["simdkalman"] / of["frame by frame"], ">=", 8),
-        Claim("simdkalman over filter of whole tracks", of["simdkalman"] / of["filter"], ">=", 8),
-        Claim("filterpy's smoother over RTS smoother", of["filterpy smoother"] / of["smoother"], ">=", 45),
-        Claim(
+        Expectation("Kalman filter frame by frame, us a point and step", of["frame by frame"]),
+        Expectation("Kalman filter of whole tracks, us a point and step", of["filter"]),
+        Expectation("RTS smoother, us a point and step", of["smoother"]),
+        Expectation("filterpy over filter frame by frame", of["filterpy"] / of["frame by frame"], ">=", 150),
+        Expectation("filterpy over filter of whole tracks", of["filterpy"] / of["filter"], ">=", 150),
+        Expectation(
+            "simdkalman over filter frame by frame", of["simdkalman"] / of["frame by frame"], ">=", 8
+        ),
+        Expectation("simdkalman over filter of whole tracks", of["simdkalman"] / of["filter"], ">=", 8),
+        Expectation(
+            "filterpy's smoother over RTS smoother", of["filterpy smoother"] / of["smoother"], ">=", 45
+        ),
+        Expectation(
             "simdkalman over filter and RTS smoother",
             of["simdkalman both"] / (of["filter"] + of["smoother"]),
         ),
@@ -149,7 +153,7 @@ def _simdkalman(places: Numbers, smoothed: bool) -> object:
 # --- correlation search -------------------------------------------------------------------------------------
 
 
-def search_claims() -> list[Claim]:
+def search_claims() -> list[Expectation]:
     """Patches of corners, looked for in a picture that has moved a little."""
     first, second = _pictures()
     corners = cv2.goodFeaturesToTrack(first, 2 * N_PATCHES, 1e-3, 6)[:, 0]
@@ -176,9 +180,11 @@ def search_claims() -> list[Claim]:
         turn=8,
     )
     return [
-        Claim(f"search for {len(corners)} patches, +-{REACH} px, ms", 1e3 * seconds["search"]),
-        Claim("loop of matchTemplate over search", seconds["matchTemplate"] / seconds["search"], ">=", 6),
-        Claim("calcOpticalFlowPyrLK over search", seconds["PyrLK"] / seconds["search"], ">=", 1),
+        Expectation(f"search for {len(corners)} patches, +-{REACH} px, ms", 1e3 * seconds["search"]),
+        Expectation(
+            "loop of matchTemplate over search", seconds["matchTemplate"] / seconds["search"], ">=", 6
+        ),
+        Expectation("calcOpticalFlowPyrLK over search", seconds["PyrLK"] / seconds["search"], ">=", 1),
     ]
 
 
@@ -198,4 +204,4 @@ def _pictures() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 
 
 if __name__ == "__main__":
-    print(in_columns(HEADER, [claim.cells for claim in point_claims()]))
+    print(in_columns(HEADER, [expectation.cells for expectation in point_claims()]))

@@ -18,7 +18,7 @@ from ....inference.factor_analysis.factorisation import factorise
 from ....inference.factor_analysis.initialisation import mean_filled
 from ....inference.factor_analysis.observations import Observations
 from ....inference.factor_analysis.posterior import around_start
-from ...reports.claims import Claim
+from ...reports.expectations import Expectation
 from .points import in_turns
 
 Numbers = NDArray[np.float64]
@@ -30,7 +30,7 @@ SAME = 5e-6
 """Relative difference of errors that agree to five digits."""
 
 
-def structure_claims(n_starts: int = 100) -> list[Claim]:
+def structure_claims(n_starts: int = 100) -> list[Expectation]:
     """All of them."""
     return [*iteration_claims(), *solve_claims(), *linearity_claims(), *start_claims(n_starts)]
 
@@ -87,7 +87,7 @@ def turntable(
 # --- one iteration ------------------------------------------------------------------------------------------
 
 
-def iteration_claims() -> list[Claim]:
+def iteration_claims() -> list[Expectation]:
     """An iteration of EM beside the first three singular vectors of the same matrix."""
     positions = turning_points(N_FRAMES, N_POINTS, N_FRAMES)
     table = positions.transpose(0, 2, 1).reshape(2 * N_FRAMES, N_POINTS)
@@ -103,12 +103,12 @@ def iteration_claims() -> list[Claim]:
             steps[f"{name} {count}"] = _iterate(observations, start, count)
     seconds = in_turns(steps, ROUNDS)
     peer = seconds["svds"]
-    claims = [Claim(f"svds(k=3), {2 * N_FRAMES} x {N_POINTS}, ms", 1e3 * peer)]
+    expectations = [Expectation(f"svds(k=3), {2 * N_FRAMES} x {N_POINTS}, ms", 1e3 * peer)]
     for name, bound in (("EM", 0.25), ("EM with coherence", None)):
         iteration = (seconds[f"{name} 12"] - seconds[f"{name} 2"]) / 10
-        claims.append(Claim(f"{name}: an iteration, ms", 1e3 * iteration))
-        claims.append(Claim(f"{name}: an iteration over svds", iteration / peer, "<=", bound))
-    return claims
+        expectations.append(Expectation(f"{name}: an iteration, ms", 1e3 * iteration))
+        expectations.append(Expectation(f"{name}: an iteration over svds", iteration / peer, "<=", bound))
+    return expectations
 
 
 def _start(observations: Observations, *, coherent: bool) -> Posterior:
@@ -123,9 +123,9 @@ def _iterate(observations: Observations, start: Posterior, count: int) -> Callab
 # --- a converged solve --------------------------------------------------------------------------------------
 
 
-def solve_claims() -> list[Claim]:
+def solve_claims() -> list[Expectation]:
     """Start and polish beside bundle adjustment, which is given a start."""
-    claims = []
+    expectations = []
     for length, bound in ((N_FRAMES, 10.0), (60, None)):
         positions = turning_points(N_FRAMES, N_POINTS, length)
         found = factorise(positions)
@@ -137,10 +137,10 @@ def solve_claims() -> list[Claim]:
         error = bundle_adjustment(positions, near, shape)
         theirs = time.perf_counter() - started
         seen = f"{N_FRAMES} x {N_POINTS}, {'all' if length == N_FRAMES else f'{length} frames a point'}"
-        claims += [
-            Claim(f"{seen}: a solve from nothing, s", ours),
-            Claim(f"{seen}: bundle adjustment, given a start, over that", theirs / ours, ">=", bound),
-            Claim(f"{seen}: error over that of bundle adjustment", found.rmse / error, "<=", 1 + SAME),
+        expectations += [
+            Expectation(f"{seen}: a solve from nothing, s", ours),
+            Expectation(f"{seen}: bundle adjustment, given a start, over that", theirs / ours, ">=", bound),
+            Expectation(f"{seen}: error over that of bundle adjustment", found.rmse / error, "<=", 1 + SAME),
         ]
     positions = turning_points(100, 600, SEEN_THROUGH)
     observations = Observations.from_arrays(positions)
@@ -152,9 +152,9 @@ def solve_claims() -> list[Claim]:
     theirs = time.perf_counter() - started
     ours = in_turns({"ours": partial(factorise, positions)}, 3)["ours"]
     what = f"100 x 600, {SEEN_THROUGH} frames a point: bundle adjustment from the mean-filled SVD"
-    claims.append(Claim(f"{what}, over a solve", theirs / ours))
-    claims.append(Claim(f"{what}, its error over ours", error / factorise(positions).rmse))
-    return claims
+    expectations.append(Expectation(f"{what}, over a solve", theirs / ours))
+    expectations.append(Expectation(f"{what}, its error over ours", error / factorise(positions).rmse))
+    return expectations
 
 
 def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers, most_steps: int = 60) -> float:
@@ -201,9 +201,9 @@ def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers, most
 # --- how the time grows -------------------------------------------------------------------------------------
 
 
-def linearity_claims(sizes: Sequence[int] = (10**3, 10**4, 10**5, 10**6)) -> list[Claim]:
+def linearity_claims(sizes: Sequence[int] = (10**3, 10**4, 10**5, 10**6)) -> list[Expectation]:
     """Time of an iteration over about so many observations, each point seen in 30 frames."""
-    claims, counts, seconds = [], [], []
+    expectations, counts, seconds = [], [], []
     for size in sizes:
         n_frames = max(40, round(np.sqrt(size) / 2))
         positions = turning_points(n_frames, size // SEEN_THROUGH, SEEN_THROUGH)
@@ -212,17 +212,22 @@ def linearity_claims(sizes: Sequence[int] = (10**3, 10**4, 10**5, 10**6)) -> lis
         spent = in_turns({str(count): _iterate(observations, start, count) for count in (2, 22)}, 5)
         counts.append(observations.count)
         seconds.append((spent["22"] - spent["2"]) / 20)
-        claims.append(Claim(f"EM over {counts[-1]} observations: an iteration, ms", 1e3 * seconds[-1]))
+        expectations.append(
+            Expectation(f"EM over {counts[-1]} observations: an iteration, ms", 1e3 * seconds[-1])
+        )
     slope = float(np.polyfit(np.log(counts), np.log(seconds), 1)[0])
-    return [*claims, Claim("EM: time grows with the number of observations to the power", slope, "<=", 1.1)]
+    return [
+        *expectations,
+        Expectation("EM: time grows with the number of observations to the power", slope, "<=", 1.1),
+    ]
 
 
 # --- starts that succeed ------------------------------------------------------------------------------------
 
 
-def start_claims(n_starts: int = 100) -> list[Claim]:
+def start_claims(n_starts: int = 100) -> list[Expectation]:
     """Share of random cameras from which the best known optimum is reached, to five digits."""
-    claims = []
+    expectations = []
     for what, positions, bound in (
         ("turntable, 77 % missing", turntable(), 0.9),
         ("turntable, 86 % missing", turntable(seen=0.15, seed=1), 0.9),
@@ -233,11 +238,11 @@ def start_claims(n_starts: int = 100) -> list[Claim]:
         errors = np.array([_from_random(positions, seed) for seed in range(n_starts)])
         spent = (time.perf_counter() - started) / n_starts
         reached = float(np.mean(errors <= errors.min() * (1 + SAME)))
-        claims.append(
-            Claim(f"{what}: share of {n_starts} random starts at the optimum", reached, ">=", bound)
+        expectations.append(
+            Expectation(f"{what}: share of {n_starts} random starts at the optimum", reached, ">=", bound)
         )
-        claims.append(Claim(f"{what}: ms a start", 1e3 * spent))
-    return claims
+        expectations.append(Expectation(f"{what}: ms a start", 1e3 * spent))
+    return expectations
 
 
 def _from_random(positions: Numbers, seed: int) -> float:
@@ -246,6 +251,6 @@ def _from_random(positions: Numbers, seed: int) -> float:
 
 
 if __name__ == "__main__":
-    from ...reports.claims import HEADER, in_columns
+    from ...reports.expectations import HEADER, in_columns
 
-    print(in_columns(HEADER, [claim.cells for claim in structure_claims()]))
+    print(in_columns(HEADER, [expectation.cells for expectation in structure_claims()]))

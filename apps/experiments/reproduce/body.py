@@ -25,9 +25,10 @@ from ...body.measures import (
 )
 from ...body.overlay import BodyOverlay
 from ...drawing.mosaic import mosaic
-from ...io.files import write_image, write_json
-from ...reports import report
-from ...reports.claims import HEADER, Claim, in_columns, print_tables
+from ...io.files import write_image
+from ...reports import page
+from ...reports.expectations import Expectation, in_columns
+from ...reports.experiment import Plot, Table, publish
 from ...runs.parallel import in_processes
 from ...scenes import signer
 from ..trials.body import BodyTracker, on_one_scene
@@ -102,31 +103,30 @@ def reproduce_body(out: Path) -> None:
     trials = in_processes("body", work)
     found = {tracker.name: [one[place] for one in trials] for place, tracker in enumerate(trackers)}
 
-    claims = claims_of(found)
+    expectations = expectations_of(found)
     errors = [[each.name, each.samples or "", *errors_of(found[each.name])] for each in trackers]
     behaviour = [[name, *behaviour_of(one, found[RSMCM.name])] for name, one in found.items()]
     print(f"{textwrap.fill(FAIR, 110)}\n\n{in_columns(ERRORS, errors)}\n")
-    print_tables(BEHAVIOUR, behaviour, claims)
 
     scene = signer(**SCENE, seed=SEEDS[0])
     frames = {index: scene.frame(index) for index in SHOWN}
     reach = scene.body.upper_arm + scene.body.forearm
     sheet = draw_samples(frames, {name: found[name][0] for name in IN_FIGURE}, reach)
     write_image(out / "fig-6.png", sheet)
-    size, caption = (12.0, 4.5), f"Mean over {len(SEEDS)} scenes: over time, and over the time that is spent."
-    report.write_figure(out / "errors.png", lambda canvas: draw_errors(canvas, found), size)
-    write_json(out / "results.json", as_json(trackers, found))
-    sections = [
-        ("", [report.paragraph(FAIR), report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Figures", [
-            report.picture(sheet, "Fig. 6: 40 poses of the posterior, over the picture and from the side."),
-            report.figure(lambda canvas: draw_errors(canvas, found), size, caption),
-        ]),
-        ("Errors", [report.table(ERRORS, errors, "Of the posterior mean, over all frames but the first.")]),
-        ("Behaviour", [report.table(BEHAVIOUR, behaviour, NOTE)]),
-    ]  # fmt: skip
-    report.write_page(out / "index.html", "Body", sections)
-    print(f"\npage: {out / 'index.html'}")
+    caption = f"Mean over {len(SEEDS)} scenes: over time, and over the time that is spent."
+    pictures = page.picture(sheet, "Fig. 6: 40 poses of the posterior, over the picture and from the side.")
+    publish(
+        out,
+        "Body",
+        Table(BEHAVIOUR, behaviour, NOTE),
+        expectations,
+        plots=[Plot("errors.png", lambda canvas: draw_errors(canvas, found), (12.0, 4.5), caption)],
+        sections=[
+            ("Errors", [page.table(ERRORS, errors, "Of the posterior mean, over all frames but the first.")]),
+            ("Poses", [page.paragraph(FAIR), pictures]),
+        ],
+        numbers=as_json(trackers, found),
+    )
 
 
 # How many samples take as long
@@ -210,7 +210,7 @@ def seconds(trials: Sequence[BodyTrial]) -> float:
     return float(np.median(pooled(trials, "seconds")))
 
 
-def claims_of(found: Found) -> list[Claim]:
+def expectations_of(found: Found) -> list[Expectation]:
     """What is wanted."""
     rsmcm = found[RSMCM.name]
     clouds = [found[CONDENSATION.format(times)] for times in MULTIPLES]
@@ -221,22 +221,22 @@ def claims_of(found: Found) -> list[Claim]:
     recovered, known = recoveries(rsmcm)
     covered = coverage(rsmcm)
     return [
-        Claim(
+        Expectation(
             "error of RSMCM over the likelihood sampler's",
             error(rsmcm) / error(found[SAMPLER.name]),
             "<=",
             0.6,
         ),
-        Claim("error of RSMCM over CONDENSATION's in the same time", 1 / ratios[0], "<=", 0.5),
-        Claim(need if near else f"{need} (more than)", min(near, default=max(times)), ">=", 3.0),
-        Claim(
+        Expectation("error of RSMCM over CONDENSATION's in the same time", 1 / ratios[0], "<=", 0.5),
+        Expectation(need if near else f"{need} (more than)", min(near, default=max(times)), ">=", 3.0),
+        Expectation(
             f"RSMCM: {known} mis-tracks, recovered within {SOON} frames, share",
             recovered / known if known else 1.0,
             ">=",
             0.95,
         ),
-        Claim("RSMCM: hands within the 90 % region, share", covered, ">=", 0.8),
-        Claim("the same, from above", covered, "<=", 0.97),
+        Expectation("RSMCM: hands within the 90 % region, share", covered, ">=", 0.8),
+        Expectation("the same, from above", covered, "<=", 0.97),
     ]
 
 

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from markupsafe import Markup
 
 from ...io.datasets import data_folder
 from ...io.files import write_image
-from ...reports import report
-from ...reports.claims import HEADER, Claim, print_tables
+from ...reports.expectations import Expectation
+from ...reports.experiment import Table, publish
 from ...runs.progress import Progress
 from ...structure.application import Film, read_film
 from ...structure.files import point_colours, write_ply
@@ -58,21 +59,21 @@ def reproduce_box(out: Path) -> None:
     folders = {name: data_folder(name) for name in SEQUENCES}
     out.mkdir(parents=True, exist_ok=True)
     lines: list[list[object]] = []
-    claims: list[Claim] = []
-    sections: list[tuple[str, list[report.Html]]] = []
+    expectations: list[Expectation] = []
+    sections: list[tuple[str, list[Markup]]] = []
     for name, folder in folders.items():
         film = read_film(StructureJob(str(folder), out=out))
         results = [_result(name, method, film) for method in METHODS]
         alone, dual = results
         lines += [result.cells for result in results]
-        claims += [
-            Claim(
+        expectations += [
+            Expectation(
                 f"{name}: median length of tracks, over stand-alone",
                 dual.median_length / alone.median_length,
                 ">=",
                 2.0,
             ),
-            Claim(
+            Expectation(
                 f"{name}: reprojection error, over stand-alone",
                 dual.found.reprojection_error / alone.found.reprojection_error,
                 "<=",
@@ -92,10 +93,7 @@ def reproduce_box(out: Path) -> None:
             if image is not None:
                 write_image(out / f"{start}.png", draw_points(image, result.found, middle))
         sections.append((name, parts))
-    print_tables(LINE, lines, claims)
-    tables = [report.table(LINE, lines), report.table(HEADER, [claim.cells for claim in claims])]
-    report.write_page(out / "index.html", "Turning objects", [("", tables), *sections])
-    print(f"\npage: {out / 'index.html'}")
+    publish(out, "Turning objects", Table(LINE, lines), expectations, sections=sections)
 
 
 def _result(sequence: str, method: str, film: Film) -> Result:

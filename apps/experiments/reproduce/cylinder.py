@@ -1,6 +1,6 @@
 """Figs. 9 and 10 of the RSMCM paper: a synthetic cylinder whose points are lost, found again and drift."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from ....inference.factor_analysis.factorisation import factorise, predicted
 from ....models.points.affine_camera import affine_alignment
 from ...io.track_files import frames_of_tracks
-from ...reports import report
-from ...reports.claims import HEADER, Claim, print_tables
+from ...reports import page
+from ...reports.expectations import Expectation
+from ...reports.experiment import Plot, Table, publish
 from ...runs.parallel import in_processes
 from ...scenes import Cylinder, cylinder
 from ...structure.job import Coherence
@@ -160,49 +161,42 @@ def reproduce_cylinder(out: Path) -> None:
     """
     out.mkdir(parents=True, exist_ok=True)
     everything = measure(cells(), SEEDS)
-    claims = claims_of(everything)
-    error_lines = [
+    errors = [
         [*cell.named, *(_in_words(values[name], "reprojection_error") for name in METHODS)]
         for cell, values in everything.items()
     ]
-    error_header = (*CHANCES, *METHODS)
-    print_tables(error_header, error_lines, claims)
-
-    example = Cell(*FIG_9, REGAIN).sequence(0)
-    shapes = recover(example)
-    figures: list[tuple[str, Callable[[Figure], None], tuple[float, float], str]] = [
-        (
-            "fig-10.png",
-            lambda canvas: draw_panels(canvas, everything),
-            (12.0, 9.0),
-            f"Fig. 10: reprojection error in radii, median and quartiles of {len(SEEDS)} sequences; "
-            f"dashed, P(regain) = P(loose) instead of {REGAIN}",
-        ),
-        (
-            "fig-9.png",
-            lambda canvas: draw_shapes(canvas, shapes, example),
-            (14.0, 6.5),
-            f"Fig. 9: shapes from above and from the front, after the best affine map; "
-            f"P(loose) = {FIG_9[0]}, P(drift) = {FIG_9[1]}",
-        ),
-    ]
-    pictures = []
-    for name, draw, size, caption in figures:
-        report.write_figure(out / name, draw, size)
-        pictures.append(report.figure(draw, size, caption))
-    all_lines = [
+    every_measure = [
         [*cell.named, name, *(_in_words(values[name], measure) for measure in MEASURES)]
         for cell, values in everything.items()
         for name in METHODS
     ]
-    sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Figures", pictures),
-        ("Reprojection error", [report.table(error_header, error_lines, "In radii: median (quartiles).")]),
-        ("Everything", [report.table((*CHANCES, "method", *MEASURES.values()), all_lines)]),
-    ]
-    report.write_page(out / "index.html", "Cylinder", sections)
-    print(f"\npage: {out / 'index.html'}")
+    example = Cell(*FIG_9, REGAIN).sequence(0)
+    shapes = recover(example)
+    publish(
+        out,
+        "Cylinder",
+        Table((*CHANCES, *METHODS), errors, "Reprojection error in radii: median (quartiles)."),
+        expectations_of(everything),
+        plots=[
+            Plot(
+                "fig-10.png",
+                lambda canvas: draw_panels(canvas, everything),
+                (12.0, 9.0),
+                f"Fig. 10: reprojection error in radii, median and quartiles of {len(SEEDS)} sequences; "
+                f"dashed, P(regain) = P(loose) instead of {REGAIN}",
+            ),
+            Plot(
+                "fig-9.png",
+                lambda canvas: draw_shapes(canvas, shapes, example),
+                (14.0, 6.5),
+                f"Fig. 9: shapes from above and from the front, after the best affine map; "
+                f"P(loose) = {FIG_9[0]}, P(drift) = {FIG_9[1]}",
+            ),
+        ],
+        sections=[
+            ("Everything", [page.table((*CHANCES, "method", *MEASURES.values()), every_measure)]),
+        ],
+    )
 
 
 def measure(wanted: Sequence[Cell], seeds: Sequence[int]) -> dict[Cell, Measured]:
@@ -212,7 +206,7 @@ def measure(wanted: Sequence[Cell], seeds: Sequence[int]) -> dict[Cell, Measured
     return {cell: {name: [found[cell, seed][name] for seed in seeds] for name in METHODS} for cell in wanted}
 
 
-def claims_of(everything: Mapping[Cell, Measured]) -> list[Claim]:
+def expectations_of(everything: Mapping[Cell, Measured]) -> list[Expectation]:
     """What is wanted; of ratios of medians, in the worst of the cells that it is wanted of."""
 
     def over(values: Measured, name: str, others: Sequence[str], field: str = "reprojection_error") -> float:
@@ -225,47 +219,47 @@ def claims_of(everything: Mapping[Cell, Measured]) -> list[Claim]:
     everywhere = [values[DUAL_COHERENT] for values in everything.values()]
     n_true = len(cylinder().shape)
     return [
-        Claim(
+        Expectation(
             f"{DUAL_COHERENT}: error over the oracle, P(regain) = {REGAIN}",
             max(over(values, DUAL_COHERENT, [ORACLE]) for values in by_half),
             "<=",
             1.5,
         ),
-        Claim(
+        Expectation(
             f"{DUAL_COHERENT}: error over the oracle, P(regain) = P(loose)",
             max(over(values, DUAL_COHERENT, [ORACLE]) for values in as_lost),
             "<=",
             2.0,
         ),
-        Claim(
+        Expectation(
             f"{DUAL_COHERENT}: error over the better single chain, P(loose) >= {LOSSY}",
             max(over(values, DUAL_COHERENT, [SINGLE, SINGLE_COHERENT]) for values in lossy),
             "<=",
             0.1,
         ),
-        Claim(
+        Expectation(
             f"{DUAL_COHERENT}: share of pure points",
             min(float(np.mean([each.purity for each in one])) for one in everywhere),
             ">=",
             0.95,
         ),
-        Claim(
+        Expectation(
             f"{DUAL_COHERENT}: points over true points",
             max(_median(one, "n_points") for one in everywhere) / n_true,
             "<=",
             1.1,
         ),
-        Claim(
+        Expectation(
             f"{DUAL_COHERENT}: true points that are missing, of {n_true}",
             max(_median(one, "n_missing") for one in everywhere),
         ),
-        Claim(
+        Expectation(
             "no loss, no drift: coherent methods' error over the oracle",
             max(over(clean, name, [ORACLE]) for name in (SINGLE_COHERENT, DUAL_COHERENT)),
             "<=",
             EQUAL,
         ),
-        Claim(
+        Expectation(
             "no loss, no drift: all methods' shape error over the oracle",
             max(over(clean, name, [ORACLE], "shape_error") for name in METHODS),
             "<=",

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...io.files import write_json
-from ...reports import report
-from ...reports.claims import HEADER, Claim, print_tables
+from ...reports.expectations import Expectation
+from ...reports.experiment import Plot, Table, publish
 from ..trials.face import Measured, Tracker, as_json, measure, median, n_lost, quartiles
 
 SEEDS = range(10)
@@ -92,28 +91,23 @@ def reproduce_experts(out: Path) -> None:
     """
     out.mkdir(parents=True, exist_ok=True)
     found = measure("experts", trackers(), SCENE, SEEDS)
-    claims = claims_of(found)
+    expectations = expectations_of(found)
     lines = [
         [name, quartiles(trials), quartiles(trials, "error_3d"), n_lost(trials)]
         for name, trials in found.items()
     ]
-    print_tables(LINE, lines, claims)
-    size, caption = (
-        (9.0, 5.0),
-        f"Fig. 3a: error of the mean pose's vertices, median of {len(SEEDS)} sequences.",
+    caption = f"Fig. 3a: error of the mean pose's vertices, median of {len(SEEDS)} sequences."
+    publish(
+        out,
+        "Experts",
+        Table(LINE, lines, "Medians and quartiles over the sequences."),
+        expectations,
+        plots=[Plot("fig-3a.png", lambda canvas: draw(canvas, found), (9.0, 5.0), caption)],
+        numbers=as_json(found),
     )
-    report.write_figure(out / "fig-3a.png", lambda canvas: draw(canvas, found), size)
-    write_json(out / "results.json", as_json(found))
-    sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Figure", [report.figure(lambda canvas: draw(canvas, found), size, caption)]),
-        ("Everything", [report.table(LINE, lines, "Medians and quartiles over the sequences.")]),
-    ]
-    report.write_page(out / "index.html", "Experts", sections)
-    print(f"\npage: {out / 'index.html'}")
 
 
-def claims_of(found: Measured) -> list[Claim]:
+def expectations_of(found: Measured) -> list[Expectation]:
     """What is wanted; of ratios of medians."""
 
     def over(name: str, other: str, field: str = "error") -> float:
@@ -122,25 +116,29 @@ def claims_of(found: Measured) -> list[Claim]:
     many = FLOW.format(COUNTS[-1])
     lost = n_lost(found[ONE])
     return [
-        Claim("flow by patches: error of 20 experts over that of one", over(many, ONE), "<=", 0.7),
-        Claim("the same in 3-D", over(many, ONE, "error_3d"), "<=", 0.55),
-        Claim(
+        Expectation("flow by patches: error of 20 experts over that of one", over(many, ONE), "<=", 0.7),
+        Expectation("the same in 3-D", over(many, ONE, "error_3d"), "<=", 0.55),
+        Expectation(
             "flow by patches: lost runs of 20 experts; half of those of one are wanted",
             n_lost(found[many]),
             "<=",
             lost // 2,
         ),
-        Claim(
+        Expectation(
             "flow by patches on three levels: error of 20 experts over that of one", over(MANY_FAR, ONE_FAR)
         ),
-        Claim("the same in 3-D, on three levels", over(MANY_FAR, ONE_FAR, "error_3d")),
-        Claim("dense, slow: error over the oracle", over(DENSE, ORACLE), "<=", 1.6),
-        Claim("dense, slow: error over one expert's dense flow", over(DENSE, DENSE_FLOW), "<=", 0.5),
-        Claim("dense, slow: error over one expert's flow by patches", over(DENSE, ONE), "<=", 0.2),
-        Claim("dense, slow: error over one expert's flow by patches on three levels", over(DENSE, ONE_FAR)),
-        Claim("dense, slow: lost runs", n_lost(found[DENSE]), "<=", 0),
-        Claim("texture known: squared error over covariance, per dimension", _honesty(found), "<=", 3.0),
-        Claim("the same, from below", _honesty(found), ">=", 0.3),
+        Expectation("the same in 3-D, on three levels", over(MANY_FAR, ONE_FAR, "error_3d")),
+        Expectation("dense, slow: error over the oracle", over(DENSE, ORACLE), "<=", 1.6),
+        Expectation("dense, slow: error over one expert's dense flow", over(DENSE, DENSE_FLOW), "<=", 0.5),
+        Expectation("dense, slow: error over one expert's flow by patches", over(DENSE, ONE), "<=", 0.2),
+        Expectation(
+            "dense, slow: error over one expert's flow by patches on three levels", over(DENSE, ONE_FAR)
+        ),
+        Expectation("dense, slow: lost runs", n_lost(found[DENSE]), "<=", 0),
+        Expectation(
+            "texture known: squared error over covariance, per dimension", _honesty(found), "<=", 3.0
+        ),
+        Expectation("the same, from below", _honesty(found), ">=", 0.3),
     ]
 
 

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from ....chains.adaptive_background import AdaptiveBackground
 from ....chains.gflow import GFlow
 from ....inference.core.graph import MultiChain
-from ....inference.core.recursive_bp import RecursiveBP
+from ....inference.core.recursive_bp import RecursiveBP, RunState
 from ....models.background.pixel_labels import PixelLabels
-from ...io.files import write_json
-from ...reports import report
-from ...reports.claims import HEADER, Claim, print_tables
+from ...reports.expectations import Expectation
+from ...reports.experiment import Plot, Table, publish
 from ...runs.parallel import in_processes
 from ...scenes import FaceScene, face
 from ..trials.face import Measured, Trial, as_json, median, n_lost, quartiles
@@ -95,7 +94,7 @@ def run(setting: Setting, method: str, seed: int) -> Trial:
     pixels, model = PixelLabels(), MultiChain()
     if method == SHARED:
         model.connect(AdaptiveBackground(), pixels)
-    engine, state = RecursiveBP(model.connect(chain, pixels)), None
+    engine, state = RecursiveBP(model.connect(chain, pixels)), RunState()
     vertices, spent = [], 0.0
     for frame in scene:
         begin = time.perf_counter()
@@ -121,14 +120,14 @@ def measure(seeds: Sequence[int]) -> Found:
     return found
 
 
-def claims_of(found: Found) -> list[Claim]:
+def expectations_of(found: Found) -> list[Expectation]:
     """What is wanted of ratios of medians."""
 
     def ratio(setting: Setting, method: str, other: str) -> float:
         return median(found[setting.name][method]) / median(found[setting.name][other])
 
-    claims = [
-        Claim(
+    expectations = [
+        Expectation(
             f"{setting.name}: error with {method} over that without",
             ratio(setting, method, NONE),
             "<=",
@@ -138,12 +137,12 @@ def claims_of(found: Found) -> list[Claim]:
         for setting in SETTINGS
     ]
     gains = [ratio(setting, SEEN, ALL) for setting in TURNING]
-    claims += [
-        Claim(f"{setting.name}: error with self-occlusion handled over that without", gain)
+    expectations += [
+        Expectation(f"{setting.name}: error with self-occlusion handled over that without", gain)
         for setting, gain in zip(TURNING, gains, strict=True)
     ]
-    claims.append(Claim("the better of these", min(gains), "<=", HALF))
-    return claims
+    expectations.append(Expectation("the better of these", min(gains), "<=", HALF))
+    return expectations
 
 
 def reproduce_face_background(out: Path) -> None:
@@ -156,25 +155,22 @@ def reproduce_face_background(out: Path) -> None:
     """
     out.mkdir(parents=True, exist_ok=True)
     found = measure(SEEDS)
-    claims = claims_of(found)
+    expectations = expectations_of(found)
     lines = [
         [scene, method, quartiles(trials), n_lost(trials), f"{median(trials, 'time'):.0f}"]
         for scene, methods in found.items()
         for method, trials in methods.items()
     ]
-    print_tables(LINE, lines, claims)
-    size = (12.0, 4.5)
     caption = f"Mean vertex error in each of {len(SEEDS)} scenes of {N_FRAMES} frames, and the median."
-    report.write_figure(out / "errors.png", lambda canvas: draw(canvas, found), size)
-    write_json(out / "results.json", {scene: _as_json(methods) for scene, methods in found.items()})
     note = "Medians and quartiles over the scenes; time in one thread, with another run beside it."
-    sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Figure", [report.figure(lambda canvas: draw(canvas, found), size, caption)]),
-        ("Errors", [report.table(LINE, lines, note)]),
-    ]
-    report.write_page(out / "index.html", "Face and background", sections)
-    print(f"\npage: {out / 'index.html'}")
+    publish(
+        out,
+        "Face and background",
+        Table(LINE, lines, note),
+        expectations,
+        plots=[Plot("errors.png", lambda canvas: draw(canvas, found), (12.0, 4.5), caption)],
+        numbers={scene: _as_json(methods) for scene, methods in found.items()},
+    )
 
 
 def draw(canvas: Figure, found: Found) -> None:

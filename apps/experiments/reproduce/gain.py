@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...io.files import write_json
-from ...reports import report
-from ...reports.claims import HEADER, Claim, print_tables
+from ...reports.expectations import Expectation
+from ...reports.experiment import Plot, Table, publish
 from ..trials.face import Measured, Tracker, as_json, measure, median, n_lost, quartiles
 
 SEEDS = range(10)
@@ -50,27 +49,24 @@ def reproduce_gain(out: Path) -> None:
     """
     out.mkdir(parents=True, exist_ok=True)
     everything = {name: measure(f"gain, {name}", trackers(), scene, SEEDS) for name, scene in SCENES.items()}
-    claims = claims_of(everything)
+    expectations = expectations_of(everything)
     lines = [
         [scene, gain, quartiles(trials), quartiles(trials, "error_3d"), n_lost(trials)]
         for scene, found in everything.items()
         for gain, trials in found.items()
     ]
-    print_tables(LINE, lines, claims)
-    size = (8.0, 4.5)
     caption = (
         f"Fig. 3b: error of the mean pose's vertices over the gain, median and quartiles of {len(SEEDS)} "
         "sequences; dashed, gains learned by each texel."
     )
-    report.write_figure(out / "fig-3b.png", lambda canvas: draw(canvas, everything), size)
-    write_json(out / "results.json", {scene: as_json(found) for scene, found in everything.items()})
-    sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Figure", [report.figure(lambda canvas: draw(canvas, everything), size, caption)]),
-        ("Everything", [report.table(LINE, lines, "Medians and quartiles over the sequences.")]),
-    ]
-    report.write_page(out / "index.html", "Gain", sections)
-    print(f"\npage: {out / 'index.html'}")
+    publish(
+        out,
+        "Gain",
+        Table(LINE, lines, "Medians and quartiles over the sequences."),
+        expectations,
+        plots=[Plot("fig-3b.png", lambda canvas: draw(canvas, everything), (8.0, 4.5), caption)],
+        numbers={scene: as_json(found) for scene, found in everything.items()},
+    )
 
 
 def best_gain(found: Measured) -> float:
@@ -78,26 +74,26 @@ def best_gain(found: Measured) -> float:
     return min(GAINS, key=lambda gain: median(found[_name(gain)]))
 
 
-def claims_of(everything: Mapping[str, Measured]) -> list[Claim]:
+def expectations_of(everything: Mapping[str, Measured]) -> list[Expectation]:
     """What is wanted; of ratios of medians."""
     steady, changing = everything[STEADY], everything[CHANGING]
     best = {scene: median(found[_name(best_gain(found))]) for scene, found in everything.items()}
     return [
-        Claim(
+        Expectation(
             f"{STEADY}: error of flow (gain {GAINS[-1]:g}) over that of the best gain",
             median(steady[_name(GAINS[-1])]) / best[STEADY],
             ">=",
             2.0,
         ),
-        Claim(f"{STEADY}: best gain", best_gain(steady)),
-        Claim(
+        Expectation(f"{STEADY}: best gain", best_gain(steady)),
+        Expectation(
             f"{CHANGING}: best gain over that of constant texture",
             best_gain(changing) / best_gain(steady),
             ">=",
             2.0,
         ),
         *(
-            Claim(
+            Expectation(
                 f"{scene}: error with learned gains over that of the best fixed gain",
                 median(found[LEARNED]) / best[scene],
                 "<=",

@@ -11,8 +11,8 @@ from ...evaluation.metrics import PixelScore, total
 from ...io.datasets import data_folder
 from ...io.ground_truth import MaskTruth, read_ground_truth
 from ...io.sources.open_source import open_source
-from ...reports import report
-from ...reports.claims import HEADER, Claim, print_tables
+from ...reports.expectations import Expectation
+from ...reports.experiment import Table, publish
 from ...runs.progress import Progress
 from ..trials.baselines import SETTINGS, CleanUp, Setting, readable_images, sweep_subtractors
 
@@ -64,12 +64,9 @@ def reproduce_highway(out: Path) -> None:
             measured[row.setting.method, row.clean_up.median] = scores.f_measure
             clean_up = "5x5 median" if row.clean_up.median else "raw"
             lines.append([row.setting.method, clean_up, scores.precision, scores.recall, scores.f_measure])
-    claims = [
-        Claim("F, raw", measured["RSMCM", 0], ">=", 0.93),
-        Claim("F, after a 5x5 median", measured["RSMCM", 5], ">=", 0.955),
+    expectations = [
+        Expectation("F, raw", measured["RSMCM", 0], ">=", 0.93),
+        Expectation("F, after a 5x5 median", measured["RSMCM", 5], ">=", 0.955),
     ]
     header = ("method", "clean-up", "precision", "recall", "F")
-    print_tables(header, lines, claims)
-    tables = [report.table(header, lines), report.table(HEADER, [claim.cells for claim in claims])]
-    report.write_page(out / "index.html", "CDnet highway", [("", tables)])
-    print(f"\npage: {out / 'index.html'}")
+    publish(out, "CDnet highway", Table(header, lines), expectations)

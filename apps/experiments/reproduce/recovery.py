@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from ....chains.gflow import GFlow
 from ....models.face.pose import Poses
-from ...io.files import write_json
-from ...reports import report
-from ...reports.claims import HEADER, Claim, print_tables
+from ...reports.expectations import Expectation
+from ...reports.experiment import Plot, Table, publish
 from ...runs.parallel import in_processes
 from ..trials.face import Film, taught_texture
 from ..trials.face_baselines import states
@@ -68,43 +67,37 @@ def reproduce_recovery(out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     results = in_processes("recovery", [(recover, (seed,)) for seed in SEEDS])
     found = {start: [one[start] for one in results] for start in STARTS}
-    claims = claims_of(found)
+    expectations = expectations_of(found)
     lines = [
         [start, *(_in_words([float(one.errors[index]) for one in runs]) for index in SHOWN)]
         for start, runs in found.items()
     ]
     line = ("texture at the start", *(f"error in frame {index + 1}, px" for index in SHOWN))
-    print_tables(line, lines, claims)
 
     film = Film.of(seed=SEEDS[0], **SCENE)
     pictures = [film.scene.image(index) for index in SHOWN]
-    figures = [
-        (
-            "fig-4.png",
-            lambda canvas: draw_experts(canvas, pictures, {start: found[start][0] for start in STARTS}),
-            (12.0, 6.5),
-            f"Fig. 4: vertices of all {N_EXPERTS} experts on the first sequence.",
-        ),
-        (
-            "errors.png",
-            lambda canvas: draw_errors(canvas, found),
-            (9.0, 4.0),
-            f"Error of the mean pose on {len(SEEDS)} sequences.",
-        ),
-    ]
-    for name, draw, size, _ in figures:
-        report.write_figure(out / name, draw, size)
-    write_json(
-        out / "results.json",
-        {start: {"errors": [one.errors for one in runs]} for start, runs in found.items()},
+    firsts = {start: found[start][0] for start in STARTS}
+    publish(
+        out,
+        "Recovery",
+        Table(line, lines, "Medians over the sequences (least - most)."),
+        expectations,
+        plots=[
+            Plot(
+                "fig-4.png",
+                lambda canvas: draw_experts(canvas, pictures, firsts),
+                (12.0, 6.5),
+                f"Fig. 4: vertices of all {N_EXPERTS} experts on the first sequence.",
+            ),
+            Plot(
+                "errors.png",
+                lambda canvas: draw_errors(canvas, found),
+                (9.0, 4.0),
+                f"Error of the mean pose on {len(SEEDS)} sequences.",
+            ),
+        ],
+        numbers={start: {"errors": [one.errors for one in runs]} for start, runs in found.items()},
     )
-    sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Figures", [report.figure(draw, size, caption) for _, draw, size, caption in figures]),
-        ("Errors", [report.table(line, lines, "Medians over the sequences (least - most).")]),
-    ]
-    report.write_page(out / "index.html", "Recovery", sections)
-    print(f"\npage: {out / 'index.html'}")
 
 
 def recover(seed: int) -> dict[str, Recovery]:
@@ -154,30 +147,32 @@ def _followed(film: Film, chain: GFlow) -> Recovery:
     return Recovery(np.array(errors), np.array(each), np.array(vertices))
 
 
-def claims_of(found: Mapping[str, list[Recovery]]) -> list[Claim]:
+def expectations_of(found: Mapping[str, list[Recovery]]) -> list[Expectation]:
     """What is wanted, in the worst run; with a blank texture nothing is."""
     known, blank = found[KNOWN], found[BLANK]
     soon = SOON + 1
     return [
-        Claim("experts' mean error at the start, px", float(np.mean([one.each[0] for one in known]))),
-        Claim(
+        Expectation("experts' mean error at the start, px", float(np.mean([one.each[0] for one in known]))),
+        Expectation(
             f"{KNOWN}: largest error in frame {soon}, px",
             max(float(one.errors[SOON]) for one in known),
             "<=",
             NEAR,
         ),
-        Claim(
+        Expectation(
             f"{KNOWN}: runs within {NEAR} px in frame {soon}, share",
             float(np.mean([one.errors[SOON] <= NEAR for one in known])),
             ">=",
             1.0,
         ),
-        Claim(
+        Expectation(
             f"{BLANK}: median error in frame {soon}, px",
             float(np.median([one.errors[SOON] for one in blank])),
         ),
-        Claim(f"{BLANK}: median error at the end, px", float(np.median([one.errors[-1] for one in blank]))),
-        Claim(
+        Expectation(
+            f"{BLANK}: median error at the end, px", float(np.median([one.errors[-1] for one in blank]))
+        ),
+        Expectation(
             f"{BLANK}: runs within {NEAR} px in frame {soon}, share",
             float(np.mean([one.errors[SOON] <= NEAR for one in blank])),
         ),

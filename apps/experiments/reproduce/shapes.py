@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from ....inference.structure.nonrigid import LEAST_FRAMES, NonrigidShape, learn_shape
 from ...io.datasets import data_folder
-from ...reports import report
-from ...reports.claims import HEADER, Claim, print_tables
+from ...reports import plots
+from ...reports.expectations import Expectation
+from ...reports.experiment import Table, publish
 from ...runs.progress import Progress
 
 Numbers = NDArray[np.float64]
@@ -94,13 +95,14 @@ def reproduce_shapes(out: Path) -> None:
         ]
         for each in outcomes
     ]
-    claims = [
-        Claim(f"{each.name}, {each.missing:.0%} missing: 3-D error", each.error, "<=", PUBLISHED[each.name])
+    expectations = [
+        Expectation(
+            f"{each.name}, {each.missing:.0%} missing: 3-D error", each.error, "<=", PUBLISHED[each.name]
+        )
         for each in outcomes
     ]
-    print_tables(header, lines, claims)
     pictures = [
-        report.figure(
+        plots.figure(
             lambda canvas, each=each: draw(canvas, each),  # type: ignore[misc]
             (12.0, 5.5),
             f"{each.name}, {each.missing:.0%} missing: from the camera and from above; circles: truth",
@@ -108,13 +110,8 @@ def reproduce_shapes(out: Path) -> None:
         for each in outcomes
         if each.missing in (MISSING[0], MISSING[-1])
     ]
-    sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Errors", [report.table(header, lines, EXPLANATION)]),
-        ("Shapes", pictures),
-    ]
-    report.write_page(out / "index.html", "Deformable shapes", sections)
-    print(f"\npage: {out / 'index.html'}")
+    measured = Table(header, lines, EXPLANATION)
+    publish(out, "Deformable shapes", measured, expectations, sections=[("Shapes", pictures)])
 
 
 EXPLANATION = (

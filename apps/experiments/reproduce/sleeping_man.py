@@ -12,8 +12,9 @@ from ...background.methods import CHAINS, Model
 from ...drawing.mosaic import mosaic
 from ...evaluation.metrics import PixelScore, joined, total
 from ...io.files import write_image
-from ...reports import report
-from ...reports.claims import HEADER, Claim, print_tables
+from ...reports import page
+from ...reports.expectations import Expectation
+from ...reports.experiment import Table, publish
 from ...runs.progress import Progress
 from ...scenes import Scene, sleeping_man
 from ..trials.baselines import SETTINGS, CleanUp, Setting, sweep_subtractors
@@ -53,23 +54,19 @@ def reproduce_sleeping_man(out: Path, long: bool) -> None:
     for name, (setting, scores) in best.items():
         lines.append([name, setting, *(score.total().f_measure for score in scores), total(scores).f_measure])
     error = {name: 1 - total(scores).f_measure for name, (_, scores) in best.items()}
-    claims = [
-        Claim(f"1 - F, RSMCM over {name}", error["RSMCM"] / error[name], "<=", bound)
+    expectations = [
+        Expectation(f"1 - F, RSMCM over {name}", error["RSMCM"] / error[name], "<=", bound)
         for name, bound in (("feed-forward", 0.35), ("MOG2", 0.3), ("KNN", 0.3))
     ]
     if long:
-        claims += _long_claims()
+        expectations += _long_expectations()
     header = ("method", "setting", *(f"F, seed {seed}" for seed in SEEDS), "F")
-    print_tables(header, lines, claims)
-
     figures = _sleeping_figures(sleeping_man(seed=SEEDS[0]))
     for name, picture in figures.items():
         write_image(out / f"{name.lower().replace('. ', '-')}.png", picture)
     captions = {"Fig. 1": "the background by itself", "Fig. 7": "background and blobs together"}
-    pictures = [report.picture(picture, f"{name}: {captions[name]}") for name, picture in figures.items()]
-    tables = [report.table(header, lines), report.table(HEADER, [claim.cells for claim in claims])]
-    report.write_page(out / "index.html", "Sleeping man", [("", tables), ("Figures", pictures)])
-    print(f"\npage: {out / 'index.html'}")
+    pictures = [page.picture(picture, f"{name}: {captions[name]}") for name, picture in figures.items()]
+    publish(out, "Sleeping man", Table(header, lines), expectations, sections=[("Figures", pictures)])
 
 
 def _rendered(scene: Scene, label: str) -> tuple[list[Frame], list[NDArray[np.bool_]]]:
@@ -116,9 +113,9 @@ def _scores_of_scene(
             yield row.setting.method, row.setting.parameters + kept, joined(row.values)
 
 
-def _long_claims() -> list[Claim]:
+def _long_expectations() -> list[Expectation]:
     """Scenes on which nothing was tuned."""
-    claims = []
+    expectations = []
     for label, scene in (
         ("standing for 1300 frames", sleeping_man(1650, seed=7, stand=1300, car_leaves=1650)),
         ("shadows of clouds", sleeping_man(800, seed=8, clouds=True)),
@@ -135,9 +132,9 @@ def _long_claims() -> list[Claim]:
             for _, scores in score.blocks()
             if scores.true_positives + scores.false_negatives > 0
         ]
-        claims.append(Claim(f"F, {label}", score.total().f_measure, ">=", 0.95))
-        claims.append(Claim(f"least F of 250 frames, {label}", min(blocks), ">=", 0.85))
-    return claims
+        expectations.append(Expectation(f"F, {label}", score.total().f_measure, ">=", 0.95))
+        expectations.append(Expectation(f"least F of 250 frames, {label}", min(blocks), ">=", 0.85))
+    return expectations
 
 
 def _sleeping_figures(scene: Scene) -> dict[str, Image]:

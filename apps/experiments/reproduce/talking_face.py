@@ -20,8 +20,8 @@ from ....models.face.model_files import read_correspondences, read_model
 from ...face.start import FaceStart, start_from_landmarks
 from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source
-from ...reports import report
-from ...reports.claims import HEADER, Claim, print_tables
+from ...reports.expectations import Expectation
+from ...reports.experiment import Plot, Table, publish
 from ...runs.progress import Progress
 
 Numbers = NDArray[np.float64]
@@ -110,22 +110,23 @@ def reproduce_talking_face(out: Path) -> None:
             errors = 100 / unit * np.linalg.norm(places - truth[first:], axis=2).mean(axis=1)
             outcomes.append(Followed(name, first, errors, lost))
     generic_errors = outcomes[0].errors
-    claims = [
-        Claim("(a) Surrey model: mean, % of the pupils' distance", float(generic_errors.mean()), "<=", 7.0),
-        Claim("(a) worst frame, %", float(generic_errors.max()), "<=", 15.0),
-        Claim("(a) frames lost", outcomes[0].lost, "<=", 0),
-        Claim("(b) own model, unseen half: mean error, %", float(outcomes[4].errors.mean()), "<=", 5.0),
+    expectations = [
+        Expectation(
+            "(a) Surrey model: mean, % of the pupils' distance", float(generic_errors.mean()), "<=", 7.0
+        ),
+        Expectation("(a) worst frame, %", float(generic_errors.max()), "<=", 15.0),
+        Expectation("(a) frames lost", outcomes[0].lost, "<=", 0),
+        Expectation("(b) own model, unseen half: mean error, %", float(outcomes[4].errors.mean()), "<=", 5.0),
     ]
     header = ("method", "frames", "mean, %", "median, %", "95 %, %", "worst, %", "lost")
     lines = [each.row for each in outcomes]
-    print_tables(header, lines, claims)
-    sections = [
-        ("", [report.table(HEADER, [claim.cells for claim in claims])]),
-        ("Errors", [report.table(header, lines, EXPLANATION)]),
-        ("Over time", [report.figure(lambda canvas: draw(canvas, outcomes), (12.0, 5.0), EXPLANATION)]),
-    ]
-    report.write_page(out / "index.html", "A talking face", sections)
-    print(f"\npage: {out / 'index.html'}")
+    publish(
+        out,
+        "A talking face",
+        Table(header, lines, EXPLANATION),
+        expectations,
+        plots=[Plot("errors.png", lambda canvas: draw(canvas, outcomes), (12.0, 5.0), EXPLANATION)],
+    )
 
 
 EXPLANATION = (

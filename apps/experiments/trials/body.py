@@ -100,7 +100,7 @@ class _Run:
         self._film = film
         self._shown = shown
         self._random = np.random.default_rng([film.scene.seed, 40])
-        self._state: RunState | None = None
+        self._state = RunState()
         self._rows: list[tuple[Numbers, Numbers, Numbers, float, float]] = []
         self._pictures: dict[int, TrackedBody] = {}
 

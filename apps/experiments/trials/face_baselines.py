@@ -14,7 +14,7 @@ from ....chains.gflow import GFlow, GFlowState
 from ....inference.core.protocols import Incoming
 from ....inference.face.pose_dynamics import PoseDynamics, PosePrior
 from ....inference.face.texture_likelihood import TexturedObject
-from ....models.background.pixel_labels import PixelMessage
+from ....models.background.pixel_labels import PixelLabels, PixelMessage
 from ....models.core.frame import Frame
 from ....models.face.image_pyramid import Level, picture_levels
 from ....models.face.morphable_model import MorphableModel
@@ -38,7 +38,7 @@ def states(chain: GFlow, frames: Sequence[Frame], amended: Amendment | None = No
     state = chain.initial(frames[0])
     for number, frame in enumerate(frames):
         before = chain.predict(state, frame.time - frames[number - 1].time) if number else state
-        state = chain.update(before, Incoming({"pixels": PixelMessage(image=_picture(frame))}))
+        state = chain.update(before, Incoming({PixelLabels(): PixelMessage(image=_picture(frame))}))
         if amended is not None:
             state = amended(before, state)
         yield state

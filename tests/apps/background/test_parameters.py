@@ -13,8 +13,9 @@ from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.parameters import read_parameters, with_defaults
 from rsmcm.apps.command_line import main
 from rsmcm.apps.scenes import sleeping_man
-from rsmcm.inference.core.protocols import Incoming
+from rsmcm.inference.core.protocols import Incoming, Port
 from rsmcm.models import Frame, PixelLabels
+from rsmcm.models.body.parts import BodyParts
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,7 @@ class Clock:
     hours: tuple[tuple[float, float], ...] = ((9, 17),)
     rate: float = 1.0
     name: str = "clock"
-    ports = (SimpleNamespace(kind=PixelLabels),)
-    uses_cavity = False
+    ports = (Port(PixelLabels),)
 
     def __post_init__(self) -> None:
         if self.rate < 0:
@@ -50,7 +50,7 @@ class Deaf(Clock):
     """Meets no feature of this application."""
 
     box: tuple[int, int] = (0, 0)
-    ports = (SimpleNamespace(kind=str),)
+    ports = (Port(BodyParts),)
 
 
 @pytest.fixture(autouse=True)

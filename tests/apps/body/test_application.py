@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from markupsafe import Markup
 from numpy.typing import NDArray
 from rsmcm.apps.body import application
 from rsmcm.apps.body import report as body_report
@@ -18,7 +19,6 @@ from rsmcm.apps.body.writer import ANGLE_NAMES, N_DRAWN
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.reports import time_plots
-from rsmcm.apps.reports.report import Html
 from rsmcm.apps.runs import blank_frames
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.inference.body.samples import BodyMoments
@@ -56,7 +56,7 @@ def write_pictures(folder: Path, images: list[Image]) -> Path:
 def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
     """Most of a short run's time; `finished` is made before, and has them."""
     for module in (time_plots, body_report):
-        monkeypatch.setattr(module, "figure", lambda *_: Html(""))
+        monkeypatch.setattr(module, "figure", lambda *_: Markup(""))
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from markupsafe import Markup
 from numpy.typing import NDArray
 from rsmcm.apps.face import application
 from rsmcm.apps.face import start as face_start
 from rsmcm.apps.face.report import FaceRecord, angles
 from rsmcm.apps.face.start import find_face, start_from_box, start_from_landmarks
 from rsmcm.apps.reports import time_plots
-from rsmcm.apps.reports.report import Html
 from rsmcm.apps.runs import blank_frames
 from rsmcm.apps.scenes import face
 from rsmcm.models import Frame
@@ -63,7 +63,7 @@ def write_pictures(folder: Path, images: list[NDArray[np.uint8]]) -> Path:
 @pytest.fixture(autouse=True)
 def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
     """Most of a short run's time; `finished` is made before, and has them."""
-    monkeypatch.setattr(time_plots, "figure", lambda *_: Html(""))
+    monkeypatch.setattr(time_plots, "figure", lambda *_: Markup(""))
 
 
 @pytest.fixture(scope="module")

@@ -105,15 +105,6 @@ def test_clouds_darken_and_move() -> None:
     assert np.abs(shares[0] - shares[1]).max() > 0.2
 
 
-def test_mot_rows_count_from_one() -> None:
-    scene = quiet(80)
-    rows = scene.mot_rows()
-    assert rows.shape[1] == 10
-    frame = int(rows[-1, 0])
-    box = scene.boxes(frame - 1)[0]
-    assert tuple(rows[-1, 1:6]) == (box.identity, box.box[0] + 1, box.box[1] + 1, *box.box[2:])
-
-
 @pytest.mark.parametrize(
     "settings", [{"size": (20, 20)}, {"n_frames": 0}, {"noise": -1.0}, {"light_drift": 1.0}, {"stand": -1}]
 )

@@ -54,8 +54,8 @@ def test_message_integrates_to_one_and_has_the_moments_of_the_parts(n: int, grou
     state = samples(some(n))
     message = part_message(BODY, state.poses, state.weights, groups)
     assert message.image is None
-    np.testing.assert_allclose(message.told.log_masses, 0.0, atol=1e-9)
-    means, covariances = message.told.moments(1.0, (0.0, 0.0))
+    np.testing.assert_allclose(message.predicted.log_masses, 0.0, atol=1e-9)
+    means, covariances = message.predicted.moments(1.0, (0.0, 0.0))
     places = BODY.parts(state.poses)
     reach = 0.5 * (BODY.upper_arm + BODY.forearm)
     for part, broad in enumerate((BODY.head_height, reach, reach)):
@@ -73,7 +73,7 @@ def test_message_shows_both_places_of_a_hand() -> None:
     poses = replace(poses, roots=roots)
     message = part_message(BODY, poses, np.full(400, 1 / 400), 4)
     places = BODY.parts(poses)[[0, 200]]
-    at = message.told.log_values(np.concatenate([places, places.mean(axis=0, keepdims=True)]))
+    at = message.predicted.log_values(np.concatenate([places, places.mean(axis=0, keepdims=True)]))
     assert (at[:2] > at[2] + 1).all()
     np.testing.assert_allclose(at[0], at[1], atol=0.01)
 
@@ -81,7 +81,7 @@ def test_message_shows_both_places_of_a_hand() -> None:
 def test_message_does_not_vanish_where_no_sample_is() -> None:
     message = part_message(BODY, some(1).take(np.zeros(9, np.int64)), np.full(9, 1 / 9), 4)
     hand = BODY.parts(some(1)) + 0.6 * BODY.upper_arm
-    assert (message.told.log_values(hand) > -20).all()
+    assert (message.predicted.log_values(hand) > -20).all()
 
 
 def test_moments_are_those_of_weighted_joints_and_angles() -> None:
@@ -244,4 +244,4 @@ def test_segments_of_exchanged_arms_keep_their_lengths() -> None:
 
 def test_every_part_has_its_message() -> None:
     state = samples(some(40))
-    assert part_message(BODY, state.poses, state.weights, 4).told.n_parts == len(PARTS)
+    assert part_message(BODY, state.poses, state.weights, 4).predicted.n_parts == len(PARTS)

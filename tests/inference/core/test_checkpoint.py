@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
-from rsmcm.inference import Incoming, MultiChain, RecursiveBP
+from rsmcm.inference import Incoming, MultiChain, Port, RecursiveBP, RunState
 from rsmcm.inference.core import checkpoint
 from rsmcm.models.core.categorical import Categorical, CategoricalMessage
 from rsmcm.models.core.frame import Frame
@@ -178,6 +178,7 @@ class RandomWalk:
     """A chain that draws its predictions."""
 
     name = "walk"
+    ports = (Port(Categorical),)
 
     def initial(self, frame: Frame) -> WalkState:
         return WalkState(np.full(3, 1 / 3), 0, np.random.default_rng(5))
@@ -191,7 +192,7 @@ class RandomWalk:
         return CategoricalMessage(np.log(state.weights))
 
     def update(self, state: WalkState, incoming: Incoming) -> WalkState:
-        weights = state.weights * incoming["door"].probabilities()
+        weights = state.weights * incoming[Categorical].probabilities()
         return WalkState(weights / weights.sum(), state.steps, state.random)
 
 
@@ -300,7 +301,7 @@ def test_a_chain_without_a_declared_state_cannot_be_saved(tmp_path: Path) -> Non
             return super().initial(frame)
 
     engine = RecursiveBP(MultiChain().connect(Undeclared(), Categorical("door", 3)))
-    state = engine.step(None, Frame(image(1), 0.0, 1)).state
+    state = engine.step(RunState(), Frame(image(1), 0.0, 1)).state
     with pytest.raises(TypeError, match="'walk': initial has no return annotation"):
         engine.save(tmp_path / "run.npz", state)
 
@@ -310,6 +311,10 @@ class HandsOn:
 
     def __init__(self, node: Any) -> None:
         self._node = node
+
+    @property  # type: ignore[misc]
+    def __class__(self) -> Any:
+        return self._node.__class__
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._node, name)

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.inference import CoordinateAscent, MultiChain, RecursiveBP
-from rsmcm.inference.core.protocols import BatchIncoming
+from rsmcm.inference import BatchIncoming, CoordinateAscent, MultiChain, Port, RecursiveBP, Smoothed
 from rsmcm.models import Frame
 from rsmcm.models.core.gaussian_message import GaussianMessage
 
@@ -29,6 +28,8 @@ class Level:
     """A number in each frame, seen with noise; frames tell by their number which."""
 
     name: str = "level"
+
+    searches = True
 
     def uniform(self) -> GaussianMessage:
         return GaussianMessage.uniform(1)
@@ -54,17 +55,21 @@ class Quadratic:
     pull: Numbers
     spread: float
 
-    def smooth(self, incoming_over_time: Sequence[BatchIncoming], current: Path | None = None) -> Path:
+    ports = (Port(Level),)
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: Path | None = None
+    ) -> Smoothed[Path]:
         information, vector = self.precision.copy(), self.pull.copy()
         for time, incoming in enumerate(incoming_over_time):
-            message = incoming["level"]
+            message = incoming[Level]
             if len(message):
                 (_, means, covariances) = message.moments
                 variance = covariances[0, 0, 0] + self.spread
                 information[time, time] += 1 / variance
                 vector[time] += means[0, 0] / variance
         values = np.linalg.solve(information, vector)
-        return Path(values, float(self.pull @ values - 0.5 * values @ self.precision @ values))
+        return Smoothed(Path(values, float(self.pull @ values - 0.5 * values @ self.precision @ values)))
 
     def messages(self, trajectory: Path, feature: Level) -> list[GaussianMessage]:
         return [gaussian(value, self.spread) for value in trajectory.values]
@@ -141,16 +146,20 @@ def test_missing_frames_bring_no_evidence() -> None:
 
 
 @dataclass(frozen=True)
-class Looking:
-    """Looks where it was told to, and notes how much it saw in each round."""
+class Searching:
+    """Searches where others expect it, and notes how much it saw in each round."""
 
     seen: list[int]
-    name: str = "looking"
+    name: str = "searching"
 
-    def smooth(self, incoming_over_time: Sequence[BatchIncoming], current: Path | None = None) -> Path:
-        looks = [incoming.look("level", incoming.told("level")) for incoming in incoming_over_time]
-        self.seen.append(sum(len(look) for look in looks))
-        return Path(np.zeros(N_FRAMES), 0.0)
+    ports = (Port(Level),)
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: Path | None = None
+    ) -> Smoothed[Path]:
+        evidence = [incoming.search(Level, incoming.others(Level)) for incoming in incoming_over_time]
+        self.seen.append(sum(len(message) for message in evidence))
+        return Smoothed(Path(np.zeros(N_FRAMES), 0.0), {incoming_over_time[0].node(Level): evidence})
 
     def messages(self, trajectory: Path, feature: Level) -> list[GaussianMessage]:
         return [feature.uniform() for _ in trajectory.values]
@@ -158,7 +167,7 @@ class Looking:
 
 @dataclass(frozen=True)
 class Narrow(Level):
-    """Sees nothing beyond a distance of 1 from where it is told to look."""
+    """Sees nothing beyond a distance of 1 from where it is expected."""
 
     def evidence(self, frame: Frame, prior: GaussianMessage) -> GaussianMessage:
         if len(prior) and abs(prior.moments[1][0, 0] - SEEN[frame.number - 1]) > 1:
@@ -166,13 +175,13 @@ class Narrow(Level):
         return super().evidence(frame, prior)
 
 
-def test_a_chain_that_looks_sees_anew_in_each_round_and_others_see_the_same() -> None:
-    level, looking = Narrow(), Looking([])
-    model = MultiChain().connect(looking, level).connect(SMOOTH, level)
+def test_a_chain_that_searches_sees_anew_in_each_round_and_others_see_the_same() -> None:
+    level, searching = Narrow(), Searching([])
+    model = MultiChain().connect(searching, level).connect(SMOOTH, level)
     first, second = CoordinateAscent(model, most_rounds=2, tolerance=-1).rounds(FRAMES)
     near = np.abs(first["smooth"].values - SEEN) <= 1
     assert 0 < np.count_nonzero(near) < N_FRAMES
-    assert looking.seen == [N_FRAMES, np.count_nonzero(near)]
+    assert searching.seen == [N_FRAMES, np.count_nonzero(near)]
     assert first.objective == first.rounds[0].objective
     assert [len(message) for message in first.evidence(level)] == [1] * N_FRAMES
     assert len(second.rounds) == 2
@@ -182,9 +191,13 @@ def test_a_chain_that_looks_sees_anew_in_each_round_and_others_see_the_same() ->
 class Worsening(Quadratic):
     """Gets worse each time."""
 
-    def smooth(self, incoming_over_time: Sequence[BatchIncoming], current: Path | None = None) -> Path:
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: Path | None = None
+    ) -> Smoothed[Path]:
         best = super().smooth(incoming_over_time, current)
-        return best if current is None else Path(current.values + 1, best.log_prior - 5)
+        if current is None:
+            return best
+        return Smoothed(Path(current.values + 1, best.trajectory.log_prior - 5))
 
 
 def test_the_best_round_is_kept() -> None:

@@ -58,12 +58,14 @@ def test_the_two_ends_have_different_names() -> None:
 
 def test_other_objects_are_refused() -> None:
     model = random_model(random(), PAIR)
-    lacks = r"a Chain \(it lacks name, .*, update\) or a BatchChain \(it lacks name, smooth, messages\)$"
+    lacks = (
+        r"a Chain \(it lacks name, .*, update\) or a BatchChain \(it lacks name, ports, smooth, messages\)$"
+    )
     with pytest.raises(TypeError, match=f"^chain: got int, expected {lacks}"):
         model.connect(3, model.features["f"])  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=r"feature: got str, expected a FeatureNode \(it lacks name, "):
         model.connect(model.chains["a"], "f")  # type: ignore[arg-type]
-    feature = SimpleNamespace(name="g", evidence=None)
+    feature = SimpleNamespace(name="g", searches=False, evidence=None)
     with pytest.raises(TypeError, match=r"feature: got SimpleNamespace, .* \(it lacks uniform\)$"):
         model.connect(model.chains["a"], feature)  # type: ignore[arg-type]
 
@@ -101,7 +103,7 @@ def test_the_image_speaks_after_quick_chains_and_before_those_that_use_their_cav
         [("slow", "f"), ("quick", "f"), ("later", "f")],
         dict.fromkeys(["slow", "later"], CavityChain),
     )
-    assert model.schedule() == [("quick", "f"), (IMAGE, "f"), ("slow", "f"), ("later", "f")]
+    assert model.schedule() == [("quick", "f"), (IMAGE, "f"), ("later", "f"), ("slow", "f")]
 
 
 @given(st.integers(1, 8), st.integers(1, 8), st.data())
@@ -121,5 +123,5 @@ def test_every_forest_has_a_schedule_and_every_loop_is_found(
     position = {step: number for number, step in enumerate(schedule)}
     for chain, feature in links:
         for other in set(model.features_of(chain)) - {feature}:
-            for sender in {IMAGE, *model.speakers(other)} - {chain}:
+            for sender in {IMAGE, *model.senders(other)} - {chain}:
                 assert position[sender, other] < position[chain, feature]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rsmcm.inference import Belief, Incoming, MultiChain, RecursiveBP
+from rsmcm.inference import Belief, Cavity, Incoming, MultiChain, Port, RecursiveBP, RunState
 from rsmcm.models.core.categorical import Categorical, CategoricalMessage
 from rsmcm.models.core.frame import Frame
 
@@ -79,7 +79,7 @@ def test_a_chain_that_knows_nothing_sends_the_uniform_message() -> None:
     nothing = DiscreteChain("nothing", np.full(2, 0.5), np.eye(2), {"f": np.full((2, size), 1 / size)})
     feature = Categorical("f", size)
     message = nothing.message(
-        nothing.initial(Frame(None, 0.0, 1)), feature, Incoming({"f": feature.uniform()})
+        nothing.initial(Frame(None, 0.0, 1)), feature, Incoming({feature: feature.uniform()})
     )
     np.testing.assert_allclose(message.probabilities(), 1 / size)
     assert message.log_mass == pytest.approx(0)
@@ -103,7 +103,7 @@ def test_feed_forward_equals_the_stand_alone_modules_bit_for_bit() -> None:
         np.testing.assert_array_equal(low["f"].log_weights, both["f"].log_weights)
         assert low.log_evidence == both.log_evidence
         state = chains["b"].initial(low.frame) if state is None else chains["b"].predict(state, 0.04)
-        state = chains["b"].update(state, Incoming({"f": low["f"]}))
+        state = chains["b"].update(state, Incoming({feature: low[feature]}))
         np.testing.assert_array_equal(state.probabilities, both["b"].probabilities)
 
 
@@ -112,14 +112,14 @@ def test_evidence_behind_a_cut_edge_is_counted_once() -> None:
     model = cut([("a", "f"), ("b", "f"), ("b", "g"), ("c", "g")], ("b", "f"))
     chains, features = model.chains, model.features
     frame = Frame(image(3, 1), 0.0, 1)
-    belief = RecursiveBP(model).step(None, frame)
+    belief = RecursiveBP(model).step(RunState(), frame)
 
-    low = RecursiveBP(MultiChain().connect(chains["a"], features["f"])).step(None, frame)
+    low = RecursiveBP(MultiChain().connect(chains["a"], features["f"])).step(RunState(), frame)
     read = chains["b"].tables["f"] @ np.exp(low["f"].log_weights) * chains["b"].prior
     tables = {"g": chains["b"].tables["g"]}
     given_f = DiscreteChain("b", read / read.sum(), np.eye(len(read)), tables)
     high = MultiChain().connect(given_f, features["g"]).connect(chains["c"], features["g"])
-    expected = low.log_evidence + RecursiveBP(high).step(None, frame).log_evidence
+    expected = low.log_evidence + RecursiveBP(high).step(RunState(), frame).log_evidence
     assert belief.log_evidence == pytest.approx(expected, rel=0, abs=EXACT)
 
 
@@ -131,7 +131,7 @@ def test_a_feature_that_is_only_read_has_no_evidence() -> None:
 class Listener(DiscreteChain):
     """Keeps what it was given."""
 
-    uses_cavity = True
+    ports = (Port(Categorical, Cavity.OTHERS, many=True),)
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -142,14 +142,14 @@ class Listener(DiscreteChain):
         return super().message(state, feature, incoming)
 
     def update(self, state: DiscreteState, incoming: Incoming) -> DiscreteState:
-        self.heard.append(("update", incoming["f"]))
+        self.heard.append(("update", incoming[Categorical]))
         return super().update(state, incoming)
 
 
 def test_a_chain_gets_the_same_product_object_for_message_and_update() -> None:
     for sweeps in (1, 3):
         model = random_model(rng(), [("a", "f"), ("b", "f")], {"b": Listener})
-        RecursiveBP(model, sweeps).step(None, Frame(image(1), 0.0, 1))
+        RecursiveBP(model, sweeps).step(RunState(), Frame(image(1), 0.0, 1))
         (first, asked), (second, updated) = model.chains["b"].heard  # and no repetition that changes nothing
         assert (first, second) == ("message", "update")
         assert asked is updated
@@ -157,7 +157,7 @@ def test_a_chain_gets_the_same_product_object_for_message_and_update() -> None:
 
 def test_later_sweeps_bring_the_latest_messages_of_the_others() -> None:
     model = random_model(rng(), [("a", "f"), ("b", "f")], {"a": Listener, "b": Listener})
-    RecursiveBP(model, sweeps=2).step(None, Frame(image(1), 0.0, 1))
+    RecursiveBP(model, sweeps=2).step(RunState(), Frame(image(1), 0.0, 1))
     first, second, _ = (message for _, message in model.chains["a"].heard)
     assert not np.allclose(first.probabilities(), second.probabilities())
 
@@ -172,7 +172,7 @@ def test_a_single_message_is_handed_on_as_it_is() -> None:
     model = random_model(rng(), [("a", "f"), ("b", "f")], {"a": Listener, "b": Speaker})
     said = CategoricalMessage(np.zeros(model.features["f"].size))
     engine = RecursiveBP(model)
-    engine.step(engine.step(None, Frame(image(1), 0.0, 1)).state, Frame(None, 1.0, 2))
+    engine.step(engine.step(RunState(), Frame(image(1), 0.0, 1)).state, Frame(None, 1.0, 2))
     assert model.chains["a"].heard[-1][1] is said
 
 
@@ -181,6 +181,8 @@ class Looking(Categorical):
     """Evidence that notes where it was told to look."""
 
     asked: list[CategoricalMessage] | None = None
+
+    searches = True
 
     def evidence(self, frame: Frame, prior: CategoricalMessage) -> CategoricalMessage:
         assert self.asked is not None
@@ -233,7 +235,7 @@ def test_frames_and_plain_images_are_the_same() -> None:
 
 def test_a_belief_is_asked_by_object_or_name() -> None:
     model = random_model(rng(), GRAPHS["two chains"])
-    belief = RecursiveBP(model).step(None, Frame(image(1), 0.0, 1))
+    belief = RecursiveBP(model).step(RunState(), Frame(image(1), 0.0, 1))
     assert belief[model.chains["a"]] is belief["a"] is belief.states["a"]
     assert belief[model.features["f"]] is belief["f"]
     with pytest.raises(KeyError, match="blobs: not part of the model, expected one of a, b, f"):
@@ -242,7 +244,7 @@ def test_a_belief_is_asked_by_object_or_name() -> None:
 
 def test_bad_frames_are_refused_with_their_number() -> None:
     engine = RecursiveBP(random_model(rng(), GRAPHS["one chain"]))
-    state = engine.step(None, Frame(image(1, 2), 1.0, 7)).state
+    state = engine.step(RunState(), Frame(image(1, 2), 1.0, 7)).state
     with pytest.raises(ValueError, match=r"got \(1, 3\) uint8 at frame 8, expected \(1, 2\) uint8"):
         engine.step(state, Frame(image(1, 2, 3), 2.0, 8))
     with pytest.raises(ValueError, match=r"got \(1, 2, 3\) uint8 at frame 8"):
@@ -255,7 +257,7 @@ def test_bad_frames_are_refused_with_their_number() -> None:
 
 
 def test_states_of_other_chains_are_refused() -> None:
-    state = RecursiveBP(random_model(rng(), [("z", "f")])).step(None, Frame(image(1), 0.0, 1)).state
+    state = RecursiveBP(random_model(rng(), [("z", "f")])).step(RunState(), Frame(image(1), 0.0, 1)).state
     with pytest.raises(ValueError, match="got chains z, expected a"):
         RecursiveBP(random_model(rng(), [("a", "f")])).step(state, Frame(image(1), 1.0, 2))
 

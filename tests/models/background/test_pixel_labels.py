@@ -11,7 +11,8 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.background.gaussian import BackgroundPrediction, LightField, colour
 from rsmcm.models.background.kernels import layers as layer_kernels
-from rsmcm.models.background.pixel_labels import Layer, LayerStack, PixelMessage
+from rsmcm.models.background.layers import Layer, LayerStack
+from rsmcm.models.background.pixel_labels import PixelMessage
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.stats import multivariate_normal
 
@@ -214,7 +215,7 @@ def test_without_an_image_the_predictions_speak():
     clear, explained = weights(layers, None)
     expected = 0.8 * clear / (0.8 * clear + 0.2 * explained)
     np.testing.assert_allclose(message.background_probability(), expected, atol=0.01)  # stored odds
-    assert message.reading is None
+    assert message.subtraction is None
     assert message.log_mass == 0
 
 

@@ -1,4 +1,4 @@
-"""The comparison of body trackers: claims on made-up trials, counts of samples, and a run on short scenes."""
+"""Body trackers compared: expectations on made-up trials, counts of samples, a run on short scenes."""
 
 import json
 from dataclasses import replace
@@ -49,23 +49,30 @@ def made_up(rsmcm: float, sampler: float, clouds: tuple[float, ...]) -> body.Fou
 
 
 def test_claims_hold_where_the_paper_is_right() -> None:
-    claims = body.claims_of(made_up(8, 20, (24, 18, 9.9, 9)))
-    assert [claim.verdict for claim in claims] == ["pass"] * 6
-    assert claims[0].measured == pytest.approx(0.4)
-    assert claims[1].measured == pytest.approx(8 / 24)
-    assert claims[2].measured == pytest.approx(3.0)
+    expectations = body.expectations_of(made_up(8, 20, (24, 18, 9.9, 9)))
+    assert [expectation.verdict for expectation in expectations] == ["pass"] * 6
+    assert expectations[0].measured == pytest.approx(0.4)
+    assert expectations[1].measured == pytest.approx(8 / 24)
+    assert expectations[2].measured == pytest.approx(3.0)
 
 
 def test_claims_fall_short_where_it_is_not() -> None:
-    claims = body.claims_of(made_up(8, 10, (9, 9, 9, 9)))
-    assert [claim.verdict for claim in claims] == ["short", "short", "short", "pass", "pass", "pass"]
-    assert claims[2].measured == pytest.approx(1.0)
+    expectations = body.expectations_of(made_up(8, 10, (9, 9, 9, 9)))
+    assert [expectation.verdict for expectation in expectations] == [
+        "short",
+        "short",
+        "short",
+        "pass",
+        "pass",
+        "pass",
+    ]
+    assert expectations[2].measured == pytest.approx(1.0)
 
 
 def test_it_is_said_when_no_time_was_enough() -> None:
-    claim = body.claims_of(made_up(8, 20, (24, 24, 24, 24)))[2]
-    assert claim.measured == pytest.approx(body.MULTIPLES[-1])
-    assert "more than" in claim.what
+    expectation = body.expectations_of(made_up(8, 20, (24, 24, 24, 24)))[2]
+    assert expectation.measured == pytest.approx(body.MULTIPLES[-1])
+    assert "more than" in expectation.what
 
 
 def test_mis_tracks_count_for_the_recovered_share() -> None:
@@ -74,10 +81,10 @@ def test_mis_tracks_count_for_the_recovered_share() -> None:
     errors[2:5, 1] = 60.0  # three frames
     errors[10:25, 3] = 60.0  # fifteen, in which the hand is seen
     found[body.RSMCM.name] = [replace(found[body.RSMCM.name][0], errors=errors)] * 2
-    claim = body.claims_of(found)[3]
-    assert claim.measured == 0.5
-    assert "4 mis-tracks" in claim.what
-    assert claim.verdict == "short"
+    expectation = body.expectations_of(found)[3]
+    assert expectation.measured == 0.5
+    assert "4 mis-tracks" in expectation.what
+    assert expectation.verdict == "short"
 
 
 def test_samples_of_a_time_lie_on_a_line() -> None:

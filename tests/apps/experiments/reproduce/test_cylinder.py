@@ -1,4 +1,4 @@
-"""The cylinder's experiment: which cells, which claims, which pictures; and one sequence in earnest."""
+"""The cylinder's experiment: which cells, which expectations, which pictures; and one sequence in earnest."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from rsmcm.apps.experiments.reproduce.cylinder import (
     SINGLE_COHERENT,
     Cell,
 )
-from rsmcm.apps.reports import report
+from rsmcm.apps.reports import plots
 from rsmcm.apps.scenes import cylinder
 from rsmcm.apps.structure.metrics import StructureScores
 
@@ -55,10 +55,12 @@ def test_points_are_regained_as_the_cell_says() -> None:
 
 
 def test_claims_hold_where_they_should() -> None:
-    verdicts = [claim.verdict for claim in experiment.claims_of(made_up())]
+    verdicts = [expectation.verdict for expectation in experiment.expectations_of(made_up())]
     assert verdicts.count("pass") == len(verdicts) - 1
     assert verdicts.count("") == 1, "missing points are only told"
-    poor = {claim.what: claim.verdict for claim in experiment.claims_of(made_up(0.06))}
+    poor = {
+        expectation.what: expectation.verdict for expectation in experiment.expectations_of(made_up(0.06))
+    }
     assert sum(verdict == "short" for verdict in poor.values()) == 4
 
 
@@ -66,9 +68,11 @@ def test_worst_cell_decides() -> None:
     everything = made_up()
     cell = Cell(0.12, 0.3, 0.5)
     everything[cell][DUAL_COHERENT] = [replace(GOOD, reprojection_error=0.0066, purity=0.9)] * 4
-    claims = {claim.what: claim for claim in experiment.claims_of(everything)}
-    assert claims[f"{DUAL_COHERENT}: error over the oracle, P(regain) = 0.5"].measured == pytest.approx(1.65)
-    assert claims[f"{DUAL_COHERENT}: share of pure points"].measured == pytest.approx(0.9)
+    expectations = {expectation.what: expectation for expectation in experiment.expectations_of(everything)}
+    assert expectations[f"{DUAL_COHERENT}: error over the oracle, P(regain) = 0.5"].measured == pytest.approx(
+        1.65
+    )
+    assert expectations[f"{DUAL_COHERENT}: share of pure points"].measured == pytest.approx(0.9)
 
 
 def test_panels() -> None:
@@ -94,7 +98,7 @@ def test_shapes_are_drawn_where_they_belong(tmp_path: Path) -> None:
     found = experiment.Recovered(truth.positions, mapped, points)
     np.testing.assert_allclose(experiment.aligned(found, truth), truth.shape, atol=1e-10)
     shapes = dict.fromkeys(METHODS, found)
-    report.write_figure(
+    plots.write_figure(
         tmp_path / "a.png", lambda canvas: experiment.draw_shapes(canvas, shapes, truth), (9, 4)
     )
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")

@@ -13,7 +13,7 @@ from rsmcm.apps.evaluation.metrics import PixelScore, joined
 from rsmcm.apps.experiments.bench.__main__ import enumeration_error, in_turns, stages
 from rsmcm.apps.experiments.reproduce import sleeping_man as experiment
 from rsmcm.apps.experiments.trials.baselines import SETTINGS, CleanUp, OpenCVSubtractor
-from rsmcm.apps.reports.claims import Claim, in_columns
+from rsmcm.apps.reports.expectations import Expectation, in_columns
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
 
@@ -21,11 +21,11 @@ SIZE = (96, 72)
 
 
 def test_claims_say_whether_they_hold() -> None:
-    assert Claim("x", 0.3, "<=", 0.35).verdict == "pass"
-    assert Claim("x", 0.4, "<=", 0.35).verdict == "short"
-    assert Claim("x", 1.3, ">=", 1.25).cells == ("x", ">= 1.25", "1.3", "pass")
-    assert Claim("x", 12345.6).cells == ("x", "", "12346", "")
-    assert Claim("x", float("nan"), "<=", 1).verdict == "short"
+    assert Expectation("x", 0.3, "<=", 0.35).verdict == "pass"
+    assert Expectation("x", 0.4, "<=", 0.35).verdict == "short"
+    assert Expectation("x", 1.3, ">=", 1.25).cells == ("x", ">= 1.25", "1.3", "pass")
+    assert Expectation("x", 12345.6).cells == ("x", "", "12346", "")
+    assert Expectation("x", float("nan"), "<=", 1).verdict == "short"
 
 
 def test_tables_as_text() -> None:

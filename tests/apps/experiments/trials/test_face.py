@@ -112,9 +112,13 @@ def test_claims_of_experts() -> None:
     names = [tracker.name for tracker in experts.trackers()]
     good = made_up({experts.ONE: 5.0, experts.DENSE_FLOW: 2.0, experts.DENSE: 0.5}, 0.5, names)
     good[experts.TAUGHT] = [replace(one, squared=np.ones(6)) for one in good[experts.TAUGHT]]
-    assert all(claim.verdict == "pass" for claim in experts.claims_of(good) if claim.bound is not None)
+    assert all(
+        expectation.verdict == "pass"
+        for expectation in experts.expectations_of(good)
+        if expectation.bound is not None
+    )
     poor = {**good, experts.DENSE: [trial([0.0] + [25.0] * 5) for _ in range(4)]}
-    assert sum(claim.verdict == "short" for claim in experts.claims_of(poor)) == 4
+    assert sum(expectation.verdict == "short" for expectation in experts.expectations_of(poor)) == 4
     canvas = Figure()
     experts.draw(canvas, good)
     assert len(canvas.axes[0].lines) == len(names)
@@ -124,8 +128,8 @@ def test_claims_of_gain() -> None:
     names = [tracker.name for tracker in gain.trackers()]
     steady = made_up({"0.01": 0.4, gain.LEARNED: 0.42}, 0.9, names)
     changing = made_up({"0.999": 0.8, gain.LEARNED: 0.9}, 1.5, names)
-    claims = gain.claims_of({gain.STEADY: steady, gain.CHANGING: changing})
-    assert [claim.verdict for claim in claims] == ["pass", "", "pass", "pass", "short"]
+    expectations = gain.expectations_of({gain.STEADY: steady, gain.CHANGING: changing})
+    assert [expectation.verdict for expectation in expectations] == ["pass", "", "pass", "pass", "short"]
     canvas = Figure()
     gain.draw(canvas, {gain.STEADY: steady, gain.CHANGING: changing})
     assert len(canvas.axes[0].get_xticks()) == len(gain.GAINS)
@@ -133,12 +137,13 @@ def test_claims_of_gain() -> None:
 
 def test_claims_of_recovery() -> None:
     known = [recovery.Recovery(np.linspace(9.5, 0.1, 82), np.full((82, 20), 9.5), np.zeros((3, 20, 5, 2)))]
-    claims = recovery.claims_of({recovery.KNOWN: known, recovery.BLANK: known})
-    assert [claim.verdict for claim in claims] == ["", "short", "short", "", "", ""]
+    expectations = recovery.expectations_of({recovery.KNOWN: known, recovery.BLANK: known})
+    assert [expectation.verdict for expectation in expectations] == ["", "short", "short", "", "", ""]
     fast = [replace(known[0], errors=np.full(82, 0.2))]
-    assert [claim.verdict for claim in recovery.claims_of({recovery.KNOWN: fast, recovery.BLANK: known})][
-        1:3
-    ] == ["pass", "pass"]
+    assert [
+        expectation.verdict
+        for expectation in recovery.expectations_of({recovery.KNOWN: fast, recovery.BLANK: known})
+    ][1:3] == ["pass", "pass"]
     canvas = Figure()
     pictures = [np.zeros((60, 80), np.uint8)] * 3
     recovery.draw_experts(canvas, pictures, {recovery.KNOWN: known[0]})
@@ -152,11 +157,16 @@ def test_claims_of_face_and_background() -> None:
         for setting, methods in face_background.COMPARED
     }
     weak = face_background.WEAK.name
-    claims = face_background.claims_of(good)
-    assert [claim.verdict for claim in claims] == [*["pass", "short", "pass", "pass"] * 2, "", "", "pass"]
-    assert weak in claims[1].what
+    expectations = face_background.expectations_of(good)
+    assert [expectation.verdict for expectation in expectations] == [
+        *["pass", "short", "pass", "pass"] * 2,
+        "",
+        "",
+        "pass",
+    ]
+    assert weak in expectations[1].what
     good[weak] = made_up({face_background.NONE: 2.0}, 1.0, list(good[weak]))
-    assert {claim.verdict for claim in face_background.claims_of(good)} == {"pass", ""}
+    assert {expectation.verdict for expectation in face_background.expectations_of(good)} == {"pass", ""}
     canvas = Figure()
     face_background.draw(canvas, good)
     assert [len(axis.lines) for axis in canvas.axes] == [3, 3, 3, 3, 2, 2]

@@ -7,7 +7,7 @@ from typing import Literal
 
 
 @dataclass(frozen=True)
-class Claim:
+class Expectation:
     """A number and the bound that it should keep.
 
     Parameters
@@ -59,11 +59,13 @@ def in_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join([line(header), line(["-" * width for width in widths]), *map(line, cells)])
 
 
-def print_tables(header: Sequence[str], lines: Sequence[Sequence[object]], claims: Sequence[Claim]) -> None:
+def print_tables(
+    header: Sequence[str], lines: Sequence[Sequence[object]], expectations: Sequence[Expectation]
+) -> None:
     """Print what was measured, and below it what is wanted of it."""
     print(in_columns(header, lines))
     print()
-    print(in_columns(HEADER, [claim.cells for claim in claims]))
+    print(in_columns(HEADER, [expectation.cells for expectation in expectations]))
 
 
 def _rounded(value: float) -> str:

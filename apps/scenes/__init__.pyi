@@ -1,0 +1,16 @@
+from .signing.signer import SignerScene, signer
+from .street import Scene, TruthBox, sleeping_man
+from .talking_face import FaceScene, face
+from .turning_cylinder import Cylinder, cylinder
+
+__all__ = [
+    "Cylinder",
+    "FaceScene",
+    "Scene",
+    "SignerScene",
+    "TruthBox",
+    "cylinder",
+    "face",
+    "signer",
+    "sleeping_man",
+]

@@ -1,0 +1,25 @@
+from .adaptive_background import AdaptiveBackground
+from .articulated_pose import ArticulatedPose
+from .blob_tracker import BlobTracker
+from .condensation import Condensation
+from .factor_structure import FactorStructure
+from .flesh_tracker import FleshTracker
+from .gflow import GFlow
+from .ground_plane import GroundPlane
+from .mixture_background import MixtureBackground
+from .point_tracker import PointTracker
+from .recursive_structure import RecursiveStructure
+
+__all__ = [
+    "AdaptiveBackground",
+    "ArticulatedPose",
+    "BlobTracker",
+    "Condensation",
+    "FactorStructure",
+    "FleshTracker",
+    "GFlow",
+    "GroundPlane",
+    "MixtureBackground",
+    "PointTracker",
+    "RecursiveStructure",
+]

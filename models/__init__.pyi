@@ -1,0 +1,26 @@
+from .background.pixel_labels import PixelLabels
+from .body.parts import BodyParts
+from .body.poses import BodyPoses
+from .body.upper_body import UpperBody
+from .core.categorical import Categorical
+from .core.frame import Frame
+from .face.detectors import HaarFaces, YuNetFaces
+from .face.morphable_model import MorphableModel
+from .face.pose import Poses
+from .objects.object_boxes import ObjectBoxes
+from .points.point_tracks import PointTracks
+
+__all__ = [
+    "BodyParts",
+    "BodyPoses",
+    "Categorical",
+    "Frame",
+    "HaarFaces",
+    "MorphableModel",
+    "ObjectBoxes",
+    "PixelLabels",
+    "PointTracks",
+    "Poses",
+    "UpperBody",
+    "YuNetFaces",
+]
