@@ -200,7 +200,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         frame = belief.frame
         self._tracks.write(frame.number, found.tracks)
         self._masks.write(found.foreground, frame.number, frame.time)
-        self._overlay.write(frame, found.foreground, found.tracks)
+        self._overlay.add(frame, found.foreground, found.tracks)
         if self._scoring is not None:
             self._scoring.add(frame.number, found.foreground)
 

@@ -21,6 +21,7 @@ from ..experiments.trials.baselines import CleanUp, OpenCVSubtractor
 from ..io.files import write_image, write_json
 from ..io.sources.open_source import open_source
 from ..reports import page, plots, snapshots
+from ..reports.evenly_spaced import EvenlySpaced
 from ..runs.interruption import Interruption, Outcome
 from ..runs.output_folder import output_folder
 from ..runs.progress import Progress
@@ -103,21 +104,18 @@ class Moment:
 class Gallery:
     """Evenly spaced moments of a source of unknown length: at most ten, of which five are shown."""
 
-    moments: list[Moment] = field(default_factory=list)
-    stride: int = 1
-    count: int = 0
+    moments: EvenlySpaced[Moment] = field(default_factory=lambda: EvenlySpaced(MOST_PICTURES))
 
     def add(self, number: int, image: Image, systems: Sequence[tuple[Model, Found]]) -> None:
         """Keep a frame and what each system makes of it, if it is one of those to keep."""
-        if self.count % self.stride == 0:
+
+        def moment() -> Moment:
             made = [picture for model, found in systems for picture in (model.background(), found.foreground)]
-            self.moments.append(
-                Moment(number, tuple(snapshots.small(picture, PICTURE_WIDTH) for picture in (image, *made)))
+            return Moment(
+                number, tuple(snapshots.small(picture, PICTURE_WIDTH) for picture in (image, *made))
             )
-            if len(self.moments) > MOST_PICTURES:
-                del self.moments[1::2]
-                self.stride *= 2
-        self.count += 1
+
+        self.moments.add(moment)
 
     def chosen(self) -> list[Moment]:
         """Up to five of them, evenly spaced, with the last."""

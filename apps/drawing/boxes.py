@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from ..io.mot import TrackedObject
-from ..io.segmented_video import PLAYABLE, SegmentedVideo
-from ..io.worker import Worker
+from .overlay_video import OverlayVideo, caption
 
+AHEAD = 8  # frames that wait to be drawn while a run saves its state
 TRAIL_SECONDS = 2.0
 # BGR, added to the picture (`Any`: OpenCV's stubs know no scalars)
 MASK_TINT: Any = (-40.0, -40.0, 60.0, 0.0)
@@ -114,25 +114,18 @@ def _write_label(
     cv2.putText(picture, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, ink, thickness, cv2.LINE_AA)
 
 
-class OverlayWriter:
+class OverlayWriter(OverlayVideo):
     """`overlay.mp4`: the frames with masks, boxes, identities and the trails of the last two seconds.
 
-    Drawing and encoding happen in a thread. Parameters as of `SegmentedVideo`.
+    Parameters as of `OverlayVideo`.
     """
 
     def __init__(self, path: Path, rate: float, resume_after: int = 0) -> None:
-        self._video = SegmentedVideo(path, rate, PLAYABLE, resume_after)
+        super().__init__(path, rate, resume_after, AHEAD)
         self._trails: dict[int, deque[tuple[float, float, float]]] = {}
         self._last_image: NDArray[np.uint8] | None = None
-        self._worker = Worker("overlay")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.close(finished=kind is None)
-
-    def write(
+    def add(
         self, frame: Frame, foreground: NDArray[np.uint8] | None, tracks: Sequence[TrackedObject]
     ) -> None:
         """Append a frame with what was found in it; for a missing frame the one before is shown.
@@ -140,23 +133,12 @@ class OverlayWriter:
         The mask is copied; the frame's image and the tracks must not be changed afterwards.
         """
         mask = None if foreground is None else foreground.copy()
-        self._worker.submit(self._draw_and_write, frame, mask, list(tracks))
+        found = list(tracks)
+        self.write(frame, lambda: self._drawn(frame, mask, found))
 
-    def checkpoint(self) -> None:
-        """Return when everything is on disk and readable."""
-        self._worker.wait()
-        self._video.checkpoint()
-
-    def close(self, *, finished: bool) -> None:
-        """Complete the video; `finished` as in `SegmentedVideo.close`."""
-        try:
-            self._worker.stop()
-        finally:
-            self._video.close(finished=finished)
-
-    def _draw_and_write(
+    def _drawn(
         self, frame: Frame, foreground: NDArray[np.uint8] | None, tracks: list[TrackedObject]
-    ) -> None:
+    ) -> NDArray[np.uint8] | None:
         for track in tracks:
             x, y, w, h = track.box
             self._trails.setdefault(track.identity, deque()).append((frame.time, x + w / 2, y + h))
@@ -168,9 +150,7 @@ class OverlayWriter:
                 del self._trails[identity]
         image = self._last_image if frame.image is None else frame.image
         if image is None:
-            return  # nothing seen yet, not even the size
+            return None  # nothing seen yet, not even the size
         self._last_image = image
         trails = {identity: np.array(trail)[:, 1:] for identity, trail in self._trails.items()}
-        caption = f"frame {frame.number}" + (" (missing)" if frame.image is None else "")
-        picture = draw_overlay(image, foreground, tracks, trails, caption)
-        self._video.write(picture, frame.number, frame.time)
+        return draw_overlay(image, foreground, tracks, trails, caption(frame))

@@ -9,11 +9,16 @@ from typing import Any
 class Worker:
     """A thread that does jobs in order; what goes wrong there is raised at the next call here.
 
-    At most eight wait; then `submit` does.
+    Parameters
+    ----------
+    name
+        of the thread.
+    waiting
+        jobs that may wait, before `submit` does.
     """
 
-    def __init__(self, name: str) -> None:
-        self._jobs: queue.Queue[tuple[Callable[..., None], tuple[Any, ...]] | None] = queue.Queue(8)
+    def __init__(self, name: str, waiting: int = 8) -> None:
+        self._jobs: queue.Queue[tuple[Callable[..., None], tuple[Any, ...]] | None] = queue.Queue(waiting)
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()

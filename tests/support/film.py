@@ -47,6 +47,6 @@ def names(folder: Path) -> set[str]:
 def write_overlay(path: Path, first: int, last: int, every: int, resume_after: int = 0) -> None:
     with OverlayWriter(path, 10, resume_after) as writer:
         for number in range(first, last + 1):
-            writer.write(frame(number), mask(number), boxes(number))
+            writer.add(frame(number), mask(number), boxes(number))
             if number % every == 0:
                 writer.checkpoint()

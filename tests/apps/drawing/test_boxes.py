@@ -38,7 +38,7 @@ def test_identity_colours_are_stable_and_differ() -> None:
 
 def test_missing_frames_show_the_one_before(tmp_path: Path) -> None:
     with OverlayWriter(tmp_path / "overlay.mp4", 10) as writer:
-        writer.write(Frame(None, 0.0, 1), None, [])
-        writer.write(frame(2), mask(2), [])
-        writer.write(Frame(None, 0.2, 3), None, boxes(3))
+        writer.add(Frame(None, 0.0, 1), None, [])
+        writer.add(frame(2), mask(2), [])
+        writer.add(Frame(None, 0.2, 3), None, boxes(3))
     assert len(read_video(tmp_path / "overlay.mp4")[0]) == 2

@@ -66,7 +66,7 @@ def test_interrupted_run_leaves_a_readable_video_and_resumes(tmp_path: Path) -> 
     def interrupted() -> None:
         with OverlayWriter(path, 10) as writer:
             for number in range(1, 100):
-                writer.write(frame(number), mask(number), boxes(number))
+                writer.add(frame(number), mask(number), boxes(number))
                 if number % 10 == 0:
                     writer.checkpoint()
                 if number == 17:
@@ -103,7 +103,8 @@ def test_resuming_a_finished_run_leaves_it_alone(tmp_path: Path) -> None:
     path = tmp_path / "overlay.mp4"
     write_overlay(path, 1, 10, 5)
     before = path.read_bytes()
-    OverlayWriter(path, 10, resume_after=10).close(finished=True)
+    with OverlayWriter(path, 10, resume_after=10):
+        pass
     assert path.read_bytes() == before
 
 
@@ -121,7 +122,7 @@ def test_kill_loses_only_what_follows_the_last_checkpoint(tmp_path: Path) -> Non
         overlay, tracks = OverlayWriter(folder / "overlay.mp4", 10), TrackWriter(folder / "tracks.txt")
         masks, video = MaskWriter(folder, "png", 10), MaskWriter(folder, "video", 10)
         for number in range(1, 14):
-            overlay.write(frame(number), mask(number), boxes(number))
+            overlay.add(frame(number), mask(number), boxes(number))
             tracks.write(number, boxes(number))
             masks.write(mask(number), number, (number - 1) / 10)
             video.write(mask(number), number, (number - 1) / 10)
@@ -153,7 +154,7 @@ def test_kill_loses_only_what_follows_the_last_checkpoint(tmp_path: Path) -> Non
     ):
         assert len(list((tmp_path / "foreground").iterdir())) == 10
         for number in range(11, 21):
-            overlay.write(frame(number), mask(number), boxes(number))
+            overlay.add(frame(number), mask(number), boxes(number))
             tracks.write(number, boxes(number))
             masks.write(mask(number), number, (number - 1) / 10)
             video.write(mask(number), number, (number - 1) / 10)
