@@ -205,7 +205,9 @@ class PixelLabels:
 
 def _inside(box: Box, size: tuple[int, int]) -> tuple[Window, Window]:
     """Where in the picture the part of a box lies that is inside, and where in the box."""
-    spans = [(start, min(start + length, end)) for start, length, end in zip(box[:2], box[2:], size, strict=True)]
+    spans = [
+        (start, min(start + length, end)) for start, length, end in zip(box[:2], box[2:], size, strict=True)
+    ]
     rows, columns = (slice(max(start, 0), max(stop, 0)) for start, stop in spans)
     top, left = (slice(max(-start, 0), max(stop - start, max(-start, 0))) for start, stop in spans)
     return (rows, columns), (top, left)

@@ -11,7 +11,7 @@ pytest.importorskip("mypy")
 
 PAGE = Path(__file__).parents[3] / "docs" / "own-chain.md"
 
-CHAINS = '''
+CHAINS = """
 from typing import overload
 from rsmcm.inference import BatchIncoming, Belief, MultiChain, Smoothed, Solution
 from rsmcm.models import ObjectBoxes
@@ -71,7 +71,7 @@ def asked(belief: Belief, solution: Solution) -> None:
     reveal_type(solution[Batch()])  # Path
     reveal_type(solution[ObjectBoxes()])  # list[GaussianMessage]
     reveal_type(solution.evidence(ObjectBoxes()))  # list[GaussianMessage]
-'''
+"""
 
 
 def test_a_checker_knows_what_is_said_to_which_feature(tmp_path: Path) -> None:
