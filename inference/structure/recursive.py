@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.mahalanobis import squared_distances
 from ..factor_analysis.moments import homogeneous
 from . import camera_motion
 from .camera_motion import CameraMotion
@@ -201,7 +202,7 @@ def register(structure: Structure, seen: ObservedPoints) -> Registration:
         left = np.where(used, 1 - leverage / noise, 1.0)
         off = (positions - points @ motion.camera.T) / left[:, None]
         covariances = of_shape + isotropic(variances + of_both + leverage / left)
-        return _squares(off, covariances)
+        return squared_distances(off, covariances)
 
     off = ((positions - points @ before.camera.T) ** 2).sum(axis=1)
     inliers = distances(before, np.zeros(len(points), bool)) <= GATE
@@ -329,12 +330,6 @@ def isotropic(variances: Numbers) -> Numbers:
     return variances[:, None, None] * np.eye(2)
 
 
-def _squares(off: Numbers, covariances: Numbers) -> Numbers:
-    """Squared Mahalanobis distances of `(n, 2)`."""
-    squares: Numbers = (off * np.linalg.solve(covariances, off[:, :, None])[:, :, 0]).sum(axis=1)
-    return squares
-
-
 def _leverage(motion: CameraMotion, points: Numbers) -> Numbers:
     """px^2 by which the camera's uncertainty moves points `(n, 4)`, in u and in v."""
     moved: Numbers = ((points @ motion.camera_covariance) * points).sum(axis=1)
@@ -361,7 +356,7 @@ def _with_learned_noise(structure: Structure, found: Registration, elapsed: floa
     rate = LEARNING_RATE * count / (count + MANY)
     # A Newton step towards the scale at which half of the points are farther off than the median should be:
     # those that are far off for another reason count as little as can be.
-    far = _squares(off, total) > MEDIAN
+    far = squared_distances(off, total) > MEDIAN
     step = float((trust * (far - 0.5)).sum() / trust.sum()) / (0.25 * MEDIAN)
     scale = max(structure.noise_scale * float(np.exp(rate * step)), LEAST_SCALE)
 

@@ -179,16 +179,7 @@ class _Association:
         busy = membership.T @ self._seen
         order = np.argsort(self._counts, kind="stable")
         assign_tracks(
-            order,
-            tracks,
-            information,
-            vector,
-            prior,
-            prior @ mean,
-            self._log_new,
-            hard,
-            membership,
-            busy,
+            order, tracks, information, vector, prior, prior @ mean, self._log_new, hard, membership, busy
         )
         return membership
 

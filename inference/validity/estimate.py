@@ -9,28 +9,14 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...models.core.mahalanobis import squared_distances
 from .theory import (
-    Costs,
     PredictionErrors,
-    cost,
     log_determinant,
     product_of,
-    scalar_condition,
     symmetric,
     transposed,
 )
-
-__all__ = [
-    "Comparison",
-    "Costs",
-    "Interval",
-    "PredictionErrors",
-    "RecordedPredictions",
-    "StatedComparison",
-    "compare",
-    "cost",
-    "scalar_condition",
-]
 
 Numbers = NDArray[np.float64]
 Bounded = TypeVar("Bounded", float, Numbers)
@@ -355,9 +341,10 @@ def _measures_as_stated(
     squares, scores, costs = [], [], []
     for off, stated in cases:
         predicted = stated + noise
-        square = _square(off, predicted)
+        square = squared_distances(off, predicted)
         log_size = log_determinant(predicted)
-        of_feature = _square(off, stated) - np.trace(np.linalg.solve(stated, noise), axis1=1, axis2=2)
+        of_feature = squared_distances(off, stated)
+        of_feature -= np.trace(np.linalg.solve(stated, noise), axis1=1, axis2=2)
         squares.append(square / d)
         scores.append(-0.5 * (d * np.log(2 * np.pi) + log_size + square))
         costs.append(0.5 * (log_determinant(stated) - log_size + of_feature - square))
@@ -409,12 +396,6 @@ def _interval_of_matrices(samples: Numbers) -> Interval[Numbers]:
 def _rms(moment: Numbers) -> Numbers:
     mean: Numbers = np.trace(moment, axis1=-2, axis2=-1) / moment.shape[-1]
     return np.sqrt(mean)
-
-
-def _square(off: Numbers, covariance: Numbers) -> Numbers:
-    """Squared Mahalanobis distances of `(n, d)` under `(n, d, d)`."""
-    value: Numbers = (off * np.linalg.solve(covariance, off[:, :, None])[:, :, 0]).sum(axis=1)
-    return value
 
 
 def _check(name: str, array: Numbers, shape: tuple[int, ...]) -> None:
