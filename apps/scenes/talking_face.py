@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from ...models.face.built_in_model import face_model, face_plane, landmarks, unit_length
 from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses, exponential
+from ...models.face.pose import Poses
+from ...models.numerics.rotations import exponential
 from .face_paint import Pixels, paint_room, paint_skin, skin_texels
 from .random_fields import mottle, wander
 from .rendering_kernels import FARTHEST, average_samples, draw_mesh, see_vertices

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.gaussian_mixtures import GaussianMixtures
+from ..core.grey import grey_of
 
 BLUR = 1.2
 """px: of the picture in which edges are looked for."""
@@ -74,14 +75,13 @@ def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.f
         both `(height, width)` float32: px; rad from 0 to pi, the angle from x to y of the edge's normal (that
         of the gradient). Without any edge, the cap and 0.
     """
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    smooth = cv2.GaussianBlur(grey, (0, 0), BLUR)
+    smooth = cv2.GaussianBlur(grey_of(image), (0, 0), BLUR)
     right, down = (cv2.Sobel(smooth, cv2.CV_16S, *order, ksize=3) for order in ((1, 0), (0, 1)))
     some = np.hypot(right[::3, ::3].astype(np.float32), down[::3, ::3].astype(np.float32))
     steep = max(float(np.quantile(some, STEEPEST)), OVER_MEDIAN * float(np.median(some)), LEAST)
     edges = cv2.Canny(right, down, _off_ties(WEAK * steep), _off_ties(steep), L2gradient=True)
     if not edges.any():
-        return np.full(grey.shape, reach, np.float32), np.zeros(grey.shape, np.float32)
+        return np.full(edges.shape, reach, np.float32), np.zeros(edges.shape, np.float32)
     distances, nearest = cv2.distanceTransformWithLabels(
         cv2.bitwise_not(edges), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )

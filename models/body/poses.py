@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.pose import logarithm
+from ..numerics.rotations import logarithm
 
 Array = NDArray[np.float64]
 

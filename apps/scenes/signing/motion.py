@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ....models.body.inverse_kinematics import arm_at
 from ....models.body.poses import BodyPoses
 from ....models.body.upper_body import UpperBody
-from ....models.face.pose import exponential
+from ....models.numerics.rotations import exponential
 from ..random_fields import wander
 
 Array = NDArray[np.float64]
