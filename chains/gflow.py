@@ -17,6 +17,7 @@ from ..inference.face.texture_filter import Texture
 from ..inference.face.texture_likelihood import TexturedObject
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
+from ..models.core.pickling import PickledByFields
 from ..models.face.morphable_model import MorphableModel
 from ..models.face.outline import MeshEdges
 from ..models.face.pose import Poses
@@ -37,7 +38,7 @@ COVERING_TEXELS = 1500
 
 
 @dataclass(frozen=True)
-class GFlow:
+class GFlow(PickledByFields):
     """Joint filter of pose, deformation and texture (G-flow paper, Table 2).
 
     Each expert looks ahead: Gauss-Newton finds the peak of its belief on coarse to fine levels. On
