@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.face.pose import cross_matrices, exponential
+from ...models.numerics.rotations import cross_matrices, exponential
 
 Numbers = NDArray[np.float64]
 

@@ -269,7 +269,7 @@ class _Association:
         membership = self._membership
         sure = membership > SURE
         columns = np.arange(membership.shape[1])
-        # of points that look alike tracks are never sure: the one that says most stays with its point
+        # of points that are alike tracks are never sure: the one that says most stays with its point
         anchors = (membership * self._counts[:, None]).argmax(axis=0)
         own = membership[anchors].argmax(axis=1) == columns
         sure[anchors[own], columns[own]] = True

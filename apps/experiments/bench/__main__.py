@@ -32,7 +32,7 @@ from ...reports.expectations import HEADER, Expectation, in_columns
 from ...runs.progress import Progress
 from ...scenes import cylinder, sleeping_man
 from ...structure.reconstruction import engine_for
-from .body_samples import bootstrap_times, resampling_times
+from .body_samples import bootstrap_times
 from .body_tracker import body_claims
 from .face import face_claims
 from .points import point_claims
@@ -67,7 +67,7 @@ def main() -> None:
     set_threads(1)
     expectations += [*point_claims(), *structure_expectations(), feedback_in_rounds(), *face_claims()]
     of_bodies, stages_of_bodies = body_claims()
-    expectations += [*of_bodies, *resampling_times(), *bootstrap_times()]
+    expectations += [*of_bodies, *bootstrap_times()]
     print(in_columns(HEADER, [expectation.cells for expectation in expectations]))
     print("\nwhere the time of a frame goes, one thread\n")
     print(in_columns(STAGE, stages(frames)))
