@@ -6,8 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...models.core.point_arrays import check_points
 from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses, nearest_rotation
+from ...models.face.pose import Poses
+from ...models.numerics.rotations import nearest_rotation
 from .nonrigid_em import Numbers, State, Tracks, Weights, climb, moments, weights
 from .nonrigid_start import start
 
@@ -15,9 +17,6 @@ LEAST_FRAMES = 3
 """That a point is seen in, and that there are; two views leave depth open."""
 LEAST_POINTS = 4
 """Of a frame, for its pose to be known."""
-
-FARTHEST = 1e7
-"""px: coordinates beyond are taken for damage; their squares would drown everything else."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,16 +134,8 @@ def _check(positions: Numbers, bases: int) -> NDArray[np.bool_]:
     """Refuse what cannot be learned from; `(n_frames,)` which frames can be."""
     if positions.ndim != 3 or positions.shape[2] != 2:
         raise ValueError(f"tracks: got {positions.shape}, expected (n_frames, n_points, 2) px")
-    missing = np.isnan(positions)
-    for wrong, what in (
-        (~missing & ~(np.abs(positions) <= FARTHEST), f"finite px up to {FARTHEST:g}, NaN where missing"),
-        (missing[..., :1] != missing, "both coordinates or none"),
-    ):
-        if wrong.any():
-            frame, point = np.argwhere(wrong.any(axis=2))[0]
-            place = f"frame {frame}, point {point}"
-            raise ValueError(f"tracks: got {positions[frame, point].tolist()} at {place}, expected {what}")
-    seen = ~missing[..., 0]
+    check_points("tracks", positions)
+    seen = ~np.isnan(positions[..., 0])
     determined: NDArray[np.bool_] = seen.sum(axis=1) >= LEAST_POINTS
     n_frames, n_points = int(determined.sum()), positions.shape[1]
     if n_frames < LEAST_FRAMES:

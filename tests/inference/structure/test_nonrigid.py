@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rsmcm.inference.structure import nonrigid_em as em
 from rsmcm.inference.structure import nonrigid_start
 from rsmcm.inference.structure.nonrigid import NonrigidShape, learn_shape, triangles_in_front
-from rsmcm.models.face.pose import exponential
+from rsmcm.models.numerics.rotations import exponential
 from scipy.stats import multivariate_normal
 
 Numbers = NDArray[np.float64]
@@ -315,9 +315,13 @@ def with_value(value: float, place: tuple[int, ...] = (4, 2)) -> Numbers:
         (np.full((9, 8, 2), np.nan), 2, "got 0 frames that show 4 points or more, expected 3"),
         (deforming(n_frames=2)[0], 2, "got 2 frames that show 4 points or more, expected 3"),
         (with_value(np.nan, (slice(None), 5)), 2, "got point 5 in 0 frames, expected 3 at least"),  # type: ignore[arg-type]
-        (with_value(np.inf), 2, "at frame 4, point 2, expected finite px"),
-        (with_value(1e9), 2, "at frame 4, point 2, expected finite px"),
-        (with_value(np.nan, (4, 2, 0)), 2, "at frame 4, point 2, expected both coordinates or none"),
+        (with_value(np.inf), 2, "at point 2 of frame 4 .both from 0., expected finite px"),
+        (with_value(1e9), 2, "at point 2 of frame 4 .both from 0., expected finite px"),
+        (
+            with_value(np.nan, (4, 2, 0)),
+            2,
+            "at point 2 of frame 4 .both from 0., expected both coordinates or none",
+        ),
         (deforming(n_frames=10)[0], 1, "bases: got 1, expected 2 to 6 for 10 frames, 20 points"),
         (deforming(n_frames=10)[0], 7, "bases: got 7, expected 2 to 6"),
         (deforming(n_frames=10)[0][:, :6], 2, "got 6 points, expected 7 at least"),
