@@ -10,7 +10,7 @@ from ...models.core.point_arrays import check_points
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.numerics.rotations import nearest_rotation
-from .nonrigid_em import Numbers, State, Tracks, Weights, climb, moments, weights
+from .nonrigid_em import Numbers, State, Tracks, WeightPosterior, e_step, point_sums, run_em
 from .nonrigid_start import start
 
 LEAST_FRAMES = 3
@@ -126,7 +126,7 @@ def learn_shape(
     centred /= unit
     observed = Tracks.of(centred)
     beginning = start(observed, centred, bases, on_iteration)
-    state, history = climb(observed, beginning, iterations, tolerance, on_iteration)
+    state, history = run_em(observed, beginning, iterations, tolerance, on_iteration)
     return _in_pixels(observed, state, history, unit, middles, determined)
 
 
@@ -165,7 +165,7 @@ def _in_pixels(
     determined: NDArray[np.bool_],
 ) -> NonrigidShape:
     """The result in px and in the axes and order that `NonrigidShape` promises."""
-    found = weights(state, moments(tracks, state.bases))
+    found = e_step(state, point_sums(tracks, state.bases))
     turn = nearest_rotation(state.rotations.mean(axis=0))
     bases, rotations = state.bases @ turn.T, state.rotations @ turn.T
     centroids = bases.mean(axis=1)
@@ -199,7 +199,7 @@ def _in_pixels(
     )
 
 
-def _squared_error(tracks: Tracks, state: State, found: Weights) -> float:
+def _squared_error(tracks: Tracks, state: State, found: WeightPosterior) -> float:
     """What the mean shapes leave of the positions."""
     shapes = np.tensordot(found.extended, state.bases, 1)
     predicted = shapes @ state.seen_axes.transpose(0, 2, 1) + state.translations[:, None]

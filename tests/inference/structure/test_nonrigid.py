@@ -84,7 +84,7 @@ def some_state(missing: float = 0.3) -> tuple[em.Tracks, em.State]:
 
 def test_weights_and_likelihood_are_those_of_the_joint_gaussian() -> None:
     tracks, state = some_state()
-    found = em.weights(state, em.moments(tracks, state.bases))
+    found = em.e_step(state, em.point_sums(tracks, state.bases))
     for frame, axes in enumerate(state.seen_axes):
         seen = tracks.seen[frame] > 0
         matrix = np.stack([(basis[seen] @ axes.T).ravel() for basis in state.bases], axis=1)
@@ -113,14 +113,14 @@ def moved(state: em.State, changes: Numbers) -> em.State:
 
 def test_poses_climb_to_where_the_likelihood_without_weights_is_flat() -> None:
     tracks, state = some_state()
-    sums = em.moments(tracks, state.bases)
-    found = em.weights(state, sums)
+    sums = em.point_sums(tracks, state.bases)
+    found = em.e_step(state, sums)
 
     def slopes(at: em.State) -> Numbers:
         """`(6, n_frames)` by central differences; their rounding error is about 1e-6."""
         step = 1e-5
         ends = (
-            [em.weights(moved(at, sign * step * axis), sums).log_likelihood for sign in (1, -1)]
+            [em.e_step(moved(at, sign * step * axis), sums).log_likelihood for sign in (1, -1)]
             for axis in np.eye(6)
         )
         return np.array([(up - down) / (2 * step) for up, down in ends])
@@ -132,14 +132,14 @@ def test_poses_climb_to_where_the_likelihood_without_weights_is_flat() -> None:
         assert (found.log_likelihood >= likelihood).all()
     assert before > 10
     assert np.abs(slopes(state)).max() < 1e-3
-    again = em.weights(state, sums)
+    again = em.e_step(state, sums)
     np.testing.assert_allclose(found.mean, again.mean, atol=1e-12)
     np.testing.assert_allclose(found.products, again.products, atol=1e-12)
 
 
 def test_bases_are_where_the_expected_squares_with_the_prior_are_least() -> None:
     tracks, state = some_state()
-    found = em.weights(state, em.moments(tracks, state.bases))
+    found = em.e_step(state, em.point_sums(tracks, state.bases))
     # without the change back to N(0, I)
     found = replace(found, mean=found.mean - found.mean.mean(axis=0))
     second = found.mean.T @ found.mean / 8 + found.covariance.mean(axis=0)
