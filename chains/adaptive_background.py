@@ -19,6 +19,7 @@ from ..models.background.kernels.gaussian import light_ratios, second_look
 from ..models.background.kernels.layers import update_behind
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
+from ..models.core.short_repr import short_repr
 from ..models.numerics import array_pool
 
 Planes = NDArray[np.float32]
@@ -36,6 +37,7 @@ FASTEST_LIGHT = 0.05
 """Log of the most that light changes from look to look; a lamp that is switched takes a few."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BackgroundState:
     """What is known of the empty scene.
@@ -85,6 +87,7 @@ class BackgroundState:
         return colour.to_image(self.mean * light.reshape(-1), (height, width))
 
 
+@short_repr
 @dataclass(frozen=True)
 class AdaptiveBackground:
     """Per-pixel adaptive background.

@@ -21,6 +21,7 @@ from ..models.background.layers import Layer, LayerStack, log_density_ratio
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.short_repr import short_repr
 from ..models.objects.kernels.blobs import (
     UNKNOWN_COLOUR,
     count_foreground,
@@ -88,6 +89,7 @@ class Track:
     velocity: tuple[float, float]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Blob:
     """State of one object.
@@ -176,6 +178,7 @@ class Blob:
         return blob
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BlobState:
     """All objects of a scene.
@@ -211,6 +214,7 @@ class BlobState:
         ]
 
 
+@short_repr
 @dataclass(frozen=True)
 class BlobTracker:
     """Tracker of any number of blobs.

@@ -19,6 +19,7 @@ from ..models.body.parts import BodyParts, PartMessage
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
 from ..models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
+from ..models.core.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -39,6 +40,7 @@ LEAST = 1e-6
 """Smallest probability that a part is where it should be, or that it is not."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class FleshTracks:
     """Head, left hand and right hand: where they are and how they move, each on its own.
@@ -91,6 +93,7 @@ class FleshTracks:
         return self.unseen > self.patience
 
 
+@short_repr
 @dataclass(frozen=True)
 class FleshTracker:
     """Low-level chain over head and hands.

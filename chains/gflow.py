@@ -25,6 +25,7 @@ from ..inference.face.texture_likelihood import TexturedObject, TextureLikelihoo
 from ..inference.filters.resampling import log_sum, normalised
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
+from ..models.core.short_repr import short_repr
 from ..models.face.image_pyramid import Level, picture_levels
 from ..models.face.morphable_model import MorphableModel
 from ..models.face.outline import MeshEdges
@@ -50,6 +51,7 @@ PATIENCE = 3
 """Looks in a row without that share after which the object is lost."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class GFlowState:
     """Experts: each a history of poses, of which the last is kept, and the texture that follows from it.
@@ -122,6 +124,7 @@ class GFlowState:
         return self.doubts >= PATIENCE
 
 
+@short_repr
 @dataclass(frozen=True)
 class GFlow:
     """Joint filter of pose, deformation and texture (G-flow paper, Table 2).

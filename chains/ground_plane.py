@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..inference.core.protocols import Incoming, Port
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.short_repr import short_repr
 from ..models.objects.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH, ObjectBoxes
 
 Numbers = NDArray[np.float64]
@@ -28,6 +29,7 @@ HALF_HIDDEN = 0.5
 """Heights: standard deviation of what a look is off by that does not show an object from head to foot."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class GroundState:
     """Perspective of the scene and the objects in it.
@@ -110,6 +112,7 @@ class GroundState:
         return float(self.middle - self.scene[0] / growth)
 
 
+@short_repr
 @dataclass(frozen=True)
 class GroundPlane:
     """Scene-level chain over the boxes of objects.

@@ -32,6 +32,7 @@ from ..inference.points.trajectory import Gathered, Looks, PointTrajectory, smoo
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.mahalanobis import squared_distances
+from ..models.core.short_repr import short_repr
 from ..models.points.patches import Patches
 from ..models.points.point_tracks import PointMessage, PointTracks
 
@@ -58,6 +59,7 @@ FAR = 3.0
 """Standard deviations from where others say that a point is, within which it may begin."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class PointTracker:
     """Low-level chain over points: each one moves on at its velocity, but for random pushes.

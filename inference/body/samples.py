@@ -13,6 +13,7 @@ from ...models.body.parts import PartMessage
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import PARTS, UpperBody
 from ...models.core.gaussian_mixtures import GaussianMixtures
+from ...models.core.short_repr import short_repr
 from ..filters.resampling import normalised, systematic
 from .dynamics import BodyDynamics
 
@@ -35,6 +36,7 @@ LEAST_SPREAD = 1.0
 """px: standard deviation that is added to a part's, since samples may coincide."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BodySamples:
     """Weighted poses.

@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
 from ...models.face.outline import Box
 from ...models.numerics.threads import over_bands
 from .background_contrast import N_GREYS, Backdrop, grey_of
@@ -30,6 +31,7 @@ LEAST_RATIO = -9.0
 """Nats: no pixel speaks louder against the background, whatever has come before it."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class ExpertBackground:
     """What each expert believes of the background, a Gaussian a pixel.

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.mahalanobis import squared_distances
+from ...models.core.short_repr import short_repr
 from ...models.points.patches import Patches, likeness, lit_as
 from ...models.points.point_tracks import PointMessage, View
 from ..filters import kalman
@@ -54,6 +55,7 @@ SAME, CHANGED = 0.7, 0.95
 there is nothing to learn."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class TrackerState:
     """Points, and the picture that they were found in last.

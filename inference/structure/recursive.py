@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
 from . import camera_motion
 from .camera_motion import CameraMotion
 
@@ -72,6 +73,7 @@ class Seen:
         return len(self.identities)
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Looks:
     """What the last frames said of the camera.
@@ -89,6 +91,7 @@ class Looks:
     times: Numbers
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Structure:
     """Shape and camera; they are determined up to an affine change of both.

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.frame import Frame
+from ..core.short_repr import short_repr
 from ..numerics import array_pool
 from .gaussian import BackgroundFactor, Subtraction
 from .kernels.gaussian import ODDS_STEPS
@@ -20,7 +21,12 @@ from .layers import NO_LAYERS, LayerStack, Region
 
 Map = NDArray[np.float32]
 
+TINT = 0.6
+TINT_COLOUR = (60, 60, 255)
+"""What is drawn over the foreground: its share, and BGR."""
 
+
+@short_repr
 @dataclass(frozen=True, eq=False)
 class PixelMessage:
     """A product of factors over all pixels: a background prediction, layers of objects, an image.
@@ -126,6 +132,7 @@ class PixelMessage:
         return np.full((height, width), round(odds * ODDS_STEPS), np.int8)
 
 
+@short_repr
 @dataclass(frozen=True)
 class PixelLabels:
     """Feature node of per-pixel labels and colours, shared by background, blobs, and whatever covers pixels.
@@ -145,3 +152,8 @@ class PixelLabels:
     def evidence(self, frame: Frame, prior: PixelMessage) -> PixelMessage:
         """The image: L is what was seen."""
         return PixelMessage(image=frame.image)
+
+    def draw(self, picture: NDArray[np.uint8], belief: PixelMessage) -> None:
+        """Tint a BGR picture by P(B=0)."""
+        share = TINT * (1 - belief.background_probability()[..., None])
+        picture[...] = np.rint(picture + share * (np.array(TINT_COLOUR) - picture))

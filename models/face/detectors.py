@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.frame import Frame
+from ..core.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -45,6 +46,7 @@ class PartDetector(Protocol):
         ...
 
 
+@short_repr
 @dataclass(frozen=True)
 class HaarFaces:
     """OpenCV's cascades of Haar features, which its versions 4 bring along.
@@ -96,6 +98,7 @@ class HaarFaces:
         return found
 
 
+@short_repr
 @dataclass(frozen=True)
 class YuNetFaces:
     """OpenCV's network YuNet, from a model file.
