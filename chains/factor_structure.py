@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..inference.core.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ..inference.factor_analysis.factorisation import Factorisation, factorise, predicted
-from ..inference.structure.track_association import link_tracks
+from ..inference.structure.track_association import associate_tracks
 from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.short_repr import short_repr
 from ..models.points.point_tracks import PointMessage, PointTracks
@@ -55,17 +55,22 @@ class StructureTrajectory:
 class FactorStructure:
     """Batch chain of shape and motion over `PointTracks`.
 
-    Observations are explained by F = M_t (S_i, 1) + noise, eq. (18), with per-observation variances in
-    proportion to those of what comes in, and a factor common to all of them that is learned. Its messages
-    carry the uncertainty of shape and cameras, and say by `same_as` which tracks it takes for one point.
+    The model, with cameras M_t, points S_i and features F_ti of RSMCM eq. (18) to (20):
+
+        p(S_i) = N(0, I),  p(M_t | M_t-1) by eq. (19) or p(M_t) = N(0, diag), its variances learned,
+        p(F_ti | M_t, S_i) = N(M_t (S_i, 1), s r_ti I),
+
+    r_ti the variance of what comes in and s a factor common to all that is learned. The message to a point is
+    N(M_t (S_i, 1), P_ti) with P_ti the covariance that shape and cameras leave and the features' own scatter;
+    it says by `same_as` which tracks it takes for one point.
 
     Parameters
     ----------
     coherence
         whether cameras move smoothly, eq. (19), or each frame is on its own.
     associate
-        whether partial tracks may show the same point; see `link_tracks`. If not, every track is a point of
-        its own.
+        whether partial tracks may show the same point; see `associate_tracks`. If not, every track is a point
+        of its own.
     """
 
     coherence: bool = True
@@ -86,8 +91,8 @@ class FactorStructure:
         """
         identities, positions, weights = _observations(incoming_over_time)
         if self.associate:
-            linked = link_tracks(positions, weights, coherence=self.coherence)
-            fit, point = linked.factorisation, linked.point_of_track
+            found = associate_tracks(positions, weights, coherence=self.coherence)
+            fit, point = found.factorisation, found.point_of_track
         else:
             fit = factorise(positions, weights, coherence=self.coherence)
             point = np.arange(len(identities))

@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
 from . import colour
-from .kernels.layers import compose_layer, shift_of
+from .kernels.layers import Sprite, compose_layer, shift_of
 
 Map = NDArray[np.float32]
 Box = tuple[int, int, int, int]
+
+HIGHEST = 1 + 1e-6
+"""Of a mask's values: a probability with the rounding of float32."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +48,20 @@ class Layer:
     outliers: float = 0.1
     strength: float = 10.0
     ghost: bool = False
+
+    def __post_init__(self) -> None:
+        mask, appearance = self.mask, self.appearance
+        if mask.ndim != 2 or (appearance is not None and appearance.shape[1:] != mask.shape):
+            shapes = mask.shape if appearance is None else f"{mask.shape} and {appearance.shape}"
+            raise ValueError(
+                f"layer: got shapes {shapes}, expected a mask of (height, width) and an appearance of "
+                "(channels, height, width)"
+            )
+        lowest, highest = mask.min(initial=0.0), mask.max(initial=0.0)
+        if not (lowest >= 0 and highest <= HIGHEST):  # also where it is NaN
+            raise ValueError(
+                f"layer: got a mask from {lowest} to {highest}, expected probabilities from 0 to 1"
+            )
 
     @property
     def box(self) -> Box:
@@ -175,10 +192,10 @@ def add_layer(region: Region, layer: Layer, patch: Map | None) -> None:
     if patch is None or appearance is None:  # any colour: densities integrate to 1
         appearance, log_ratio = np.zeros((0, *layer.mask.shape), np.float32), 0.0
         patch = np.zeros((0, *region.clear.shape), np.float32)
+    numbers = (np.float32(value) for value in (0.5 / layer.spread, log_ratio, layer.outliers))
     compose_layer(
-        region.clear, region.explained, patch, layer.top - region.top, layer.left - region.left, layer.mask,
-        appearance, np.float32(0.5 / layer.spread), np.float32(log_ratio),
-        np.float32(layer.outliers), np.float32(layer.strength), layer.ghost,
+        region.clear, region.explained, patch, layer.top - region.top, layer.left - region.left,
+        Sprite(layer.mask, appearance, *numbers), np.float32(layer.strength), layer.ghost,
     )  # fmt: skip
 
 

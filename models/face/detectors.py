@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.frame import Frame
-from ..core.short_repr import short_repr
+from ..core.grey import grey_of
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,6 @@ class PartDetector(Protocol):
         ...
 
 
-@short_repr
 @dataclass(frozen=True)
 class HaarFaces:
     """OpenCV's cascades of Haar features, which its versions 4 bring along.
@@ -83,9 +82,7 @@ class HaarFaces:
         """Boxes `(k, 4)` px, the largest first."""
         if frame.image is None:
             return np.zeros((0, 4))
-        grey: Any = frame.image
-        if grey.ndim == 3:
-            grey = cv2.cvtColor(grey, cv2.COLOR_BGR2GRAY)
+        grey = grey_of(frame.image)
         if self.height is None:
             least = max(24, min(grey.shape) // 8)
             return _largest_first(self._frontal.detectMultiScale(grey, 1.1, 5, minSize=(least, least)))
@@ -98,7 +95,6 @@ class HaarFaces:
         return found
 
 
-@short_repr
 @dataclass(frozen=True)
 class YuNetFaces:
     """OpenCV's network YuNet, from a model file.
@@ -176,8 +172,10 @@ def _is_survived(path: str, _changed: int) -> bool:
     return done.returncode == 0
 
 
-def default_faces(path: Path | None = None) -> PartDetector:
+def default_faces(path: Path | None = None, otherwise: str = "a model file of YuNet") -> PartDetector:
     """YuNet if its model file is given, OpenCV's cascades otherwise.
+
+    Where this OpenCV has none, the error says that something `otherwise` is expected.
 
     Raises
     ------
@@ -191,7 +189,7 @@ def default_faces(path: Path | None = None) -> PartDetector:
     try:
         return HaarFaces()
     except ValueError as error:
-        raise ValueError(f"{error}, expected a model file of YuNet") from None
+        raise ValueError(f"{error}, expected {otherwise}") from None
 
 
 def _cascade(name: str) -> Any:

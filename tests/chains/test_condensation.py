@@ -1,6 +1,7 @@
 """CONDENSATION against a Kalman filter, where all is linear and Gaussian, and its contract as a chain."""
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -38,10 +39,15 @@ class Seen:
 
 
 class RootLikelihood:
-    def __call__(self, image: BodyImage, poses: BodyPoses) -> Array:
+    def __call__(self, image: BodyImage) -> Callable[[BodyPoses], Array]:
         assert isinstance(image, Seen)
-        squares: Array = ((poses.roots - image.place) ** 2).sum(axis=1)
-        return -0.5 * squares / NOISE**2 - np.log(2 * np.pi * NOISE**2)
+        place = image.place
+
+        def of(poses: BodyPoses) -> Array:
+            squares: Array = ((poses.roots - place) ** 2).sum(axis=1)
+            return -0.5 * squares / NOISE**2 - np.log(2 * np.pi * NOISE**2)
+
+        return of
 
 
 def told(place: Array | None) -> Incoming:
@@ -102,6 +108,16 @@ def test_a_missing_image_changes_no_weight() -> None:
     assert after.stationary
     assert after.log_evidence == 0
     assert not condensation.update(after, told(START.roots[0])).stationary
+
+
+def test_predicting_in_steps_is_predicting_at_once() -> None:
+    condensation = chain()
+    state = condensation.initial(FIRST)
+    whole, steps = condensation.predict(state, 0.4), state
+    for _ in range(10):
+        steps = condensation.predict(steps, DT)
+    np.testing.assert_allclose(steps.poses.angles, whole.poses.angles, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(steps.weights, whole.weights, rtol=1e-9)
 
 
 def test_states_are_values_and_seeds_decide() -> None:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from rsmcm.chains import PointTracker
 from rsmcm.inference import (
     BatchIncoming,
-    Cavity,
     CoordinateAscent,
     Incoming,
     MultiChain,
@@ -22,6 +21,7 @@ from rsmcm.inference.points.trajectory import PointTrajectory
 from rsmcm.models import Frame, PointTracks
 from rsmcm.models.core.frame import GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage
+from rsmcm.models.core.mahalanobis import squared_distances
 from rsmcm.models.points.point_tracks import PointMessage, noise_of_tracks
 
 from ..support.pictures import HEIGHT, WIDTH, Pose, film, hidden_by_a_bar, sliding, turning
@@ -59,11 +59,6 @@ def tracked(
     model = MultiChain().connect(tracker or PointTracker(), points)
     trajectory: PointTrajectory = CoordinateAscent(model).run(frames)["tracker"]
     return trajectory
-
-
-def squared_distances(off: Numbers, covariance: Numbers) -> Numbers:
-    distances: Numbers = (off * np.linalg.solve(covariance, off[..., None])[..., 0]).sum(axis=-1)
-    return distances
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
@@ -181,9 +176,9 @@ class PlaneKnown:
 
     poses: tuple[Pose, ...]
     deviation: float = 0.7
-    name: str = "plane"
+    name: str = "world"  # after the tracker, which has to find points first
 
-    ports = (Port(PointTracks, Cavity.OTHERS),)
+    ports = (Port(PointTracks),)
 
     def _pose(self, time: float) -> Pose:
         return self.poses[round(time / DT)]

@@ -14,10 +14,11 @@ from ....chains.articulated_pose import ArticulatedPose
 from ....chains.flesh_tracker import FleshTracker
 from ....inference import MultiChain, RecursiveBP, RunState
 from ....inference.body.dynamics import BodyDynamics
-from ....models.body.image_features import edge_distances
+from ....models.body.image_features import BodyImage, edge_distances
 from ....models.body.likelihood import BodyLikelihood
 from ....models.body.parts import EDGE_REACH, HAND_RADIUS, BodyParts
-from ....models.body.skin_blobs import flesh_blobs
+from ....models.body.poses import BodyPoses
+from ....models.body.skin_blobs import skin_blobs
 from ....models.body.upper_body import UpperBody
 from ....models.core.frame import Frame
 from ....models.face.detectors import HaarFaces
@@ -83,17 +84,21 @@ class BodyFilm:
 
 
 def seconds_a_frame(film: BodyFilm, samples: int) -> tuple[Numbers, dict[str, Numbers]]:
-    """Of every frame after the first few, `(n,)`: the whole, and what some stages take of it.
+    """Of every frame after the first few, `(n,)`: the whole, and what some stages take of it by themselves.
 
     Blobs and edges are parts of the feature node's work that are done once more, to be timed.
     """
     spent, steps = _Spent(), ("predict", "message", "update")
     detector: Any = _Timed(film.parts.detector, spent, {"__call__": "detector"})
-    colour: Any = _Timed(film.parts.flesh, spent, {"log_odds": "colour"})
+    colour: Any = _Timed(film.parts.skin, spent, {"log_odds": "colour"})
     dynamics: Any = _Timed(BodyDynamics(film.body), spent, {"log_density": "prior"})
-    likelihood: Any = _Timed(BodyLikelihood(film.body), spent, {"__call__": "likelihood"})
-    parts = _Timed(replace(film.parts, detector=detector, flesh=colour), spent, {"evidence": "features"})
-    pose = ArticulatedPose(film.body, samples, dynamics=dynamics, likelihood=likelihood)
+    likelihood = BodyLikelihood(film.body)
+
+    def timed_likelihood(image: BodyImage) -> Callable[[BodyPoses], Numbers]:
+        return partial(spent.timed, "likelihood", spent.timed("likelihood", likelihood, image))
+
+    parts = _Timed(replace(film.parts, detector=detector, skin=colour), spent, {"evidence": "features"})
+    pose = ArticulatedPose(film.body, samples, dynamics=dynamics, likelihood=timed_likelihood)
     poses = _Timed(pose, spent, dict.fromkeys(steps, "poses"))
     flesh = _Timed(FleshTracker(film.body), spent, dict.fromkeys(steps, "flesh"))
     engine = RecursiveBP(MultiChain().connect(flesh, parts).connect(poses, parts))
@@ -103,7 +108,7 @@ def seconds_a_frame(film: BodyFilm, samples: int) -> tuple[Numbers, dict[str, Nu
             belief = engine.step(state, frame)
         state, seen = belief.state, belief[film.parts].image
         assert seen is not None
-        spent.timed("blobs", flesh_blobs, seen.flesh, HAND_RADIUS * unit)
+        spent.timed("blobs", skin_blobs, seen.skin, HAND_RADIUS * unit)
         spent.timed("edges", edge_distances, frame.image, EDGE_REACH * unit)
     return spent.whole[WARM_UP:], {name: spent.stage(name)[WARM_UP:] for name in spent.names}
 
@@ -119,7 +124,8 @@ def rate_claim(film: BodyFilm, seconds: Numbers) -> Expectation:
 
 def growth_claim(film: BodyFilm) -> Expectation:
     """Power of time in samples, of the chain that has any."""
-    times = [float(np.median(seconds_a_frame(film, count)[1]["poses"])) for count in MORE_SAMPLES]
+    within = [seconds_a_frame(film, count)[1] for count in MORE_SAMPLES]
+    times = [float(np.median(each["poses"] + each["prior"] + each["likelihood"])) for each in within]
     power = float(np.polyfit(np.log(MORE_SAMPLES), np.log(times), 1)[0])
     what = f"body tracker: power of the poses' time in samples, {MORE_SAMPLES[0]} to {MORE_SAMPLES[-1]}"
     return Expectation(what, power, "<=", 1.1)
@@ -128,21 +134,19 @@ def growth_claim(film: BodyFilm) -> Expectation:
 def stages_of(whole: Numbers, within: dict[str, Numbers]) -> Stages:
     """Where the time of a frame goes: means of what `seconds_a_frame` gives."""
     mean = {name: float(values.mean()) for name, values in within.items()}
-    known = sum(mean[name] for name in ("detector", "colour", "blobs", "edges"))
     total = float(whole.mean())
     stages = {
         "features: face detector": mean["detector"],
-        "features: map of flesh": mean["colour"],
+        "features: map of skin": mean["colour"],
         "features: blobs": mean["blobs"],
         "features: edges": mean["edges"],
-        "features: the rest": mean["features"] - known,
+        "features: the rest": mean["features"] - mean["blobs"] - mean["edges"],
         "flesh tracker": mean["flesh"],
-        "poses: drawing, and density of the draws": mean["poses"] - mean["prior"] - mean["likelihood"],
+        "poses: drawing, and density of the draws": mean["poses"],
         "poses: temporal prior": mean["prior"],
         "poses: likelihood": mean["likelihood"],
-        "engine and the rest": total - mean["features"] - mean["flesh"] - mean["poses"],
-        "total": total,
     }
+    stages |= {"engine and the rest": total - sum(stages.values()), "total": total}
     return [(name, 1e3 * value, 100 * value / total) for name, value in stages.items()]
 
 

@@ -25,7 +25,7 @@ from ...body.measures import (
 )
 from ...body.overlay import BodyOverlay
 from ...drawing.mosaic import mosaic
-from ...io.results import write_image
+from ...io.files import write_image
 from ...reports import page
 from ...reports.expectations import Expectation, in_columns
 from ...reports.experiment import Plot, Table, publish
@@ -76,13 +76,13 @@ BEHAVIOUR = (
 )  # fmt: skip
 FAIR = (
     "All trackers see the same pictures through the same features and the same likelihood, know the true "
-    "lengths of the body, assume the same dynamics, and are told the true pose of the first frame, which "
+    "lengths of the body, assume the same dynamics, and are given the true pose of the first frame, which "
     "CONDENSATION cannot find by itself. The first frame does not count."
 )
 NOTE = (
     "Time of a whole frame, features included: the median, in one thread beside another scene, all trackers "
     f"in turns. A mis-track: a hand's error above {OFF:g} head heights in {LEAST_OFF} frames in a row. "
-    f"Recovered: below {FOUND:g} within {SOON} frames from the first in which that hand looks like flesh."
+    f"Recovered: below {FOUND:g} within {SOON} frames from the first in which that hand looks like skin."
 )
 
 Found = dict[str, list[BodyTrial]]

@@ -17,8 +17,9 @@ from ...reports.expectations import Expectation
 from ...reports.experiment import Plot, Table, publish
 from ...runs.parallel import in_processes
 from ...scenes import Cylinder, cylinder
+from ...structure.job import Coherence
 from ...structure.metrics import REJECTED, StructureScores, score_structure
-from ...structure.reconstruction import Coherence, reconstruct
+from ...structure.reconstruction import reconstruct
 
 Numbers = NDArray[np.float64]
 
@@ -121,7 +122,7 @@ def _dual_chain(tracks: Numbers, coherence: Coherence) -> Recovered:
 
 
 def _oracle(truth: Cylinder) -> Recovered:
-    """Factor analysis that is told which tracks belong together."""
+    """Factor analysis that is given which tracks belong together."""
     found = factorise(PX * truth.observed, coherence=True)
     return Recovered(predicted(found)[0] / PX, found.shape, truth.point_of_track)
 

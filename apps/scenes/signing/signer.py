@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from ....models.body.poses import BodyPoses
 from ....models.body.upper_body import PARTS, UpperBody
 from ....models.core.frame import Frame
-from .faults import MISSING, Distractor, ListedFaces, bursts, face_boxes, false_flesh
-from .look import Look
-from .motion import signing, wander
+from ..random_fields import wander
+from .appearance import Appearance
+from .faults import MISSING, Distractor, ListedFaces, bursts, face_boxes, false_skin
+from .motion import signing
 from .shape import HandShape, Solid, blob, surface
 
 Array = NDArray[np.float64]
@@ -139,7 +140,7 @@ class SignerScene:
     @cached_property
     def distractors(self) -> tuple[Distractor, ...]:
         """What looks like a hand and is none."""
-        return false_flesh(self.poses.roots, self.body.head_height, self.size, self.clutter, self.seed)
+        return false_skin(self.poses.roots, self.body.head_height, self.size, self.clutter, self.seed)
 
     @cached_property
     def _bursts(self) -> NDArray[np.int64]:
@@ -154,8 +155,8 @@ class SignerScene:
         return self.dt * np.arange(self.n_frames + 1, dtype=np.float64)
 
     @cached_property
-    def _look(self) -> Look:
-        return Look(self.seed, self.size, self.body.head_height, self.clutter)
+    def _appearance(self) -> Appearance:
+        return Appearance(self.seed, self.size, self.body.head_height, self.clutter)
 
     @cached_property
     def _light(self) -> Array:
@@ -199,9 +200,9 @@ class SignerScene:
         step = float(np.linalg.norm(np.diff(hands, axis=0), axis=2).max())
         pictures = int(np.clip(np.ceil(SHUTTER * step / BLUR_STEP), 1, MOST_PICTURES))
         moments = index + SHUTTER * ((np.arange(pictures) + 0.5) / pictures - 0.5)
-        exposed = self._look.draw(self._solids(index, float(moments[0])))
+        exposed = self._appearance.draw(self._solids(index, float(moments[0])))
         for moment in moments[1:]:
-            exposed += self._look.draw(self._solids(index, float(moment)))
+            exposed += self._appearance.draw(self._solids(index, float(moment)))
         exposed /= np.float32(pictures)
         return exposed
 
@@ -212,7 +213,7 @@ class SignerScene:
         for part, name in ((1, "left hand"), (2, "right hand")):
             burst = int(self._bursts[index, part])
             shown[name] = "skin" if not burst else "glare" if (burst + self.seed) % 3 == 0 else "glove"
-        for solid in surface(self.body, self._look.palette, pose, hands):
+        for solid in surface(self.body, self._appearance.palette, pose, hands):
             yield solid, shown.get(solid.material, solid.material)
         for thing in self.distractors:
             if thing.first <= index <= thing.last:
@@ -242,9 +243,9 @@ def signer(
         decides who it is, motion, room, light, faults and noise.
     detector_dropout
         share of frames, 0 to 1, in which the feature of a part is missing, for head and hands each on its
-        own, in bursts of 2 to 12 frames: the detector gives no face, a hand has no colour of flesh.
+        own, in bursts of 2 to 12 frames: the detector gives no face, a hand has no colour of skin.
     clutter
-        how much there is in the room, and how much of it looks like flesh: 0, a plain wall; 1, shelves,
+        how much there is in the room, and how much of it looks like skin: 0, a plain wall; 1, shelves,
         pictures and wooden things, and false hands in 15 % of the frames.
     size
         `(width, height)` px.

@@ -20,12 +20,10 @@ from rsmcm.apps.evaluation.predictions import (
 from rsmcm.inference.validity.estimate import (
     FEWEST_GROUPS,
     Comparison,
-    PredictionErrors,
     RecordedPredictions,
     compare,
-    cost,
-    scalar_condition,
 )
+from rsmcm.inference.validity.theory import PredictionErrors, cost
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from scipy.optimize import minimize
 
@@ -202,13 +200,15 @@ def test_theorem_2_needs_optimal_noises() -> None:
     assert errors.costs(sure).gain < 0
 
 
-def test_scalar_condition_is_theorem_2_in_one_dimension() -> None:
+def test_theorem_2_in_one_dimension_is_equation_17() -> None:
+    """Both P_i >= 2 P_12 + Sigma_0."""
     random = np.random.default_rng(7)
     for _ in range(300):
         errors = random_errors(1, random)
-        values = [part.item() for part in (errors.first, errors.second, errors.cross, errors.process)]
-        assert scalar_condition(*values) == errors.theorem_holds
-    assert scalar_condition(1.0, 1.0, 0.5, 0.0)  # so the correlation need not be less than 0.5
+        first, second, cross, process = (
+            part.item() for part in (errors.first, errors.second, errors.cross, errors.process)
+        )
+        assert (min(first, second) >= 2 * cross + process) == errors.theorem_holds
 
 
 def test_correlation_that_can_be_borne_in_one_dimension() -> None:
@@ -336,8 +336,8 @@ def test_estimates_are_near_the_truth() -> None:
     assert (found.count, found.groups, found.verdict) == (4000, 400, "helps")
     stated = found.stated
     assert stated is not None
-    assert stated.excess_first.estimate == pytest.approx(1, abs=0.1)
-    assert stated.excess_second.estimate == pytest.approx(1, abs=0.1)
+    assert stated.nis_first.estimate == pytest.approx(1, abs=0.1)
+    assert stated.nis_second.estimate == pytest.approx(1, abs=0.1)
     assert stated.gain.estimate == pytest.approx(float(min(errors.gains)), abs=0.1)
 
 
@@ -398,7 +398,7 @@ def test_verdicts_and_their_reasons() -> None:
     assert alike.stated is not None
     assert alike.stated.score_gain.high < 0
     assert alike.stated.gain.high < 0
-    assert alike.stated.excess_product.low > 1.2, "the product is surer than it should be"
+    assert alike.stated.nis_product.low > 1.2, "the product is surer than it should be"
     assert between.verdict == "not sure"
     assert few.verdict == "not sure"
     assert f"only from {FEWEST_GROUPS - 1} independent groups" in few.reason
