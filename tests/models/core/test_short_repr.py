@@ -78,8 +78,8 @@ def test_parameters_show_where_they_were_set() -> None:
         ([PixelLabels()], "[1 PixelLabels]"),
         ({"one": PixelLabels()}, "{one: PixelLabels(...)}"),
         (
-            dict.fromkeys(["background", "blobs", "ground", "structure"], 1),
-            "{background: int(...), blobs: int(...), ",
+            dict.fromkeys(["background", "blobs", "ground"], PixelLabels()),
+            "{background, blobs, ground}",
         ),
         (1 / 3, "0.333333"),
         (PixelLabels, "PixelLabels"),
