@@ -18,6 +18,7 @@ from ..inference.face.texture_likelihood import TexturedObject
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.pickling import PickledByFields
+from ..models.core.short_repr import short_repr
 from ..models.face.morphable_model import MorphableModel
 from ..models.face.outline import MeshEdges
 from ..models.face.pose import Poses
@@ -37,6 +38,7 @@ COVERING_TEXELS = 1500
 """Of the mesh where it is integrated over what it hides."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class GFlow(PickledByFields):
     """Joint filter of pose, deformation and texture (G-flow paper, Table 2).

@@ -72,6 +72,11 @@ class Solution:
         self._slices = best
         self._latest = latest  # from which the ascent goes on
 
+    def __repr__(self) -> str:
+        how = "converged" if self.converged else "not converged"
+        rounds = f"{len(self.frames)} frames, {len(self.rounds)} rounds, {how}"
+        return f"Solution({rounds}: {self._slices.model.names})"
+
     @property
     def objective(self) -> float:
         """The highest that was reached."""
@@ -145,6 +150,9 @@ class CoordinateAscent:
         self.model = model.copy()
         self.most_rounds = most_rounds
         self.tolerance = tolerance
+
+    def __repr__(self) -> str:
+        return f"CoordinateAscent({self.model})"
 
     def run(self, frames: Iterable[Frame | NDArray[np.uint8] | None], dt: float = 1 / 25) -> Solution:
         """Go on until the objective rises no more, or to the wall.

@@ -7,6 +7,7 @@ from enum import IntEnum
 from typing import Any, Generic, Never, Protocol, Self, TypeVar, cast, overload
 
 from ...models.core.frame import Frame
+from ...models.core.short_repr import short_repr
 
 State = TypeVar("State")
 TrajectoryType = TypeVar("TrajectoryType", bound="Trajectory")
@@ -77,6 +78,7 @@ class Cavity(IntEnum):
     """The evidence times the messages of those that have spoken before."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Port:
     """A kind of feature node that a chain meets.
@@ -236,6 +238,7 @@ class Trajectory(Protocol):
         ...
 
 
+@short_repr
 @dataclass(frozen=True)
 class Smoothed(Generic[TrajectoryType]):
     """What a batch chain makes of a sequence.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
+from ...models.core.short_repr import short_repr
 from . import checkpoint
 from .graph import MultiChain
 from .protocols import Chain, FeatureNode, MessageType, Named, name_of, require
@@ -19,6 +20,7 @@ from .time_slice import TimeSlice
 State = TypeVar("State")
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class RunState:
     """All that a run needs to go on: a value that can be kept, branched from, saved and loaded.
@@ -92,6 +94,20 @@ class Belief:
         self.state = state
         self._slice = time_slice
 
+    def __repr__(self) -> str:
+        missing = ", missing" if self.frame.missing else ""
+        names = "nothing yet" if self._slice is None else self._slice.model.names
+        return f"Belief(frame {self.frame.number} at {self.frame.time:.6g} s{missing}: {names})"
+
+    def _repr_png_(self) -> bytes | None:
+        """The frame with what is believed of its features, for notebooks."""
+        if self._slice is None or self.frame.image is None:
+            return None
+        from .belief_picture import png  # OpenCV is slow to import
+
+        features = self._slice.model.features
+        return png(self.frame.image, [(node, self[name]) for name, node in features.items()])
+
     @property
     def states(self) -> Mapping[str, Any]:
         """Posterior states of the chains by name."""
@@ -161,6 +177,9 @@ class RecursiveBP:
         self.model = model.copy()
         self.sweeps = sweeps
         self._schedule = self.model.schedule()
+
+    def __repr__(self) -> str:
+        return f"RecursiveBP({self.model})"
 
     def step(self, state: RunState, frame: Frame) -> Belief:
         """Take in one frame.

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
 from ...models.face.pose import RIGID, Poses
 
 Array = NDArray[np.float64]
 
 
+@short_repr
 @dataclass(frozen=True)
 class PoseDynamics:
     """A random walk with a weak prior of size and shape (G-flow paper §2.3).

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.background.pixel_labels import PixelMessage
+from ...models.core.short_repr import short_repr
 from ...models.face.image_pyramid import Level, image_pyramid
 from ...models.face.outline import MeshEdges
 from ...models.face.pose import Poses
@@ -38,6 +39,7 @@ PATIENCE = 3
 """Pictures in a row without that share after which the object is lost."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class GFlowState:
     """Experts: each a history of poses, of which the last is kept, and the texture that follows from it.

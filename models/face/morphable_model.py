@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.pickling import PickledByFields
+from ..core.short_repr import short_repr
 from ..numerics.rotations import cross_matrices
 from .landmark_fit import LANDMARK_NOISE, fit_points
 from .pose import RIGID, Poses
@@ -15,6 +16,7 @@ from .surface_points import SurfacePoints
 Array = NDArray[np.float64]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class MorphableModel(PickledByFields):
     """Shape of a deformable object (G-flow paper §2.1): vertex i is at h_i c in the object's coordinates.
