@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.frame import Frame
+from ....models.core.frame import Frame
 
 LEAST_CONTRAST = 8
 """Grey levels between the darker and the brighter part of a frame, below which nothing is seen in it."""
