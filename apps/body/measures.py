@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import JOINTS
+from ...models.core import mahalanobis
 from .overlay import REGION_90, TrackedBody
 
 Numbers = NDArray[np.float64]
@@ -39,7 +40,7 @@ class MisTrack:
     start
         first frame with the error above half a head's height, index from 0.
     seen
-        first frame from then on in which the hand looks like flesh; `None` if there is none.
+        first frame from then on in which the hand looks like skin; `None` if there is none.
     end
         first frame from `start` on with the error below 0.3 head heights; `None` if there is none.
     left
@@ -79,7 +80,7 @@ class BodyTrial:
     seconds
         `(n_frames,)`: of the whole frame, features included.
     hidden
-        `(n_frames, 2)`: whether left and right hand do not look like flesh.
+        `(n_frames, 2)`: whether left and right hand do not look like skin.
     head_height
         px.
     shown
@@ -146,8 +147,7 @@ def _first(holds: Mask, start: int) -> int | None:
 
 def squared_distances(errors: Numbers, covariances: Numbers) -> Numbers:
     """Squared Mahalanobis distances `(n,)` of errors `(n, 2)` px with covariances `(n, 2, 2)` px^2."""
-    widened = covariances + LEAST_VARIANCE * np.eye(2)
-    return np.asarray((errors * np.linalg.solve(widened, errors[..., None])[..., 0]).sum(axis=-1))
+    return mahalanobis.squared_distances(errors, covariances + LEAST_VARIANCE * np.eye(2))
 
 
 def pooled(trials: Sequence[BodyTrial], measure: str) -> Numbers:

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,6 +15,7 @@ from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.background.pixel_labels import PixelLabels
 from ...models.core.frame import Frame
 from ...models.face.built_in_model import face_model
+from ...models.face.detectors import PartDetector, default_faces
 from ...models.face.model_files import read_correspondences, read_model
 from ...models.face.morphable_model import MorphableModel
 from ..io.point_files import read_points
@@ -153,12 +155,18 @@ class FaceRun(FilmRun[FaceJob]):
             )
         return words
 
+    @cached_property
+    def _faces(self) -> PartDetector:
+        return default_faces(
+            self.job.detector, "--landmarks of the first frame, or a model file of YuNet as --detector"
+        )
+
     def _found_in(self, frame: Frame) -> FaceStart | None:
         """Where the face is in a frame; `None` if it is not found, or nothing is to be seen."""
         if frame.image is None:
             return None
         if self._given is None:
-            box = find_face(frame.image, self.job.detector)
+            box = find_face(frame, self._faces)
             return None if box is None else start_from_box(self._model, box)
         landmarks = self._given.of_frame(frame.number)
         if landmarks is None:

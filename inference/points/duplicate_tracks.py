@@ -8,45 +8,45 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ...models.points.patches import likeness
+from ...models.points.patches import ncc
 from ...models.points.point_tracks import PointMessage
 from .trajectory import PointTrajectory
 
 Identities = NDArray[np.int64]
-Same = Mapping[int, int]
+Duplicates = Mapping[int, int]
 """Identity, and the smaller one of the point that it is."""
 
-AGREE = 0.7
-"""Likeness of two points that are said to be one, at the looks of theirs that are most alike."""
+LEAST_NCC = 0.7
+"""Normalised correlation of two points that are said to be one, where their patches are most alike."""
 
-SEVERAL = 5
+LEAST_FRAMES = 5
 """Frames in which two points are found on one spot before they are taken for one."""
 
 
-def same_points(trajectory: PointTrajectory, told: Sequence[PointMessage]) -> dict[int, int]:
+def duplicates(trajectory: PointTrajectory, others: Sequence[PointMessage]) -> dict[int, int]:
     """Identities that were one point before, and those that other chains take for one and that look alike."""
     same = {int(one): int(other) for one, other in trajectory.absorbed}
     said = {
         (int(one), int(other))
-        for message in told
+        for message in others
         if message.same_as is not None
         for one, other in zip(message.positions.identities, message.same_as, strict=True)
         if one != other
     }
-    looks = trajectory.looks
-    if looks is None or not said:
+    seen = trajectory.appearances
+    if seen is None or not said:
         return same
     pairs = np.array(sorted(said), np.int64)
-    pairs = pairs[np.isin(pairs, looks.identities).all(axis=1)]
-    one, other = np.searchsorted(looks.identities, pairs.T)
+    pairs = pairs[np.isin(pairs, seen.identities).all(axis=1)]
+    one, other = np.searchsorted(seen.identities, pairs.T)
     alike = np.max(
-        [likeness(a[one], b[other]) for a in (looks.first, looks.last) for b in (looks.first, looks.last)],
+        [ncc(a[one], b[other]) for a in (seen.first, seen.last) for b in (seen.first, seen.last)],
         axis=0,
     )
-    return united(same, pairs[alike >= AGREE])
+    return merged_groups(same, pairs[alike >= LEAST_NCC])
 
 
-def united(same: Same, pairs: Iterable[Sequence[int]]) -> dict[int, int]:
+def merged_groups(same: Duplicates, pairs: Iterable[Sequence[int]]) -> dict[int, int]:
     """Groups with some more pairs in one: each identity that is not the smallest of its group, with that."""
     group = dict(same)
 
@@ -62,17 +62,17 @@ def united(same: Same, pairs: Iterable[Sequence[int]]) -> dict[int, int]:
     return {identity: smallest(identity) for identity in group}
 
 
-def renamed(message: PointMessage, same: Same) -> PointMessage:
+def without_duplicates(message: PointMessage, same: Duplicates) -> PointMessage:
     """What is said of each point once, under its smallest identity."""
     if not same:
         return message
-    identities = rename(message.positions.identities, same)
+    identities = canonical(message.positions.identities, same)
     names, first = np.unique(identities, return_index=True)
     positions = replace(message.positions.only(first), identities=names)
     return PointMessage(positions, message.patches, message.view)
 
 
-def rename(identities: Identities, same: Same) -> Identities:
+def canonical(identities: Identities, same: Duplicates) -> Identities:
     """`(n,)`: the smallest identity of each one's point."""
     names: Identities = np.array(
         [same.get(int(identity), int(identity)) for identity in identities], np.int64
@@ -80,7 +80,7 @@ def rename(identities: Identities, same: Same) -> Identities:
     return names
 
 
-def on_one_spot(messages: Sequence[PointMessage], spot: float) -> list[tuple[int, int]]:
+def coincident_tracks(messages: Sequence[PointMessage], spot: float) -> list[tuple[int, int]]:
     """Pairs of identities that were found nearer to each other than `spot` px in several frames."""
     times: Counter[tuple[int, int]] = Counter()
     for message in messages:
@@ -88,4 +88,4 @@ def on_one_spot(messages: Sequence[PointMessage], spot: float) -> list[tuple[int
         if len(identities) > 1:
             pairs = cKDTree(mean).query_pairs(spot, output_type="ndarray")
             times.update((int(one), int(other)) for one, other in identities[np.sort(pairs, axis=1)])
-    return sorted(pair for pair, count in times.items() if count >= SEVERAL)
+    return sorted(pair for pair, count in times.items() if count >= LEAST_FRAMES)

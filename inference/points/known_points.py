@@ -55,7 +55,7 @@ class KnownPoints:
 
     @classmethod
     def lost(cls, identities: Identities, first: Pixels, patches: Pixels) -> "KnownPoints":
-        """Points of which only the looks are known."""
+        """Points of which only the patches are known."""
         count = len(identities)
         states = PointStates(np.zeros((count, STATE)), np.tile(np.eye(STATE), (count, 1, 1)))
         return cls(identities, states, np.zeros(count, np.bool_), np.full(count, np.inf), first, patches)

@@ -19,7 +19,7 @@ MEDIAN = 2 * np.log(2)
 """Of the squared Mahalanobis distance of two numbers from where they are expected."""
 
 MOST_TRACKS = 300
-"""Tracks that are looked at: the longest."""
+"""Tracks that count: the longest."""
 
 HALVINGS = 24
 """Of the range in which the acceleration's logarithm is sought; the last ones are far below a percent."""
@@ -70,7 +70,7 @@ class Measurements:
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionModel:
     """What points move like.
 
     Parameters
@@ -92,7 +92,7 @@ class Motion:
         return PointStates.at_rest(np.zeros((n_points, 2)), self.extent**2, self.speed)
 
 
-def learned_motion(measured: Measurements, acceleration: float | None = None) -> Motion:
+def estimate_motion(measured: Measurements, acceleration: float | None = None) -> MotionModel:
     """Motion that fits the measurements.
 
     The acceleration is the one with which half of all measurements are inside the ellipses in which the
@@ -113,7 +113,7 @@ def learned_motion(measured: Measurements, acceleration: float | None = None) ->
     extent = 1e3 * max(float(np.abs(position[seen]).max(initial=0.0)), error)
     speed = EVERY_SPEED * max(speed, error / dt)
     if acceleration is not None:
-        return Motion(acceleration, speed, extent)
+        return MotionModel(acceleration, speed, extent)
     longest = np.argsort(-seen.sum(axis=0), kind="stable")[:MOST_TRACKS]
     sample = measured.only(np.sort(longest))
     # a position's variance grows by acceleration * dt^3 / 3 in a frame
@@ -121,11 +121,11 @@ def learned_motion(measured: Measurements, acceleration: float | None = None) ->
     high = np.log(3 * (MOST_GROWTH * max(length, error)) ** 2 / dt**3)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        distances = _distances(sample, Motion(float(np.exp(middle)), speed, extent))
+        distances = _distances(sample, MotionModel(float(np.exp(middle)), speed, extent))
         if not len(distances):
             break
         low, high = (middle, high) if np.median(distances) > MEDIAN else (low, middle)
-    return Motion(float(np.exp(0.5 * (low + high))), speed, extent)
+    return MotionModel(float(np.exp(0.5 * (low + high))), speed, extent)
 
 
 def one_frame_ahead(filtered: PointStates, times: Numbers, acceleration: float) -> tuple[Numbers, Numbers]:
@@ -164,7 +164,7 @@ def _steps(times: Numbers, position: Numbers, seen: Mask) -> tuple[float, float,
     return 1.4826 * speed, 1.4826 * speed * dt, dt
 
 
-def _distances(measured: Measurements, motion: Motion) -> Numbers:
+def _distances(measured: Measurements, motion: MotionModel) -> Numbers:
     """Squared distances of measurements from where they are expected, once a point was seen twice."""
     seen = measured.seen
     filtered = filter_tracks(

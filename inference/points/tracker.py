@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.mahalanobis import squared_distances
-from ...models.points.patches import Patches, likeness, lit_as
+from ...models.points.patches import Patches, ncc, with_light_of
 from ...models.points.point_tracks import PointMessage, View
 from ..filters import kalman
 from ..filters.kalman import PointStates
@@ -33,25 +33,31 @@ GIVEN_ACCELERATION, GIVEN_SPEED, GIVEN_LIMIT = 3.0, 10.0, 10.0
 leaves its way in 40 ms. The first speed: extents of the whole that a point crosses in a second. The limit:
 noise."""
 
-ENOUGH = 8
+REFILL = 0.05
+"""Share of the points that are missing before new ones are sought."""
+
+CORNER_INTERVAL = 0.1
+"""s between two searches for corners, where there may be no others."""
+
+LEAST_POINTS = 8
 """Points that show how all of them move."""
 
 LEARNING, MOST_SURPRISE = 0.2, 3.0
-"""Share by which the log of the acceleration follows that of a look at all points, and the most one look
+"""Share by which the log of the acceleration follows that of one picture's finds, and the most one picture
 says."""
 
-SPOT = 1.5
+SAME_PLACE = 1.5
 """px: points that are found nearer to each other are on one spot."""
 
-BORN = 0.3
+NEW_DEVIATION = 0.3
 """px, standard deviation of a new point's position: it is its patch that says where it is."""
 
 BLENDED = 0.1
 """Share of what a point looks like that a find replaces."""
 
-SAME, CHANGED = 0.7, 0.95
-"""Likeness with the first look down to which a find is trusted to teach, and with the last from which on
-there is nothing to learn."""
+LIKE_FIRST, LIKE_EXPECTED = 0.7, 0.95
+"""Normalised correlation with the first patch, down to which a find is trusted to teach, and with the last,
+from which on there is nothing to learn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +75,7 @@ class TrackerState:
     limit
         px, standard deviation of a position from which a point is lost.
     rested
-        s since corners were looked for.
+        s since corners were sought.
     view
         the last picture, or points given for it, and what was found there; `None` before the first.
     """
@@ -100,45 +106,49 @@ def predicted(state: TrackerState, dt: float) -> TrackerState:
     return replace(state, known=known, rested=state.rested + dt)
 
 
-def followed(state: TrackerState, told: PointMessage, *, learns: bool) -> TrackerState:
+def updated(state: TrackerState, message: PointMessage, *, learns: bool) -> TrackerState:
     """Points after all that is said of them: those that are found again, and without those that are lost.
 
     Parameters
     ----------
-    told
-        evidence, and what other chains say.
+    message
+        evidence, times the messages of others.
     learns
         whether the acceleration is learned.
     """
-    state = _measured(state, told, learns=learns)
-    state = replace(state, view=told.view or state.view)
-    state = _ended(state)
-    return state if told.view is None or told.view.grey is None else _recognised(state, told.view)
+    state = _measured(state, message, learns=learns)
+    state = replace(state, view=message.view or state.view)
+    state = _without_ended(state)
+    return state if message.view is None or message.view.grey is None else _with_patches(state, message.view)
 
 
-def with_given(state: TrackerState, told: PointMessage) -> TrackerState:
+def with_given(state: TrackerState, message: PointMessage) -> TrackerState:
     """With points that are given for the first time, under their own identities."""
-    view = told.view
+    view = message.view
     if view is None:
         return state
-    new = np.isin(told.positions.identities, view.found.identities)
-    new &= ~np.isin(told.positions.identities, state.known.identities)
-    identities, mean, covariance = told.positions.only(new).moments
-    states = starting(state, view, mean, covariance)
+    new = np.isin(message.positions.identities, view.found.identities)
+    new &= ~np.isin(message.positions.identities, state.known.identities)
+    identities, mean, covariance = message.positions.only(new).moments
+    states = initial_states(state, view, mean, covariance)
     patches = np.zeros((len(identities), view.patch, view.patch), np.float32)
     largest = int(identities.max(initial=state.next_identity - 1))
     known = state.known.joined(KnownPoints.new(identities, states, patches))
     return replace(state, known=known, next_identity=largest + 1)
 
 
-def refilled(state: TrackerState, most: int, spacing: float) -> TrackerState:
-    """With `most` new points where the picture has corners, `spacing` px from all that are followed."""
+def replenished(state: TrackerState, n_points: int, spacing: float) -> TrackerState:
+    """With new points where the picture has corners, `spacing` px from all that are followed.
+
+    As many as are missing of `n_points`; but only if many are, and if none were sought lately.
+    """
     known, view = state.known, state.view
-    if view is None or most < 1:
+    missing = n_points - int(known.alive.sum())
+    if view is None or missing < max(1, REFILL * n_points) or state.rested < CORNER_INTERVAL:
         return state
-    corners = view.corners(most, known.states.position[known.alive], spacing)
+    corners = view.corners(missing, known.states.position[known.alive], spacing)
     identities = state.next_identity + np.arange(len(corners))
-    states = starting(state, view, corners, BORN**2 * np.eye(2))
+    states = initial_states(state, view, corners, NEW_DEVIATION**2 * np.eye(2))
     return replace(
         state,
         known=known.joined(KnownPoints.new(identities, states, view.patches_at(corners))),
@@ -148,7 +158,7 @@ def refilled(state: TrackerState, most: int, spacing: float) -> TrackerState:
     )
 
 
-def starting(state: TrackerState, view: View, mean: Numbers, covariance: Numbers) -> PointStates:
+def initial_states(state: TrackerState, view: View, mean: Numbers, covariance: Numbers) -> PointStates:
     """Points that begin in a frame, and are taken to move like the others.
 
     Parameters
@@ -165,7 +175,7 @@ def starting(state: TrackerState, view: View, mean: Numbers, covariance: Numbers
     else:
         states = PointStates.at_rest(mean, 0.0, FIRST_SPEED)
         moving = known.states.mean[known.alive & (known.unseen == 0)][:, 2:]
-        if len(moving) >= ENOUGH:
+        if len(moving) >= LEAST_POINTS:
             velocity = np.median(moving, axis=0)
             spread = 1.4826 * np.median(np.abs(moving - velocity), axis=0)
             states.mean[:, 2:] = velocity
@@ -174,13 +184,13 @@ def starting(state: TrackerState, view: View, mean: Numbers, covariance: Numbers
     return states
 
 
-def _measured(state: TrackerState, told: PointMessage, *, learns: bool) -> TrackerState:
+def _measured(state: TrackerState, message: PointMessage, *, learns: bool) -> TrackerState:
     """With all that is said of points that are followed, and with those back that are found again."""
-    known, view = state.known, told.view
+    known, view = state.known, message.view
     if view is not None and view.grey is None and not len(known):
         state = _in_unit_of(state, view, learns=learns)
-    mentioned = np.isin(told.positions.identities, known.identities)
-    positions = told.positions.only(mentioned).among(known.identities)
+    mentioned = np.isin(message.positions.identities, known.identities)
+    positions = message.positions.only(mentioned).among(known.identities)
     states = kalman.update(
         known.states,
         positions.information * known.alive[:, None, None],
@@ -191,13 +201,13 @@ def _measured(state: TrackerState, told: PointMessage, *, learns: bool) -> Track
         seen = np.isin(known.identities, view.found.identities)
         if learns:
             least = 0.0 if view.grey is None else LEAST_ACCELERATION
-            acceleration = _restless(state, positions, seen & known.alive)
+            acceleration = _adapted_acceleration(state, positions, seen & known.alive)
             state = replace(state, acceleration=max(acceleration, least))
     known = replace(known, states=states, unseen=np.where(seen, 0.0, known.unseen))
     again = np.flatnonzero(seen & ~known.alive)
     if len(again) and view is not None:
         _, mean, covariance = positions.only(again).moments
-        known = known.with_states(again, starting(state, view, mean, covariance))
+        known = known.with_states(again, initial_states(state, view, mean, covariance))
     return replace(state, known=known)
 
 
@@ -207,12 +217,12 @@ def _in_unit_of(state: TrackerState, view: View, *, learns: bool) -> TrackerStat
     return replace(state, acceleration=acceleration, limit=GIVEN_LIMIT * view.noise)
 
 
-def _restless(state: TrackerState, positions: GaussianMessage, seen: Mask) -> float:
-    """Acceleration, px^2/s^3, after a look at how far points are from where they were expected.
+def _adapted_acceleration(state: TrackerState, positions: GaussianMessage, seen: Mask) -> float:
+    """Acceleration, px^2/s^3, after points were found so far from where they were expected.
 
     The median of the squared distances, in units of their covariances, is moved towards what it should be.
     """
-    if seen.sum() < ENOUGH:
+    if seen.sum() < LEAST_POINTS:
         return state.acceleration
     noise = np.linalg.inv(positions.information[seen])
     off = (noise @ positions.vector[seen][:, :, None])[:, :, 0] - state.known.states.position[seen]
@@ -221,7 +231,7 @@ def _restless(state: TrackerState, positions: GaussianMessage, seen: Mask) -> fl
     return float(state.acceleration * np.exp(LEARNING * np.clip(surprise, -MOST_SURPRISE, MOST_SURPRISE)))
 
 
-def _ended(state: TrackerState) -> TrackerState:
+def _without_ended(state: TrackerState) -> TrackerState:
     """Without points that nobody knows well enough any more, that left the picture, or sit on an older
     one."""
     known, view = state.known, state.view
@@ -231,17 +241,17 @@ def _ended(state: TrackerState) -> TrackerState:
         far = np.array([view.grey.shape[1], view.grey.shape[0]]) - 0.5
         alive &= ((states.position >= -0.5) & (states.position <= far)).all(axis=1)
         seen = np.flatnonzero(alive & (known.unseen == 0))
-        pairs = cKDTree(states.position[seen]).query_pairs(SPOT, output_type="ndarray")
+        pairs = cKDTree(states.position[seen]).query_pairs(SAME_PLACE, output_type="ndarray")
         alive[seen[pairs.max(axis=1)]] = False
     return replace(state, known=replace(known, alive=alive))
 
 
-def _recognised(state: TrackerState, view: View) -> TrackerState:
+def _with_patches(state: TrackerState, view: View) -> TrackerState:
     """With what points look like now, where they were found.
 
     Brightness and contrast are the find's. A patch that took over the rest as well would slide off its point
-    with every find's error: so a find that looks as expected teaches nothing, one that does not look like the
-    first look teaches nothing either, and others a little.
+    with every find's error: so a find that looks as expected teaches nothing, one that is not like the
+    first patch teaches nothing either, and others a little.
     """
     known = state.known
     seen = np.flatnonzero(known.alive & (known.unseen == 0))
@@ -249,10 +259,10 @@ def _recognised(state: TrackerState, view: View) -> TrackerState:
         return state
     place = np.searchsorted(view.found.identities, known.identities[seen])
     now = view.patches_at(view.found.positions[place])
-    expected = lit_as(known.patches[seen], now)
-    learns = (likeness(now, expected) < CHANGED) & (likeness(now, known.first[seen]) > SAME)
+    expected = with_light_of(known.patches[seen], now)
+    teaches = (ncc(now, expected) < LIKE_EXPECTED) & (ncc(now, known.first[seen]) > LIKE_FIRST)
     patches = known.patches.copy()
-    patches[seen] = expected + np.where(learns, np.float32(BLENDED), np.float32(0))[:, None, None] * (
+    patches[seen] = expected + np.where(teaches, np.float32(BLENDED), np.float32(0))[:, None, None] * (
         now - expected
     )
     return replace(state, known=replace(known, patches=patches))

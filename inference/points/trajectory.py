@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.mahalanobis import squared_distances
 from ..filters.kalman import PointStates, cavity, filter_tracks, smooth
-from .motion_noise import Measurements, Motion, one_frame_ahead
+from .motion_noise import Measurements, MotionModel, one_frame_ahead
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -20,7 +20,7 @@ AT_ONCE = 128
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class Appearances:
     """What points look like.
 
     Parameters
@@ -58,7 +58,7 @@ class PointTrajectory:
     information, vector
         `(n_frames, n, 2, 2)` 1/px^2 and `(n_frames, n, 2)` 1/px: what the other frames' evidence says of the
         position, zeros where it is too little; never what other chains said.
-    looks
+    appearances
         what points look like, also some that no frame shows; `None` where there are no pictures.
     absorbed
         `(m, 2)` int64: identities that turned out to be another point, and of which one.
@@ -74,7 +74,7 @@ class PointTrajectory:
     alive: Mask
     information: Numbers
     vector: Numbers
-    looks: Looks | None
+    appearances: Appearances | None
     absorbed: NDArray[np.int64]
     log_prior: float
 
@@ -88,7 +88,7 @@ class PointTrajectory:
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
+class StackedMessages:
     """Gaussian messages of all frames side by side.
 
     Parameters
@@ -108,7 +108,7 @@ class Gathered:
     @classmethod
     def of(
         cls, messages: Sequence[GaussianMessage], times: Numbers, identities: Identities | None = None
-    ) -> "Gathered":
+    ) -> "StackedMessages":
         """Gather messages, of some points or of all that are mentioned."""
         if identities is None:
             identities = np.unique(np.concatenate([message.identities for message in messages]))
@@ -124,13 +124,17 @@ class Gathered:
 
 
 def smoothed_trajectory(
-    evidence: Gathered, told: Gathered, motion: Motion, limit: float, size: tuple[int, int] | None
+    evidence: StackedMessages,
+    others: StackedMessages,
+    motion: MotionModel,
+    limit: float,
+    size: tuple[int, int] | None,
 ) -> PointTrajectory:
     """Smooth tracks, once with everything and once with the frames' evidence alone.
 
     Parameters
     ----------
-    evidence, told
+    evidence, others
         what frames and what other chains say of the same points.
     motion
         of the points.
@@ -146,7 +150,7 @@ def smoothed_trajectory(
     log_prior = 0.0
     for start in range(0, n_points, AT_ONCE):
         some = slice(start, start + AT_ONCE)
-        seen, others = evidence.measured.only(some), told.measured.only(some)
+        seen, expected = evidence.measured.only(some), others.measured.only(some)
         prior = motion.prior(seen.vector.shape[1])
         filtered = filter_tracks(prior, times, seen.information, seen.vector, motion.acceleration)
         alone = smooth(filtered, times, motion.acceleration)
@@ -155,15 +159,15 @@ def smoothed_trajectory(
         said[unknown], weighted[unknown] = 0.0, 0.0
         information[:, some], vector[:, some] = said, weighted
         log_prior += _log_prior(seen, evidence.log_scale[:, some], filtered, said, weighted, motion, limit)
-        if others.information.any():
-            told_too = filter_tracks(
+        if expected.information.any():
+            together = filter_tracks(
                 prior,
                 times,
-                seen.information + others.information,
-                seen.vector + others.vector,
+                seen.information + expected.information,
+                seen.vector + expected.vector,
                 motion.acceleration,
             )
-            alone = smooth(told_too, times, motion.acceleration)
+            alone = smooth(together, times, motion.acceleration)
         position[:, some], covariance[:, some] = alone.position, alone.position_covariance
     alive = 0.5 * np.trace(covariance, axis1=2, axis2=3) <= limit**2
     if size is not None:
@@ -177,7 +181,7 @@ def smoothed_trajectory(
         alive=alive,
         information=information,
         vector=vector,
-        looks=None,
+        appearances=None,
         absorbed=np.zeros((0, 2), np.int64),
         log_prior=log_prior,
     )
@@ -197,7 +201,7 @@ def _log_prior(
     filtered: PointStates,
     said: Numbers,
     weighted: Numbers,
-    motion: Motion,
+    motion: MotionModel,
     limit: float,
 ) -> float:
     """Log evidence of the tracks, each find given those before it, less that of each given all others.

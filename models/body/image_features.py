@@ -1,4 +1,4 @@
-"""What one image says of a person's upper body: faces, flesh, its blobs, edges."""
+"""What one image says of a person's upper body: faces, skin, its blobs, edges."""
 
 from dataclasses import dataclass
 
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.gaussian_mixtures import GaussianMixtures
+from ..core.grey import grey_of
 
 BLUR = 1.2
 """px: of the picture in which edges are looked for."""
@@ -23,25 +24,17 @@ class BodyImage:
 
     Parameters
     ----------
-    flesh
-        `(height, width)` float32 nats: log odds of the pixel's colour on flesh against anything else, between
+    skin
+        `(height, width)` float32 nats: log odds of the pixel's colour on skin against anything else, between
         -4 and 4; `None` where there is no colour to tell from.
-    moving
-        the same less what is flesh all the time: for hands.
+    moving_skin
+        the same less what is skin all the time: for hands.
     edges
         `(height, width)` float32 px: distance to the nearest edge, capped at a sixth of the head's height.
     edge_directions
         `(height, width)` float32 rad, between 0 and pi: the normal of the nearest edge, as angle from x to y.
-    faces
-        `(k, 4)` px: boxes x, y, width, height of the detected faces, the surest first.
-    head_centres
-        `(k, 2)` px: of the heads that these faces belong to, from chin to skull.
-    head_covariances
-        `(k, 2, 2)` px^2: of these.
     blobs
-        `(m, 2)` px: centres of places with as much flesh as a hand shows, the strongest first.
-    blob_covariances
-        `(m, 2, 2)` px^2: of the hand's centre, if the blob is a hand.
+        `(m, 2)` px: centres of places with as much skin as a hand shows, the strongest first.
     blob_log_weights
         `(m,)`: log of the probability ratio that the blob is some given hand against clutter, up to one
         constant.
@@ -49,15 +42,11 @@ class BodyImage:
         the evidence phi(I, F) of head and hands that faces and blobs give.
     """
 
-    flesh: NDArray[np.float32] | None
-    moving: NDArray[np.float32] | None
+    skin: NDArray[np.float32] | None
+    moving_skin: NDArray[np.float32] | None
     edges: NDArray[np.float32]
     edge_directions: NDArray[np.float32]
-    faces: NDArray[np.float64]
-    head_centres: NDArray[np.float64]
-    head_covariances: NDArray[np.float64]
     blobs: NDArray[np.float64]
-    blob_covariances: NDArray[np.float64]
     blob_log_weights: NDArray[np.float64]
     mixtures: GaussianMixtures
 
@@ -86,14 +75,13 @@ def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.f
         both `(height, width)` float32: px; rad from 0 to pi, the angle from x to y of the edge's normal (that
         of the gradient). Without any edge, the cap and 0.
     """
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    smooth = cv2.GaussianBlur(grey, (0, 0), BLUR)
+    smooth = cv2.GaussianBlur(grey_of(image), (0, 0), BLUR)
     right, down = (cv2.Sobel(smooth, cv2.CV_16S, *order, ksize=3) for order in ((1, 0), (0, 1)))
     some = np.hypot(right[::3, ::3].astype(np.float32), down[::3, ::3].astype(np.float32))
     steep = max(float(np.quantile(some, STEEPEST)), OVER_MEDIAN * float(np.median(some)), LEAST)
     edges = cv2.Canny(right, down, _off_ties(WEAK * steep), _off_ties(steep), L2gradient=True)
     if not edges.any():
-        return np.full(grey.shape, reach, np.float32), np.zeros(grey.shape, np.float32)
+        return np.full(edges.shape, reach, np.float32), np.zeros(edges.shape, np.float32)
     distances, nearest = cv2.distanceTransformWithLabels(
         cv2.bitwise_not(edges), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )

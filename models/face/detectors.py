@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.frame import Frame
+from ..core.grey import grey_of
 
 Array = NDArray[np.float64]
 
@@ -81,9 +82,7 @@ class HaarFaces:
         """Boxes `(k, 4)` px, the largest first."""
         if frame.image is None:
             return np.zeros((0, 4))
-        grey: Any = frame.image
-        if grey.ndim == 3:
-            grey = cv2.cvtColor(grey, cv2.COLOR_BGR2GRAY)
+        grey = grey_of(frame.image)
         if self.height is None:
             least = max(24, min(grey.shape) // 8)
             return _largest_first(self._frontal.detectMultiScale(grey, 1.1, 5, minSize=(least, least)))
@@ -173,8 +172,10 @@ def _is_survived(path: str, _changed: int) -> bool:
     return done.returncode == 0
 
 
-def default_faces(path: Path | None = None) -> PartDetector:
+def default_faces(path: Path | None = None, otherwise: str = "a model file of YuNet") -> PartDetector:
     """YuNet if its model file is given, OpenCV's cascades otherwise.
+
+    Where this OpenCV has none, the error says that something `otherwise` is expected.
 
     Raises
     ------
@@ -188,7 +189,7 @@ def default_faces(path: Path | None = None) -> PartDetector:
     try:
         return HaarFaces()
     except ValueError as error:
-        raise ValueError(f"{error}, expected a model file of YuNet") from None
+        raise ValueError(f"{error}, expected {otherwise}") from None
 
 
 def _cascade(name: str) -> Any:

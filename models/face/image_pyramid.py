@@ -1,10 +1,12 @@
 """A picture prepared for matching textures: light taken out, smoothed to several degrees."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from ..core.grey import grey_of
 
 Picture = NDArray[np.float32]
 
@@ -22,14 +24,13 @@ SMOOTHING = (0.0175, 0.05, 0.125)
 """Standard deviation of the smoothing of each level, in sizes of the object, fine to coarse."""
 
 
-@dataclass(frozen=True, eq=False)
-class Level:
+class Level(NamedTuple):
     """One level of a picture.
 
     Parameters
     ----------
     image
-        `(height, width)` float32 grey.
+        `(height, width)` float32 grey, its rows one after the other.
     scale
         px of the level per px of the picture: pixel x of the picture is at x scale + (scale - 1) / 2.
     """
@@ -38,7 +39,7 @@ class Level:
     scale: float
 
 
-def picture_levels(image: NDArray[np.uint8], size: float, *, n_levels: int, local_mean: bool) -> list[Level]:
+def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local_mean: bool) -> list[Level]:
     """Levels of a picture, fine to coarse; each is half as large as the one before.
 
     With `local_mean` grey values are divided by their mean about them, y <- 128 y / (mean + 5), which takes
@@ -53,8 +54,7 @@ def picture_levels(image: NDArray[np.uint8], size: float, *, n_levels: int, loca
     least = 2 * 2 ** (n_levels - 1)
     if min(image.shape[:2]) < least:
         raise ValueError(f"image: got {image.shape[:2]}, expected at least {least} px either way")
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    raw = grey.astype(np.float32)
+    raw = grey_of(image).astype(np.float32)
     picture = without_light(raw, FINE_LIGHT_REACH * size) if local_mean else raw
     levels = [Level(smoothed(picture, SMOOTHING[0] * size), 1.0)]
     picture = without_light(raw, COARSE_LIGHT_REACH * size) if local_mean and n_levels > 1 else raw

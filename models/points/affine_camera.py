@@ -280,34 +280,20 @@ class Alignment:
 
 
 def affine_alignment(shape: ArrayLike, target: ArrayLike) -> Alignment:
-    """Affine map of a shape `(n_points, 3)` onto another, by least squares."""
-    points, goal, middle, goal_middle = _centred(shape, target)
-    solution, *_ = np.linalg.lstsq(points, goal)
-    return _alignment(np.asarray(solution.T, np.float64), points, goal, middle, goal_middle)
+    """Affine map of a shape `(n_points, 3)` onto another, by least squares.
 
-
-def similarity_alignment(shape: ArrayLike, target: ArrayLike) -> Alignment:
-    """Scaling, rotation or reflection, and translation of a shape onto another, by least squares."""
-    points, goal, middle, goal_middle = _centred(shape, target)
-    left, values, right = np.linalg.svd(goal.T @ points)
-    total = float(np.sum(points**2))
-    matrix = left @ right * (float(values.sum()) / total if total else 1.0)
-    return _alignment(matrix, points, goal, middle, goal_middle)
-
-
-def _centred(shape: ArrayLike, target: ArrayLike) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+    Raises
+    ------
+    ValueError
+        if shapes do not fit.
+    """
     points, goal = np.asarray(shape, np.float64), np.asarray(target, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or points.shape != goal.shape or not len(points):
         raise ValueError(
             f"shape, target: got {points.shape} and {goal.shape}, expected the same (n_points, 3)"
         )
     middle, goal_middle = points.mean(axis=0), goal.mean(axis=0)
-    return points - middle, goal - goal_middle, middle, goal_middle
-
-
-def _alignment(
-    matrix: Numbers, points: Numbers, goal: Numbers, middle: Numbers, goal_middle: Numbers
-) -> Alignment:
-    aligned = points @ matrix.T
-    error = float(np.sqrt(np.mean(np.sum((aligned - goal) ** 2, axis=1))))
+    matrix = np.asarray(np.linalg.lstsq(points - middle, goal - goal_middle)[0].T, np.float64)
+    aligned = (points - middle) @ matrix.T
+    error = float(np.sqrt(np.mean(np.sum((aligned - (goal - goal_middle)) ** 2, axis=1))))
     return Alignment(matrix, goal_middle - matrix @ middle, aligned + goal_middle, error)

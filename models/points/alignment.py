@@ -17,7 +17,7 @@ PIXEL_NOISE = 2.0
 """Grey values, standard deviation of the noise of a pixel."""
 
 LIGHTER, STRONGER, WARPED = 3.0, 0.07, 0.05
-"""Standard deviations of how a patch changes from one look to another: grey values by which it is lighter,
+"""Standard deviations of how a patch changes from one picture to another: grey values by which it is lighter,
 share by which its contrast is higher, and radians of rotation, shares of scale and stretch. The last ones
 hardly blur a position, but else a patch that turns away slides along its edges."""
 
@@ -38,13 +38,13 @@ class Aligned:
         `(n, 2)` px.
     covariance
         `(n, 2, 2)` px^2: of the errors that noise as large as the residuals makes.
-    likeness
+    ncc
         `(n,)` normalised correlation there, -1 where nothing near fits.
     """
 
     position: Numbers
     covariance: Numbers
-    likeness: Numbers
+    ncc: Numbers
 
 
 def align_patches(
@@ -65,13 +65,13 @@ def align_patches(
     """
     position = np.array(start, np.float64)
     information = np.empty((len(position), 2, 2))
-    residual, likeness = np.empty(len(position)), np.empty(len(position))
+    residual, ncc = np.empty(len(position)), np.empty(len(position))
     deviations = np.array([LIGHTER, STRONGER, *[WARPED] * 4])
     alignment_kernels.align_all(
-        grey, patches, position, (PIXEL_NOISE / deviations) ** 2, farthest, information, residual, likeness
+        grey, patches, position, (PIXEL_NOISE / deviations) ** 2, farthest, information, residual, ncc
     )
     covariance = (SMOOTHED * residual + ROUNDING)[:, None, None] * np.linalg.inv(information)
-    return Aligned(position, covariance, likeness)
+    return Aligned(position, covariance, ncc)
 
 
 def sample_patches(grey: NDArray[np.uint8], positions: Numbers, side: int) -> NDArray[np.float32]:

@@ -28,7 +28,7 @@ class Patches:
         return len(self.identities)
 
 
-def likeness(one: Pixels, other: Pixels) -> Numbers:
+def ncc(one: Pixels, other: Pixels) -> Numbers:
     """Normalised correlation, `(n,)` from -1 to 1, of patches `(n, side, side)`; 0 where one is of one
     colour."""
     a, b = _centred(one), _centred(other)
@@ -37,7 +37,7 @@ def likeness(one: Pixels, other: Pixels) -> Numbers:
     return correlation
 
 
-def lit_as(patches: Pixels, others: Pixels) -> Pixels:
+def with_light_of(patches: Pixels, others: Pixels) -> Pixels:
     """Patches `(n, side, side)` with the brightness and contrast that `others` of the same things have."""
     a, b = _centred(patches), _centred(others)
     squares = np.square(a).sum(axis=(1, 2), keepdims=True)

@@ -8,16 +8,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
+from ..core.grey import grey_of
 from .alignment import sample_patches
 from .corners import find_corners
 from .patches import Patches
-from .search import find_points, leads_back
+from .search import find_points, forward_backward_check
 
 Numbers = NDArray[np.float64]
 
@@ -152,7 +152,7 @@ class PointTracks:
         share of the windows without the point in which something is as like it as is asked for; what has a
         rival, or leads back to another place in the picture before, is refused as well.
     farthest
-        px from the middle of a prior beyond which nothing is looked for.
+        px from the middle of a prior beyond which nothing is searched.
     """
 
     patch: int = 5
@@ -180,7 +180,7 @@ class PointTracks:
         """Where the frame shows points of `prior`; or all points that are given with the frame.
 
         A given point is N(z; F, noise^2 I), whatever the prior. Otherwise every point of which `prior` knows
-        the look, and the place to a standard deviation of `farthest`, is looked for by normalised
+        the patch, and the place to a standard deviation of `farthest`, is searched for by normalised
         correlation. One that is found is area * N(z; F, R), as against being anywhere in the picture; one
         that is not found is no information.
         """
@@ -188,15 +188,11 @@ class PointTracks:
             return self._given(frame.points, frame.time)
         if frame.image is None:
             return self.uniform()
-        image = frame.image
-        one_channel = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        grey = np.ascontiguousarray(one_channel, np.uint8)
-        positions, found = self._looked_for(grey, prior)
+        grey = grey_of(frame.image)
+        positions, found = self._found(grey, prior)
         return PointMessage(positions, view=View(frame.time, found, grey, self.noise, self.patch))
 
-    def _looked_for(
-        self, grey: NDArray[np.uint8], prior: PointMessage
-    ) -> tuple[GaussianMessage, GivenPoints]:
+    def _found(self, grey: NDArray[np.uint8], prior: PointMessage) -> tuple[GaussianMessage, GivenPoints]:
         """Points of `prior` that are found in the picture."""
         identities, mean, covariance = prior.positions.moments
         if prior.patches is None:
@@ -214,7 +210,7 @@ class PointTracks:
             again = np.isin(seen, before.found.identities)
             origin = before.found.positions[np.searchsorted(before.found.identities, seen[again])]
             kept = np.ones(len(seen), bool)
-            kept[again] = leads_back(
+            kept[again] = forward_backward_check(
                 grey, position[again], before.grey, origin, covariance[found.seen][again], self.patch,
                 self.farthest,
             )  # fmt: skip

@@ -3,9 +3,10 @@
 A patch of 5x5 pixels is easily found where it is not. Three things are asked of a place:
 
 - It is like the patch. The wider the window, the likelier something in it is so by chance. How likely was
-  counted on pairs of nine unrelated pictures, corners of one looked for in the other; see `least_likeness`.
+  counted on pairs of nine unrelated pictures, corners of one looked for in the other; see `least_ncc`.
 - It has no rival. Where a second place is nearly as like it, the prior decides between them, or nobody does.
-- It leads back. What is found is looked for in the picture before, and is where the point was.
+- It leads back. What is found is searched for in the picture before, in the same way, and is where the point
+  was (the forward-backward check of Kalal, Mikolajczyk and Matas 2010).
 """
 
 from dataclasses import dataclass
@@ -14,9 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.mahalanobis import squared_distances
-from . import patch_search
-from .alignment import Aligned, align_patches
-from .kernels.correlation import best_places
+from .alignment import Aligned, align_patches, sample_patches
+from .kernels.correlation import Candidates, Windows, best_places
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -24,7 +24,7 @@ Grey = NDArray[np.uint8]
 Pixels = NDArray[np.float32]
 
 REACH = 3.0
-"""Standard deviations from where a point should be within which it is looked for."""
+"""Standard deviations from where a point should be within which it is searched for."""
 
 GRID = 0.5
 """px, standard deviation added to what is known of a position: places are compared pixel by pixel, and any
@@ -37,20 +37,23 @@ NEAR = 1.0
 """px: places that are nearer to each other are one. So far may fractions of a pixel lead, and the way
 back."""
 
+WHOLE = 0.5
+"""px by which a place is off that is sought pixel by pixel."""
+
 LEAST_SPREAD, MOST_SPREAD = 0.05, 0.7
 """px, standard deviation of a found position: the least there is, and from which on it is as good as not
 found."""
 
-SHARPNESS, LIKENESS_NOISE = 3.5, 0.02
+SHARPNESS, NCC_NOISE = 3.5, 0.02
 """How -log(1 - correlation^2) grows into a log likelihood, and the noise that limits it."""
 
 
-def least_likeness(false_alarms: float, area: ArrayLike, side: int) -> Numbers:
+def least_ncc(false_alarms: float, area: ArrayLike, side: int) -> Numbers:
     """Normalised correlation that a share of `false_alarms` of windows without the point exceeds by chance.
 
     The expected number of places that are at least so like a patch of `side` px in `area` px^2 is
-    0.24 (area / 1089)^0.56 (5 / side)^2.5 ((1 - likeness) / 0.1)^2.5: a fit to counts for sides from 5 to 11,
-    areas from 25 to 1089 and likenesses from 0.8 to 0.95, right to a third. What else is
+    0.24 (area / 1089)^0.56 (5 / side)^2.5 ((1 - ncc) / 0.1)^2.5: a fit to counts for sides from 5 to 11,
+    areas from 25 to 1089 and correlations from 0.8 to 0.95, right to a third. What else is
     asked of a place leaves a third of these false alarms.
     """
     at_ten_percent = 0.24 * (np.maximum(area, 1) / 1089) ** 0.56 * (5 / side) ** 2.5
@@ -59,34 +62,16 @@ def least_likeness(false_alarms: float, area: ArrayLike, side: int) -> Numbers:
     return least
 
 
-@dataclass(frozen=True, eq=False)
-class Places:
-    """The two likeliest places of each of n patches, the likelier first.
-
-    Parameters
-    ----------
-    position
-        `(n, 2, 2)` whole px: patch, place, column and row.
-    likeness
-        `(n, 2)` normalised correlation; -1 where there is no such place.
-    area
-        `(n,)` px^2 that were looked at.
-    """
-
-    position: Numbers
-    likeness: Numbers
-    area: Numbers
-
-
 def likeliest_places(
-    grey: Grey, patches: Pixels, mean: Numbers, covariance: Numbers, farthest: float
-) -> Places:
-    """Look for patches `(n, side, side)` around `mean (n, 2)` px, known to `covariance (n, 2, 2)` px^2.
+    grey: Grey, patches: Pixels, mean: Numbers, covariance: Numbers, farthest: float, *, prior: bool = True
+) -> Candidates:
+    """Search for patches `(n, side, side)` around `mean (n, 2)` px, known to `covariance (n, 2, 2)` px^2.
 
-    No farther than `farthest` px, and only where the whole patch is in the picture.
+    No farther than `farthest` px, and only where the whole patch is in the picture. Without the `prior` all
+    places of the window count alike.
     """
     count, side = len(patches), patches.shape[1]
-    position, likeness, area = np.zeros((count, 2, 2)), np.full((count, 2), -1.0), np.zeros(count)
+    found = Candidates(np.zeros((count, 2, 2)), np.full((count, 2), -1.0), np.zeros(count))
     flat = patches.reshape(count, side * side)
     centred = flat - flat.mean(axis=1, keepdims=True)
     length = np.sqrt(np.square(centred).sum(axis=1, keepdims=True))
@@ -94,17 +79,16 @@ def likeliest_places(
     wide = covariance + GRID**2 * np.eye(2)
     deviation = np.sqrt(wide[:, [0, 1], [0, 1]].max(axis=1))
     radius = np.minimum(np.ceil(REACH * deviation + 0.5), farthest).astype(np.int64)
+    precision = np.asarray(np.linalg.inv(wide) if prior else np.zeros_like(wide), np.float64)
     if count:
-        best_places(
-            grey, np.ascontiguousarray(mean), np.linalg.inv(wide), radius, templates, side, REACH, SHARPNESS,
-            LIKENESS_NOISE, position, likeness, area,
-        )  # fmt: skip
-    return Places(position, likeness, area)
+        windows = Windows(np.ascontiguousarray(mean), precision, radius)
+        best_places(grey, windows, templates, side, REACH, SHARPNESS, NCC_NOISE, found)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Which of the points that were looked for were found, and where.
+    """Which of the points that were searched for were found, and where.
 
     Parameters
     ----------
@@ -122,7 +106,7 @@ class Found:
 def find_points(
     grey: Grey, patches: Pixels, mean: Numbers, covariance: Numbers, false_alarms: float, farthest: float
 ) -> Found:
-    """Look for points in a picture.
+    """Search for points in a picture.
 
     Parameters
     ----------
@@ -135,16 +119,16 @@ def find_points(
     false_alarms
         share of windows without the point in which something is as like it as is asked for.
     farthest
-        px from the mean beyond which nothing is looked for.
+        px from the mean beyond which nothing is searched.
     """
     places = likeliest_places(grey, patches, mean, covariance, farthest)
     way = align_patches(grey, patches, places.position[:, 0], NEAR)
     weight = _weights(way, mean, covariance)
-    weight[places.likeness[:, 0] <= 0] = -np.inf
-    position, spread, likeness = way.position, way.covariance, way.likeness
+    weight[places.ncc[:, 0] <= 0] = -np.inf
+    position, spread, ncc = way.position, way.covariance, way.ncc
 
     # Fractions of a pixel can make the second place the likelier one.
-    second = np.flatnonzero(places.likeness[:, 1] > 0)
+    second = np.flatnonzero(places.ncc[:, 1] > 0)
     other = align_patches(grey, patches[second], places.position[second, 1], NEAR)
     rival = np.full(len(mean), -np.inf)
     rival[second] = _weights(other, mean[second], covariance[second])
@@ -152,11 +136,11 @@ def find_points(
     better = rival > weight
     taken = better[second]
     position[better], spread[better] = other.position[taken], other.covariance[taken]
-    likeness[better] = other.likeness[taken]
+    ncc[better] = other.ncc[taken]
 
     best, least = np.maximum(weight, rival), np.minimum(weight, rival)
     seen = np.isfinite(best) & (least < best - np.log(ODDS))
-    seen &= likeness >= least_likeness(false_alarms, places.area, patches.shape[1])
+    seen &= ncc >= least_ncc(false_alarms, places.area, patches.shape[1])
     seen &= 0.5 * np.trace(spread, axis1=1, axis2=2) <= MOST_SPREAD**2
     return Found(seen, position[seen], spread[seen] + LEAST_SPREAD**2 * np.eye(2))
 
@@ -166,12 +150,12 @@ def _weights(way: Aligned, mean: Numbers, covariance: Numbers) -> Numbers:
     off = way.position - mean
     wide = covariance + way.covariance + GRID**2 * np.eye(2)
     square = squared_distances(off, wide)
-    weight = -SHARPNESS * np.log(1 - np.clip(way.likeness, 0, 1) ** 2 + LIKENESS_NOISE) - 0.5 * square
-    weights: Numbers = np.where((way.likeness > 0) & (square < REACH**2), weight, -np.inf)
+    weight = -SHARPNESS * np.log(1 - np.clip(way.ncc, 0, 1) ** 2 + NCC_NOISE) - 0.5 * square
+    weights: Numbers = np.where((way.ncc > 0) & (square < REACH**2), weight, -np.inf)
     return weights
 
 
-def leads_back(
+def forward_backward_check(
     grey: Grey,
     position: Numbers,
     before: Grey,
@@ -182,12 +166,11 @@ def leads_back(
 ) -> Mask:
     """Whether what is at `position (n, 2)` px was at `origin (n, 2)` px in the picture before.
 
-    It is looked for there in windows as wide as on the way forth, where it was known to
+    It is searched for there in windows as wide as on the way forth, where it was known to
     `covariance (n, 2, 2)` px^2; there is no prior on the way back.
     """
-    patches = patch_search.sample_patches(grey, position, side, unit=True)
-    back = patch_search.search_patches(
-        before, patches, origin, patch_search.reaches_of(covariance, int(farthest))
-    )
-    led: Mask = (back.score > 0) & (np.abs(back.position - origin).max(axis=1, initial=0) <= NEAR)
-    return led
+    patches = sample_patches(grey, position, side)
+    places = likeliest_places(before, patches, origin, covariance, farthest, prior=False)
+    off = np.abs(places.position[:, 0] - origin).max(axis=1, initial=0)
+    back: Mask = (places.ncc[:, 0] > 0) & (off <= NEAR + WHOLE)
+    return back

@@ -22,6 +22,7 @@ from rsmcm.inference.points.trajectory import PointTrajectory
 from rsmcm.models import Frame, PointTracks
 from rsmcm.models.core.frame import GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage
+from rsmcm.models.core.mahalanobis import squared_distances
 from rsmcm.models.points.point_tracks import PointMessage, noise_of_tracks
 
 from ..support.pictures import HEIGHT, WIDTH, Pose, film, hidden_by_a_bar, sliding, turning
@@ -59,11 +60,6 @@ def tracked(
     model = MultiChain().connect(tracker or PointTracker(), points)
     trajectory: PointTrajectory = CoordinateAscent(model).run(frames)["tracker"]
     return trajectory
-
-
-def squared_distances(off: Numbers, covariance: Numbers) -> Numbers:
-    distances: Numbers = (off * np.linalg.solve(covariance, off[..., None])[..., 0]).sum(axis=-1)
-    return distances
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])

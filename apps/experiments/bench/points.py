@@ -14,10 +14,16 @@ from filterpy.kalman import KalmanFilter, rts_smoother
 from numpy.typing import NDArray
 
 from ....inference.filters.kalman import PointStates, filter_tracks, predict, smooth, update
-from ....models.points.patch_search import sample_patches, search_patches
+from ....inference.filters.linear_motion import kinematic
+from ....models.core.frame import Frame, GivenPoints
+from ....models.core.gaussian_message import GaussianMessage
+from ....models.points.patches import Patches
+from ....models.points.point_tracks import PointMessage, PointTracks, View
+from ....models.points.search import GRID, REACH
 from ...reports.expectations import HEADER, Expectation, in_columns
 
 Numbers = NDArray[np.float64]
+Grey = NDArray[np.uint8]
 
 N_POINTS = 500
 N_FRAMES = 30
@@ -27,7 +33,10 @@ NOISE = 0.5  # px
 FIRST, SPEED = 10.0, 100.0  # px and px/s: standard deviations of a new point
 
 N_PATCHES = 300
-SIDE, REACH = 5, 10  # px
+SIDE = 5  # px
+SHIFT = np.array([3.4, -2.7])  # px
+REACHES = {3: 0.9, 10: 0.0}
+"""px around the place where a point should be, and the share of its way that is known beforehand."""
 
 
 def point_claims() -> list[Expectation]:
@@ -107,10 +116,8 @@ def kalman_claims() -> list[Expectation]:
 
 def _moving(axes: int) -> tuple[Numbers, Numbers]:
     """Transition and its noise over a frame, positions before velocities."""
-    one = np.array([[1.0, FRAME], [0.0, 1.0]])
-    noise = ACCELERATION * np.array([[FRAME**3 / 3, FRAME**2 / 2], [FRAME**2 / 2, FRAME]])
-    axis = np.eye(axes)
-    return np.asarray(np.kron(one, axis), np.float64), np.asarray(np.kron(noise, axis), np.float64)
+    transition, noise = kinematic(2, FRAME).along(axes)
+    return transition, ACCELERATION * noise
 
 
 def _filterpy_filter(places: Numbers) -> tuple[Numbers, Numbers]:
@@ -150,51 +157,80 @@ def _simdkalman(places: Numbers, smoothed: bool) -> object:
     return result
 
 
-# --- correlation search -------------------------------------------------------------------------------------
+# --- search for patches -------------------------------------------------------------------------------------
 
 
 def search_claims() -> list[Expectation]:
-    """Patches of corners, looked for in a picture that has moved a little."""
+    """Patches of corners, found in a picture that has moved a little, and found again in the one before.
+
+    The search is the tracker's, by `PointTracks.evidence`: once for points that it has followed for a while,
+    and once for new ones, which may be anywhere in a wide window.
+    """
     first, second = _pictures()
-    corners = cv2.goodFeaturesToTrack(first, 2 * N_PATCHES, 1e-3, 6)[:, 0]
-    rounded = np.rint(corners).astype(int)
-    kept = ((rounded > REACH + SIDE) & (rounded < np.array(first.shape[::-1]) - REACH - SIDE - 1)).all(axis=1)
-    corners, rounded = corners[kept][:N_PATCHES], rounded[kept][:N_PATCHES].tolist()
-    patches = sample_patches(first, corners, SIDE, unit=True)
-    room = np.empty_like(corners)
-    half, window = SIDE // 2, REACH + SIDE // 2
-    templates = [first[y - half : y + half + 1, x - half : x + half + 1] for x, y in rounded]
+    found = cv2.goodFeaturesToTrack(first, 2 * N_PATCHES, 1e-3, 6)[:, 0]
+    rim = max(REACHES) + SIDE
+    kept = ((found > rim) & (found < np.array(first.shape[::-1]) - rim - 1)).all(axis=1)
+    corners = found[kept][:N_PATCHES].astype(np.float32)
+    expectations: list[Expectation] = []
+    for reach, known in REACHES.items():
+        seconds = in_turns(_searches(first, second, corners, reach, known), rounds=10, turn=8)
+        what = f"search for {len(corners)} patches there and back, +-{reach} px"
+        expectations += [
+            Expectation(f"{what}, ms", 1e3 * seconds["search"]),
+            Expectation(f"loop of matchTemplate over {what}", seconds["matchTemplate"] / seconds["search"]),
+            Expectation(f"calcOpticalFlowPyrLK over {what}", seconds["PyrLK"] / seconds["search"], ">=", 1),
+        ]
+    return expectations
+
+
+def _searches(
+    first: Grey, second: Grey, corners: NDArray[np.float32], reach: int, known: float
+) -> dict[str, Callable[[], object]]:
+    """Ways there and back: from `first` to `second`, and from what is found back to `first`.
+
+    Where points should be is known to `reach` px (three standard deviations), and wrong by `1 - known` of the
+    way.
+    """
+    numbers = np.arange(len(corners))
+    before = View(0.0, GivenPoints(corners.astype(np.float64), numbers), first, 1.0, SIDE)
+    expected = corners + known * SHIFT
+    deviation = np.sqrt(((reach - 0.5) / REACH) ** 2 - GRID**2)
+    covariances = np.tile(deviation**2 * np.eye(2), (len(corners), 1, 1))
+    prior = PointMessage(
+        GaussianMessage.from_moments(numbers, expected, covariances),
+        Patches(numbers, before.patches_at(before.found.positions)),
+        before,
+    )
+    node, frame = PointTracks(patch=SIDE), Frame(second, FRAME, 2)
+    half, window = SIDE // 2, reach + SIDE // 2
+    ways = [(first, np.rint(corners).astype(int), second, np.rint(expected).astype(int))]
+    ways.append((second, np.rint(corners + SHIFT).astype(int), first, ways[0][1]))
 
     def one_by_one() -> None:
-        for (x, y), template in zip(rounded, templates, strict=True):
-            seen = second[y - window : y + window + 1, x - window : x + window + 1]
-            cv2.minMaxLoc(cv2.matchTemplate(seen, template, cv2.TM_CCOEFF_NORMED))
+        for one, places, other, middles in ways:
+            for (x, y), (u, v) in zip(places.tolist(), middles.tolist(), strict=True):
+                template = one[y - half : y + half + 1, x - half : x + half + 1]
+                seen = other[v - window : v + window + 1, u - window : u + window + 1]
+                cv2.minMaxLoc(cv2.matchTemplate(seen, template, cv2.TM_CCOEFF_NORMED))
 
-    seconds = in_turns(
-        {
-            "search": lambda: search_patches(second, patches, corners, REACH),
-            "matchTemplate": one_by_one,
-            "PyrLK": lambda: cv2.calcOpticalFlowPyrLK(first, second, corners, room),
-        },
-        rounds=10,
-        turn=8,
-    )
-    return [
-        Expectation(f"search for {len(corners)} patches, +-{REACH} px, ms", 1e3 * seconds["search"]),
-        Expectation(
-            "loop of matchTemplate over search", seconds["matchTemplate"] / seconds["search"], ">=", 6
-        ),
-        Expectation("calcOpticalFlowPyrLK over search", seconds["PyrLK"] / seconds["search"], ">=", 1),
-    ]
+    def optical_flow() -> None:
+        found, _, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, np.empty_like(corners))
+        cv2.calcOpticalFlowPyrLK(second, first, found, np.empty_like(corners))
+
+    return {
+        "search": lambda: node.evidence(frame, prior),
+        "matchTemplate": one_by_one,
+        "PyrLK": optical_flow,
+    }
 
 
-def _pictures() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Texture of 640x480 px, and the same moved by a few px, with noise."""
+def _pictures() -> tuple[Grey, Grey]:
+    """Texture of 640x480 px, and the same moved by `SHIFT`, with noise."""
     random = np.random.default_rng(1)
     noise = random.normal(size=(480, 640))
     blurred = [scale * cv2.GaussianBlur(noise, (0, 0), scale) for scale in (1.5, 4.0, 10.0)]
     texture = 60 * np.sum(blurred, axis=0)
-    shift = np.array([[1.0, 0.0, 3.4], [0.0, 1.0, -2.7]])
+    shift = np.column_stack([np.eye(2), SHIFT])
     moved = cv2.warpAffine(texture, shift, (640, 480), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
     first, second = (
         np.clip(128 + picture + random.normal(0, 2, picture.shape), 0, 255).astype(np.uint8)

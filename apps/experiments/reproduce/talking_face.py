@@ -16,6 +16,7 @@ from ....inference import MultiChain, RecursiveBP
 from ....inference.structure.nonrigid import learn_shape
 from ....models.background.pixel_labels import PixelLabels
 from ....models.core.frame import Frame
+from ....models.core.grey import grey_of
 from ....models.face.model_files import read_correspondences, read_model
 from ...face.start import FaceStart, start_from_landmarks
 from ...io.datasets import data_folder
@@ -160,7 +161,7 @@ def points_one_by_one(first: Numbers, frames: Iterable[Frame], progress: Progres
     now: Any = first.astype(np.float32)[:, None]
     for frame in frames:
         assert frame.image is not None
-        image = frame.image if frame.image.ndim == 2 else cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
+        image = grey_of(frame.image)
         if before is not None:
             now, _, _ = cv2.calcOpticalFlowPyrLK(
                 before, image, now, now.copy(), winSize=(WINDOW, WINDOW), maxLevel=2

@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ....models.core.frame import Frame
+from ....models.core.grey import grey_of
 
 LEAST_CONTRAST = 8
 """Grey levels between the darker and the brighter part of a frame, below which nothing is seen in it."""
@@ -15,9 +15,7 @@ LEAST_CONTRAST = 8
 
 def is_blank(image: NDArray[np.uint8]) -> bool:
     """Whether a frame is black, saturated or otherwise without contrast, so that nothing is seen in it."""
-    sample = image[::4, ::4]
-    grey = cv2.cvtColor(sample, cv2.COLOR_BGR2GRAY) if sample.ndim == 3 else sample
-    darker, brighter = np.percentile(grey, (2, 98))
+    darker, brighter = np.percentile(grey_of(image[::4, ::4]), (2, 98))
     return bool(brighter - darker < LEAST_CONTRAST)
 
 

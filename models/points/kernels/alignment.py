@@ -4,6 +4,12 @@ import numpy as np
 
 from ...numerics.compiled import compiled, inlined
 
+UNKNOWNS = 8
+"""Offset, gain, rotation, scale and two stretches of a patch, and two by which it moves."""
+
+REGISTERS = 8
+"""Numbers of the vector registers that a sum fills at once: with zeros behind, none are left over."""
+
 STEPS = 8
 """Gauss-Newton steps at most."""
 
@@ -69,72 +75,78 @@ def sample_all(grey, positions, patches):
 def _eliminate(a, b, first, last):
     """Make zeros below the diagonal of a x = b in the columns from `first` to before `last`.
 
-    What is then left at the lower right is the system of the other unknowns alone.
+    `a` is symmetric, and only its upper triangle is read and written. What is then left at the lower right is
+    the system of the other unknowns alone.
     """
     for k in range(first, last):
+        inverse = 1.0 / a[k, k]
         for i in range(k + 1, b.size):
-            share = a[i, k] / a[k, k]
-            for j in range(k + 1, b.size):
+            share = a[k, i] * inverse
+            for j in range(i, b.size):
                 a[i, j] -= share * a[k, j]
             b[i] -= share * b[k]
 
 
 @compiled
-def _normal_equations(patch, mean, wide, normal, right):
+def _dot(one, other):
+    total = 0.0
+    for i in range(one.size):
+        total += one[i] * other[i]
+    return total
+
+
+@compiled
+def _normal_equations(patch, mean, wide, change, normal, right):
     """Sums over a patch of products of what changes its pixels, and with what they are off by.
 
-    The rows: offset, gain, rotation, scale, stretch along the axes and along the diagonals, then columns and
-    rows by which it moves. Returned: the sums of squares of what is off and of the patch, of its product with
+    Rows of `change`, `(UNKNOWNS + 1, pixels or more)`: offset, gain, rotation, scale, stretch along the axes
+    and along the diagonals, then columns and rows by which it moves, and what is off. Of `normal` the upper
+    triangle is written. Returned: the sums of squares of what is off and of the patch, of its product with
     the picture, and of the picture and its square.
     """
-    size = right.size
     side = patch.shape[0]
     half = side // 2
-    change = np.empty(size)
-    normal[:] = 0.0
-    right[:] = 0.0
-    squares = own = cross = level = total = 0.0
+    own = cross = level = total = 0.0
+    n = 0
     for i in range(side):
+        y = i - half
         for j in range(side):
+            x = j - half
             value, centred = wide[i + 1, j + 1], patch[i, j] - mean
             gx, gy = 0.5 * (wide[i + 1, j + 2] - wide[i + 1, j]), 0.5 * (wide[i + 2, j + 1] - wide[i, j + 1])
-            x, y = j - half, i - half
-            change[0], change[1] = 1.0, centred
-            change[2], change[3] = x * gy - y * gx, x * gx + y * gy
-            change[4], change[5] = x * gx - y * gy, x * gy + y * gx
-            change[6], change[7] = gx, gy
-            off = value - patch[i, j]
-            squares += off * off
+            change[0, n], change[1, n] = 1.0, centred
+            change[2, n], change[3, n] = x * gy - y * gx, x * gx + y * gy
+            change[4, n], change[5, n] = x * gx - y * gy, x * gy + y * gx
+            change[6, n], change[7, n] = gx, gy
+            change[8, n] = value - patch[i, j]
             own += centred * centred
             cross += centred * value
             level += value
             total += value * value
-            for k in range(size):
-                right[k] += change[k] * off
-                for m in range(k + 1):
-                    normal[k, m] += change[k] * change[m]
-    for k in range(size):
-        for m in range(k):
-            normal[m, k] = normal[k, m]
-    return squares, own, cross, level, total
+            n += 1
+    for k in range(UNKNOWNS):
+        for m in range(k, UNKNOWNS):
+            normal[k, m] = _dot(change[k], change[m])
+        right[k] = _dot(change[k], change[UNKNOWNS])
+    return _dot(change[UNKNOWNS], change[UNKNOWNS]), own, cross, level, total
 
 
 @compiled
-def align_all(grey, patches, positions, precisions, farthest, information, residual, likeness):
+def align_all(grey, patches, positions, precisions, farthest, information, residual, ncc):
     """Move `positions` `(n, 2)` to where the picture is like `patches` `(n, side, side)`.
 
     Picture = patch + offset + gain (patch - its mean) + its change by a small linear map + noise; offset,
     gain and map have inverse variances `precisions`, `(6,)`, in units of the noise's. Written:
     `information` `(n, 2, 2)` for noise of variance 1, with all these integrated out; the variance of what
-    is left and the normalised correlation, -1 where the way is longer than `farthest` px or picture or
+    is left and the normalised correlation, -1 where the way leads farther than `farthest` px or picture or
     patch are flat.
     """
     side = patches.shape[1]
     count = side * side
     moves = precisions.size
-    size = moves + 2
     along, wide = np.empty((side + 5, side + 2)), np.empty((side + 2, side + 2))
-    normal, right, given = np.empty((size, size)), np.empty(size), np.empty(size)
+    change = np.zeros((UNKNOWNS + 1, -(-count // REGISTERS) * REGISTERS))
+    normal, right, given = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.empty(UNKNOWNS)
     for n in range(patches.shape[0]):
         patch = patches[n]
         mean = 0.0
@@ -143,9 +155,10 @@ def align_all(grey, patches, positions, precisions, farthest, information, resid
                 mean += patch[i, j]
         mean /= count
         x, y = positions[n, 0], positions[n, 1]
+        near = True
         for step in range(STEPS + 1):
             sample_about(grey, x, y, along, wide)
-            squares, own, cross, level, total = _normal_equations(patch, mean, wide, normal, right)
+            squares, own, cross, level, total = _normal_equations(patch, mean, wide, change, normal, right)
             for k in range(moves):
                 normal[k, k] += precisions[k]
             least = 1e-6 * (normal[moves, moves] + normal[moves + 1, moves + 1]) + 1e-12
@@ -154,10 +167,10 @@ def align_all(grey, patches, positions, precisions, farthest, information, resid
             given[:] = right
             _eliminate(normal, right, 0, moves)
             xx, xy, yy = normal[moves, moves], normal[moves, moves + 1], normal[moves + 1, moves + 1]
-            _eliminate(normal, right, moves, size)
+            _eliminate(normal, right, moves, UNKNOWNS)
             left = squares
-            for k in range(size - 1, -1, -1):
-                for j in range(k + 1, size):
+            for k in range(UNKNOWNS - 1, -1, -1):
+                for j in range(k + 1, UNKNOWNS):
                     right[k] -= normal[k, j] * right[j]
                 right[k] /= normal[k, k]
                 left -= right[k] * given[k]
@@ -166,10 +179,12 @@ def align_all(grey, patches, positions, precisions, farthest, information, resid
                 break
             x -= min(max(dx, -LONGEST), LONGEST)
             y -= min(max(dy, -LONGEST), LONGEST)
+            near = abs(x - positions[n, 0]) <= farthest and abs(y - positions[n, 1]) <= farthest
+            if not near:
+                break
         spread = total - level * level / count
-        near = abs(x - positions[n, 0]) <= farthest and abs(y - positions[n, 1]) <= farthest
         textured = spread > FLAT * count and own > FLAT * count
-        likeness[n] = cross / np.sqrt(spread * own) if near and textured else -1.0
+        ncc[n] = cross / np.sqrt(spread * own) if near and textured else -1.0
         residual[n] = max(left, 0.0) / (count - 4)
         information[n, 0, 0], information[n, 1, 1] = xx, yy
         information[n, 0, 1] = information[n, 1, 0] = xy

@@ -1,13 +1,51 @@
 """Normalised correlation of many small patches, each in a window of its own."""
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled
 
+Numbers = NDArray[np.float64]
+
 _f4 = np.float32
 
-LOWEST = _f4(-2)
-"""Below any correlation."""
+
+class Windows(NamedTuple):
+    """Where n patches are searched for.
+
+    Parameters
+    ----------
+    mean
+        `(n, 2)` px.
+    precision
+        `(n, 2, 2)` 1/px^2 of the prior about it; zeros for none.
+    radius
+        `(n,)` int64 px from the mean, along either axis.
+    """
+
+    mean: Numbers
+    precision: Numbers
+    radius: NDArray[np.int64]
+
+
+class Candidates(NamedTuple):
+    """The two likeliest places of each of n patches, the likelier first.
+
+    Parameters
+    ----------
+    position
+        `(n, 2, 2)` whole px: patch, place, column and row.
+    ncc
+        `(n, 2)` normalised correlation; -1 where there is no such place.
+    area
+        `(n,)` px^2 that were searched.
+    """
+
+    position: Numbers
+    ncc: Numbers
+    area: Numbers
 
 
 @compiled
@@ -51,15 +89,15 @@ def correlate(image, left, top, columns, rows, template, side, lines, score):
 
 
 @compiled
-def best_places(
-    image, mean, inverse, radius, templates, side, reach, sharpness, floor, places, likenesses, areas
-):
-    """Fill in the two likeliest places of each patch, as whole pixels, and how many were looked at.
+def best_places(image, windows, templates, side, reach, sharpness, floor, candidates):
+    """Fill in the two likeliest places of each patch, and how many were searched.
 
-    A place's weight is `sharpness` times -log(1 - correlation^2 + floor), plus the log prior: positions have
-    `mean` and `inverse` covariance, and `radius` px hold what is within `reach` standard deviations of it.
-    Only places are taken that no neighbour is more like the patch than.
+    A place's weight is `sharpness` times -log(1 - correlation^2 + floor), plus the log prior. Searched is
+    what is within `reach` standard deviations of the mean, and in the window. Only places are taken that no
+    neighbour is more like the patch than.
     """
+    mean, precision, radius = windows
+    places, nccs, areas = candidates
     height, width = image.shape
     half = side // 2
     most = 0
@@ -83,8 +121,8 @@ def best_places(
             dy = top + half + y - mean[k, 1]
             for x in range(1, columns - 1):
                 dx = left + half + x - mean[k, 0]
-                square = inverse[k, 0, 0] * dx * dx + inverse[k, 1, 1] * dy * dy
-                square += 2 * inverse[k, 0, 1] * dx * dy
+                square = precision[k, 0, 0] * dx * dx + precision[k, 1, 1] * dy * dy
+                square += 2 * precision[k, 0, 1] * dx * dy
                 if square > reach * reach:
                     continue
                 areas[k] += 1
@@ -101,10 +139,10 @@ def best_places(
                 if weight > best:
                     second, best = best, weight
                     places[k, 1] = places[k, 0]
-                    likenesses[k, 1] = likenesses[k, 0]
+                    nccs[k, 1] = nccs[k, 0]
                     places[k, 0, 0], places[k, 0, 1] = left + half + x, top + half + y
-                    likenesses[k, 0] = here
+                    nccs[k, 0] = here
                 elif weight > second:
                     second = weight
                     places[k, 1, 0], places[k, 1, 1] = left + half + x, top + half + y
-                    likenesses[k, 1] = here
+                    nccs[k, 1] = here

@@ -6,9 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.inference.filters.kalman import PointStates
-from rsmcm.inference.points.duplicate_tracks import on_one_spot, renamed, same_points, united
+from rsmcm.inference.points.duplicate_tracks import (
+    coincident_tracks,
+    duplicates,
+    merged_groups,
+    without_duplicates,
+)
 from rsmcm.inference.points.known_points import KnownPoints
-from rsmcm.inference.points.trajectory import Looks, PointTrajectory
+from rsmcm.inference.points.trajectory import Appearances, PointTrajectory
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.points.point_tracks import PointMessage
 
@@ -27,9 +32,9 @@ def trajectory(first: NDArray[np.float32], last: NDArray[np.float32]) -> PointTr
     n = len(first)
     nothing = np.zeros((1, n), np.bool_)
     flat, square = np.zeros((1, n, 2)), np.zeros((1, n, 2, 2))
-    looks = Looks(np.arange(n), first, last)
+    appearances = Appearances(np.arange(n), first, last)
     return PointTrajectory(
-        np.arange(n), flat, square, nothing, nothing, square, flat, looks, np.array([[5, 3]]), 0.0
+        np.arange(n), flat, square, nothing, nothing, square, flat, appearances, np.array([[5, 3]]), 0.0
     )
 
 
@@ -43,29 +48,29 @@ def test_groups_are_those_of_a_graph_and_named_by_their_smallest(
     expected = {
         node: min(part) for part in nx.connected_components(graph) for node in part if node != min(part)
     }
-    assert united(united({}, one), other) == expected
+    assert merged_groups(merged_groups({}, one), other) == expected
 
 
 def test_what_is_said_of_one_point_counts_once() -> None:
     message = at([1, 4, 6], [[0, 0], [5, 5], [9, 9]])
-    same = renamed(message, {6: 4, 1: 0}).positions
+    same = without_duplicates(message, {6: 4, 1: 0}).positions
     np.testing.assert_array_equal(same.identities, [0, 4])
     np.testing.assert_allclose(same.moments[1], [[0, 0], [5, 5]])
-    assert renamed(message, {}) is message
+    assert without_duplicates(message, {}) is message
 
 
 def test_points_that_others_take_for_one_have_to_look_alike() -> None:
     first = PIXELS.copy()
     last = PIXELS[::-1].copy()
     first[2] = 0.5 * last[0] + 30  # found again as it was lost, in another light
-    told = [at([0, 1, 2, 4], [[0, 0]] * 4, [0, 0, 0, 4]), at([0], [[0, 0]])]
-    assert same_points(trajectory(first, last), told) == {2: 0, 5: 3}  # what was one before stays so
+    others = [at([0, 1, 2, 4], [[0, 0]] * 4, [0, 0, 0, 4]), at([0], [[0, 0]])]
+    assert duplicates(trajectory(first, last), others) == {2: 0, 5: 3}  # what was one before stays so
 
 
 def test_one_spot_again_and_again_is_one_point() -> None:
     near, far = at([3, 7, 8], [[10, 10], [11, 10], [30, 30]]), at([3, 7, 8], [[10, 10], [20, 10], [30, 30]])
-    assert on_one_spot([near] * 5 + [far] * 3, 1.5) == [(3, 7)]
-    assert on_one_spot([near] * 4 + [far] * 3, 1.5) == []
+    assert coincident_tracks([near] * 5 + [far] * 3, 1.5) == [(3, 7)]
+    assert coincident_tracks([near] * 4 + [far] * 3, 1.5) == []
 
 
 def known(identities: list[int], alive: list[bool], unseen: list[float]) -> KnownPoints:

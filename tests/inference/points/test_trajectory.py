@@ -5,20 +5,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.inference.points.motion_noise import Motion
-from rsmcm.inference.points.trajectory import Gathered, smoothed_trajectory
+from rsmcm.inference.points.motion_noise import MotionModel
+from rsmcm.inference.points.trajectory import StackedMessages, smoothed_trajectory
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from scipy.stats import multivariate_normal
 
 Numbers = NDArray[np.float64]
 
-MOTION = Motion(acceleration=50.0, speed=30.0, extent=200.0)
+MOTION = MotionModel(acceleration=50.0, speed=30.0, extent=200.0)
 TIMES = np.array([0.0, 0.04, 0.08, 0.16, 0.2, 0.3])
 ANY = 1e9
 """px: any position counts as known."""
 
 
-def prior_covariance(times: Numbers, motion: Motion) -> Numbers:
+def prior_covariance(times: Numbers, motion: MotionModel) -> Numbers:
     """Covariance `(n, n)` of a coordinate at `times`: an integrated Wiener process, in closed form."""
     s, t = np.meshgrid(times, times)
     low, high = np.minimum(s, t), np.maximum(s, t)
@@ -40,8 +40,8 @@ def messages(random: np.random.Generator, seen: NDArray[np.bool_]) -> list[Gauss
     return result
 
 
-def gathered(parts: list[GaussianMessage], n_points: int) -> Gathered:
-    return Gathered.of(parts, TIMES, np.arange(n_points))
+def stacked(parts: list[GaussianMessage], n_points: int) -> StackedMessages:
+    return StackedMessages.of(parts, TIMES, np.arange(n_points))
 
 
 def dense(parts: list[GaussianMessage], point: int) -> tuple[Numbers, Numbers, float]:
@@ -74,17 +74,17 @@ def dense(parts: list[GaussianMessage], point: int) -> tuple[Numbers, Numbers, f
 def test_tracks_and_messages_equal_the_joint_gaussian(seed: int) -> None:
     random = np.random.default_rng(seed)
     evidence = messages(random, random.random((6, 3)) < 0.6)
-    told = messages(random, random.random((6, 3)) < 0.4)
-    found = smoothed_trajectory(gathered(evidence, 3), gathered(told, 3), MOTION, ANY, None)
+    others = messages(random, random.random((6, 3)) < 0.4)
+    found = smoothed_trajectory(stacked(evidence, 3), stacked(others, 3), MOTION, ANY, None)
     for point in range(3):
-        both = [one * other for one, other in zip(evidence, told, strict=True)]
+        both = [one * other for one, other in zip(evidence, others, strict=True)]
         mean, covariance, _ = dense(both, point)
         np.testing.assert_allclose(found.position[:, point], mean, atol=1e-5)
         np.testing.assert_allclose(found.covariance[:, point], covariance, rtol=1e-6, atol=1e-6)
     for time, message in enumerate(found.messages()):
-        others = [*evidence[:time], GaussianMessage.uniform(2), *evidence[time + 1 :]]
+        rest = [*evidence[:time], GaussianMessage.uniform(2), *evidence[time + 1 :]]
         for point in range(3):
-            mean, covariance, _ = dense(others, point)
+            mean, covariance, _ = dense(rest, point)
             said_mean, said_covariance = message.marginal(point)
             np.testing.assert_allclose(said_mean, mean[time], rtol=1e-4, atol=0.01)
             np.testing.assert_allclose(said_covariance, covariance[time], rtol=1e-4, atol=0.1)  # of 4e4
@@ -94,7 +94,7 @@ def test_tracks_and_messages_equal_the_joint_gaussian(seed: int) -> None:
 def test_prior_and_masses_make_the_log_evidence_of_all_tracks(seed: int) -> None:
     random = np.random.default_rng(seed)
     evidence = messages(random, random.random((6, 3)) < 0.6)
-    found = smoothed_trajectory(gathered(evidence, 3), gathered([UNSAID] * 6, 3), MOTION, ANY, None)
+    found = smoothed_trajectory(stacked(evidence, 3), stacked([UNSAID] * 6, 3), MOTION, ANY, None)
     total = found.log_prior
     for message, seen in zip(found.messages(), evidence, strict=True):
         total += (message * seen).log_mass

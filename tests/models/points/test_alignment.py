@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.models.points.alignment import align_patches, sample_patches
-from rsmcm.models.points.patches import likeness, lit_as
+from rsmcm.models.points.patches import ncc, with_light_of
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, Texture, picture
 
@@ -58,7 +58,7 @@ def test_errors_are_small_and_as_large_as_stated(noise: float, error: float) -> 
     off = np.random.default_rng(1).uniform(-0.5, 0.5, start.shape)
     found = align_patches(after, patches, start + SHIFT + off, 1.0)
     clear = np.trace(found.covariance, axis1=1, axis2=2) < 2 * 0.5**2
-    clear &= found.likeness > 0.8
+    clear &= found.ncc > 0.8
     assert clear.mean() > 0.5
     errors = (found.position - start - SHIFT)[clear]
     assert np.sqrt((errors**2).mean()) < error
@@ -74,7 +74,7 @@ def test_light_and_contrast_may_change_a_little() -> None:
     found = align_patches(after, sample_patches(before, start, 5), start + SHIFT, 1.0)
     errors = found.position - start - SHIFT
     assert np.median(np.abs(errors)) < 0.2
-    assert np.median(found.likeness) > 0.95
+    assert np.median(found.ncc) > 0.95
 
 
 def test_a_patch_that_turns_a_little_stays_in_place() -> None:
@@ -98,10 +98,10 @@ def test_what_has_no_texture_or_is_too_far_is_like_nothing() -> None:
     patches = sample_patches(before, start, 5)
     for grey, some in ((flat, patches), (after, np.full_like(patches, 7.0))):
         found = align_patches(grey, some, start, 1.0)
-        np.testing.assert_array_equal(found.likeness, -1)
+        np.testing.assert_array_equal(found.ncc, -1)
         assert np.isfinite(found.covariance).all()
     far = align_patches(after, patches, start + SHIFT + 0.4, 0.1)
-    assert (far.likeness == -1).mean() > 0.8
+    assert (far.ncc == -1).mean() > 0.8
 
 
 def test_start_is_left_as_it_is() -> None:
@@ -112,11 +112,11 @@ def test_start_is_left_as_it_is() -> None:
     np.testing.assert_array_equal(start, kept)
 
 
-def test_likeness_is_the_correlation_and_light_makes_no_difference() -> None:
+def test_ncc_is_the_correlation_and_light_makes_no_difference() -> None:
     random = np.random.default_rng(0)
     one, other = random.uniform(0, 255, (2, 8, 5, 5)).astype(np.float32)
     expected = [np.corrcoef(a.ravel(), b.ravel())[0, 1] for a, b in zip(one, other, strict=True)]
-    np.testing.assert_allclose(likeness(one, other), expected, atol=1e-6)
-    np.testing.assert_allclose(likeness(2 * one + 30, one), 1, atol=1e-6)
-    assert likeness(one[:1], np.full((1, 5, 5), 3, np.float32)) == 0
-    np.testing.assert_allclose(lit_as(one, 0.5 * one + 20), 0.5 * one + 20, rtol=1e-5)
+    np.testing.assert_allclose(ncc(one, other), expected, atol=1e-6)
+    np.testing.assert_allclose(ncc(2 * one + 30, one), 1, atol=1e-6)
+    assert ncc(one[:1], np.full((1, 5, 5), 3, np.float32)) == 0
+    np.testing.assert_allclose(with_light_of(one, 0.5 * one + 20), 0.5 * one + 20, rtol=1e-5)

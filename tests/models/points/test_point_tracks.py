@@ -15,7 +15,6 @@ from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.points.corners import find_corners
 from rsmcm.models.points.patches import Patches
 from rsmcm.models.points.point_tracks import PointMessage, View, noise_of_tracks
-from rsmcm.models.points.search import find_points, leads_back, least_likeness
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, film, hidden_by_a_bar
 
@@ -222,35 +221,6 @@ def test_false_alarms_are_as_rare_as_asked_for(data_folder: Path, deviation: flo
             alarms += len(NODE.evidence(frame(unrelated), prior).positions)
             windows += 150
     assert alarms < NODE.false_alarms * windows
-
-
-def test_the_wider_the_window_the_more_likeness_is_asked_for() -> None:
-    asked = least_likeness(0.05, np.array([10, 100, 1000]), 5)
-    assert (np.diff(asked) > 0).all()
-    assert (np.diff([least_likeness(0.05, 100, side) for side in (5, 7, 9, 11)]) < 0).all()
-    assert least_likeness(0.01, 100, 5) > least_likeness(0.1, 100, 5)
-
-
-def test_among_equals_the_prior_decides_or_nobody_does() -> None:
-    tile = np.random.default_rng(4).integers(0, 256, (12, 12)).astype(np.uint8)
-    grey = np.tile(tile, (10, 12))
-    points = np.array([[66.0, 54.0], [42.0, 66.0]])
-    patches = view_of(grey).patches_at(points)
-    narrow, between, wide = (np.tile(deviation**2 * np.eye(2), (2, 1, 1)) for deviation in (2.5, 4.0, 8.0))
-    assert find_points(grey, patches, points, narrow, 0.05, 24.0).seen.all()
-    np.testing.assert_allclose(
-        find_points(grey, patches, points, between, 0.05, 24.0).position, points, atol=0.05
-    )
-    assert not find_points(grey, patches, points + np.array([6.0, 0.0]), wide, 0.05, 24.0).seen.any()
-
-
-def test_what_leads_back_elsewhere_is_refused() -> None:
-    before, after = film([STILL, MOVED])
-    points = find_corners(before, 60, np.zeros((0, 2)), 8, 5)
-    points = points[((points > 15) & (points < [WIDTH - 15, HEIGHT - 15])).all(axis=1)]
-    around = np.tile(4.0 * np.eye(2), (len(points), 1, 1))
-    assert leads_back(after, points + SHIFT, before, points, around, 5, 24.0).mean() > 0.95
-    assert leads_back(after, points + SHIFT + [3.0, 0.0], before, points, around, 5, 24.0).mean() < 0.05
 
 
 def test_only_points_with_a_look_and_a_place_are_looked_for() -> None:

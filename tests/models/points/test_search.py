@@ -1,0 +1,218 @@
+"""Search for patches against OpenCV's correlation, against known shifts, and back again."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models.core.mahalanobis import squared_distances
+from rsmcm.models.points.alignment import align_patches, sample_patches
+from rsmcm.models.points.corners import find_corners
+from rsmcm.models.points.search import find_points, forward_backward_check, least_ncc, likeliest_places
+
+from ...support.pictures import HEIGHT, WIDTH, Pose, film
+
+Grey = NDArray[np.uint8]
+Numbers = NDArray[np.float64]
+
+SHIFT = np.array([3.4, -1.7])
+
+
+def noise_picture(seed: int, height: int, width: int) -> Grey:
+    return np.random.default_rng(seed).integers(0, 256, (height, width), dtype=np.uint8)
+
+
+def rounded(picture: Numbers) -> Grey:
+    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+
+def before_and_after() -> list[Grey]:
+    return film([Pose(np.eye(2), np.zeros(2)), Pose(np.eye(2), SHIFT)], noise=0.0)
+
+
+def alike(deviation: float, n: int) -> Numbers:
+    return np.tile(deviation**2 * np.eye(2), (n, 1, 1))
+
+
+# --- correlation, pixel by pixel ---
+
+
+def opencv_peaks(image: Grey, patch: NDArray[np.float32], x: int, y: int, radius: int) -> Numbers:
+    """Score, column and row `(n, 3)` of the peaks within `radius` px of a place, the best first."""
+    half = len(patch) // 2
+    scores = np.full(image.shape, -2.0)
+    scores[half:-half, half:-half] = cv2.matchTemplate(image.astype(np.float32), patch, cv2.TM_CCOEFF_NORMED)
+    peaks = (scores > 0) & (scores == cv2.dilate(scores, np.ones((3, 3), np.uint8)))
+    peaks[[half, -half - 1]] = peaks[:, [half, -half - 1]] = False  # nothing tells whether it falls off there
+    rows, columns = np.nonzero(peaks)
+    near = (np.abs(columns - x) <= radius) & (np.abs(rows - y) <= radius)
+    found = np.column_stack([scores[rows, columns], columns, rows])[near]
+    return np.asarray(found[np.argsort(-found[:, 0])], np.float64)
+
+
+@settings(max_examples=60)
+@given(
+    st.integers(0, 2**32),
+    st.sampled_from([3, 5, 7]),
+    st.tuples(st.integers(-3, 48), st.integers(-3, 38)),
+    st.floats(0.3, 2.5),
+)
+def test_without_a_prior_the_best_two_places_are_opencvs(
+    seed: int, side: int, middle: tuple[int, int], deviation: float
+) -> None:
+    """On noise, so that there are many peaks."""
+    image = cv2.GaussianBlur(noise_picture(seed, 35, 45), (0, 0), 1.0)
+    image = np.asarray(cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX), np.uint8)  # type: ignore[call-overload]
+    patches = sample_patches(image, np.random.default_rng(seed).uniform(8, 26, (1, 2)), side)
+    mean = np.array([middle], np.float64)
+    found = likeliest_places(image, patches, mean, alike(deviation, 1), 9.0, prior=False)
+    radius = min(int(np.ceil(3 * np.hypot(deviation, 0.5) + 0.5)), 9)
+    peaks = opencv_peaks(image, patches[0], *middle, radius)
+    scores = peaks[:3, 0]
+    if (np.diff(scores) > -1e-4).any():
+        return  # rounding decides
+    np.testing.assert_allclose(found.ncc[0], [*scores[:2], -1, -1][:2], atol=1e-4)
+    for place, peak in zip(found.position[0], peaks[:2], strict=False):
+        np.testing.assert_array_equal(place, peak[1:])
+
+
+def test_the_prior_decides_between_equals() -> None:
+    image = np.full((40, 60), 100, np.uint8)
+    image[15:24, 10:19] = image[15:24, 26:35] = noise_picture(11, 9, 9)
+    patches = sample_patches(image, np.array([[14.0, 19.0]]), 5)
+    for x, best in ((19.0, 14), (25.0, 30)):
+        found = likeliest_places(image, patches, np.array([[x, 19.0]]), alike(5.0, 1), 24.0)
+        np.testing.assert_array_equal(found.position[0], [[best, 19], [44 - best, 19]])
+        np.testing.assert_allclose(found.ncc, 1, atol=1e-4)
+
+
+@pytest.mark.parametrize("prior", [True, False])
+def test_other_patches_do_not_matter(prior: bool) -> None:
+    image = noise_picture(12, 60, 60)
+    random = np.random.default_rng(0)
+    positions, covariances = random.uniform(5, 55, (20, 2)), random.uniform(0.1, 9, (20, 1, 1)) * np.eye(2)
+    patches = sample_patches(image, positions, 7)
+    together = likeliest_places(image, patches, positions, covariances, 12.0, prior=prior)
+    for k in range(20):
+        one = slice(k, k + 1)
+        alone = likeliest_places(image, patches[one], positions[one], covariances[one], 12.0, prior=prior)
+        for a, b in zip(alone, together, strict=True):
+            np.testing.assert_array_equal(a, b[one])
+
+
+def test_where_nothing_can_be_there_is_nothing() -> None:
+    image, flat = noise_picture(9, 40, 50), np.full((40, 50), 90, np.uint8)
+    patches = np.repeat(sample_patches(image, np.array([[20.0, 20.0]]), 5), 5, axis=0)
+    outside = np.array([[-30.0, 3.0], [90.0, 39.0], [1e9, -1e9], [3.0, 200.0], [20.0, -9.0]])
+    inside = np.full((5, 2), 20.0)
+    for grey, some, mean in (
+        (image, patches, outside),
+        (flat, patches, inside),
+        (image, 0 * patches, inside),
+    ):
+        places = likeliest_places(grey, some, mean, alike(2.0, 5), 24.0)
+        np.testing.assert_array_equal(places.ncc, -1)
+        assert not find_points(grey, some, mean, alike(2.0, 5), 0.05, 24.0).seen.any()
+    assert len(likeliest_places(image, patches[:0], outside[:0], alike(1.0, 0), 24.0).ncc) == 0
+
+
+# --- points ---
+
+
+def test_the_wider_the_window_the_more_correlation_is_asked_for() -> None:
+    asked = least_ncc(0.05, np.array([10, 100, 1000]), 5)
+    assert (np.diff(asked) > 0).all()
+    assert (np.diff([least_ncc(0.05, 100, side) for side in (5, 7, 9, 11)]) < 0).all()
+    assert least_ncc(0.01, 100, 5) > least_ncc(0.1, 100, 5)
+
+
+def test_among_equals_the_prior_decides_or_nobody_does() -> None:
+    tile = np.random.default_rng(4).integers(0, 256, (12, 12)).astype(np.uint8)
+    grey = np.tile(tile, (10, 12))
+    points = np.array([[66.0, 54.0], [42.0, 66.0]])
+    patches = sample_patches(grey, points, 5)
+    narrow, between, wide = (alike(deviation, 2) for deviation in (2.5, 4.0, 8.0))
+    assert find_points(grey, patches, points, narrow, 0.05, 24.0).seen.all()
+    np.testing.assert_allclose(
+        find_points(grey, patches, points, between, 0.05, 24.0).position, points, atol=0.05
+    )
+    assert not find_points(grey, patches, points + np.array([6.0, 0.0]), wide, 0.05, 24.0).seen.any()
+
+
+def test_what_leads_back_elsewhere_is_refused() -> None:
+    before, after = before_and_after()
+    points = find_corners(before, 60, np.zeros((0, 2)), 8, 5)
+    points = points[((points > 15) & (points < [WIDTH - 15, HEIGHT - 15])).all(axis=1)]
+    for off, share in ((0.0, 1.0), (3.0, 0.0)):
+        there = points + SHIFT + [off, 0.0]
+        back = forward_backward_check(after, there, before, points, alike(2.0, len(points)), 5, 24.0)
+        assert back.mean() == pytest.approx(share, abs=0.05)
+
+
+# --- covariances ---
+
+
+def pictures(data_folder: Path) -> Iterator[Numbers]:
+    for name in ("cmu-hotel/hotel.seq0.png", "bobot/frame_000120.jpg", "tud-campus/img1/000001.jpg"):
+        picture = cv2.imread(str(data_folder / name), cv2.IMREAD_GRAYSCALE)
+        if picture is None:
+            pytest.skip(f"no {name} in {data_folder}")
+        yield picture.astype(float)
+
+
+def seen_from(picture: Numbers, right: int, down: int) -> Numbers:
+    """A camera with pixels three times as wide, moved by thirds of them."""
+    picture = picture[down:, right:]
+    rows, columns = picture.shape[0] // 3, picture.shape[1] // 3
+    return picture[: 3 * rows, : 3 * columns].reshape(rows, 3, columns, 3).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize("deviation", [1.0, 4.0, 8.0])
+def test_covariances_are_about_right_on_real_pictures(data_folder: Path, deviation: float) -> None:
+    """Corners of real pictures, moved by thirds of a pixel under noise of the sensor of both.
+
+    Mean squares of errors over covariances are 2 for two coordinates. Of about 1500 places the standard error
+    is below 0.1; a factor of 1.4 either way is for patches being of 25 pixels, and pictures being no waves.
+    """
+    random = np.random.default_rng(4)
+    squares, wrong = [], []
+    for picture in pictures(data_folder):
+        still = seen_from(picture, 0, 0)
+        corners = cv2.goodFeaturesToTrack(still.astype(np.float32), 80, 0.01, 6, blockSize=5)[:, 0]
+        for right in range(3):
+            for down in range(3):
+                one, other = (
+                    rounded(seen + random.normal(0, deviation, seen.shape))
+                    for seen in (still, seen_from(picture, right, down))
+                )
+                start = corners + random.uniform(-0.5, 0.5, corners.shape)
+                found = find_points(
+                    other, sample_patches(one, start, 5), start, alike(1.0, len(start)), 0.05, 24.0
+                )
+                errors = found.position - start[found.seen] + np.array([right, down]) / 3
+                near = np.abs(errors).max(axis=1) < 1.5
+                squares.append(squared_distances(errors, found.covariance)[near])
+                wrong.append(~near)
+    assert len(np.concatenate(squares)) > 800
+    assert 1.4 < np.concatenate(squares).mean() < 2.8
+    assert np.concatenate(wrong).mean() < 0.05
+
+
+def test_an_edge_tells_nothing_along_it() -> None:
+    random = np.random.default_rng(6)
+    angle = 0.4
+    y, x = np.mgrid[:60, :60].astype(float)
+    across = np.array([np.cos(angle), np.sin(angle)])
+    edge = 128 + 60 * np.tanh((x - 30) * across[0] + (y - 30) * across[1])
+    one, other = (rounded(edge + random.normal(0, 2, edge.shape)) for _ in range(2))
+    along = np.array([-across[1], across[0]])
+    positions = np.array([30.0, 30.0]) + random.uniform(-12, 12, (200, 1)) * along
+    patches = sample_patches(one, positions, 5)
+    covariance = align_patches(other, patches, positions, 1.0).covariance
+    sure, unsure = across @ covariance @ across, along @ covariance @ along
+    assert (sure < 0.1**2).all()
+    assert (unsure > 4 * sure).mean() > 0.9  # here and there noise is like noise
