@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from rsmcm.chains import PointTracker
 from rsmcm.inference import (
     BatchIncoming,
-    Cavity,
     CoordinateAscent,
     Incoming,
     MultiChain,
@@ -177,9 +176,9 @@ class PlaneKnown:
 
     poses: tuple[Pose, ...]
     deviation: float = 0.7
-    name: str = "plane"
+    name: str = "world"  # after the tracker, which has to find points first
 
-    ports = (Port(PointTracks, Cavity.OTHERS),)
+    ports = (Port(PointTracks),)
 
     def _pose(self, time: float) -> Pose:
         return self.poses[round(time / DT)]
