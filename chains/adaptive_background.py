@@ -5,6 +5,7 @@ The RSMCM paper's low-level chain (§4.2): a Gaussian per pixel, whose posterior
 chains predict, the background stays as it is behind an object that they track.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,14 @@ from numpy.typing import NDArray
 from ..inference.core.protocols import Cavity, Incoming, Port
 from ..models.background import colour
 from ..models.background.gaussian import BackgroundPrediction, LightField
-from ..models.background.kernels.gaussian import light_ratios, second_look
+from ..models.background.kernels.gaussian import (
+    SETTLED,
+    Gaussians,
+    SecondColours,
+    Settling,
+    learn_second_colours,
+    light_ratios,
+)
 from ..models.background.kernels.layers import update_behind
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
@@ -24,16 +32,25 @@ from ..models.numerics import array_pool
 Planes = NDArray[np.float32]
 
 UNSURE_VARIANCE = 4.0
-"""Variance of a value that was seen in a few looks only, and gives way easily in the beginning."""
+"""Variance of a value that was seen a few times only, and gives way easily in the beginning."""
 
 WIDEST_DRIFT = 255.0**2 / 12
 """Squared grey levels: of a value that may be anything, as far as it can wander however long nobody looks."""
 
-BEGINNING = 60
-"""Looks after which nothing that was there from the first is taken for the scene by mistake any more."""
+BEGINNING = 4.0
+"""s after which nothing that was there from the first is taken for the scene by mistake any more."""
 
-FASTEST_LIGHT = 0.05
-"""Log of the most that light changes from look to look; a lamp that is switched takes a few."""
+LEAST_TIME = 0.3
+"""s for which a second colour must have been seen in any case."""
+
+MOST_NOISE_SHARE = 0.1
+"""Of a single observation in a pixel's noise, however long ago the one before was."""
+
+FASTEST_LIGHT = 1.0
+"""Log of the most that light changes in a second; a lamp that is switched takes a few frames."""
+
+STEADY_LIGHT, LIGHT_TIME = 0.02, 0.3
+"""Log of a change below which it may be noise, and s, the time constant with which it is followed then."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,18 +66,18 @@ class BackgroundState:
     variance
         `(n_pixels,)` float32, squared grey levels: of the mean.
     noise
-        `(n_pixels,)` float32, squared grey levels: of a single look at the pixel.
+        `(n_pixels,)` float32, squared grey levels: of a single observation.
     light
         `(block_rows, block_columns)` float32: today's light relative to that of `mean`.
     covered
         `(block_rows, block_columns)` float32: share of the block behind known objects.
     candidate, seen
         second hypothesis: `(n_pixels * channels,)` uint8 colour that is neither background nor an object,
-        and `(n_pixels,)` uint8 how many looks it has lasted.
+        and `(n_pixels,)` uint16 how much of the settling time it has lasted (see `SecondColours`).
     elapsed
-        s since the last look.
-    looks
-        how many there have been.
+        s since the last frame with an image.
+    age
+        s for which the scene has been seen.
     """
 
     size: tuple[int, int]
@@ -70,15 +87,14 @@ class BackgroundState:
     light: Planes
     covered: Planes
     candidate: NDArray[np.uint8]
-    seen: NDArray[np.uint8]
+    seen: NDArray[np.uint16]
     elapsed: float
-    looks: int
+    age: float
 
     def picture(self) -> NDArray[np.uint8]:
         """The empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
         height, width = self.size
-        field = LightField(self.light, self.size)
-        rows, position = field.rows(), field.row_positions()
+        rows, position = LightField(self.light, self.size).along_rows
         above = position.astype(np.intp)
         share = (position - above)[:, None]
         light = rows[above] * (1 - share) + rows[above + 1] * share
@@ -94,8 +110,9 @@ class AdaptiveBackground:
     prior
         P(B=1) of a pixel of which nobody else knows anything.
     noise
-        squared grey levels: sensor noise plus the scene's own, at first; `noise_rate` is the share by which a
-        pixel's own noise follows what is seen of it each frame (0: fixed variance as in the paper).
+        squared grey levels: sensor noise plus the scene's own, at first.
+    noise_rate
+        1/s, at which a pixel's own noise follows what is seen of it (0: fixed variance as in the paper).
     drift
         squared grey levels per second by which a background value may wander.
     first_variance
@@ -111,7 +128,7 @@ class AdaptiveBackground:
 
     prior: float = 0.95
     noise: float = 30.0
-    noise_rate: float = 0.02
+    noise_rate: float = 0.3
     drift: float = 1.25
     first_variance: float = 20.0
     settle_time: float = 3.0
@@ -150,9 +167,9 @@ class AdaptiveBackground:
             light=np.ones(_light_grid(height, width), np.float32),
             covered=np.zeros(_light_grid(height, width), np.float32),
             candidate=np.zeros(image.size, np.uint8),
-            seen=np.zeros(n_pixels, np.uint8),
+            seen=np.zeros(n_pixels, np.uint16),
             elapsed=0.0,
-            looks=0,
+            age=0.0,
         )
 
     def predict(self, state: BackgroundState, dt: float) -> BackgroundState:
@@ -177,30 +194,26 @@ class AdaptiveBackground:
         reading, after = prediction.against(image), prediction.update(image)
         covered = array_pool.empty(reading.log_odds.shape, np.uint8)
         covered[:] = 0
-        light_rows, row_positions = prediction.light.rows(), prediction.light.row_positions()
+        light = prediction.light.along_rows
         for region in others.regions:
             update_behind(
-                region.top, region.left, region.shift, state.size[1], colour.patch(image, *region.box),
-                reading.pooled, state.mean, state.variance, state.noise, light_rows, row_positions,
-                np.float32(prediction.drift), np.float32(self.first_variance), np.float32(self.noise_rate),
-                after.mean, after.variance, after.noise, covered,
+                region.top, region.left, region.shift, colour.patch(image, *region.box), reading.pooled,
+                prediction.pixels, light, prediction.model, after, covered,
             )  # fmt: skip
-        candidate, seen = (
-            array_pool.empty(state.candidate.shape, np.uint8),
-            array_pool.empty(state.seen.shape, np.uint8),
-        )
-        np.copyto(candidate, state.candidate)
-        np.copyto(seen, state.seen)
-        elapsed = state.elapsed
-        if elapsed > 0 and np.isfinite(self.settle_time):
+        second = SecondColours(array_pool.copy(state.candidate), array_pool.copy(state.seen))
+        if state.elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
-            beginning = state.looks < BEGINNING
-            second_look(
-                np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, state.size[1], light_rows,
-                row_positions, colour.from_pixels(channels), colour.to_pixels(channels),
-                np.float32(prediction.tolerance), 2 * prediction.trusted_looks,
-                np.float32(self.first_variance), np.float32(UNSURE_VARIANCE if beginning else np.inf),
-                after.noise, after.mean, after.variance, candidate, seen,
+            scale = SETTLED / self.settle_time
+            settling = Settling(
+                np.float32(prediction.tolerance),
+                min(max(round(scale * state.elapsed), 1), SETTLED // 4),  # at least four times
+                min(round(scale * LEAST_TIME), SETTLED),
+                np.float32(self.first_variance),
+                np.float32(UNSURE_VARIANCE if state.age < BEGINNING else np.inf),
+            )
+            learn_second_colours(
+                np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, light,
+                colour.from_pixels(channels), colour.to_pixels(channels), settling, after, second,
             )  # fmt: skip
         return replace(
             state,
@@ -209,10 +222,10 @@ class AdaptiveBackground:
             noise=after.noise,
             light=prediction.light.blocks,
             covered=_share_of_blocks(covered.reshape(state.size), state.light.shape),
-            candidate=candidate,
-            seen=seen,
+            candidate=second.colours,
+            seen=second.seen,
             elapsed=0.0,
-            looks=state.looks + 1,
+            age=state.age + state.elapsed,
         )
 
     def _predicted(self, state: BackgroundState, incoming: Incoming) -> BackgroundPrediction:
@@ -223,17 +236,14 @@ class AdaptiveBackground:
         light = state.light if image is None else self._light_now(state, image)
         return BackgroundPrediction(
             size=state.size,
-            mean=state.mean,
-            variance=state.variance,
-            noise=state.noise,
+            pixels=Gaussians(state.mean, state.variance, state.noise),
             light=LightField(light, state.size),
             prior=self.prior,
             drift=min(self.drift * state.elapsed, WIDEST_DRIFT),
-            noise_rate=self.noise_rate,
+            noise_share=min(-math.expm1(-self.noise_rate * state.elapsed), MOST_NOISE_SHARE),
+            first_variance=self.first_variance,
             pooling=self.pooling,
-            candidate=state.candidate,
-            seen=state.seen,
-            trusted_looks=round(min(max(0.5 * self.settle_time / max(state.elapsed, 1e-3), 2), 125)),
+            second=SecondColours(state.candidate, state.seen),
             tolerance=8.0 * len(state.mean) * self.noise,
         )
 
@@ -245,11 +255,8 @@ class AdaptiveBackground:
         """
         before = LightField(state.light, state.size)
         ratios, agreement = np.empty_like(state.light), np.empty_like(state.light)
-        height, width = state.size
-        light_ratios(
-            np.ascontiguousarray(image).reshape(-1), state.mean, before.rows(), before.row_positions(),
-            height, width, ratios, agreement,
-        )  # fmt: skip
+        flat = np.ascontiguousarray(image).reshape(-1)
+        light_ratios(flat, state.mean, before.along_rows, ratios, agreement)
         weight = np.where(agreement > 0.3, agreement, 0.0) * (1 - state.covered) ** 4 + 1e-3
         change = np.log(ratios) * (agreement > 0.3)
         around = _blurred(change * weight) / _blurred(weight)
@@ -257,8 +264,9 @@ class AdaptiveBackground:
         smooth = _blurred(
             cv2.medianBlur(cv2.copyMakeBorder(change, 1, 1, 1, 1, cv2.BORDER_REFLECT_101), 3)[1:-1, 1:-1]
         )
-        smooth = np.clip(smooth, -FASTEST_LIGHT, FASTEST_LIGHT)
-        follow = np.where(np.abs(smooth) > 0.02, 1.0, 0.2)
+        fastest = FASTEST_LIGHT * state.elapsed
+        follow = np.where(np.abs(smooth) > STEADY_LIGHT, 1.0, -math.expm1(-state.elapsed / LIGHT_TIME))
+        smooth = np.clip(smooth, -fastest, fastest)
         light: Planes = np.clip(state.light * np.exp(follow * smooth), 0.1, 10.0).astype(np.float32)
         return light
 

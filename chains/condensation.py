@@ -1,18 +1,16 @@
 """CONDENSATION (Isard and Blake 1998): the bootstrap filter, as a chain over a body's pose."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.body.dynamics import BodyDynamics
-from ..inference.body.samples import BodySamples, part_message
+from ..inference.body.samples import BodySamples, copied, part_message
 from ..inference.core.protocols import Incoming, Port
 from ..inference.filters.resampling import normalised, systematic
-from ..models.body.image_features import BodyImage
-from ..models.body.likelihood import BodyLikelihood
+from ..models.body.likelihood import BodyLikelihood, PoseLikelihood
 from ..models.body.parts import BodyParts, PartMessage
 from ..models.body.poses import BodyPoses
 from ..models.body.upper_body import UpperBody
@@ -22,14 +20,6 @@ Array = NDArray[np.float64]
 
 GROUPS = 6
 """Gaussians of each part's mixture in the message."""
-
-
-class Likelihood(Protocol):
-    """Log p(image | pose) of many poses, up to a constant of the image."""
-
-    def __call__(self, image: BodyImage, poses: BodyPoses, /) -> Array:
-        """`(n,)` nats."""
-        ...
 
 
 class Dynamics(Protocol):
@@ -79,7 +69,7 @@ class Condensation:
     start: BodyPoses | None = None
     seed: int = 0
     dynamics: Dynamics | None = None
-    likelihood: Likelihood | None = None
+    likelihood: PoseLikelihood | None = None
     name: str = "condensation"
 
     ports = (Port(BodyParts),)
@@ -90,13 +80,9 @@ class Condensation:
         if self.start is not None and not len(self.start):
             raise ValueError("start: got no poses, expected one or more")
 
-    @cached_property
+    @property
     def _dynamics(self) -> Dynamics:
-        return BodyDynamics(self.body) if self.dynamics is None else self.dynamics
-
-    @cached_property
-    def _likelihood(self) -> Likelihood:
-        return BodyLikelihood(self.body) if self.likelihood is None else self.likelihood
+        return self.dynamics or BodyDynamics(self.body)
 
     def initial(self, frame: Frame) -> BodySamples:
         """The poses to start from, of equal weight."""
@@ -108,21 +94,11 @@ class Condensation:
             poses = self._dynamics.draw_anywhere(self.samples, (height, width), random)
         else:
             poses = self.start.take(np.arange(self.samples) * len(self.start) // self.samples)
-        return BodySamples(
-            poses=poses,
-            log_weights=np.full(self.samples, -np.log(self.samples)),
-            ancestors=None,
-            ancestor_weights=None,
-            elapsed=0.0,
-            size=(height, width),
-            log_evidence=0.0,
-            stationary=False,
-            random=random,
-        )
+        return BodySamples.even(poses, (height, width), random)
 
     def predict(self, state: BodySamples, dt: float) -> BodySamples:
         """As many draws of each pose as its weight says, each moved at random; none that joints forbid."""
-        random = _copied(state.random)
+        random = copied(state.random)
         chosen = systematic(state.log_weights, self.samples, random)
         poses = self._dynamics.draw(state.poses.take(chosen), dt, random)
         allowed = self.body.allowed(poses)
@@ -131,14 +107,7 @@ class Condensation:
         if some < self.samples:
             log_weights[~allowed] = -np.inf
         log_weights = normalised(log_weights + self._dynamics.log_posture(poses))
-        return replace(
-            state,
-            poses=poses,
-            log_weights=log_weights,
-            elapsed=dt,
-            log_evidence=0.0,
-            random=random,
-        )
+        return BodySamples(poses, log_weights, state.size, random)
 
     def message(self, state: BodySamples, feature: BodyParts, incoming: Incoming) -> PartMessage:
         """What the predicted poses say of head and hands, as mixtures with the samples' moments."""
@@ -146,20 +115,13 @@ class Condensation:
 
     def update(self, state: BodySamples, incoming: Incoming) -> BodySamples:
         """Weights times the likelihood of the image; as they are where there is none."""
-        others = incoming[BodyParts]
+        message = incoming[BodyParts]
         log_factors = np.zeros(len(state.poses))
-        if others.predicted.informative.any():
-            log_factors += others.predicted.log_values(self.body.parts(state.poses)).sum(axis=1)
-        if others.image is not None:
-            log_factors += self._likelihood(others.image, state.poses)
-        if others.image is None and not log_factors.any():
+        if message.predicted.informative.any():
+            log_factors += message.predicted.log_values(self.body.parts(state.poses)).sum(axis=1)
+        if message.image is not None:
+            likelihood = self.likelihood or BodyLikelihood(self.body)
+            log_factors += likelihood(message.image)(state.poses)
+        if message.image is None and not log_factors.any():
             return replace(state, log_evidence=0.0, stationary=True)
         return state.reweighed(log_factors)
-
-
-def _copied(random: np.random.Generator) -> np.random.Generator:
-    """A generator that goes on in the same way; several times faster than `copy.deepcopy`."""
-    bits = random.bit_generator
-    fresh = type(bits)(0)
-    fresh.state = bits.state
-    return np.random.Generator(fresh)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..inference.core.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ..inference.factor_analysis.factorisation import Factorisation, factorise, predicted
-from ..inference.structure.track_association import link_tracks
+from ..inference.structure.track_association import associate_tracks
 from ..models.core.gaussian_message import GaussianMessage
 from ..models.points.point_tracks import PointMessage, PointTracks
 
@@ -61,8 +61,8 @@ class FactorStructure:
     coherence
         whether cameras move smoothly, eq. (19), or each frame is on its own.
     associate
-        whether partial tracks may show the same point; see `link_tracks`. If not, every track is a point of
-        its own.
+        whether partial tracks may show the same point; see `associate_tracks`. If not, every track is a point
+        of its own.
     """
 
     coherence: bool = True
@@ -83,7 +83,7 @@ class FactorStructure:
         """
         identities, positions, weights = _observations(incoming_over_time)
         if self.associate:
-            linked = link_tracks(positions, weights, coherence=self.coherence)
+            linked = associate_tracks(positions, weights, coherence=self.coherence)
             fit, point = linked.factorisation, linked.point_of_track
         else:
             fit = factorise(positions, weights, coherence=self.coherence)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
+from ..inference.body.flesh_tracks import HANDS, HEAD, LEFT, RIGHT, FleshTracks
 from ..inference.body.part_assignment import Assignment, PartChoices
 from ..inference.body.part_filter import MovingParts, PartPosterior
 from ..inference.core.protocols import Incoming, Port
@@ -22,81 +23,32 @@ from ..models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
 
 Array = NDArray[np.float64]
 
-HEAD, LEFT, RIGHT = range(3)
-HANDS = [LEFT, RIGHT]
-EXCHANGED = [HEAD, RIGHT, LEFT]
-
-LOWER = 0.25
+HANDS_BELOW = 0.25
 """Of an arm's length: how far below the shoulder the middle of the places is where a hand may be."""
 
-UNNOTICED = 60.0
+EXCHANGE_TIME = 60.0
 """s, time constant with which it is forgotten which hand is which: they may be exchanged unnoticed."""
 
 LEAST_EXCHANGED, MOST_TRUST = 0.01, 0.8
 """However long it goes well, the tracker may be wrong about a part, or about which hand is which."""
 
-LEAST = 1e-6
-"""Smallest probability that a part is where it should be, or that it is not."""
-
-
-@dataclass(frozen=True, eq=False)
-class FleshTracks:
-    """Head, left hand and right hand: where they are and how they move, each on its own.
-
-    With probability `trust` a part is where its Gaussian says, otherwise anywhere in reach; and with
-    probability `exchanged` each hand is where the other one's Gaussian says.
-
-    Parameters
-    ----------
-    size
-        `(height, width)` px of the picture.
-    means
-        `(3, 4)`: x, y px and their velocities px/s.
-    covariances
-        `(3, 4, 4)`, in the same order.
-    trust
-        `(3,)` probabilities.
-    exchanged
-        probability, at most 0.5.
-    unseen
-        `(3,)` s since a part was last confirmed by something in the picture; infinite before the first time.
-    labels
-        `(3,)` int64: number of the thing in the last picture that a part was taken for, -1 for none.
-    patience
-        s after which a part that is not confirmed is lost.
-    """
-
-    size: tuple[int, int]
-    means: Array
-    covariances: Array
-    trust: Array
-    exchanged: float
-    unseen: Array
-    labels: NDArray[np.int64]
-    patience: float
-
-    @property
-    def positions(self) -> Array:
-        """`(3, 2)` px."""
-        return self.means[:, :2]
-
-    @property
-    def position_covariances(self) -> Array:
-        """`(3, 2, 2)` px^2."""
-        return self.covariances[:, :2, :2]
-
-    @property
-    def lost(self) -> NDArray[np.bool_]:
-        """`(3,)`: parts that may be anywhere in reach, since nothing has confirmed them for too long."""
-        return self.unseen > self.patience
+LEAST_PROBABILITY = 1e-6
+"""That a part is where it should be, or that it is not."""
 
 
 @dataclass(frozen=True)
 class FleshTracker:
     """Low-level chain over head and hands.
 
-    A part's velocity is an Ornstein-Uhlenbeck process: hands stop. A part may besides jump to anywhere in
-    reach, or be missing. Things in the picture are assigned to parts, which follow what they are taken for.
+    Each part has a position x and a velocity v in the picture, z = (x, v), and may jump:
+
+        p(z_t | z_t-1) = c N(z_t; A z_t-1, Q) + (1 - c) N(z_t; m, S),    c = exp(-dt / patience)
+        p(F | X)       = prod_part delta(F_part - x_part)
+
+    A and Q are those of a velocity that is an Ornstein-Uhlenbeck process: hands stop. m and S are anywhere in
+    reach. Besides, the hands exchange their states at a slow rate. Detections in the picture are assigned to
+    parts, which follow what they are assigned; a part may be missing. The message to F is the prediction of
+    its parts' positions.
 
     Parameters
     ----------
@@ -104,7 +56,7 @@ class FleshTracker:
         whose head's height is the unit of length, and whose arms are the reach of the hands.
     hand_speed, head_speed
         head heights/s, standard deviation of a velocity's components in the long run.
-    lasts
+    velocity_time
         s, time constant of velocities.
     patience
         s, time constant of the trust in a part that nothing confirms; after so long it is lost.
@@ -115,7 +67,7 @@ class FleshTracker:
     body: UpperBody
     hand_speed: float = 2.5
     head_speed: float = 0.7
-    lasts: float = 0.3
+    velocity_time: float = 0.3
     patience: float = 1.0
     hiding: float = 1.5
     name: str = "flesh"
@@ -123,7 +75,7 @@ class FleshTracker:
     ports = (Port(BodyParts),)
 
     def __post_init__(self) -> None:
-        for name in ("hand_speed", "head_speed", "lasts", "patience"):
+        for name in ("hand_speed", "head_speed", "velocity_time", "patience"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
 
@@ -146,23 +98,15 @@ class FleshTracker:
         return replace(nothing, means=anywhere.means, covariances=anywhere.covariances)
 
     def predict(self, state: FleshTracks, dt: float) -> FleshTracks:
-        """Parts move on, but for random pushes; one that may be anywhere in reach is forgotten."""
-        parts = MovingParts(state.means, state.covariances).moved(dt, self._speeds, self.lasts)
-        moved = replace(
+        """Parts move on, but for random pushes; trust fades."""
+        parts = MovingParts(state.means, state.covariances).moved(dt, self._speeds, self.velocity_time)
+        return replace(
             state,
             means=parts.means,
             covariances=parts.covariances,
             trust=state.trust * np.exp(-dt / self.patience),
-            exchanged=0.5 + (state.exchanged - 0.5) * float(np.exp(-dt / UNNOTICED)),
+            exchanged=0.5 + (state.exchanged - 0.5) * float(np.exp(-dt / EXCHANGE_TIME)),
             unseen=state.unseen + dt,
-        )
-        anywhere = self._anywhere(moved)
-        own, reach = (np.linalg.det(each.covariances[:, :2, :2]) for each in (parts, anywhere))
-        forgotten = own > reach
-        return replace(
-            moved,
-            means=np.where(forgotten[:, None], anywhere.means, parts.means),
-            covariances=np.where(forgotten[:, None, None], anywhere.covariances, parts.covariances),
         )
 
     def message(self, state: FleshTracks, feature: BodyParts, incoming: Incoming) -> PartMessage:
@@ -170,7 +114,8 @@ class FleshTracker:
 
         Hands that may be exchanged are at both places. It integrates to 1.
         """
-        anywhere, other = self._anywhere(state), _exchanged(state)
+        state = self._within_reach(state)
+        anywhere, other = self._anywhere(state), state.exchanged_hands
         # of each hand on its own, so that the pair of them is exchanged with this probability
         swapped = np.sqrt(max(state.exchanged, LEAST_EXCHANGED))
         sure, other_sure = state.trust, other.trust
@@ -180,37 +125,51 @@ class FleshTracker:
         places = (state.means, other.means, anywhere.means)
         spreads = (state.covariances, other.covariances, anywhere.covariances)
         mixtures = GaussianMixtures.of_parts(
-            list(np.log(np.maximum(shares, LEAST**2))),
+            list(np.log(np.maximum(shares, LEAST_PROBABILITY**2))),
             list(np.stack(places, axis=1)[..., :2]),
             list(np.stack(spreads, axis=1)[..., :2, :2]),
         )
         return PartMessage(mixtures)
 
     def update(self, state: FleshTracks, incoming: Incoming) -> FleshTracks:
-        """Parts after a look: those that are taken for something in the picture follow it, others coast.
+        """Parts that are assigned something in the picture follow it, others coast.
 
-        Other chains decide what is taken for which part, and whether the hands are exchanged. They are not
+        Other chains decide what is assigned to which part, and whether the hands are exchanged. They are not
         followed themselves, as the product of messages would have it: a chain of poses predicts from the same
         pictures that the parts have been seen in, and a part that nothing confirms would grow ever surer.
         """
         message = incoming[BodyParts]
-        looks = _Look.at(self, state, message), _Look.at(self, _exchanged(state), message)
-        log_odds = float(logit(max(state.exchanged, LEAST))) + float(
-            (looks[1].best.log_masses - looks[0].best.log_masses).sum()
-        )
-        return looks[int(log_odds > 0)].followed(float(expit(-abs(log_odds))))
+        state = self._within_reach(state)
+        kept, swapped = (_Hypothesis.of(self, each, message) for each in (state, state.exchanged_hands))
+        log_odds = float(logit(max(state.exchanged, LEAST_PROBABILITY)))
+        log_odds += float((swapped.best.log_masses - kept.best.log_masses).sum())
+        better = swapped if log_odds > 0 else kept
+        return better.updated(float(expit(-abs(log_odds))))
 
     def posterior(
-        self, state: FleshTracks, seen: GaussianMixtures, others: GaussianMixtures
+        self, state: FleshTracks, detections: GaussianMixtures, others: GaussianMixtures
     ) -> PartPosterior:
-        """What is known of parts: where they should be, or anywhere, times what is seen; others weigh it."""
+        """Where parts should be, or anywhere, times what is detected; other chains weigh it."""
         own = MovingParts(state.means, state.covariances)
-        return PartPosterior.of((own, self._anywhere(state)), _log_shares(state), seen).weighed(others)
+        trust = np.clip(state.trust, LEAST_PROBABILITY, 1 - LEAST_PROBABILITY)
+        log_shares = np.log(trust), np.log1p(-trust)
+        return PartPosterior.of((own, self._anywhere(state)), log_shares, detections).weighed(others)
 
     @property
     def _speeds(self) -> Array:
         """`(3,)` px/s."""
         return self.body.head_height * np.array([self.head_speed, self.hand_speed, self.hand_speed])
+
+    def _within_reach(self, state: FleshTracks) -> FleshTracks:
+        """The same, in which a part of which less is known than that it is in reach may be anywhere there."""
+        anywhere = self._anywhere(state)
+        own, reach = (np.linalg.det(each.covariances[:, :2, :2]) for each in (state, anywhere))
+        forgotten = own > reach
+        return replace(
+            state,
+            means=np.where(forgotten[:, None], anywhere.means, state.means),
+            covariances=np.where(forgotten[:, None, None], anywhere.covariances, state.covariances),
+        )
 
     def _anywhere(self, state: FleshTracks) -> MovingParts:
         """Parts of which nothing is known: a head in the picture, hands in reach of their shoulders.
@@ -229,76 +188,59 @@ class FleshTracker:
         reach = body.upper_arm + body.forearm
         # The person's own left is on the right of the picture.
         means[HANDS, 0] = head[0] + np.array([0.5, -0.5]) * body.shoulder_width
-        means[HANDS, 1] = head[1] + body.neck + LOWER * reach
+        means[HANDS, 1] = head[1] + body.neck + HANDS_BELOW * reach
         covariances[HANDS, :2, :2] = spread + 0.25 * reach**2 * np.eye(2)
         return MovingParts(means, covariances)
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
-    """What a picture and other chains say of parts, if the hands are not exchanged."""
+class _Hypothesis:
+    """What a picture and other chains say of parts, if the hands are as in the state."""
 
     tracker: FleshTracker
     state: FleshTracks
-    seen: GaussianMixtures
+    detections: GaussianMixtures
     others: GaussianMixtures
-    known: PartPosterior
+    posterior: PartPosterior
     best: Assignment
 
     @classmethod
-    def at(cls, tracker: FleshTracker, state: FleshTracks, message: PartMessage) -> Self:
+    def of(cls, tracker: FleshTracker, state: FleshTracks, message: PartMessage) -> Self:
         others, image = message.predicted, message.image
-        seen = GaussianMixtures.uniform(others.n_parts) if image is None else image.mixtures
-        known = tracker.posterior(state, seen, others)
-        choices = PartChoices.of(known, seen, tracker.body.hand, tracker.hiding)
-        return cls(tracker, state, seen, others, known, choices.best())
+        detections = GaussianMixtures.uniform(others.n_parts) if image is None else image.mixtures
+        posterior = tracker.posterior(state, detections, others)
+        choices = PartChoices.of(posterior, detections, tracker.body.hand, tracker.hiding)
+        return cls(tracker, state, detections, others, posterior, choices.best())
 
-    def followed(self, exchanged: float) -> FleshTracks:
-        """Parts that follow what they are taken for; before, hands were `exchanged` with this probability."""
-        state, seen, known, best = self.state, self.seen, self.known, self.best
+    def updated(self, exchanged: float) -> FleshTracks:
+        """Parts follow what they are assigned; `exchanged`: probability that the hands are the other way."""
+        state, detections, posterior, best = self.state, self.detections, self.posterior, self.best
         labels = best.labels
-        taken = labels != NO_LABEL
-        shared = taken & ((labels[:, None] == labels).sum(axis=1) > 1)
+        assigned = labels != NO_LABEL
+        shared = assigned & ((labels[:, None] == labels).sum(axis=1) > 1)
         within = self.tracker.body.hand**2 * np.eye(2)
         if shared.any():
             # Parts that are one thing are somewhere in it, not all in its middle.
-            wider = seen.covariances + np.where(shared[:, None, None], within, 0.0)[:, None]
-            known = self.tracker.posterior(state, replace(seen, covariances=wider), self.others)
-        parts, located = known.taken_for(labels)
+            wider = detections.covariances + np.where(shared[:, None, None], within, 0.0)[:, None]
+            posterior = self.tracker.posterior(state, replace(detections, covariances=wider), self.others)
+        parts, located = posterior.assigned(labels)
         covariances = parts.covariances.copy()
-        # Where in the thing a hidden part is does not become clearer by looking again.
+        # Where in the thing a hidden part is does not become clearer with more pictures.
         narrower = self.tracker.body.hand**2 - 0.5 * np.trace(covariances[:, :2, :2], axis1=1, axis2=2)
         narrower = np.where(best.hidden, np.maximum(narrower, 0.0), 0.0)
         covariances[:, :2, :2] += narrower[:, None, None] * np.eye(2)
-        # The other hand may have been taken for this one just now.
+        # The other hand may have been mistaken for this one just now.
         mistaken = 0.0
         if labels[LEFT] != labels[RIGHT]:
             mistaken = float(expit(-best.advantage(LEFT, RIGHT)))
         exchanged = exchanged + mistaken - 2 * exchanged * mistaken
-        heard = seen.informative & np.isfinite(located)
+        informed = detections.informative & np.isfinite(located)
         return replace(
             state,
-            means=np.where(heard[:, None], parts.means, state.means),
-            covariances=np.where(heard[:, None, None], covariances, state.covariances),
-            trust=np.where(heard, np.minimum(located * best.shares, MOST_TRUST), state.trust),
+            means=np.where(informed[:, None], parts.means, state.means),
+            covariances=np.where(informed[:, None, None], covariances, state.covariances),
+            trust=np.where(informed, np.minimum(located * best.shares, MOST_TRUST), state.trust),
             exchanged=min(exchanged, 0.5),
-            unseen=np.where(taken, 0.0, state.unseen),
+            unseen=np.where(assigned, 0.0, state.unseen),
             labels=labels,
         )
-
-
-def _exchanged(state: FleshTracks) -> FleshTracks:
-    """The same with the hands exchanged."""
-    return replace(
-        state,
-        means=state.means[EXCHANGED],
-        covariances=state.covariances[EXCHANGED],
-        trust=state.trust[EXCHANGED],
-        unseen=state.unseen[EXCHANGED],
-    )
-
-
-def _log_shares(state: FleshTracks) -> tuple[Array, Array]:
-    """Logs of the probabilities that parts are where they should be, and that they are anywhere."""
-    trust = np.clip(state.trust, LEAST, 1 - LEAST)
-    return np.log(trust), np.log1p(-trust)

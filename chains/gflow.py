@@ -1,7 +1,6 @@
 """G-flow as a chain: pose, deformation and texture of an object by a Rao-Blackwellised particle filter."""
 
-import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, Self, overload
@@ -10,22 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.core.protocols import Cavity, Incoming, Port
-from ..inference.face.background_contrast import Behind, Reading, first_trust, tones, units
-from ..inference.face.coverage import Coverage, widened
-from ..inference.face.expert_background import ExpertBackground
-from ..inference.face.experts import Generation, continued, log_likelihood, resampled, sampled
-from ..inference.face.gauss_newton import find_peaks
-from ..inference.face.pose_dynamics import PoseDynamics, PosePrior
-from ..inference.face.pose_terms import PoseEvidence, measured_points, predicted_points
-from ..inference.face.relocation import likely_places
-from ..inference.face.search_starts import apart
-from ..inference.face.silhouette import Silhouette
-from ..inference.face.texture_filter import Texture, explained
-from ..inference.face.texture_likelihood import TexturedObject, TextureLikelihood
-from ..inference.filters.resampling import log_sum, normalised
+from ..inference.face.coverage import Coverage
+from ..inference.face.pose_dynamics import PoseDynamics
+from ..inference.face.pose_filter import GFlowState, PoseFilter
+from ..inference.face.pose_terms import predicted_points
+from ..inference.face.texture_filter import Texture
+from ..inference.face.texture_likelihood import TexturedObject
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
-from ..models.face.image_pyramid import Level, picture_levels
 from ..models.face.morphable_model import MorphableModel
 from ..models.face.outline import MeshEdges
 from ..models.face.pose import Poses
@@ -34,92 +25,15 @@ from ..models.face.surface_texels import SurfaceTexels
 from ..models.face.texel_noise import TexelNoise
 from ..models.points.point_tracks import PointMessage, PointTracks
 
+__all__ = ["GFlow", "GFlowState"]
+
 Array = NDArray[np.float64]
 
 N_LEVELS = 3
-LEAST_FIT = 0.5
-"""Share of the picture's variance under the object that its texture has to explain."""
-
-RETURN_FIT = 0.7
-"""The same for an object that was lost and is found elsewhere: chance has had many places to try."""
+ONE_AT_MODE: Mapping[str, Any] = {"experts": 1, "spread": 0.0, "recover": False}
 
 COVERING_TEXELS = 1500
 """Of the mesh where it is integrated over what it hides."""
-
-PATIENCE = 3
-"""Looks in a row without that share after which the object is lost."""
-
-
-@dataclass(frozen=True, eq=False)
-class GFlowState:
-    """Experts: each a history of poses, of which the last is kept, and the texture that follows from it.
-
-    Parameters
-    ----------
-    poses
-        of the experts.
-    log_weights
-        `(n_experts,)`, normalised.
-    texture
-        of every expert.
-    trusted
-        poses of the last look that left no doubt.
-    size
-        px: of the object at the start.
-    elapsed
-        s since the last picture.
-    looks
-        pictures seen.
-    log_evidence
-        nats: log p(y_t | y_1:t-1) of the last picture, of its effective pixels.
-    fit
-        share of the picture's variance under the object that the predicted texture explained, from -1 to 1:
-        -log(1 - fit) / 2 nats a pixel is the evidence for the texture over a broad alternative, a Gaussian
-        with the picture's own mean and variance there, where the noise is not taken for known.
-    doubts
-        looks in a row with too low a fit.
-    relocations
-        how often it was lost and found again.
-    random
-        source of all draws.
-    covariance
-        `(n_experts, dimension, dimension)`: of what each expert believed of its pose, by Laplace's method.
-    motion
-        `(n_experts, dimension)` per second: last change of each expert's pose, where there was one.
-    trust
-        `(height, width)` float32, from 0 to 1: how well the background of each pixel is known, where another
-        chain predicts it; `None` without one.
-    background
-        of every expert, where each has its own.
-    """
-
-    poses: Poses
-    log_weights: Array
-    texture: Texture
-    trusted: Poses
-    size: float
-    elapsed: float
-    looks: int
-    log_evidence: float
-    fit: float
-    doubts: int
-    relocations: int
-    random: np.random.Generator
-    covariance: Array
-    trust: NDArray[np.float32] | None = None
-    background: ExpertBackground | None = None
-    motion: Array | None = None
-
-    @property
-    def weights(self) -> Array:
-        """`(n_experts,)`, sum 1."""
-        weights: Array = np.exp(self.log_weights)
-        return weights
-
-    @property
-    def lost(self) -> bool:
-        """Whether the tracker knows that it does not follow the object."""
-        return self.doubts >= PATIENCE
 
 
 @dataclass(frozen=True)
@@ -127,7 +41,7 @@ class GFlow:
     """Joint filter of pose, deformation and texture (G-flow paper, Table 2).
 
     Each expert looks ahead: Gauss-Newton finds the peak of its belief on coarse to fine levels. On
-    resampling frames samples about the peaks, weighed by the full predictive distribution, become the next
+    resampling frames samples about the modes, weighed by the full predictive distribution, become the next
     experts; on the others every expert goes on at its peak. Every expert has its own texture, a Kalman filter
     a texel.
 
@@ -214,34 +128,29 @@ class GFlow:
     ports = (Port(PixelLabels, Cavity.OTHERS), Port(PointTracks, optional=True))
 
     def __post_init__(self) -> None:
-        for name in ("experts", "texels", "samples", "resample_every"):
-            if getattr(self, name) < 1:
+        for name in ("experts", "texels", "samples", "resample_every", "radius"):
+            if not getattr(self, name) >= 1:
                 raise ValueError(f"{name}: got {getattr(self, name)}, expected 1 or more")
         for name in ("temperature", "effective_pixels"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
         if self.surface not in ("dense", "patches"):
             raise ValueError(f"surface: got {self.surface!r}, expected 'dense' or 'patches'")
-        if not self.radius >= 1:
-            raise ValueError(f"radius: got {self.radius} px, expected 1 or more")
         if self.gain != "learned" and not (isinstance(self.gain, int | float) and 0 <= self.gain <= 1):
             raise ValueError(f"gain: got {self.gain!r}, expected 0 to 1 or 'learned'")
         if not self.spread >= 0:
             raise ValueError(f"spread: got {self.spread}, expected 0 or more")
         if not 1 <= self.levels <= N_LEVELS:
             raise ValueError(f"levels: got {self.levels}, expected 1 to {N_LEVELS}")
-        if self.texture is not None:
-            expected = (self.levels, len(self.object.texels))
-            if self.texture.mean.shape[1:] != expected:
-                raise ValueError(
-                    f"texture: got {self.texture.mean.shape[1:]} levels and texels, expected {expected}"
-                )
-        numbers = np.array(self.tracked, np.int64)
-        if (np.diff(numbers) <= 0).any() or not ((numbers >= 0) & (numbers < self.model.n_vertices)).all():
+        numbers, n_vertices = np.array(self.tracked, np.int64), self.model.n_vertices
+        if (np.diff(numbers) <= 0).any() or not ((numbers >= 0) & (numbers < n_vertices)).all():
             raise ValueError(
-                f"tracked: got {self.tracked}, expected numbers of vertices from 0 to "
-                f"{self.model.n_vertices - 1}, increasing"
+                f"tracked: got {self.tracked}, expected increasing numbers from 0 to {n_vertices - 1}"
             )
+        expected = (self.levels, len(self.object.texels)) if self.texture is not None else None
+        if self.texture is not None and self.texture.mean.shape[1:] != expected:
+            got = self.texture.mean.shape[1:]
+            raise ValueError(f"texture: got {got} levels and texels, expected {expected}")
         if not callable(self.start):
             self._check_start(self.start)
 
@@ -263,49 +172,47 @@ class GFlow:
             return TexturedObject(self.model, SurfaceTexels.dense(self.model, self.texels))
         return TexturedObject(self.model, SurfaceTexels.patches(self.model, self.radius))
 
-    def _visible(self, poses: Poses) -> NDArray[np.bool_]:
-        """`(n, n_texels)`: texels that the object does not hide itself."""
-        if self.occlusion:
-            return self.object.visible(poses)
-        return np.ones((len(poses), len(self.object.texels)), np.bool_)
-
-    @cached_property
-    def _whole(self) -> TexturedObject:
-        """The whole mesh, as it hides what is behind it."""
-        return TexturedObject(self.model, SurfaceTexels.dense(self.model, COVERING_TEXELS))
-
-    @cached_property
-    def _edges(self) -> MeshEdges:
-        return MeshEdges.of(self.model.triangles)
-
     @cached_property
     def noise(self) -> TexelNoise:
         """Noises of which gain and temperature are the steady state, eq. (33)."""
         return TexelNoise.of_steady_state(0.0 if self.gain == "learned" else self.gain, self.temperature)
 
-    @classmethod
-    def optic_flow(
-        cls,
-        model: MorphableModel,
-        start: Poses,
-        *,
-        surface: Literal["dense", "patches"] = "patches",
-        **more: Any,
-    ) -> Self:
-        """Constrained optic flow (§4.2): one expert at its peak, whose texture is the last picture."""
-        return cls(model, start, experts=1, spread=0.0, gain=1.0, surface=surface, recover=False, **more)
+    @cached_property
+    def _filter(self) -> PoseFilter:
+        model = self.model
+        whole = (
+            TexturedObject(model, SurfaceTexels.dense(model, COVERING_TEXELS))
+            if len(model.triangles)
+            else None
+        )
+        return PoseFilter(
+            surface=self.object,
+            whole=whole,
+            edges=MeshEdges.of(model.triangles),
+            noise=self.noise,
+            dynamics=self.dynamics,
+            levels=self.levels,
+            local_mean=self.local_mean,
+            effective_pixels=self.effective_pixels,
+            samples=self.samples,
+            spread=self.spread,
+            resample_every=self.resample_every,
+            recover=self.recover,
+            occlusion=self.occlusion,
+            own_background=self.background == "experts",
+            tracked=np.array(self.tracked, np.int64),
+            texture_given=self.texture is not None,
+        )
 
     @classmethod
-    def template(
-        cls,
-        model: MorphableModel,
-        start: Poses,
-        *,
-        surface: Literal["dense", "patches"] = "dense",
-        **more: Any,
-    ) -> Self:
-        """Template matching (§4.3): one expert at its peak, whose texture stays as first seen or as given."""
-        return cls(model, start, experts=1, spread=0.0, gain=0.0, surface=surface, recover=False, **more)
+    def optic_flow(cls, model: MorphableModel, start: Poses, **more: Any) -> Self:
+        """Constrained optic flow (§4.2): one expert at its mode, its patches as in the last picture."""
+        return cls(model, start, **{**ONE_AT_MODE, "gain": 1.0, "surface": "patches", **more})
+
+    @classmethod
+    def template(cls, model: MorphableModel, start: Poses, **more: Any) -> Self:
+        """Template matching (§4.3): one expert at its mode, whose texture stays as first seen or as given."""
+        return cls(model, start, **{**ONE_AT_MODE, "gain": 0.0, **more})
 
     def initial(self, frame: Frame) -> GFlowState:
         """Experts at the start, with one common texture (Table 2, I)."""
@@ -325,7 +232,7 @@ class GFlow:
             texture=texture.of(np.zeros(self.experts, np.int64)),
             size=float(start.sizes.mean()),
             elapsed=0.0,
-            looks=0,
+            frames_seen=0,
             log_evidence=0.0,
             fit=1.0,
             doubts=0,
@@ -361,7 +268,7 @@ class GFlow:
             return feature.uniform()
         seen = state
         if others.background is not None and others.image is not None:
-            seen = self._updated(state, incoming)
+            seen = self.update(state, incoming)
             if seen.doubts and self.recover:
                 return feature.uniform()
         coverage = Coverage.of(self.model, seen.poses, seen.weights, others.size)
@@ -369,179 +276,13 @@ class GFlow:
 
     def update(self, state: GFlowState, incoming: Incoming) -> GFlowState:
         """Experts and textures after the picture."""
-        return self._updated(state, incoming)
-
-    def _updated(self, state: GFlowState, incoming: Incoming) -> GFlowState:
-        return incoming.once(self._after, state, incoming[PixelLabels], incoming.get(PointTracks))
+        return incoming.once(self._filter.updated, state, incoming[PixelLabels], incoming.get(PointTracks))
 
     def _vertices_predicted(self, state: GFlowState) -> PointMessage | None:
         if (state.doubts and self.recover) or not self.tracked or not state.elapsed:
             return None
-        prior = PosePrior.after(state.poses, self.dynamics, state.size, state.elapsed)
         chosen = np.array(self.tracked, np.int64)
-        return PointMessage(predicted_points(self.model, prior, state.weights, chosen))
-
-    def _after(self, state: GFlowState, others: PixelMessage, points: PointMessage | None) -> GFlowState:
-        image = others.image
-        if image is None:
-            return state
-        state = replace(state, random=copy.deepcopy(state.random))
-        levels = picture_levels(image, state.size, n_levels=self.levels, local_mean=self.local_mean)
-        if state.looks == 0:
-            generation = self._first(state, levels)
-        elif state.lost and self.recover:
-            generation = self._found_again(state, levels)
-        else:
-            generation = self._followed(state, levels, self._behind(state, others), points)
-        after = self._textured(state, generation, levels)
-        if after.doubts and self.recover and not state.lost:
-            # it may have jumped: looked for as if it were lost, and believed where it is found
-            astray = replace(state, doubts=PATIENCE)
-            elsewhere = self._textured(astray, self._found_again(astray, levels), levels)
-            after = after if elsewhere.lost else elsewhere
-        if not len(self.model.triangles) or (after.doubts and self.recover):
-            return after
-        if self.background == "experts":
-            return self._with_own_background(after, generation, image)
-        return after if others.background is None else self._with_trust(after, others)
-
-    def _behind(self, state: GFlowState, others: PixelMessage) -> Behind | None:
-        """The background of this picture near the object, if somebody predicts it."""
-        own, trust, image = state.background, state.trust, others.image
-        if image is None or (own is None and (others.background is None or trust is None)):
-            return None
-        coverage = Coverage.of(self.model, state.poses, state.weights, others.size, margin=state.size)
-        usual = tones(image, coverage.inner, coverage.box)
-        unit = units(image, state.size, local_mean=self.local_mean)
-        if own is not None:
-            return Behind(own.backdrop(image, coverage.box, usual, unit), self._whole)
-        assert trust is not None
-        return Behind(Reading(others).backdrop(trust, coverage.box, usual, unit), self._whole)
-
-    def _with_trust(self, state: GFlowState, others: PixelMessage) -> GFlowState:
-        """How well the background is known that another chain predicts."""
-        coverage = Coverage.of(self.model, state.poses, state.weights, others.size)
-        trust = state.trust
-        if trust is None:
-            trust = first_trust(coverage.hidden, coverage.box, others.size)
-        return replace(state, trust=Reading(others).trust_after(trust, coverage.hidden, coverage.box))
-
-    def _with_own_background(
-        self, state: GFlowState, generation: Generation, image: NDArray[np.uint8]
-    ) -> GFlowState:
-        """Backgrounds given the poses (Table 2, III)."""
-        size = (image.shape[0], image.shape[1])
-        before = state.background or ExpertBackground.unknown(self.experts, size)
-        coverage = Coverage.of(self.model, state.poses, state.weights, size)
-        hidden = np.stack([widened(inside > 0) for inside in coverage.inside]).view(np.uint8)
-        after = before.after(image, generation.parents, hidden, coverage.box)
-        return replace(state, background=after)
-
-    def _likelihood(self, state: GFlowState, levels: list[Level], poses: Poses) -> TextureLikelihood:
-        texture = state.texture
-        return TextureLikelihood(
-            self.object, levels, texture.mean, texture.temperature(self.noise), self._visible(poses)
-        )
-
-    def _first(self, state: GFlowState, levels: list[Level]) -> Generation:
-        """Weights at t = 1 (Table 2, I)."""
-        likelihood = self._likelihood(state, levels, state.poses)
-        every = np.arange(self.experts)
-        weights = state.log_weights + log_likelihood(likelihood, state.poses, every, self.effective_pixels)
-        return Generation(state.poses, normalised(weights), every, float(log_sum(weights)), state.covariance)
-
-    def _followed(
-        self, state: GFlowState, levels: list[Level], behind: Behind | None, points: PointMessage | None
-    ) -> Generation:
-        """Continuation or resampling frame (Table 2, II)."""
-        likelihood = self._likelihood(state, levels, state.poses)
-        prior = PosePrior.after(state.poses, self.dynamics, state.size, state.elapsed)
-        more: list[PoseEvidence] = []
-        known = None
-        if points is not None and self.tracked:
-            known = measured_points(self.model, points.positions, np.array(self.tracked, np.int64))
-            more.append(known)
-        if behind is not None:
-            more.append(Silhouette(self.model, self._edges, behind.backdrop, self.effective_pixels))
-        start = state.poses
-        if self.experts > 1 and state.motion is not None:
-            start = apart(start, state.elapsed * state.motion, prior.walk, state.random)
-        peaks = find_peaks(likelihood, prior, start, self.effective_pixels, self.levels - 1, more)
-        likelihood = replace(likelihood, visible=self._visible(peaks.poses))
-        behind = None if behind is None else behind.around(peaks.poses)
-        if self.spread == 0 or state.looks % self.resample_every:
-            every = np.arange(self.experts)
-            density = log_likelihood(likelihood, peaks.poses, every, self.effective_pixels, behind)
-            density -= 0.0 if known is None else known.equations(peaks.poses, every)[0]
-            return continued(state.log_weights, peaks, prior, density)
-        seeds = sampled(peaks, self.samples, self.spread, state.random)
-        density = log_likelihood(likelihood, seeds.poses, seeds.owner, self.effective_pixels, behind)
-        density -= 0.0 if known is None else known.equations(seeds.poses, seeds.owner)[0]
-        return resampled(state.log_weights, seeds, prior, density, self.samples, state.random)
-
-    def _found_again(self, state: GFlowState, levels: list[Level]) -> Generation:
-        """Look all over the picture, from the likeliest places, with the best expert's texture."""
-        best = np.full(self.experts, int(state.log_weights.argmax()))
-        remembered = replace(state, texture=state.texture.of(best))
-        likelihood = self._likelihood(remembered, levels, state.trusted[best])
-        places = likely_places(likelihood, state.trusted[best[:1]], self.experts)
-        prior = PosePrior.after(places, self.dynamics, state.size, 1.0)
-        peaks = find_peaks(likelihood, prior, places, self.effective_pixels, self.levels - 1)
-        every = np.arange(self.experts)
-        likelihood = replace(likelihood, visible=self._visible(peaks.poses))
-        weights = log_likelihood(likelihood, peaks.poses, every, self.effective_pixels)
-        return Generation(
-            peaks.poses,
-            normalised(weights),
-            best,
-            float(log_sum(weights) - np.log(len(weights))),
-            peaks.covariance,
-        )
-
-    def _textured(self, state: GFlowState, generation: Generation, levels: list[Level]) -> GFlowState:
-        """Textures given the poses (Table 2, III), and how well the predicted ones fitted."""
-        texture = state.texture.of(generation.parents)
-        visible = self._visible(generation.poses)
-        looks, seen = self.object.looks(levels, generation.poses, visible)
-        fit = 1.0
-        if state.looks or self.texture is not None:
-            fit = float(
-                np.exp(generation.log_weights) @ explained(looks[:, 0], texture.mean[:, 0], visible, seen)
-            )
-        doubtful = fit < (RETURN_FIT if state.lost and self.recover else LEAST_FIT)
-        poses, log_weights, doubts = generation.poses, generation.log_weights, 0
-        if doubtful:
-            doubts = state.doubts + 1
-        elif state.lost and self.recover:
-            doubts = 1  # one look more, before it is believed
-        parents = generation.parents
-        if doubtful and state.lost and self.recover:
-            poses, log_weights, texture = state.trusted, state.log_weights, state.texture
-            parents = np.arange(self.experts)
-        if doubts and self.recover:
-            seen = np.zeros_like(seen)  # what may not be the object teaches nothing about it
-        background = state.background
-        if background is not None and doubts and self.recover:  # else it follows when it learns
-            background = background.of(parents)
-        motion = None
-        if state.elapsed and not doubts:
-            motion = generation.poses.changes_from(state.poses[generation.parents]) / state.elapsed
-        return replace(
-            state,
-            poses=poses,
-            log_weights=log_weights,
-            texture=texture.after(looks, seen, self.noise),
-            trusted=state.trusted[parents] if doubts else poses,
-            background=background,
-            elapsed=0.0,
-            covariance=generation.covariance,
-            motion=motion,
-            looks=state.looks + 1,
-            log_evidence=generation.log_evidence,
-            fit=fit,
-            doubts=doubts,
-            relocations=state.relocations + int(state.lost and not doubtful),
-        )
+        return PointMessage(predicted_points(self.model, self._filter.prior(state), state.weights, chosen))
 
     def mean_pose(self, state: GFlowState) -> Poses:
         """One pose: the experts' weighted mean."""

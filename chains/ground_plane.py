@@ -9,105 +9,25 @@ both together predict every object's box. What they predict comes from the past 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..inference.core.protocols import Incoming, Port
+from ..inference.filters.linear_motion import kinematic
+from ..inference.objects.ground_plane import (
+    HALF_HIDDEN,
+    GroundState,
+    Numbers,
+    design_matrix,
+    good_over_bad,
+    probability,
+    usual_heights,
+)
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
 from ..models.objects.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH, ObjectBoxes
 
-Numbers = NDArray[np.float64]
-
 FIRST_TRUST, MOST_TRUST = 1.4, 4.0
 """Log odds that an object stands on the plane: before its first look, and as sure as one can get."""
-
-LEAST_SPREAD = 0.05
-"""Of a width, in heights: what remains uncertain about it, however alike the looks were."""
-
-HALF_HIDDEN = 0.5
-"""Heights: standard deviation of what a look is off by that does not show an object from head to foot."""
-
-
-@dataclass(frozen=True, eq=False)
-class GroundState:
-    """Perspective of the scene and the objects in it.
-
-    With its foot in row y, object k is scene[0] + scene[1] (y - middle) + scene[2 + k] heights[k] high: what
-    the plane makes of everybody, and how much taller or shorter this one is.
-
-    Parameters
-    ----------
-    size
-        `(height, width)` px of the picture; `middle` is its middle row.
-    variation
-        standard deviation of heights over what the plane predicts, as a share of that.
-    scene
-        `(2 + n_objects,)`: px height with the foot in the middle row, px it grows with each row, and each
-        object's share.
-    scene_covariance
-        `(2 + n_objects, 2 + n_objects)`.
-    identities
-        `(n_objects,)` int64, increasing.
-    feet
-        `(n_objects, 2, 2)`: along x and y, position px and velocity px/s.
-    feet_covariance
-        `(n_objects, 2, 2, 2)`: along x and y, of position and velocity.
-    heights
-        `(n_objects,)` px, the scale on which an object moves and varies.
-    aspects, aspect_variances
-        `(n_objects,)` width over height.
-    trust
-        `(n_objects,)` log odds that the object stands on the plane.
-    unseen
-        `(n_objects,)` s since it was last heard of.
-    """
-
-    size: tuple[int, int]
-    variation: float
-    scene: Numbers
-    scene_covariance: Numbers
-    identities: NDArray[np.int64]
-    feet: Numbers
-    feet_covariance: Numbers
-    heights: Numbers
-    aspects: Numbers
-    aspect_variances: Numbers
-    trust: Numbers
-    unseen: Numbers
-
-    @property
-    def middle(self) -> float:
-        """px, middle row of the picture."""
-        return 0.5 * self.size[0]
-
-    def expected_height(self, foot_y: ArrayLike) -> tuple[Numbers, Numbers]:
-        """Height of somebody new.
-
-        Parameters
-        ----------
-        foot_y
-            rows of their feet, px, any shape.
-
-        Returns
-        -------
-        mean, standard deviation
-            px, in that shape. As long as nobody was seen the deviation is about the picture's height.
-        """
-        mean, variance = self.plane(np.asarray(foot_y, np.float64))
-        return mean, np.sqrt(variance + (self.variation * mean) ** 2)
-
-    def plane(self, foot_y: Numbers) -> tuple[Numbers, Numbers]:
-        """Mean px and variance px^2 of the height of somebody of average stature, any shape."""
-        below, covariance = foot_y - self.middle, self.scene_covariance
-        mean = self.scene[0] + self.scene[1] * below
-        return mean, covariance[0, 0] + 2 * below * covariance[0, 1] + below**2 * covariance[1, 1]
-
-    def horizon(self) -> float | None:
-        """Row in which heights shrink to nothing, or `None` as long as it is not clear that they do."""
-        growth, deviation = self.scene[1], np.sqrt(self.scene_covariance[1, 1])
-        if growth < 2 * deviation:
-            return None
-        return float(self.middle - self.scene[0] / growth)
 
 
 @dataclass(frozen=True)
@@ -188,53 +108,15 @@ class GroundPlane:
 
     def predict(self, state: GroundState, dt: float) -> GroundState:
         """Feet walk on, but for a random force; perspective and sizes stay."""
-        feet, before = state.feet.copy(), state.feet_covariance
-        feet[:, :, 0] += dt * feet[:, :, 1]
-        force = (0.5 * (self.acceleration * state.heights) ** 2)[
-            :, None
-        ]  # px^2/s^3: what lasts half a second
-        covariance = np.empty_like(before)
-        crossed = before[:, :, 0, 1] + dt * before[:, :, 1, 1]
-        covariance[:, :, 0, 0] = before[:, :, 0, 0] + dt * (before[:, :, 0, 1] + crossed) + dt**3 / 3 * force
-        covariance[:, :, 0, 1] = covariance[:, :, 1, 0] = crossed + dt**2 / 2 * force
-        covariance[:, :, 1, 1] = before[:, :, 1, 1] + dt * force
+        force = 0.5 * (self.acceleration * state.heights[:, None]) ** 2  # px^2/s^3: it lasts half a second
+        feet, covariance = kinematic(2, dt).moved(state.feet, state.feet_covariance, force)
         return replace(state, feet=feet, feet_covariance=covariance, unseen=state.unseen + dt)
 
     def message(self, state: GroundState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage:
-        """Every known object's box (mu_{ground -> objects}), uniform when nobody is known.
-
-        The density is N(x) N(y) N(height; plane's at y) N(width; aspect * height). Of the perspective, which
-        all objects share, each gets its own marginal, with the slope at its mean.
-        """
+        """Every known object's box (mu_{ground -> objects}), uniform when nobody is known."""
         if not len(state.identities):
             return feature.uniform()
-        x, y = state.feet[:, 0, 0], state.feet[:, 1, 0]
-        design = _design(y - state.middle, state.heights)
-        slope = state.scene[1]
-        upright = design @ state.scene - slope * y
-        uncertain = ((design @ state.scene_covariance) * design).sum(axis=1)
-        squares = state.heights**2
-        sway = self.foot_spread**2 * squares
-        precision = np.empty((len(x), 4))
-        precision[:, FOOT_X] = 1 / (state.feet_covariance[:, 0, 0, 0] + sway)
-        precision[:, FOOT_Y] = 1 / (state.feet_covariance[:, 1, 0, 0] + sway)
-        precision[:, WIDTH] = 1 / ((state.aspect_variances + LEAST_SPREAD**2) * squares)
-        precision[:, HEIGHT] = _probability(state.trust) / (uncertain + self.spread**2 * squares)
-        of_x, of_y, of_width, of_height = precision.T
-        information = np.zeros((len(x), 4, 4))
-        information[:, FOOT_X, FOOT_X] = of_x
-        information[:, FOOT_Y, FOOT_Y] = of_y + slope**2 * of_height
-        information[:, FOOT_Y, HEIGHT] = information[:, HEIGHT, FOOT_Y] = -slope * of_height
-        information[:, WIDTH, WIDTH] = of_width
-        information[:, WIDTH, HEIGHT] = information[:, HEIGHT, WIDTH] = -state.aspects * of_width
-        information[:, HEIGHT, HEIGHT] = of_height + state.aspects**2 * of_width
-        vector = np.zeros((len(x), 4))
-        vector[:, FOOT_X] = of_x * x
-        vector[:, FOOT_Y] = of_y * y - slope * of_height * upright
-        vector[:, HEIGHT] = of_height * upright
-        quadratic = of_x * x**2 + of_y * y**2 + of_height * upright**2
-        log_scale = 0.5 * (np.log(precision / (2 * np.pi)).sum(axis=1) - quadratic)
-        return GaussianMessage(state.identities, information, vector, log_scale)
+        return state.boxes(self.spread, self.foot_spread)
 
     def update(self, state: GroundState, incoming: Incoming) -> GroundState:
         """Perspective and objects after a look at what others say of the boxes."""
@@ -249,19 +131,19 @@ class GroundPlane:
         noise = covariances[:, HEIGHT, HEIGHT] + slope * (
             slope * covariances[:, FOOT_Y, FOOT_Y] - 2 * covariances[:, FOOT_Y, HEIGHT]
         )
-        heights = _scales(state, y, height)
+        heights = usual_heights(state, y, height)
         noise = noise + (self.spread * heights) ** 2
 
-        scales = np.zeros(len(state.identities))
-        scales[seen] = heights
-        design = _design(y - state.middle, scales, seen)
+        own = np.zeros(len(state.identities))
+        own[seen] = heights
+        design = design_matrix(y - state.middle, own, seen)
         gain = design @ state.scene_covariance
         off = height - design @ state.scene
         covariance = gain @ design.T
-        ratio = _good_over_bad(off**2, covariance.diagonal() + noise, (HALF_HIDDEN * heights) ** 2)
-        good = _probability(np.log(ratio * (1 / self.bad_looks - 1)))
-        whole = self._whole(state, boxes)
-        on_plane = _probability(state.trust[seen])
+        ratio = good_over_bad(off**2, covariance.diagonal() + noise, (HALF_HIDDEN * heights) ** 2)
+        good = probability(np.log(ratio * (1 / self.bad_looks - 1)))
+        whole = state.whole(boxes)
+        on_plane = probability(state.trust[seen])
         worth = np.minimum(np.maximum(state.unseen[seen], 1e-6) / self.look_time, 1.0)
 
         weight = np.maximum(whole * on_plane * good * worth, 1e-9)
@@ -315,23 +197,14 @@ class GroundPlane:
         noise[:, FOOT_Y] += (1 - reliable) / worth * (HALF_HIDDEN * boxes[:, HEIGHT]) ** 2
         variance = feet_covariance[:, :, 0, 0] + noise
         # People do not jump: a box that does has lost its object, or part of it.
-        ratio = _good_over_bad(off**2, variance, (heights**2)[:, None]).prod(axis=1)
-        good = _probability(np.log(ratio * (1 / self.bad_looks - 1)))
+        ratio = good_over_bad(off**2, variance, (heights**2)[:, None]).prod(axis=1)
+        good = probability(np.log(ratio * (1 / self.bad_looks - 1)))
         variance += noise * (1 / np.maximum(good, 1e-3) - 1)[:, None]
         gain = feet_covariance[:, :, :, 0] / variance[:, :, None]
         new_feet, new_covariance = state.feet.copy(), state.feet_covariance.copy()
         new_feet[seen] = feet + gain * off[:, :, None]
         new_covariance[seen] = feet_covariance - gain[:, :, :, None] * feet_covariance[:, :, None, 0]
         return new_feet, new_covariance
-
-    def _whole(self, state: GroundState, boxes: Numbers) -> NDArray[np.bool_]:
-        """Which boxes the picture's edge does not cut off."""
-        x, y, width, height = boxes.T
-        rows, columns = state.size
-        inside: NDArray[np.bool_] = (
-            (y - height > 1) & (y < rows - 1) & (x - 0.5 * width > 1) & (x + 0.5 * width < columns - 1)
-        )
-        return inside
 
     def _joined(self, state: GroundState, identities: NDArray[np.int64], boxes: Numbers) -> GroundState:
         """The state without who was not heard of for long, and with who is new.
@@ -376,39 +249,3 @@ class GroundPlane:
             trust=sorted_with(state.trust, np.full(n_new, FIRST_TRUST)),
             unseen=sorted_with(state.unseen, np.full(n_new, self.look_time)),
         )
-
-
-def _design(below: Numbers, scales: Numbers, seen: NDArray[np.intp] | None = None) -> Numbers:
-    """`(n_seen, 2 + n_objects)`: what every look's height is made of, in the order of `GroundState.scene`."""
-    rows = np.arange(len(below))
-    place = rows if seen is None else seen
-    design = np.zeros((len(below), 2 + len(scales)))
-    design[:, 0] = 1.0
-    design[:, 1] = below
-    design[rows, 2 + place] = scales[place]
-    return design
-
-
-def _scales(state: GroundState, foot_y: Numbers, height: Numbers) -> Numbers:
-    """px: what the plane says of the height of anybody there; before it is known, the measured one.
-
-    An object's own share and all noise are scaled with it. The measured height comes in as little as can be:
-    shares of hidden people's heights would let the plane sink while the shares grow.
-    """
-    mean, variance = state.plane(foot_y)
-    height = np.maximum(height, 1.0)
-    share = 1 / (1 + variance / (HALF_HIDDEN * height) ** 2)
-    scales: Numbers = np.maximum(height + share * (mean - height), 0.25 * height)
-    return scales
-
-
-def _good_over_bad(squares: Numbers, variance: Numbers, more: Numbers) -> Numbers:
-    """Likelihood ratio of two Gaussians about the same mean, the second one with `more` variance."""
-    bad = variance + more
-    ratio: Numbers = np.sqrt(bad / variance) * np.exp(-0.5 * squares * (1 / variance - 1 / bad))
-    return np.maximum(ratio, 1e-30)
-
-
-def _probability(log_odds: Numbers) -> Numbers:
-    probability: Numbers = 1 / (1 + np.exp(-log_odds))
-    return probability

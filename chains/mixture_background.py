@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..inference.core.protocols import Incoming, Port
 from ..models.background import colour
-from ..models.background.mixture import Mixture, MixturePrediction
+from ..models.background.kernels.mixture import Mixture
+from ..models.background.mixture import MixturePrediction
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.numerics import array_pool

@@ -1,7 +1,7 @@
 """Structure from motion as a filtering chain: points of a rigid shape before a moving affine camera (§4.3).
 
 The conclusion of the RSMCM paper claims this filter without giving it; what is here is ours, in constant time
-per frame. `inference.rigid_structure` has its mathematics.
+per frame. `inference.structure.recursive` has its mathematics.
 """
 
 from dataclasses import dataclass, replace
@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..inference.core.protocols import Cavity, Incoming, Port
-from ..inference.structure import camera_motion
+from ..inference.structure import camera_motion, recursive
 from ..inference.structure.camera_motion import CameraMotion
-from ..inference.structure.recursive import Registration, Seen, Structure, join, register, take_in
+from ..inference.structure.recursive import ObservedPoints, Registration, Structure
 from ..inference.structure.recursive_start import LEAST_SEEN, Window, first_structure
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
@@ -105,8 +105,8 @@ class RecursiveStructure:
         if structure is not None:
             found = incoming.once(_registered, structure, state, others)
             if len(seen) < LEAST_SEEN or not _lost(found.motion, structure.extent):
-                structure = take_in(structure, found, state.elapsed, state.time)
-                structure = self._remembered(join(structure, seen))
+                structure = recursive.update(structure, found, state.elapsed, state.time)
+                structure = self._remembered(recursive.add_points(structure, seen))
                 return replace(state, structure=structure)
         window = state.window.lengthened(seen, state.time, self.most_points)
         structure = first_structure(window) if window is not state.window and window.due else None
@@ -119,7 +119,7 @@ class RecursiveStructure:
         return structure if len(latest) == len(structure) else structure.only(np.sort(latest))
 
 
-def _seen(state: StructureState, others: PointMessage) -> Seen:
+def _seen(state: StructureState, others: PointMessage) -> ObservedPoints:
     """The points that the frame shows: where they were found, as sure as the message is of them.
 
     What the tracker expects of a point comes from frames that the shape has been fitted to as well, and from
@@ -129,18 +129,18 @@ def _seen(state: StructureState, others: PointMessage) -> Seen:
     identities, positions, covariances = others.positions.moments
     variances = 0.5 * np.trace(covariances, axis1=1, axis2=2)
     if others.view is None:
-        return Seen(identities, positions, variances)
+        return ObservedPoints(identities, positions, variances)
     found = others.view.found
     if state.time - others.view.time > 0.5 * state.elapsed:  # a tracker's view of an earlier frame
         found = NOWHERE
     common, here, there = np.intersect1d(
         identities, found.identities, assume_unique=True, return_indices=True
     )
-    return Seen(common, found.positions[there], variances[here])
+    return ObservedPoints(common, found.positions[there], variances[here])
 
 
 def _registered(structure: Structure, state: StructureState, others: PointMessage) -> Registration:
-    return register(structure, _seen(state, others))
+    return recursive.register(structure, _seen(state, others))
 
 
 def _lost(motion: CameraMotion, extent: float) -> bool:

@@ -188,7 +188,7 @@ class BodyRun(FilmRun):
             "blank": self.blank,
             "seen": self.record.shares_seen,
             "stationary": self.record.stationary_periods,
-            "flesh_colour": start.parts.flesh is not None,
+            "flesh_colour": start.parts.skin is not None,
             "body": {"origin": start.origin, "lengths": lengths(start.body)},
             "notes": [*start.notes, *self.record.notes],
         }

@@ -40,7 +40,7 @@ class MisTrack:
     start
         first frame with the error above half a head's height, index from 0.
     seen
-        first frame from then on in which the hand looks like flesh; `None` if there is none.
+        first frame from then on in which the hand looks like skin; `None` if there is none.
     end
         first frame from `start` on with the error below 0.3 head heights; `None` if there is none.
     left
@@ -80,7 +80,7 @@ class BodyTrial:
     seconds
         `(n_frames,)`: of the whole frame, features included.
     hidden
-        `(n_frames, 2)`: whether left and right hand do not look like flesh.
+        `(n_frames, 2)`: whether left and right hand do not look like skin.
     head_height
         px.
     shown

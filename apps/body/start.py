@@ -1,4 +1,4 @@
-"""Who is to be tracked: size, flesh colour and lengths of a person, from a look at some frames."""
+"""Who is to be tracked: size, skin colour and lengths of a person, from a look at some frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
-from ...models.body.skin_colour import FleshColour
-from ...models.body.static_skin import still_flesh
+from ...models.body.skin_colour import SkinColour
+from ...models.body.static_skin import static_skin
 from ...models.body.upper_body import UpperBody
 from ...models.core.frame import Frame
 from ...models.face.detectors import HaarFaces, PartDetector, default_faces
@@ -48,7 +48,7 @@ class BodyStart:
     Parameters
     ----------
     parts
-        the feature node, with the person's flesh colour and a detector.
+        the feature node, with the person's skin colour and a detector.
     body
         lengths of the segments.
     origin
@@ -62,9 +62,9 @@ class BodyStart:
     @property
     def notes(self) -> list[str]:
         """What is out of the ordinary, a sentence each."""
-        if self.parts.flesh is None:
+        if self.parts.skin is None:
             return [
-                "The video is grey: there is no flesh colour. Hands are followed by edges only, and in "
+                "The video is grey: there is no skin colour. Hands are followed by edges only, and in "
                 "frames without a detected face everything is only predicted."
             ]
         return []
@@ -78,7 +78,7 @@ class SavedPerson:
     ----------
     head_height
         px.
-    flesh, still
+    skin, static_skin
         as of `BodyParts`.
     face_height
         px, to which a detector of faces is told to look; `None` if it is not.
@@ -89,8 +89,8 @@ class SavedPerson:
     """
 
     head_height: float
-    flesh: FleshColour | None
-    still: NDArray[np.float32] | None
+    skin: SkinColour | None
+    static_skin: NDArray[np.float32] | None
     face_height: float | None
     marked: MarkedFace | None
     body: UpperBody
@@ -102,8 +102,8 @@ class SavedPerson:
         parts, detector = start.parts, start.parts.detector
         return cls(
             parts.head_height,
-            parts.flesh,
-            parts.still,
+            parts.skin,
+            parts.static_skin,
             detector.height if isinstance(detector, HaarFaces) else None,
             detector if isinstance(detector, MarkedFace) else None,
             start.body,
@@ -123,7 +123,7 @@ class SavedPerson:
             faces = default_faces(detector)
             if isinstance(faces, HaarFaces):
                 faces = replace(faces, height=self.face_height)
-        parts = BodyParts(self.head_height, self.flesh, faces, self.still)
+        parts = BodyParts(self.head_height, self.skin, faces, self.static_skin)
         return BodyStart(parts, self.body, self.origin)
 
 
@@ -220,9 +220,9 @@ def start_from_head(
     # the box that a detector would give
     side = height / HEAD_OF_BOX
     box = np.array([x + (width - side) / 2, y + height / 2 - CENTRE_OF_BOX * side, side, side])
-    flesh = FleshColour.learned([image], box[None])
-    still = None if flesh is None else still_flesh(flesh, images)
-    parts = BodyParts(height, flesh, MarkedFace(box, first.number), still)
+    skin = SkinColour.learned([image], box[None])
+    still = None if skin is None else static_skin(skin, images)
+    parts = BodyParts(height, skin, MarkedFace(box, first.number), still)
     return _start(parts, "Usual proportions of a person whose head is as high as the given one.", clicked)
 
 

@@ -89,8 +89,8 @@ def _in_words(record: PairRecord, found: Comparison) -> str:
     stated = found.stated
     if stated is not None:
         lines += [
-            _honesty(record.first, stated.excess_first),
-            _honesty(record.second, stated.excess_second),
+            _honesty(record.first, stated.nis_first),
+            _honesty(record.second, stated.nis_second),
             f"As they state their covariances, the product predicts what is observed "
             f"{_better(stated.score_gain)} than the better chain; its posterior is {_better(stated.gain)}.",
         ]

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -15,6 +16,7 @@ from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.background.pixel_labels import PixelLabels
 from ...models.core.frame import Frame
 from ...models.face.built_in_model import face_model
+from ...models.face.detectors import PartDetector, default_faces
 from ...models.face.model_files import read_correspondences, read_model
 from ...models.face.morphable_model import MorphableModel
 from ..io.point_files import read_points
@@ -181,12 +183,18 @@ class FaceRun(FilmRun):
         self._writer.add(belief.frame, state, seconds, restarted=state.relocations > self._restarts)
         self._restarts = state.relocations
 
+    @cached_property
+    def _faces(self) -> PartDetector:
+        return default_faces(
+            self._job.detector, "--landmarks of the first frame, or a model file of YuNet as --detector"
+        )
+
     def _found_in(self, frame: Frame) -> FaceStart | None:
         """Where the face is in a frame; `None` if it is not found, or nothing is to be seen."""
         if frame.image is None:
             return None
         if self._given is None:
-            box = find_face(frame.image, self._job.detector)
+            box = find_face(frame, self._faces)
             return None if box is None else start_from_box(self._model, box)
         landmarks = self._given.of_frame(frame.number)
         if landmarks is None:

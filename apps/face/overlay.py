@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses, exponential
+from ...models.face.pose import Poses
 from ...models.face.surface_texels import SurfaceTexels
 from ...models.face.visibility import visible
+from ...models.numerics.rotations import exponential
 from ..drawing.overlay_video import enlargement
 from ..io.results import draw_overlay
 

@@ -1,13 +1,12 @@
 """Where the face is in the first frame: from landmarks, or from a face detector and a generic shape."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ...models.face.detectors import HaarFaces, PartDetector, YuNetFaces
+from ...models.face.detectors import PartDetector
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.face.surface_points import SurfacePoints
@@ -133,44 +132,10 @@ def start_from_box(model: MorphableModel, box: Box) -> FaceStart:
     return FaceStart(person, pose, SurfacePoints.of_vertices([]), np.zeros(0, np.bool_), None)
 
 
-def find_face(image: Image, detector: Path | None = None) -> Box | None:
-    """Find the largest face of an image.
-
-    Parameters
-    ----------
-    image
-        `(height, width)` or `(height, width, 3)` BGR.
-    detector
-        model file of OpenCV's YuNet (`.onnx`). Without it, OpenCV's Haar cascade is used, which its versions
-        4 bring along.
-
-    Returns
-    -------
-    tuple or None
-        x and y of the upper left corner, width and height, px; `None` if there is no face.
-
-    Raises
-    ------
-    ValueError
-        if there is no detector, or its file is none.
-    FileNotFoundError
-        if there is no such file.
-    """
-    boxes = _faces(detector)(Frame(image, 0.0, 1))
-    return max((_box(each) for each in boxes), key=lambda box: box[2] * box[3], default=None)
-
-
-def _faces(path: Path | None) -> PartDetector:
-    if path is not None:
-        return YuNetFaces(path)
-    try:
-        return HaarFaces()
-    except ValueError as error:
-        raise ValueError(
-            f"{error}: give --landmarks of the first frame, or a model file of YuNet as --detector"
-        ) from None
-
-
-def _box(numbers: Array) -> Box:
-    x, y, width, height = (float(number) for number in numbers)
+def find_face(frame: Frame, faces: PartDetector) -> Box | None:
+    """The largest face that a detector finds, `(x, y, width, height)` px; `None` if there is none."""
+    boxes = faces(frame)
+    if not len(boxes):
+        return None
+    x, y, width, height = boxes[np.prod(boxes[:, 2:], axis=1).argmax()].tolist()
     return x, y, width, height

@@ -100,7 +100,7 @@ class FaceWriter:
         if present.any():
             landmarks[present] = self._chain.points(state, self._start.points)
         # the first picture shows the texture, which nothing could predict
-        unpredicted = frame.missing or state.looks == 1
+        unpredicted = frame.missing or state.frames_seen == 1
         evidence, fit = (np.nan, np.nan) if unpredicted else (state.log_evidence, state.fit)
         self._rows.append(
             frame.number,

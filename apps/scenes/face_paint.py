@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.face.built_in_model import HALF_HEIGHT, HALF_WIDTH, RIM, front_view, on_shield
+from .random_fields import mottle
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
@@ -22,18 +23,6 @@ def skin_texels(plane: Array, density: float) -> Array:
     corner = MARGIN * RIM * np.array([HALF_WIDTH, HALF_HEIGHT])
     texels: Array = (plane + corner) * density
     return texels
-
-
-def mottle(shape: tuple[int, int], coarsest: float, finest: float, generator: np.random.Generator) -> Pixels:
-    """Noise of unit variance with as much in every octave, from spots of `coarsest` px down to `finest`."""
-    down, across = np.fft.fftfreq(shape[0]), np.fft.rfftfreq(shape[1])
-    # spots as large as 0.4 wavelengths
-    cycles = np.hypot(down[:, None], across[None, :]) / 0.4
-    amplitude = np.exp(-0.5 * (cycles * finest) ** 2) / (cycles**2 + coarsest**-2) ** 0.5
-    amplitude[0, 0] = 0
-    field = np.fft.irfft2(np.fft.rfft2(generator.standard_normal(shape)) * amplitude, shape)
-    unit: Pixels = np.asarray(field / field.std(), np.float32)
-    return unit
 
 
 def paint_skin(density: float, contrast: float, generator: np.random.Generator) -> Pixels:

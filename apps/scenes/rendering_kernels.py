@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...models.numerics.compiled import compiled, inlined
+from ...models.numerics.compiled import compiled
 
 _f4 = np.float32
 
@@ -10,26 +10,15 @@ FARTHEST = 1e30
 """Depth of a sample that nothing covers."""
 
 
-@inlined
-def texel(texture, u, v):
-    """Texture at `(u, v)`, bilinear; outside, that of the nearest edge."""
-    u = min(max(u, _f4(0)), _f4(texture.shape[1]) - _f4(1.001))
-    v = min(max(v, _f4(0)), _f4(texture.shape[0]) - _f4(1.001))
-    column, row = np.int32(u), np.int32(v)
-    right, down = u - _f4(column), v - _f4(row)
-    above, below = texture[row], texture[row + 1]
-    upper = above[column] + right * (above[column + 1] - above[column])
-    lower = below[column] + right * (below[column + 1] - below[column])
-    return upper + down * (lower - upper)
-
-
 @compiled
-def draw_mesh(grey, depth, places, attributes, triangles, texture):
-    """Draw triangles into samples `grey`, `depth` (height, width); nearer ones win, whatever their order.
+def draw_mesh(shown, depth, places, attributes, triangles, texture):
+    """Draw triangles into samples `shown`, `depth` (height, width); nearer ones win, whatever their order.
 
-    places (n, 3): column, row and depth of vertices, in samples. attributes (n, 3): column and row in the
-    texture, and light; interpolated over a triangle like depth, as weak perspective has it.
+    shown (height, width, channels), texture (rows, columns, channels). places (n, 3): column, row and depth
+    of vertices, in samples. attributes (n, 3): column and row in the texture, and light; linear over a
+    triangle like depth, as weak perspective has it. Outside, a texture goes on as at its nearest edge.
     """
+    last_u, last_v = _f4(texture.shape[1]) - _f4(1.001), _f4(texture.shape[0]) - _f4(1.001)
     height, width = depth.shape
     for number in range(triangles.shape[0]):
         a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
@@ -48,7 +37,7 @@ def draw_mesh(grey, depth, places, attributes, triangles, texture):
         ub, vb, lb = attributes[b, 0] - ua, attributes[b, 1] - va, attributes[b, 2] - la
         uc, vc, lc = attributes[c, 0] - ua, attributes[c, 1] - va, attributes[c, 2] - la
         for row in range(top, bottom + 1):
-            greys, depths = grey[row], depth[row]
+            depths = depth[row]
             dy = row - ay
             for column in range(left, right + 1):
                 dx = column - ax
@@ -59,10 +48,17 @@ def draw_mesh(grey, depth, places, attributes, triangles, texture):
                     z = az + share_b * bz + share_c * cz
                     if z < depths[column]:
                         depths[column] = z
-                        u = _f4(ua + share_b * ub + share_c * uc)
-                        v = _f4(va + share_b * vb + share_c * vc)
+                        u = min(max(_f4(ua + share_b * ub + share_c * uc), _f4(0)), last_u)
+                        v = min(max(_f4(va + share_b * vb + share_c * vc), _f4(0)), last_v)
                         light = _f4(la + share_b * lb + share_c * lc)
-                        greys[column] = light * texel(texture, u, v)
+                        i, j = np.int32(v), np.int32(u)
+                        down, across = v - _f4(i), u - _f4(j)
+                        for channel in range(texture.shape[2]):
+                            above = texture[i, j, channel]
+                            above += across * (texture[i, j + 1, channel] - above)
+                            below = texture[i + 1, j, channel]
+                            below += across * (texture[i + 1, j + 1, channel] - below)
+                            shown[row, column, channel] = light * (above + down * (below - above))
 
 
 @compiled

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from ...models.face.built_in_model import face_model, face_plane, landmarks, unit_length
 from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses, exponential
-from .face_paint import Pixels, mottle, paint_room, paint_skin, skin_texels
+from ...models.face.pose import Poses
+from ...models.numerics.rotations import exponential
+from .face_paint import Pixels, paint_room, paint_skin, skin_texels
+from .random_fields import mottle, wander
 from .rendering_kernels import FARTHEST, average_samples, draw_mesh, see_vertices
 
 Array = NDArray[np.float64]
@@ -195,7 +197,7 @@ class FaceScene:
     def _lights(self) -> tuple[Array, Array]:
         """Directions to the light, `(n_frames, 3)` of unit length, and its gains, `(n_frames,)`."""
         generator = np.random.default_rng([self.seed, 4])
-        azimuth, elevation, gain = (_wander(self._times, (3.0, 9.0), generator) for _ in range(3))
+        azimuth, elevation, gain = (wander(self._times, (3.0, 9.0), generator) for _ in range(3))
         azimuth, elevation = 0.75 * np.tanh(azimuth), 0.6 + 0.35 * np.tanh(elevation)
         across, down = np.sin(azimuth) * np.cos(elevation), -np.sin(elevation)
         towards = -np.cos(azimuth) * np.cos(elevation)
@@ -239,7 +241,8 @@ class FaceScene:
             samples[:, :2] = (places[:, :2] - (left, top) + 0.5) * SAMPLES - 0.5
             texels = skin_texels(face_plane(FINENESS, shields=self.shields), self._density)
             attributes = np.column_stack([texels, self._shading(index, places)])
-            draw_mesh(grey, depth, samples, attributes, self._mesh.triangles, self._albedo(index))
+            albedo = self._albedo(index)[..., None]
+            draw_mesh(grey[..., None], depth, samples, attributes, self._mesh.triangles, albedo)
             average_samples(picture, covered, grey, depth, SAMPLES, left, top)
         if self.blur > 0:
             picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), self.blur), np.float32)
@@ -304,30 +307,21 @@ def face(
     )
 
 
-def _wander(times: Array, periods: tuple[float, float], generator: np.random.Generator) -> Array:
-    """A smooth random function of unit variance at `times` (s): sines of periods (s) in a range."""
-    n_sines = 8
-    lengths = np.exp(generator.uniform(np.log(periods[0]), np.log(periods[1]), n_sines))
-    phases = generator.uniform(0, 2 * np.pi, n_sines)
-    sines = np.sin(2 * np.pi * times[:, None] / lengths + phases)
-    wander: Array = sines.sum(axis=1) * np.sqrt(2 / n_sines)
-    return wander
-
-
 def _poses(scene: FaceScene) -> Poses:
     generator = np.random.default_rng([scene.seed, 2])
     manner = MANNERS[scene.motion]
     width, height = scene.size
-    pace = np.exp(0.45 * np.tanh(_wander(scene._times, (1.5, 6.0), generator)))
+    pace = np.exp(0.45 * np.tanh(wander(scene._times, (1.5, 6.0), generator)))
     own_times = np.concatenate([[0.0], np.cumsum(pace[:-1]) * scene.dt])
     beginning = np.tanh(own_times) ** 2  # the first second
 
-    def wander(periods: tuple[float, float]) -> Array:
-        wandered: Array = beginning * _wander(own_times, periods, generator)
+    def from_start(periods: tuple[float, float]) -> Array:
+        wandered: Array = beginning * wander(own_times, periods, generator)
         return wandered
 
     yaw, pitch, roll = (
-        np.radians(most) * np.tanh(1.2 * wander(manner.head)) for most in (scene.max_yaw, MAX_PITCH, MAX_ROLL)
+        np.radians(most) * np.tanh(1.2 * from_start(manner.head))
+        for most in (scene.max_yaw, MAX_PITCH, MAX_ROLL)
     )
     zero = np.zeros_like(yaw)
     turn, nod, tilt = (
@@ -335,8 +329,8 @@ def _poses(scene: FaceScene) -> Poses:
         for vector in ((zero, yaw, zero), (pitch, zero, zero), (zero, zero, roll))
     )
     rotations = tilt @ nod @ turn
-    sizes = SIZE * height * (1 + 0.08 * np.tanh(wander(manner.head)))
-    travel = np.stack([reach * wander(manner.travel) for reach in manner.reach], axis=1)
+    sizes = SIZE * height * (1 + 0.08 * np.tanh(from_start(manner.head)))
+    travel = np.stack([reach * from_start(manner.travel) for reach in manner.reach], axis=1)
     # the head turns about the neck, not about the origin, and so swings to the side
     swing = NECK[:2] - (rotations @ NECK)[:, :2]
     middle = np.array([(width - 1) / 2, (height - 1) / 2])
@@ -344,7 +338,7 @@ def _poses(scene: FaceScene) -> Poses:
     morphs = np.zeros((scene.n_frames, scene.model.n_bases))
     morphs[:, 0] = 1
     for number in range(1, scene.model.n_bases):
-        strength = manner.liveliness * wander(manner.expression)
+        strength = manner.liveliness * from_start(manner.expression)
         morphs[:, number] = MOST * np.tanh(strength / MOST)
     morphs[:, 1] += JAW * beginning
     return Poses(rotations, translations, morphs * sizes[:, None])

@@ -125,14 +125,14 @@ def engine_for(frames: Sequence[Frame], coherence: Coherence, association: Assoc
     coherence
         whether the camera moves smoothly.
     association
-        `"dual-chain"`: the tracker hears what the shape says, and tracks that show one point become one.
+        `"dual-chain"`: the tracker receives the shape's messages, and tracks that show one point become one.
         `"none"`: it does not, and every track is a point.
     """
     dual = association == "dual-chain"
     given = any(frame.points is not None for frame in frames)
     points = PointTracks(noise=noise_of_tracks(frames)) if given else PointTracks()
     shape = FactorStructure(coherence=coherence == "second-order", associate=dual)
-    # what a tracker predicts comes from looks that the shape sees as well, and would count many times over
+    # what a tracker predicts comes from observations that the shape has as well, and would count twice over
     model = MultiChain().connect(PointTracker(), points, feedback=False).connect(shape, points, feedback=dual)
     return CoordinateAscent(model, MOST_ROUNDS)
 

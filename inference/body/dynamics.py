@@ -30,6 +30,23 @@ MOST_JUMPS = 1 - 1e-6
 """Chance of a jump in however long a time: densities are relative to those of arms that have not jumped."""
 
 
+@dataclass(frozen=True, eq=False)
+class Ancestors:
+    """Weighted poses of the frame before.
+
+    Parameters
+    ----------
+    poses, weights
+        k of them; `(k,)`, with sum 1.
+    elapsed
+        s since then.
+    """
+
+    poses: BodyPoses
+    weights: Array
+    elapsed: float
+
+
 @dataclass(frozen=True)
 class BodyDynamics:
     """A random walk of the place and of the direction of every segment, in which an arm may also jump.
@@ -93,33 +110,18 @@ class BodyDynamics:
         arms[jumping] = usual_arms(n, random)[jumping]
         return BodyPoses(roots, necks, arms)
 
-    def log_density(self, poses: BodyPoses, ancestors: BodyPoses, weights: Array, dt: float) -> Array:
-        """Log of the mixture of p(x | ancestor) over ancestors, for every pose, with `log_posture`.
+    def log_density(self, poses: BodyPoses, ancestors: Ancestors) -> Array:
+        """`(n,)` nats: log of the mixture of p(x | ancestor) over ancestors, with `log_posture`.
 
         Density in px^2 of the place, rad^3 of the neck's rotations and solid angle of the four directions.
         The sum is taken relative to its largest place, and an arm's factor has a floor, so that nothing
         underflows. The cost is the number of poses times that of ancestors.
-
-        Parameters
-        ----------
-        poses
-            n of them.
-        ancestors
-            k of them.
-        weights
-            `(k,)`, with sum 1.
-        dt
-            seconds between them.
-
-        Returns
-        -------
-        ndarray
-            `(n,)` nats.
         """
-        place, neck, kept, concentrations, jump = self._rates(dt)
-        origin = ancestors.roots.mean(axis=0)
+        place, neck, kept, concentrations, jump = self._rates(ancestors.elapsed)
+        past = ancestors.poses
+        origin = past.roots.mean(axis=0)
         here = np.concatenate([(poses.roots - origin) / place, poses.necks / neck], axis=1)
-        there = np.concatenate([(ancestors.roots - origin) / place, kept * ancestors.necks / neck], axis=1)
+        there = np.concatenate([(past.roots - origin) / place, kept * past.necks / neck], axis=1)
         peak = (1 - jump) * _peak(concentrations).prod()
         jumped = jump * np.exp(_log_usual(poses.arms))
         floors = np.maximum(jumped / peak, LEAST_FLOOR).astype(np.float32)
@@ -130,8 +132,8 @@ class BodyDynamics:
         mixture_values(
             body, rows, least,
             poses.arms.reshape(-1, 12).astype(np.float32),
-            np.ascontiguousarray(ancestors.arms.reshape(-1, 12).T, np.float32),
-            weights.astype(np.float32), concentrations.astype(np.float32),
+            np.ascontiguousarray(past.arms.reshape(-1, 12).T, np.float32),
+            ancestors.weights.astype(np.float32), concentrations.astype(np.float32),
             floors, values,
         )  # fmt: skip
         gaussian = -np.log(2 * np.pi * place**2) - 1.5 * np.log(2 * np.pi * neck**2)
@@ -147,16 +149,15 @@ class BodyDynamics:
         across = (hands[:, 1] - hands[:, 0]) / self.body.head_height
         return np.asarray(-CROSSED * np.clip(across, 0, 1))
 
-    def with_exchanged(
-        self, poses: BodyPoses, weights: Array, dt: float, random: np.random.Generator
-    ) -> tuple[BodyPoses, Array]:
+    def with_exchanged(self, ancestors: Ancestors, random: np.random.Generator) -> Ancestors:
         """Weighted poses, and the same with each hand where the other one was, as far as that is possible.
 
         An exchanged arm has its elbow anywhere on the circle on which it can be. The weight of a pose is
         divided between the two.
         """
         if not self.exchanges:
-            return poses, weights
+            return ancestors
+        poses, weights = ancestors.poses, ancestors.weights
         joints = self.body.joints(poses)
         arms = np.empty_like(poses.arms)
         within = np.ones(len(poses), np.bool_)
@@ -169,12 +170,13 @@ class BodyDynamics:
         exchanged = BodyPoses(poses.roots, poses.necks, arms)
         chosen = np.flatnonzero(within)
         chosen = chosen[self.body.allowed(exchanged.take(chosen))]
-        share = float(-np.expm1(-self.exchanges * dt))
+        share = float(-np.expm1(-self.exchanges * ancestors.elapsed))
         own = weights.copy()
         own[chosen] *= 1 - share
-        return (
+        return Ancestors(
             BodyPoses.concatenated([poses, exchanged.take(chosen)]),
             np.concatenate([own, share * weights[chosen]]),
+            ancestors.elapsed,
         )
 
     def draw_anywhere(self, n: int, size: tuple[int, int], random: np.random.Generator) -> BodyPoses:

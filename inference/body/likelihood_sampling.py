@@ -16,7 +16,7 @@ from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import UpperBody
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from ..filters.resampling import systematic
-from .dynamics import BodyDynamics
+from .dynamics import Ancestors, BodyDynamics
 from .kernels.dynamics import completion_values, least_squares_to_rows
 
 Array = NDArray[np.float64]
@@ -43,23 +43,6 @@ class Proposal:
 
     poses: BodyPoses
     log_density: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Past:
-    """Poses of the frame before, as far as the proposal asks for them.
-
-    Parameters
-    ----------
-    poses, weights
-        k of them; `(k,)`, with sum 1.
-    elapsed
-        s since then.
-    """
-
-    poses: BodyPoses
-    weights: Array
-    elapsed: float
 
 
 @dataclass(frozen=True)
@@ -90,7 +73,7 @@ class LikelihoodSampler:
         return self.dynamics.body
 
     def draw(
-        self, mixtures: GaussianMixtures, past: Past | None, n: int, random: np.random.Generator
+        self, mixtures: GaussianMixtures, past: Ancestors | None, n: int, random: np.random.Generator
     ) -> Proposal:
         """Draw `n` poses, or as many as turn out to be possible.
 
@@ -112,7 +95,7 @@ class LikelihoodSampler:
         return Proposal(poses, self._log_density(poses, mixtures, past))
 
     def _possible(
-        self, mixtures: GaussianMixtures, past: Past | None, n: int, random: np.random.Generator
+        self, mixtures: GaussianMixtures, past: Ancestors | None, n: int, random: np.random.Generator
     ) -> BodyPoses:
         """At most `n` poses within reach and limits, of as many draws."""
         body, dynamics = self.body, self.dynamics
@@ -161,7 +144,7 @@ class LikelihoodSampler:
             depths, angles = np.where(close, depth, depths), np.where(close, angle, angles)
         return depths, angles
 
-    def _log_density(self, poses: BodyPoses, mixtures: GaussianMixtures, past: Past | None) -> Array:
+    def _log_density(self, poses: BodyPoses, mixtures: GaussianMixtures, past: Ancestors | None) -> Array:
         body, dynamics = self.body, self.dynamics
         joints = body.joints(poses)
         total = mixtures.log_values(joints[:, [0, 4, 7], :2]).sum(axis=1)
@@ -173,7 +156,7 @@ class LikelihoodSampler:
         if past is None:
             square = (poses.necks**2).sum(axis=1) / dynamics.neck**2
             return np.asarray(total - 0.5 * square + np.log(evenly).sum(axis=1))
-        here, there = _Hidden.of(self, Past(poses, past.weights, past.elapsed)), _Hidden.of(self, past)
+        here, there = _Hidden.of(self, Ancestors(poses, past.weights, past.elapsed)), _Hidden.of(self, past)
         kept, spread = dynamics.neck_step(past.elapsed)
         necks = (poses.necks / spread).astype(np.float32)
         rows = np.ascontiguousarray((kept * past.poses.necks / spread).T, np.float32)
@@ -199,7 +182,7 @@ class _Hidden:
     concentration: float  # of a swivel around another
 
     @classmethod
-    def of(cls, sampler: LikelihoodSampler, past: Past) -> "_Hidden":
+    def of(cls, sampler: LikelihoodSampler, past: Ancestors) -> "_Hidden":
         body, dynamics = sampler.body, sampler.dynamics
         joints = body.joints(past.poses)
         angles = np.stack([swivels(side, past.poses.arms[:, side], body) for side in (0, 1)], axis=1)

@@ -42,31 +42,31 @@ class PartChoices:
     hidden: Array
 
     @classmethod
-    def of(cls, known: PartPosterior, told: GaussianMixtures, radius: float, hiding: float) -> Self:
+    def of(cls, posterior: PartPosterior, detections: GaussianMixtures, radius: float, hiding: float) -> Self:
         """Sums over the components with the same label.
 
         Parameters
         ----------
-        known
-            what is known of the parts,
-        told
-            after they were told this.
+        posterior
+            of the parts,
+        detections
+            after these.
         radius
             px: a part whose centre is about so close to a thing's is hidden there.
         hiding
             nats by which a part is more probably not seen where it is hidden.
         """
-        present = np.unique(np.append(known.labels[np.isfinite(known.log_weights)], NO_LABEL))
-        same = known.labels[:, None] == present[:, None]
-        masses = logsumexp(np.where(same, known.log_weights[:, None], -np.inf), axis=2)
+        present = np.unique(np.append(posterior.labels[np.isfinite(posterior.log_weights)], NO_LABEL))
+        same = posterior.labels[:, None] == present[:, None]
+        masses = logsumexp(np.where(same, posterior.log_weights[:, None], -np.inf), axis=2)
         best = masses.max(axis=1, keepdims=True)
-        best = np.where(np.isfinite(best), best, 0.0)  # nobody knows anything of the part: all is alike
+        best = np.where(np.isfinite(best), best, 0.0)  # nothing is known of the part: all is alike
         masses = np.maximum(masses, best - MOST_NATS)
 
-        thing = (told.labels == present[1:, None, None]) & np.isfinite(told.log_weights)
-        centres = (thing[..., None] * told.means).sum(axis=(1, 2)) / thing.sum(axis=(1, 2))[:, None]
-        unseen = np.where(known.labels == NO_LABEL, known.log_weights, -np.inf)
-        within = known.log_within(centres, radius) + unseen[:, None]
+        thing = (detections.labels == present[1:, None, None]) & np.isfinite(detections.log_weights)
+        centres = (thing[..., None] * detections.means).sum(axis=(1, 2)) / thing.sum(axis=(1, 2))[:, None]
+        unseen = np.where(posterior.labels == NO_LABEL, posterior.log_weights, -np.inf)
+        within = posterior.log_within(centres, radius) + unseen[:, None]
         hidden = np.full(masses.shape, -np.inf)
         hidden[:, 1:] = logsumexp(within, axis=2) + hiding
         return cls(present, masses, hidden)

@@ -10,6 +10,7 @@ from scipy.special import logsumexp
 
 from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
 from ...models.core.mahalanobis import squared_distances
+from ..filters.linear_motion import ornstein_uhlenbeck_velocity
 
 Array = NDArray[np.float64]
 
@@ -29,7 +30,7 @@ class MovingParts:
     means: Array
     covariances: Array
 
-    def moved(self, dt: float, speeds: ArrayLike, lasts: float) -> Self:
+    def moved(self, dt: float, speeds: ArrayLike, velocity_time: float) -> Self:
         """Parts `dt` s later, whose velocities are Ornstein-Uhlenbeck processes; exact for any `dt`.
 
         Parameters
@@ -38,20 +39,11 @@ class MovingParts:
             s.
         speeds
             `(n_parts,)` px/s, standard deviation of a velocity's components in the long run.
-        lasts
+        velocity_time
             s, time constant of velocities.
         """
-        elapsed = dt / lasts
-        lag = -np.expm1(-elapsed)
-        if elapsed < 1e-3:  # where the difference below would lose its digits
-            place = elapsed**3 * (2 / 3 - elapsed / 2)
-        else:
-            place = 2 * elapsed + 4 * np.expm1(-elapsed) - np.expm1(-2 * elapsed)
-        pushes = np.array([[lasts**2 * place, lasts * lag**2], [lasts * lag**2, -np.expm1(-2 * elapsed)]])
-        move = np.kron([[1.0, lasts * lag], [0.0, 1 - lag]], np.eye(2))
-        noise = np.square(np.asarray(speeds, np.float64))[:, None, None] * np.kron(pushes, np.eye(2))
-        covariances = move @ self.covariances @ move.T + noise
-        return type(self)(self.means @ move.T, _symmetric(covariances))
+        motion = ornstein_uhlenbeck_velocity(dt, velocity_time).along(2)
+        return type(self)(*motion.moved(self.means, self.covariances, np.square(speeds)))
 
     def positions(self) -> GaussianMixtures:
         """Mixtures of one component each."""
@@ -68,7 +60,7 @@ class MovingParts:
         """Means `(n_parts, n, 4)` and covariances `(n_parts, n, 4, 4)` for posteriors of the positions.
 
         The velocity is a regression on the position and an independent rest, so that covariances are sums of
-        positive ones: they stay positive definite however sure a look is.
+        positive ones: they stay positive definite however sure a position is.
 
         Parameters
         ----------
@@ -87,7 +79,7 @@ class MovingParts:
 
 @dataclass(frozen=True, eq=False)
 class PartPosterior:
-    """What is known of parts after a look: components over position and velocity, which still have labels.
+    """What is known of parts after a picture: components over position and velocity, which still have labels.
 
     Parameters
     ----------
@@ -96,9 +88,9 @@ class PartPosterior:
     means, covariances
         `(n_parts, n, 4)` and `(n_parts, n, 4, 4)`.
     labels
-        `(n_parts, n)`: what a component takes the part for.
+        `(n_parts, n)`: the detection that a component assigns to the part.
     located
-        `(n_parts, n)`: all components but those of a part that was lost and that nobody has seen since.
+        `(n_parts, n)`: all components but those of a part that was lost and that nothing has shown since.
     """
 
     log_weights: Array
@@ -109,9 +101,9 @@ class PartPosterior:
 
     @classmethod
     def of(
-        cls, predictions: Sequence[MovingParts], log_shares: Sequence[Array], told: GaussianMixtures
+        cls, predictions: Sequence[MovingParts], log_shares: Sequence[Array], detections: GaussianMixtures
     ) -> Self:
-        """Predictions, the last of which is that of parts that are lost, times what is told of positions.
+        """Predictions, the last of which is that of parts that are lost, times what is detected.
 
         Parameters
         ----------
@@ -119,30 +111,30 @@ class PartPosterior:
             each of all parts.
         log_shares
             `(n_parts,)` for each: log probability that it holds for a part.
-        told
-            of all parts.
+        detections
+            of all parts' positions.
         """
         # No more than a product keeps, so that the products below keep all of them, and their order.
-        told = told * GaussianMixtures.uniform(told.n_parts)
+        detections = detections * GaussianMixtures.uniform(detections.n_parts)
         weights, means, covariances = [], [], []
         for prediction, share in zip(predictions, log_shares, strict=True):
-            positions = prediction.positions() * told
+            positions = prediction.positions() * detections
             mean, covariance = prediction.given(positions.means, positions.covariances)
             weights.append(positions.log_weights + share[:, None])
             means.append(mean)
             covariances.append(covariance)
-        found = np.ones_like(told.flat)
+        found = np.ones_like(detections.flat)
         return cls(
             np.concatenate(weights, axis=1),
             np.concatenate(means, axis=1),
             np.concatenate(covariances, axis=1),
-            np.concatenate([told.labels] * len(predictions), axis=1),
-            np.concatenate([found] * (len(predictions) - 1) + [~told.flat], axis=1),
+            np.concatenate([detections.labels] * len(predictions), axis=1),
+            np.concatenate([found] * (len(predictions) - 1) + [~detections.flat], axis=1),
         )
 
-    def weighed(self, told: GaussianMixtures) -> Self:
-        """Components that fit what others tell weigh more; where they are and how sure stays as it is."""
-        overlaps = told.log_overlaps(self.means[..., :2], self.covariances[..., :2, :2])
+    def weighed(self, others: GaussianMixtures) -> Self:
+        """Components that fit other chains' messages weigh more; means and covariances stay as they are."""
+        overlaps = others.log_overlaps(self.means[..., :2], self.covariances[..., :2, :2])
         return replace(self, log_weights=self.log_weights + overlaps)
 
     def log_within(self, centres: Array, radius: float) -> Array:
@@ -164,11 +156,11 @@ class PartPosterior:
         distances = squared_distances(centres[:, None] - self.means[:, None, :, :2], wide)
         return np.asarray(2 * np.log(radius) - 0.5 * (np.log(np.linalg.det(wide)) + distances))
 
-    def taken_for(self, labels: NDArray[np.int64]) -> tuple[MovingParts, Array]:
-        """Parts if each is what its label says, `(n_parts,)`; by the moments of its mixture.
+    def assigned(self, labels: NDArray[np.int64]) -> tuple[MovingParts, Array]:
+        """Parts if each is assigned its label, `(n_parts,)`; by the moments of its mixture.
 
         The second result, `(n_parts,)`, is the probability that a part is located at all; not a number if it
-        cannot be what its label says.
+        cannot have that label.
         """
         among = np.where(self.labels == labels[:, None], self.log_weights, -np.inf)
         counted = np.where(self.located, among, -np.inf)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...models.body.inverse_kinematics import arm_at, log_volume, swivels
 from ...models.body.poses import BodyPoses
-from ..filters.resampling import normalised, systematic
+from ..filters.resampling import log_sum, normalised, systematic
 from .dynamics import BodyDynamics, around
 
 Array = NDArray[np.float64]
@@ -64,21 +64,22 @@ class Tempered:
 def temper(
     dynamics: BodyDynamics,
     poses: BodyPoses,
-    log_weights: Array,
+    log_proposal: Array,
     log_prior: LogDensity,
     log_likelihood: LogDensity,
     n: int,
     random: np.random.Generator,
 ) -> Tempered:
-    """Bring samples from the prior to the posterior in a few steps.
+    """Bring draws of a proposal to the posterior in a few steps.
 
-    In each, the likelihood is taken to a power b that grows to 1, by as much as leaves enough samples with
-    weight; they are drawn again and moved by Metropolis steps that keep prior times likelihood^b as it is.
+    Weights make them samples of the prior at first. In each step the likelihood is taken to a power b that
+    grows to 1, by as much as leaves enough samples with weight; they are drawn again and moved by Metropolis
+    steps that keep prior times likelihood^b as it is.
 
     Parameters
     ----------
-    poses, log_weights
-        any number of samples, and what makes them samples of the prior.
+    poses, log_proposal
+        any number of draws, and the density from which they come, up to a constant.
     log_prior
         of the poses, up to a constant; minus infinity where a pose is impossible.
     log_likelihood
@@ -87,14 +88,14 @@ def temper(
         samples that are left.
     """
     likelihood, prior = log_likelihood(poses), log_prior(poses)
+    log_weights = prior - log_proposal
     power, evidence, moves, accepted = 0.0, 0.0, 0, 0
     for step in range(MOST_STEPS):
         rest = 1 - power
         rise = rest if step == MOST_STEPS - 1 else _rise(log_weights, likelihood, rest)
         power += rise
         log_weights = log_weights + rise * likelihood
-        peak = float(log_weights.max())
-        evidence += peak + float(np.log(np.exp(log_weights - peak).mean()))
+        evidence += log_sum(log_weights) - np.log(len(log_weights))
         if power >= 1 and len(poses) == n and _effective(log_weights) > KEPT * n:
             return Tempered(poses, normalised(log_weights), evidence, accepted / max(moves, 1))
         chosen = systematic(log_weights, n, random)

@@ -1,12 +1,12 @@
 """Trees of dataclasses and arrays in one `.npz` file: never pickled, checked before it is written, atomic.
 
 Arrays are members of their own, named by their place in the tree; the member `skeleton` is JSON with all the
-rest, and `digest` the SHA-256 of both. Values are read by their declared kinds: dataclasses, `NDArray`,
-`int`, `float`, `bool`, `str`, `None`, `X | None`, `tuple[X, ...]`, `tuple[X, Y]`, `list[X]`, `dict[str, X]`,
-`dict[int, X]`, `numpy.random.Generator`, and `Any` or `object` for plain JSON, or an alias of one of these
-(`type X = ...`). A field of a dataclass whose metadata say `{"saved": False}` is left out, and is at its
-default when read. A nested mapping of names to kinds stands for a record without a class of its own, or
-`None` where it is not there yet.
+rest, and `digest` the SHA-256 of both. Values are read by their declared kinds: dataclasses, `NamedTuple`s,
+`NDArray`, `int`, `float`, `bool`, `str`, `None`, `X | None`, `tuple[X, ...]`, `tuple[X, Y]`, `list[X]`,
+`dict[str, X]`, `dict[int, X]`, `numpy.random.Generator`, and `Any` or `object` for plain JSON, or an alias
+of one of these (`type X = ...`). A field of a dataclass whose metadata say `{"saved": False}` is left out,
+and is at its default when read. A nested mapping of names to kinds stands for a record without a class of its
+own, or `None` where it is not there yet.
 """
 
 import hashlib
@@ -15,7 +15,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from types import NoneType, UnionType
+from types import GenericAlias, NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 from urllib.parse import quote
 
@@ -186,6 +186,9 @@ def _decode(data: Any, kind: Any, arrays: Arrays, place: str) -> Any:
             return origin(
                 _decode(item, part, arrays, _below(place, n)) for n, (item, part) in enumerate(pairs)
             )
+    if isinstance(origin, type) and issubclass(origin, tuple) and hasattr(origin, "_fields"):
+        kinds = GenericAlias(tuple, tuple(get_type_hints(origin).values()))
+        return origin(*_decode(data, kinds, arrays, place))
     if isinstance(kind, Mapping) and data is None:
         return None
     if isinstance(kind, Mapping) or is_dataclass(origin):

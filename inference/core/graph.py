@@ -1,6 +1,6 @@
 """The graph of chains, feature nodes and the image, and the order of messages that follows from it."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -125,7 +125,7 @@ class MultiChain:
         self.graph.add_node(feature.name, kind="feature", node=feature)
         self.graph.add_edge(IMAGE, feature.name)
         self.graph.add_edge(chain.name, feature.name, feedback=feedback, port=port)
-        for derived in ("chains", "features", "_features_of", "_senders"):
+        for derived in ("chains", "features", "_features_of", "_senders", "_message_kinds"):
             self.__dict__.pop(derived, None)
         return self
 
@@ -167,12 +167,26 @@ class MultiChain:
         other.graph = self.graph.copy()
         return other
 
-    def components(self) -> Iterator[tuple[list[str], list[str]]]:
-        """Features and chains that influence each other: the parts that remain when cut edges are removed."""
+    def components(self) -> list[list[str]]:
+        """Features that influence each other: the parts that remain when cut edges are removed."""
         edges = [(name, feature) for feature in self.features for name in self.senders(feature)]
-        for part in nx.connected_components(nx.Graph(edges)):
-            features = [name for name in self.features if name in part]
-            yield features, [name for name in self.chains if name in part]
+        parts = nx.connected_components(nx.Graph(edges))
+        return sorted([name for name in self.features if name in part] for part in parts)
+
+    def require_message(self, sender: str, feature: str, message: object) -> None:
+        """Make sure that a message is one of the feature's.
+
+        Raises
+        ------
+        TypeError
+            if it is not.
+        """
+        kind = self._message_kinds[feature]
+        if not isinstance(message, kind):
+            raise TypeError(
+                f"message from {sender!r} to {feature!r}: got {type(message).__name__}, "
+                f"expected {kind.__name__}"
+            )
 
     def check_complete(self) -> None:
         """Make sure that every chain is connected to what it cannot do without.
@@ -265,6 +279,10 @@ class MultiChain:
                     f"expected one {ports[0].kind.__name__}"
                 )
         return ports[0]
+
+    @cached_property
+    def _message_kinds(self) -> dict[str, type]:
+        return {name: type(node.uniform()) for name, node in self.features.items()}
 
     @cached_property
     def _features_of(self) -> dict[str, tuple[str, ...]]:

@@ -1,11 +1,11 @@
 """Algorithm 1 of the RSMCM paper, recursive belief propagation, for any number of chains and features."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
 from pathlib import Path
-from typing import Any, Generic, TypeVar, get_type_hints, overload
+from typing import Any, TypeVar, get_type_hints, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,27 +82,34 @@ class RunState:
         return cls(**{**saved, "states": saved["states"] or {}})
 
 
-class Sent(Generic[MessageType]):
-    """A message that is worked out when it is first multiplied."""
+@dataclass(eq=False)
+class Sent:
+    """A message of a time slice, which is worked out when it is first multiplied.
 
-    def __init__(self, work_out: Callable[[], MessageType], read: Sequence["Factors"] = ()) -> None:
-        self._work_out = work_out
-        self.read = read
-        """Factors of all that it depends on."""
+    Parameters
+    ----------
+    sender, feature
+        names; the image is a sender too.
+    incoming
+        by feature, the factors of what the sender goes by.
+    message
+        the message itself, once it is worked out.
+    """
 
-    @cached_property
-    def message(self) -> MessageType:
-        """The message itself."""
-        return self._work_out()
+    sender: str
+    feature: str
+    incoming: Mapping[str, "Factors"]
+    message: Any = None
 
 
-Factors = tuple[Sent[Any], ...]
+Factors = tuple[Sent, ...]
 
 
 class TimeSlice:
     """Messages of one frame, and their products.
 
-    The same factors always give the same product object, so that messages may keep what they work out.
+    The same factors always give the same product object, so that messages may keep what they work out. No
+    message refers to the slice: it is gone as soon as nobody needs it, and large arrays with it.
     """
 
     def __init__(self, model: MultiChain, predictions: Mapping[str, Any], frame: Frame) -> None:
@@ -110,21 +117,22 @@ class TimeSlice:
         self.predictions = predictions
         self.frame = frame
         self._scratch = Scratch()
-        self._sent: dict[Step, Sent[Any]] = {}
+        self._sent: dict[Step, Sent] = {}
         self._products: dict[tuple[str, Factors], Any] = {}
 
     def send(self, sender: str, feature: str) -> None:
         """Send a message that follows from what has been sent by now, unless it is the one sent before."""
-        before = self._sent.get((sender, feature))
         if sender == IMAGE:
-            if not self.frame.missing and before is None:
-                self._sent[IMAGE, feature] = self._evidence(feature)
-            return
-        entries = {name: self._factors(name, sender) for name in self.model.features_of(sender)}
-        entries[feature] = self._cavity(sender, feature)
-        read = tuple(entries.values())
-        if before is None or before.read != read:
-            self._sent[sender, feature] = Sent(lambda: self._message(sender, feature, entries), read)
+            if self.frame.missing or (IMAGE, feature) in self._sent:
+                return
+            searches = self.model.features[feature].searches
+            incoming = {feature: self._factors(feature) if searches else ()}
+        else:
+            incoming = {name: self._factors(name, sender) for name in self.model.features_of(sender)}
+            incoming[feature] = self._cavity(sender, feature)
+        before = self._sent.get((sender, feature))
+        if before is None or before.incoming != incoming:
+            self._sent[sender, feature] = Sent(sender, feature, incoming)
 
     def incoming(self, chain: str) -> Incoming:
         """All that reaches the chain by now except for its own messages."""
@@ -135,34 +143,41 @@ class TimeSlice:
         return self._multiply(feature, self._factors(feature))
 
     def log_evidence(self) -> float:
-        """Log normaliser of the slice, summed over its components."""
-        total = 0.0
-        for features, chains in self.model.components():
-            total += self.product(features[0]).log_mass
-            total -= sum(self._log_mass_read(name) for name in chains)
-        return float(total)
+        """Log p(image | past), by the chain rule: that of each feature given those before it."""
+        return float(
+            sum(
+                self._log_evidence_at(feature, features[:number])
+                for features in self.model.components()
+                for number, feature in enumerate(features)
+            )
+        )
 
-    def _log_mass_read(self, name: str) -> float:
-        """Log probability of what the chain reads through cut edges.
+    def _log_evidence_at(self, feature: str, seen: Sequence[str]) -> float:
+        """Log probability of what the image shows of a feature, given what it shows of those `seen`.
 
-        The component that hears this chain elsewhere conditions on it, so that nothing is counted twice.
+        The messages to the feature are the same in both integrals, so that their scale does not matter.
         """
-        model = self.model
-        reads = [feature for feature in model.features_of(name) if name not in model.senders(feature)]
-        if not reads:
+        if (IMAGE, feature) not in self._sent:
             return 0.0
-        entries = {name: self._factors(name) if name in reads else () for name in model.features_of(name)}
-        return float((self.product(reads[0]) * self._message(name, reads[0], entries)).log_mass)
+        predicted = tuple(self._given(name, feature, seen) for name in self.model.senders(feature))
+        log_mass = self._multiply(feature, (self._sent[IMAGE, feature], *predicted)).log_mass
+        return float(log_mass - self._multiply(feature, predicted).log_mass) if log_mass > -inf else -inf
 
-    def _evidence(self, feature: str) -> Sent[Any]:
-        node = self.model.features[feature]
-        found = self._factors(feature) if node.searches else ()
-        return Sent(lambda: node.evidence(self.frame, self._multiply(feature, found)))
+    def _given(self, chain: str, feature: str, seen: Sequence[str]) -> Sent:
+        """What the chain would send if the image showed no feature of its component but those `seen`.
 
-    def _message(self, chain: str, feature: str, entries: Mapping[str, Factors]) -> Any:
-        node = self.model.features[feature]
-        message = self.model.chains[chain].message(self.predictions[chain], node, self._incoming(entries))
-        return message
+        What it found in its own cavity, where it may have decided where to speak, and what it reads through
+        cut edges stays as it is.
+        """
+        sent = self._sent[chain, feature]
+        incoming = dict(sent.incoming)
+        for other in incoming:
+            senders = self.model.senders(other)
+            if other != feature and chain in senders:
+                image = [self._sent[IMAGE, other]] if other in seen else []
+                others = [self._given(name, other, seen) for name in senders if name != chain]
+                incoming[other] = (*image, *others)
+        return sent if incoming == sent.incoming else Sent(chain, feature, incoming)
 
     def _cavity(self, chain: str, feature: str) -> Factors:
         """What the chain finds of others at a feature to which it is about to speak."""
@@ -177,20 +192,40 @@ class TimeSlice:
         steps = [(name, feature) for name in (IMAGE, *self.model.senders(feature)) if name != without]
         return tuple(self._sent[step] for step in steps if step in self._sent)
 
-    def _incoming(self, entries: Mapping[str, Factors]) -> Incoming:
-        return Incoming(_Products(self, entries), self._scratch)
+    def _incoming(self, factors: Mapping[str, Factors]) -> Incoming:
+        return Incoming(_Products(self, factors), self._scratch)
 
     def _multiply(self, feature: str, factors: Factors) -> Any:
         if len(factors) == 1:
-            return factors[0].message
+            return self._message(factors[0])
         key = feature, factors
         if key not in self._products:
             if factors:
-                product = self._multiply(feature, factors[:-1]) * factors[-1].message
+                product = self._multiply(feature, factors[:-1]) * self._message(factors[-1])
             else:
                 product = self.model.features[feature].uniform()
             self._products[key] = product
         return self._products[key]
+
+    def _message(self, sent: Sent) -> Any:
+        """The message that was sent.
+
+        Raises
+        ------
+        TypeError
+            if it is none of its feature.
+        """
+        if sent.message is None:
+            node = self.model.features[sent.feature]
+            if sent.sender == IMAGE:
+                prior = self._multiply(sent.feature, sent.incoming[sent.feature])
+                message = node.evidence(self.frame, prior)
+            else:
+                chain, state = self.model.chains[sent.sender], self.predictions[sent.sender]
+                message = chain.message(state, node, self._incoming(sent.incoming))
+            self.model.require_message(sent.sender, sent.feature, message)
+            sent.message = message
+        return sent.message
 
 
 class _Products(Mapping[Named, Message]):
@@ -238,11 +273,14 @@ class Belief:
 
     @cached_property
     def log_evidence(self) -> float:
-        """log p(I_t | I_1..t-1): the normaliser of the slice, worked out when asked for.
+        """log p(I_t | I_1..t-1), worked out when asked for; 0 before the first image.
 
-        It is the log of the integral of everybody's predictions times the image's likelihood, summed over
-        the components that remain without cut edges; 0 before the first image. It is that of the model
-        without the cut messages: a component that reads another one through a cut edge is conditioned on it.
+        At each feature that chains speak to, it is the log of the integral of the product with the image less
+        the log of the integral of the same product without it: summed over all images, the probabilities are
+        1, whatever the scale of the messages, so that models can be compared. Features that share a chain
+        follow each other (their evidence is given that of those before); a component that reads another one
+        through a cut edge is conditioned on it. What is not exact is what chains approximate: a message that
+        was decided on by its cavity is taken as it is.
         """
         return 0.0 if self._slice is None else self._slice.log_evidence()
 

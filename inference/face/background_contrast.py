@@ -51,14 +51,14 @@ OTHER_TONES = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Backdrop:
+class BackgroundContrast:
     """The background of a frame, one for all experts or one for each.
 
     Parameters
     ----------
     box
         of the picture, outside of which nothing is known.
-    contrast
+    log_ratio
         `(n_maps, height, width)` float32: nats by which the background explains the pixel better than
         anything would, times `trust`.
     trust
@@ -70,11 +70,11 @@ class Backdrop:
         `(height, width)` float32 of the whole picture: log by which a density of the values in which textures
         are compared exceeds the uniform one.
     everywhere
-        `(n_maps,)`: sum of `contrast` over the whole picture, where there is a map for each.
+        `(n_maps,)`: sum of `log_ratio` over the whole picture, where there is a map for each.
     """
 
     box: Box
-    contrast: Map
+    log_ratio: Map
     trust: Map
     border: Map
     unit: Map
@@ -89,12 +89,12 @@ class Backdrop:
 
 
 @dataclass(frozen=True, eq=False)
-class Behind:
-    """A backdrop, and which of the object's surface hides it.
+class OccludedBackground:
+    """A background, and which of the object's surface hides it.
 
     Parameters
     ----------
-    backdrop
+    contrast
         of the frame.
     surface
         the whole mesh with texels, whatever the object's texture is known on.
@@ -103,11 +103,11 @@ class Behind:
         angle; held while poses change. Empty before `around`.
     """
 
-    backdrop: Backdrop
+    contrast: BackgroundContrast
     surface: TexturedObject
     covering: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_))
 
-    def around(self, poses: Poses) -> "Behind":
+    def around(self, poses: Poses) -> "OccludedBackground":
         """As it is about one pose an expert."""
         texels, model = self.surface.texels, self.surface.model
         corners = texels.groups[texels.group_of_texel].astype(np.int64)
@@ -118,17 +118,18 @@ class Behind:
 
     def hidden_contrast(self, poses: Poses, owner: NDArray[np.int64]) -> Array:
         """`(n,)` nats: what the background would explain of the pixels that the object hides."""
-        return _integral(self.surface, poses, owner, self.covering, self.backdrop.contrast, self.backdrop.box)
+        contrast = self.contrast
+        return _integral(self.surface, poses, owner, self.covering, contrast.log_ratio, contrast.box)
 
     def everywhere(self, owner: NDArray[np.int64]) -> Array:
         """`(n,)` nats: what the background explains of the whole picture, where it is each expert's own."""
-        whole = self.backdrop.everywhere
+        whole = self.contrast.everywhere
         return whole[owner] if len(whole) > 1 else np.zeros(len(owner))
 
     def trusted_area(self, likelihood: TextureLikelihood, poses: Poses, owner: NDArray[np.int64]) -> Array:
         """`(n,)` px squared under the visible texture whose background is known."""
         return _integral(
-            likelihood.surface, poses, owner, likelihood.visible, self.backdrop.trust, self.backdrop.box
+            likelihood.surface, poses, owner, likelihood.visible, self.contrast.trust, self.contrast.box
         )
 
 
@@ -142,13 +143,10 @@ def _integral(
 ) -> Array:
     """`(n,)`: integral of a map of the box over the texels that are `on` `(n_experts, n_texels)`."""
     sums = np.empty(len(poses))
-    texels, positions = surface.texels, surface.positions(poses)
+    positions = surface.positions(poses)
 
     def work(a: int, b: int) -> None:
-        place_kernels.map_sums(
-            positions[a:b], owner[a:b], surface.groups, texels.first, texels.weights, texels.offsets,
-            texels.areas, on, map_, box.top, box.left, sums[a:b],
-        )  # fmt: skip
+        place_kernels.map_sums(positions[a:b], owner[a:b], surface.used_texels, on, map_, box, sums[a:b])
 
     over_bands(work, len(poses))
     return sums
@@ -165,33 +163,33 @@ def units(image: NDArray[np.uint8], size: float, *, local_mean: bool) -> Map:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class SharedBackground:
     """What a background that is shared through `PixelLabels` says of the picture.
 
     Parameters
     ----------
-    others
-        with image and background.
+    message
+        of the others to the feature, with image and background.
     """
 
-    others: PixelMessage
+    message: PixelMessage
 
     @cached_property
     def ratio(self) -> Map:
         """`(height, width)` float32: log density of the background over that of anything, clipped."""
-        background, subtraction = self.others.background, self.others.subtraction
+        background, subtraction = self.message.background, self.message.subtraction
         assert background is not None
         assert subtraction is not None
         prior = np.log(background.prior) - np.log1p(-background.prior)
-        odds: Map = subtraction.log_odds.reshape(self.others.size).astype(np.float32)
+        odds: Map = subtraction.log_odds.reshape(self.message.size).astype(np.float32)
         odds *= np.float32(1 / ODDS_STEPS)
         odds -= np.float32(prior)
         return odds
 
-    def backdrop(self, trust: Map, box: Box, tones: Map, unit: Map) -> Backdrop:
+    def contrast(self, trust: Map, box: Box, tones: Map, unit: Map) -> BackgroundContrast:
         """As poses within the box are judged by it; `trust` is of the whole picture."""
         its_trust = np.maximum(trust[box.window], 0)[None]
-        return Backdrop.of(box, self.ratio[box.window][None], its_trust, tones, unit, np.zeros(1))
+        return BackgroundContrast.of(box, self.ratio[box.window][None], its_trust, tones, unit, np.zeros(1))
 
     def trust_after(self, trust: Map, hidden: NDArray[np.bool_], box: Box) -> Map:
         """Trust in each pixel after the picture: up where what was predicted came true, down where not.

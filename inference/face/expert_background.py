@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...models.core.grey import grey_of
 from ...models.face.outline import Box
 from ...models.numerics.threads import over_bands
-from .background_contrast import N_GREYS, Backdrop
+from .background_contrast import BackgroundContrast
 from .kernels import background_maps as background_map_kernels
 
 Map = NDArray[np.float32]
@@ -22,10 +22,14 @@ UNKNOWN_VARIANCE = 60.0**2
 """Squared grey levels: of a pixel whose background has never been seen."""
 
 NOISE = 20.0
-"""Squared grey levels of a look at a pixel, sigma_w^2."""
+"""Squared grey levels of a picture at a pixel, sigma_w^2."""
 
 WANDERING = 1.0
-"""Squared grey levels per look by which a pixel's background may change, Psi_b."""
+"""Squared grey levels per picture by which a pixel's background may change, Psi_b."""
+
+MAP_NOISE = background_map_kernels.MapNoise(
+    np.float32(NOISE), np.float32(WANDERING), np.float32(UNKNOWN_VARIANCE)
+)
 
 LEAST_RATIO = -9.0
 """Nats: no pixel speaks louder against the background, whatever has come before it."""
@@ -40,7 +44,7 @@ class ExpertBackground:
     mean
         `(n_experts, height, width)` float32, raw grey levels.
     variance
-        `(n_experts, height, width)` float32, of the next look's prediction without its noise.
+        `(n_experts, height, width)` float32, of the next picture's prediction without its noise.
     """
 
     mean: Map
@@ -56,7 +60,7 @@ class ExpertBackground:
         """Backgrounds of the children of `parents`."""
         return replace(self, mean=self.mean[parents], variance=self.variance[parents])
 
-    def backdrop(self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map) -> Backdrop:
+    def contrast(self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map) -> BackgroundContrast:
         """As poses within the box are judged by it.
 
         Trust in a pixel is the share of the first variance that is gone: what was never seen says nothing.
@@ -66,16 +70,15 @@ class ExpertBackground:
         everywhere = np.empty(n)
 
         def work(a: int, b: int) -> None:
-            background_map_kernels.read_maps(
-                grey, self.mean[a:b], self.variance[a:b], box.top, box.left, np.float32(UNKNOWN_VARIANCE),
-                np.float32(NOISE), np.float32(np.log(N_GREYS)), np.float32(LEAST_RATIO), ratio[a:b],
+            background_map_kernels.compare_with_maps(
+                grey, self.mean[a:b], self.variance[a:b], box, MAP_NOISE, np.float32(LEAST_RATIO), ratio[a:b],
                 trust[a:b], everywhere[a:b],
             )  # fmt: skip
 
         over_bands(work, n)
-        return Backdrop.of(box, ratio, trust, tones, unit, everywhere)
+        return BackgroundContrast.of(box, ratio, trust, tones, unit, everywhere)
 
-    def after(
+    def updated(
         self, image: NDArray[np.uint8], parents: NDArray[np.int64], hidden: NDArray[np.uint8], box: Box
     ) -> Self:
         """Predicted background for the next picture, of the children of `parents`.
@@ -87,10 +90,16 @@ class ExpertBackground:
 
         def work(a: int, b: int) -> None:
             background_map_kernels.update_maps(
-                grey, self.mean, self.variance, parents[a:b], hidden[a:b], box.top, box.left,
-                np.float32(NOISE), np.float32(WANDERING), np.float32(UNKNOWN_VARIANCE), mean[a:b],
+                grey,
+                self.mean,
+                self.variance,
+                parents[a:b],
+                hidden[a:b],
+                box,
+                MAP_NOISE,
+                mean[a:b],
                 variance[a:b],
-            )  # fmt: skip
+            )
 
         over_bands(work, n)
         return replace(self, mean=mean, variance=variance)

@@ -1,10 +1,10 @@
-"""Peak and spread of what experts believe of the pose: Gauss-Newton on several levels, Laplace's covariance.
+"""Mode and spread of what experts believe of the pose: Gauss-Newton on several levels, Laplace's covariance.
 
-G-flow paper §3.4.1; its appendix with the formulas is not public: `find_peaks` states them.
+G-flow paper §3.4.1; its appendix with the formulas is not public: `find_modes` states them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -38,13 +38,13 @@ class PoseLikelihood(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Peaks:
-    """Where each expert's belief has its peak.
+class Modes:
+    """Where each expert's belief has its mode.
 
     Parameters
     ----------
     poses
-        the peaks.
+        the modes.
     precision
         `(n_experts, dimension, dimension)`: second derivatives of minus its log there.
     """
@@ -58,14 +58,14 @@ class Peaks:
         return np.asarray(np.linalg.inv(self.precision), np.float64)
 
 
-def find_peaks(
+def find_modes(
     likelihood: PoseLikelihood,
     prior: PosePrior,
     start: Poses,
     effective_pixels: float,
     coarsest: int,
     more: Sequence[PoseEvidence] = (),
-) -> Peaks:
+) -> Modes:
     """Climb from `start`, one pose an expert, with all texels on level `coarsest` down to the finest.
 
     Minimises eq. (18) without its background and log terms, E(u) = beta / 2 sum a_i e_i^2 / tau_i - log
@@ -76,18 +76,16 @@ def find_peaks(
     With a turn w of the object as the camera sees it and p = r h c, dx/dw = -g [p]x, dx/dl = 1 and
     dx/dc = g r h; with J = (grad y)' dx/du the curvature is beta sum a_i J_i' J_i / tau_i and the prior's.
     """
-    n = len(start)
-    climb = _Climb(start, np.empty(n))
+    n, poses = len(start), start
     unit = float(start.sizes.mean()) / REFERENCE_SIZE
-    energy = np.empty(n)
     for level in range(coarsest, -1, -1):
         active = np.arange(n)
-        climb.damping[:] = FIRST_DAMPING
-        terms = [evidence.around(climb.poses, level) for evidence in more]
-        equations = likelihood.equations(level, climb.poses, active)
-        energy, gradient, curvature = _system(equations, prior, climb.poses, active, effective_pixels, terms)
+        damping = np.full(n, FIRST_DAMPING)
+        terms = [evidence.around(poses, level) for evidence in more]
+        equations = likelihood.equations(level, poses, active)
+        energy, gradient, curvature = _system(equations, prior, poses, active, effective_pixels, terms)
         for _ in range(MOST_STEPS[level] - 1):
-            step = _step(gradient[active], curvature[active], climb.damping[active])
+            step = _step(gradient[active], curvature[active], damping[active])
             moves = np.einsum("nvad,nd->nva", equations.rows[active], step)
             longest = np.sqrt((moves**2).sum(axis=2).max(axis=1))
             step *= np.minimum(1, LONGEST_STEP[level] * unit / np.maximum(longest, 1e-9))[:, None]
@@ -95,16 +93,16 @@ def find_peaks(
             if not going.any():
                 break
             active, step = active[going], step[going]
-            tried = climb.poses[active].moved(step)
+            tried = poses[active].moved(step)
             there = likelihood.equations(level, tried, active)
             its_energy, its_gradient, its_curvature = _system(
                 there, prior, tried, active, effective_pixels, terms
             )
             better = its_energy < energy[active]
             won = active[better]
-            climb = climb.tried(won, tried[better])
-            climb.damping[won] *= 0.3
-            climb.damping[active[~better]] *= 10
+            poses = poses.replaced(won, tried[better])
+            damping[won] *= 0.3
+            damping[active[~better]] *= 10
             energy[won], gradient[won] = its_energy[better], its_gradient[better]
             curvature[won] = its_curvature[better]
             equations.rows[won] = there.rows[better]
@@ -112,22 +110,7 @@ def find_peaks(
     diagonal = np.arange(curvature.shape[1])
     precision = 0.5 * (curvature + np.swapaxes(curvature, 1, 2))
     precision[:, diagonal, diagonal] *= 1 + RELATIVE_ROUNDING
-    return Peaks(climb.poses, precision)
-
-
-@dataclass(frozen=True, eq=False)
-class _Climb:
-    poses: Poses
-    damping: Array
-
-    def tried(self, which: NDArray[np.int64], poses: Poses) -> "_Climb":
-        """With the poses of `which` replaced."""
-        now = Poses(
-            *(part.copy() for part in (self.poses.rotations, self.poses.translations, self.poses.morphs))
-        )
-        now.rotations[which], now.translations[which] = poses.rotations, poses.translations
-        now.morphs[which] = poses.morphs
-        return replace(self, poses=now)
+    return Modes(poses, precision)
 
 
 def _system(

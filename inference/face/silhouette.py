@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.outline import MeshEdges, covered, outline
 from ...models.face.pose import Poses
-from .background_contrast import Backdrop
+from .background_contrast import BackgroundContrast
 from .kernels import pose_terms as place_kernels
 from .pose_terms import PointTerms
 
@@ -36,7 +36,7 @@ class Silhouette:
         shape.
     edges
         of its triangles.
-    backdrop
+    contrast
         what is known of the background.
     effective_pixels
         number of independent pixels that the object's pixels are worth.
@@ -44,7 +44,7 @@ class Silhouette:
 
     model: MorphableModel
     edges: MeshEdges
-    backdrop: Backdrop
+    contrast: BackgroundContrast
     effective_pixels: float
 
     def around(self, poses: Poses, level: int) -> PointTerms:
@@ -55,7 +55,7 @@ class Silhouette:
         make a Gaussian, and that of the scan itself is taken out again.
         """
         positions = self.model.project(poses)
-        box = self.backdrop.box
+        box = self.contrast.box
         inside = covered(positions, self.edges.triangles, box)
         found = outline(positions, self.edges, inside, box)
         every = np.arange(len(poses))[:, None, None]
@@ -64,10 +64,10 @@ class Silhouette:
         share = self.effective_pixels / np.maximum(inside.sum(axis=(1, 2)), 1)
         targets = np.empty_like(places)
         information = np.empty((*places.shape[:2], 3))
-        place_kernels.scan(
-            self.backdrop.border, box.top, box.left, places, found.normals.astype(np.float64),
-            found.lengths.astype(np.float64), share, REACH, float(2**level), NOISE, targets, information,
-        )  # fmt: skip
+        scans = place_kernels.Scans(
+            places, found.normals.astype(np.float64), found.lengths.astype(np.float64), REACH, float(2**level)
+        )
+        place_kernels.find_edges(self.contrast.border, box, scans, share, NOISE, targets, information)
         bases = self.model.bases[:, found.vertices]  # (n_bases, n, n_points, 2, 3)
         bases = np.einsum("npe,knpec->npkc", found.weights, bases)
         return PointTerms(np.ascontiguousarray(bases), targets, information)

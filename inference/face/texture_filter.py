@@ -18,7 +18,7 @@ MEMORY = 25.0
 """Looks over which the square of innovations is averaged, where gains are learned."""
 
 PACE = 0.6
-"""Change of a gain's log odds per look, at full correlation of large innovations."""
+"""Change of a gain's log odds per picture, at full correlation of large innovations."""
 
 SMALL = 36.0
 """Squared grey levels: innovations whose square is well below it say little of the gain."""
@@ -81,8 +81,8 @@ class LearnedGain:
             power=self.power[parents],
         )
 
-    def after(self, innovation: Map, seen: NDArray[np.bool_]) -> Self:
-        """With one more look; `innovation` counts where `seen`."""
+    def updated(self, innovation: Map, seen: NDArray[np.bool_]) -> Self:
+        """With one more picture; `innovation` counts where `seen`."""
         both = seen & (self.last != 0)
         square = innovation**2
         power = np.where(seen, self.power + np.float32(1 / MEMORY) * (square - self.power), self.power)
@@ -136,14 +136,14 @@ class Texture:
         """tau = V + sigma_w^2 `(n_experts, n_texels)`, squared grey levels (§4.1)."""
         return self.variance + self._noises(noise)[0]
 
-    def after(self, looks: Map, seen: NDArray[np.bool_], noise: TexelNoise) -> Self:
+    def updated(self, observed: Map, seen: NDArray[np.bool_], noise: TexelNoise) -> Self:
         """Predicted texture for the next frame, eq. (10)-(12).
 
-        `looks` `(n_experts, n_levels, n_texels)` are the texels as this frame shows them; where they are not
-        `seen` `(n_experts, n_texels)` the mean stays and the variance grows. Departures: only the finest
+        `observed` `(n_experts, n_levels, n_texels)` are the texels as this frame shows them; where they are
+        not `seen` `(n_experts, n_texels)` the mean stays and the variance grows. Departures: only the finest
         level is filtered. The coarse ones, which say where the search begins and nothing of the belief, hold
         the texel as last seen: blurred texture is blurred light as well, which changes. And where nothing is
-        said to change (gain 0) the first look is the template.
+        said to change (gain 0) the first picture is the template.
         """
         rendering, process = self._noises(noise)
         unknown = self.variance >= np.float32(0.5 * UNKNOWN_VARIANCE)
@@ -152,10 +152,10 @@ class Texture:
         first = np.where(process > 0, rendering + process, np.float32(0))
         variance = np.where(seen & unknown, first, (1 - gain) * self.variance + process).astype(np.float32)
         variance = np.minimum(variance, np.float32(UNKNOWN_VARIANCE))
-        mean = np.where(seen[:, None], looks, self.mean)
-        innovation = looks[:, 0] - self.mean[:, 0]
+        mean = np.where(seen[:, None], observed, self.mean)
+        innovation = observed[:, 0] - self.mean[:, 0]
         mean[:, 0] = self.mean[:, 0] + gain * innovation
-        learned = None if self.learned is None else self.learned.after(innovation, seen & ~unknown)
+        learned = None if self.learned is None else self.learned.updated(innovation, seen & ~unknown)
         return replace(self, mean=mean, variance=variance, learned=learned)
 
     def _noises(self, noise: TexelNoise) -> tuple[Map | np.float32, Map | np.float32]:
@@ -166,19 +166,19 @@ class Texture:
         return (1 - gain) * temperature, gain**2 * temperature
 
 
-def explained(looks: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArray[np.bool_]) -> Map:
-    """Share of the looks' variance that a predicted texture explains, `(n,)` from -1 to 1.
+def explained(observed: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArray[np.bool_]) -> Map:
+    """Share of the picture's variance that a predicted texture explains, `(n,)` from -1 to 1.
 
     Parameters
     ----------
-    looks, mean
+    observed, mean
         `(n, n_texels)` grey levels: as the picture shows the texels, and as they were predicted.
     visible, seen
         `(n, n_texels)`: texels that face the viewer, and those of them in the picture; 0 where these are few.
     """
     count = np.maximum(seen.sum(axis=1), 1)
-    middle = (looks * seen).sum(axis=1) / count
-    error = ((looks - mean) ** 2 * seen).sum(axis=1)
-    power = ((looks - middle[:, None]) ** 2 * seen).sum(axis=1)
+    middle = (observed * seen).sum(axis=1) / count
+    error = ((observed - mean) ** 2 * seen).sum(axis=1)
+    power = ((observed - middle[:, None]) ** 2 * seen).sum(axis=1)
     inside = count > LEAST_INSIDE * np.maximum(visible.sum(axis=1), 1)
     return np.where(inside, np.maximum(1 - error / np.maximum(power, 1), -1), 0).astype(np.float32)

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from ...models.numerics.threads import over_bands
 
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
-NO_MAP: Map = np.zeros(0, np.float32)
+NO_MAP: Map = np.zeros((0, 0), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +45,11 @@ class TexturedObject:
         return np.ascontiguousarray(self.model.bases[:, self._used], np.float32)
 
     @cached_property
-    def groups(self) -> NDArray[np.int32]:
-        """`(n_groups, 3)`: vertices of the texels' groups among those used."""
-        return np.searchsorted(self._used, self.texels.groups).astype(np.int32)
+    def used_texels(self) -> warp_kernels.Texels:
+        """The texels as loops take them, with numbers of vertices among those used."""
+        groups = np.searchsorted(self._used, self.texels.groups).astype(np.int32)
+        texels = self.texels
+        return warp_kernels.Texels(groups, texels.first, texels.weights, texels.offsets, texels.areas)
 
     @cached_property
     def _corners(self) -> NDArray[np.int64]:
@@ -86,40 +87,39 @@ class TexturedObject:
 
     def visible(self, poses: Poses) -> NDArray[np.bool_]:
         """`(n, n_texels)`: whether texels face the viewer with nothing before them."""
-        return _visible(self, poses)
+        if not len(self.model.triangles):
+            return np.ones((len(poses), len(self.texels)), np.bool_)
+        return visible(
+            self.model.positions(poses),
+            self.model.triangles,
+            self._corners,
+            self.texels.weights.astype(np.float64),
+        )
 
-    def looks(
+    def observe(
         self, levels: Sequence[Level], poses: Poses, visible: NDArray[np.bool_]
     ) -> tuple[Map, NDArray[np.bool_]]:
         """What texels look like on each level `(n, n_levels, n_texels)`, and which are in the picture."""
-        positions = self.positions(poses)
-        n, n_texels = len(poses), len(self.texels)
-        values = np.empty((n, len(levels), n_texels), np.float32)
-        area = np.empty((n, n_texels), np.float32)
-        seen = visible.copy()
-        for number, level in enumerate(levels):
+        sampled = [self.sampled(level, poses, visible) for level in levels]
+        seen = np.all([area > 0 for _, area in sampled], axis=0)
+        return np.stack([values for values, _ in sampled], axis=1), visible & seen
 
-            def work(a: int, b: int, number: int = number, level: Level = level) -> None:
-                warp_kernels.sample_texels(
-                    *_flat(level), positions[a:b], self.groups, self.texels.first, self.texels.weights,
-                    self.texels.offsets, self.texels.areas, visible[a:b], values[a:b, number], area[a:b],
-                )  # fmt: skip
+    def sampled(self, level: Level, poses: Poses, visible: NDArray[np.bool_]) -> tuple[Map, Map]:
+        """Grey levels of all texels on a level `(n, n_texels)`, and the areas that they stand for.
 
-            over_bands(work, n)
-            seen &= area > 0
-        return values, seen
+        The area, px squared of the picture, is 0 of texels that are not `visible`, and not above 0 of those
+        off the picture.
+        """
+        positions, shape = self.positions(poses), (len(poses), len(self.texels))
+        values, area = np.empty(shape, np.float32), np.empty(shape, np.float32)
 
+        def work(a: int, b: int) -> None:
+            warp_kernels.sample_texels(
+                level, self.used_texels, visible[a:b], positions[a:b], values[a:b], area[a:b]
+            )
 
-@lru_cache(maxsize=2)  # a frame starts from the poses at which the one before ended
-def _visible(surface: TexturedObject, poses: Poses) -> NDArray[np.bool_]:
-    if not len(surface.model.triangles):
-        return np.ones((len(poses), len(surface.texels)), np.bool_)
-    return visible(
-        surface.model.positions(poses),
-        surface.model.triangles,
-        surface._corners,
-        surface.texels.weights.astype(np.float64),
-    )
+        over_bands(work, len(poses))
+        return values, area
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,51 +147,48 @@ class TextureLikelihood:
     visible: NDArray[np.bool_]
 
     @cached_property
-    def _precision(self) -> Map:
-        return np.reciprocal(self.temperature)
-
-    @cached_property
-    def _log_temperature(self) -> Map:
-        return np.log(self.temperature).astype(np.float32)
+    def _textures(self) -> list[warp_kernels.Textures]:
+        """For every level."""
+        precision, log_temperature = np.reciprocal(self.temperature), np.log(self.temperature)
+        return [
+            warp_kernels.Textures(self.mean[:, level], precision, log_temperature, self.visible)
+            for level in range(len(self.levels))
+        ]
 
     def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
         """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
         positions, rows = self.surface.rows(poses)
-        n, width = len(poses), rows.shape[3]
+        n, width, dimension = len(poses), rows.shape[3], poses.dimension
         matrices, vectors = np.empty((n, width, width), np.float32), np.empty((n, width), np.float32)
-        sums = np.empty((n, 3))
-        image, dimension = self.levels[level], poses.dimension
-        texels, mean = self.surface.texels, self.mean[:, level]
+        totals = np.empty((n, 3))
 
         def work(a: int, b: int) -> None:
             warp_kernels.normal_equations(
-                *_flat(image), positions[a:b], rows[a:b], owner[a:b], self.surface.groups, texels.first,
-                4**level, texels.weights, texels.offsets, texels.areas, self.visible, mean, self._precision,
-                self._log_temperature, dimension, matrices[a:b], vectors[a:b], sums[a:b],
+                self.levels[level], 4**level, self.surface.used_texels, self._textures[level], owner[a:b],
+                positions[a:b], rows[a:b], dimension,
+                warp_kernels.NormalSums(matrices[a:b], vectors[a:b], totals[a:b]),
             )  # fmt: skip
 
         over_bands(work, n)
         return Equations(
             matrices[:, :dimension, :dimension].astype(np.float64),
             vectors[:, :dimension].astype(np.float64),
-            sums,
+            totals,
             rows[..., :dimension],
         )
 
-    def sums(self, poses: Poses, owner: NDArray[np.int64], behind: Map = NO_MAP, level: int = 0) -> Array:
-        """`(n, 4)`: sums over visible texels of a e^2 / tau, a log tau, a, and a times the map `behind`.
+    def sums(self, poses: Poses, owner: NDArray[np.int64], background: Map = NO_MAP, level: int = 0) -> Array:
+        """`(n, 4)`: sums over visible texels of a e^2 / tau, a log tau, a, and a times the map `background`.
 
-        `behind` is of the size of the picture on `level`.
+        `background` is of the size of the picture on `level`.
         """
         positions = self.surface.positions(poses)
         sums = np.empty((len(poses), 4))
-        texels, image, mean = self.surface.texels, self.levels[level], self.mean[:, level]
 
         def work(a: int, b: int) -> None:
             warp_kernels.texel_densities(
-                *_flat(image), positions[a:b], owner[a:b], self.surface.groups, texels.first,
-                4**level, texels.weights, texels.offsets, texels.areas, self.visible, mean, self._precision,
-                self._log_temperature, behind.reshape(-1), sums[a:b],
+                self.levels[level], 4**level, self.surface.used_texels, self._textures[level], owner[a:b],
+                positions[a:b], background, sums[a:b],
             )  # fmt: skip
 
         over_bands(work, len(poses))
@@ -216,8 +213,3 @@ class Equations:
     vectors: Array
     sums: Array
     rows: Map
-
-
-def _flat(level: Level) -> tuple[Any, int, int, np.float32]:
-    height, width = level.image.shape
-    return level.image.reshape(-1), width, height, np.float32(level.scale)

@@ -54,21 +54,14 @@ def determined(observations: Observations, *, apart: bool = False) -> tuple[Mask
 
 def _joined(part: Observations) -> Mask:
     """Frames that hang together with the fullest one and the one that shares most points with it."""
-    listed, by_point = part.by_frame, part.by_point
+    listed = part.by_frame
     fullest = int(np.argmax(np.diff(listed.edges)))
     shown = np.zeros(part.n_points, bool)
     shown[listed.other[listed.edges[fullest] : listed.edges[fullest + 1]]] = True
     shared = np.bincount(listed.own[shown[listed.other]], minlength=part.n_frames)
     shared[fullest] = 0
     joined: Mask = connected_frames(
-        listed.edges,
-        listed.other,
-        by_point.edges,
-        by_point.other,
-        fullest,
-        int(np.argmax(shared)),
-        LEAST_POINTS,
-        LEAST_VIEWS,
+        listed, part.by_point, fullest, int(np.argmax(shared)), LEAST_POINTS, LEAST_VIEWS
     )
     return joined
 

@@ -28,7 +28,7 @@ LEAST_VARIANCE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class CameraPrior:
-    """What is known of cameras before the points are looked at; learned by EM.
+    """What is known of cameras before any observation; learned by EM.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def _pooled(values: Numbers) -> Numbers:
 
 
 WINDOW = 10
-"""Iterations over which the rise of the bound is looked at."""
+"""Iterations over which the rise of the bound is judged."""
 
 LEARNING = 2
 """Iterations from one to the next in which the cameras' prior is learned; it costs another smoother."""
@@ -205,7 +205,7 @@ def expectation_maximisation(
     posterior, history
         and the bound at each iteration that counts, before its update of the points; it never falls.
     """
-    sums, by_point = Sums(observations), observations.by_point.columns
+    sums, by_point = Sums(observations), observations.by_point
     log_weight = float(np.log(observations.by_frame.weight).sum())
     count = observations.count
     shape, covariance = posterior.shape, posterior.shape_covariance
@@ -238,7 +238,7 @@ def expectation_maximisation(
         second = covariance + shape[:, :, None] * shape[:, None, :]
         error = float(np.sum(quadratic) - 2 * np.sum(vector * shape) + np.sum(information * second))
         if error < 1e-6 * sums.total:  # a difference of numbers so much larger is rounding
-            error = float(squared_error(*by_point, cameras.cameras, shape).sum())
+            error = float(squared_error(by_point, cameras.cameras, shape).sum())
             error += float(np.sum(information * covariance)) + _camera_error(sums, cameras.covariance, shape)
         noise = max(error / (2 * count), LEAST_NOISE**2)
         if len(history) > WINDOW and history[-1] - history[-1 - WINDOW] < WINDOW * tolerance:

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from .connectivity import determined
 from .em import CameraPrior, Posterior, expectation_maximisation, first_prior
 from .initialisation import RANK, Mask, grown, mean_filled
-from .kernels.moments import point_moments, squared_error
+from .kernels.moments import squared_error
 from .kernels.variable_projection import eliminate_points
-from .moments import camera_moments
+from .moments import homogeneous
 from .observations import Numbers, Observations
 from .posterior import around_optimum, around_start
 from .variable_projection import FAR, NEAR, least_squares
@@ -63,15 +63,6 @@ class Factorisation:
     motion_noise: Numbers
     frame_determined: Mask
     history: tuple[float, ...]
-
-    @property
-    def point_determined(self) -> Mask:
-        """`(n_points,)` bool: known to half a spread of the shape (one standard deviation) or better."""
-        known: Mask = np.linalg.eigvalsh(self.shape_covariance)[:, -1] < DETERMINED**2
-        return known
-
-
-DETERMINED = 0.5
 
 
 def factorise(
@@ -152,13 +143,13 @@ def _beginning(
 def _with_points(part: Observations, cameras: Numbers) -> tuple[Numbers, Numbers]:
     """Given cameras with the points that fit them best.
 
-    Where they look past the points, as random ones do, their translations become the middles of the frames.
+    Where they point past the shape, as random ones do, their translations become the middles of the frames.
     """
     listed = part.by_frame
     counts = np.maximum(np.diff(listed.edges), 1)
     middles = [np.bincount(listed.own, values, part.n_frames) / counts for values in (listed.x, listed.y)]
     centred = np.concatenate([cameras[..., :3], np.stack(middles, axis=1)[..., None]], axis=2)
-    tried = [(each, *eliminate_points(*part.by_point.columns, each)) for each in (cameras, centred)]
+    tried = [(each, *eliminate_points(part.by_point, each)) for each in (cameras, centred)]
     best, shape, _, _ = min(tried, key=lambda each: each[3])
     return best, shape
 
@@ -189,7 +180,7 @@ def _in_pixels(
 ) -> Factorisation:
     """The result in px, with the axes of the shape in the order in which they move points."""
     scale, square = observations.scale, observations.scale**2
-    error = float(squared_error(*observations.by_point.columns, posterior.cameras, posterior.shape).sum())
+    error = float(squared_error(observations.by_point, posterior.cameras, posterior.shape).sum())
     turn = np.eye(4)
     turn[:RANK, :RANK] = _axes(posterior.cameras, np.diff(observations.by_frame.edges))
     axes = turn[:RANK, :RANK]
@@ -220,6 +211,12 @@ def _axes(cameras: Numbers, counts: NDArray[np.int64]) -> Numbers:
     return result
 
 
+def projected(cameras: Numbers, shape: Numbers) -> Numbers:
+    """Positions `(n_frames, n_points, 2)` px of points `(n_points, 3)` before cameras `(n_frames, 2, 4)`."""
+    positions: Numbers = np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
+    return positions
+
+
 def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
     """Positions of all points in all frames, and how uncertain cameras and shape leave them.
 
@@ -232,60 +229,13 @@ def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
     """
     cameras, shape = factorisation.cameras, factorisation.shape
     camera_covariance, shape_covariance = factorisation.camera_covariance, factorisation.shape_covariance
-    positions = np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
     covariances = np.einsum(
         "tcj,ijk,tdk->ticd", cameras[..., :3], shape_covariance, cameras[..., :3], optimize=True
     )
-    homogeneous = np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
-    second = homogeneous[:, :, None] * homogeneous[:, None, :]
+    points = homogeneous(shape)
+    second = points[:, :, None] * points[:, None, :]
     second[:, :3, :3] += shape_covariance
     isotropic = camera_covariance.reshape(-1, 16) @ second.reshape(-1, 16).T
     covariances[..., 0, 0] += isotropic
     covariances[..., 1, 1] += isotropic
-    return positions, covariances
-
-
-def shape_information(
-    cameras: ArrayLike,
-    camera_covariance: ArrayLike,
-    positions: ArrayLike,
-    weights: ArrayLike,
-    noise_variance: float,
-) -> tuple[Numbers, Numbers, Numbers]:
-    """What tracks say of their points where cameras are known.
-
-    Of each point S: E over cameras of sum_t weight |position - M_t (S, 1)|^2 / noise_variance
-    = quadratic - 2 vector . S + S . information S.
-
-    Parameters
-    ----------
-    cameras, camera_covariance
-        `(n_frames, 2, 4)` and `(n_frames, 4, 4)`.
-    positions, weights
-        `(n_frames, n_points, 2)` px and `(n_frames, n_points)`, 0 where nothing was seen.
-    noise_variance
-        px^2, at weight 1.
-
-    Returns
-    -------
-    information, vector, quadratic
-        `(n_points, 3, 3)`, `(n_points, 3)`, `(n_points,)`.
-    """
-    weight = np.asarray(weights, np.float64)
-    where = np.asarray(positions, np.float64)
-    matrices = np.asarray(cameras, np.float64)
-    point, frame = np.nonzero(weight.T)
-    edges = np.zeros(weight.shape[1] + 1, np.int64)
-    np.cumsum(np.bincount(point, minlength=weight.shape[1]), out=edges[1:])
-    seen = where[frame, point]
-    moments = camera_moments(matrices, np.asarray(camera_covariance, np.float64))
-    information, vector, quadratic = point_moments(
-        edges,
-        frame,
-        np.ascontiguousarray(seen[:, 0]),
-        np.ascontiguousarray(seen[:, 1]),
-        weight[frame, point] / noise_variance,
-        np.ascontiguousarray(matrices),
-        moments,
-    )
-    return information, vector, quadratic
+    return projected(cameras, shape), covariances

@@ -25,7 +25,7 @@ SAMPLE = 100
 LARGE = 50
 """Tables of more rows and columns than this have their first singular vectors found by iteration."""
 CANDIDATES = 4
-"""So many windows of each length are looked at closely."""
+"""So many windows of each length are judged closely."""
 
 VIEWS = 3
 """Frames that show a point, for it to come in."""
@@ -225,9 +225,7 @@ def _resect(observations: Observations, known: _Known, terms: "_Terms") -> bool:
     """Add frames whose camera the known points determine about as well as that of the best one left."""
     part = observations.only(~known.frames, known.points)
     certain = np.zeros((len(known.shape), RANK, RANK))
-    information, vector = frame_moments(
-        *part.by_frame.columns, known.shape, shape_moments(known.shape, certain)
-    )
+    information, vector = frame_moments(part.by_frame, known.shape, shape_moments(known.shape, certain))
     strength = np.linalg.eigvalsh(information)[:, 0]
     strength[np.diff(part.by_frame.edges) < terms.points] = 0
     chosen = strength >= max(terms.strength, 0.5 * strength.max(initial=0))
@@ -247,7 +245,7 @@ def _intersect(observations: Observations, known: _Known, terms: "_Terms") -> bo
     part = observations.only(known.frames, ~known.points)
     certain = np.zeros((len(known.cameras), 4, 4))
     information, vector, _ = point_moments(
-        *part.by_point.columns, known.cameras, camera_moments(known.cameras, certain)
+        part.by_point, known.cameras, camera_moments(known.cameras, certain)
     )
     strength = np.linalg.eigvalsh(information)[:, 0]
     chosen = (np.diff(part.by_point.edges) >= VIEWS) & (strength * terms.spread**2 > known.noise)
@@ -262,12 +260,12 @@ def _refine(observations: Observations, known: _Known, rounds: int) -> None:
     part = observations.only(known.frames, known.points)
     points = np.diff(part.by_point.edges) > 0
     all_frames = np.ones(len(known.cameras), bool)
-    looks = part.by_frame if known.prior is None else observations.only(all_frames, known.points).by_frame
-    resected = np.diff(looks.edges) >= LEAST_POINTS
+    views = part.by_frame if known.prior is None else observations.only(all_frames, known.points).by_frame
+    resected = np.diff(views.edges) >= LEAST_POINTS
     certain = np.zeros((len(known.shape), RANK, RANK)), np.zeros((len(known.cameras), 4, 4))
     for _ in range(rounds):
         cameras, shape = whitened(known.cameras, known.shape, points)
-        information, vector = frame_moments(*looks.columns, shape, shape_moments(shape, certain[0]))
+        information, vector = frame_moments(views, shape, shape_moments(shape, certain[0]))
         if known.prior is None:
             covariance, _ = invert_information(information[resected], np.full(4, RIDGE), 1.0)
             cameras[resected] = (covariance @ vector[resected]).transpose(0, 2, 1)
@@ -276,9 +274,7 @@ def _refine(observations: Observations, known: _Known, rounds: int) -> None:
             known.prior = estimate_cameras(information, vector, noise, known.prior).better
             estimate = estimate_cameras(information, vector, noise, known.prior)
             cameras, known.camera_covariance = estimate.cameras, estimate.covariance
-        information, vector, _ = point_moments(
-            *part.by_point.columns, cameras, camera_moments(cameras, certain[1])
-        )
+        information, vector, _ = point_moments(part.by_point, cameras, camera_moments(cameras, certain[1]))
         covariance, _ = invert_information(information[points], np.full(RANK, RIDGE), 1.0)
         shape[points] = np.einsum("ijk,ik->ij", covariance, vector[points])
         known.cameras, known.shape = cameras, shape
@@ -287,7 +283,7 @@ def _refine(observations: Observations, known: _Known, rounds: int) -> None:
 
 def _noise(part: Observations, cameras: Numbers, shape: Numbers) -> float:
     """Noise variance that is left by cameras and shape."""
-    error = float(squared_error(*part.by_point.columns, cameras, shape).sum())
+    error = float(squared_error(part.by_point, cameras, shape).sum())
     return error / max(freedom(part), 0.05 * part.count)
 
 

@@ -17,6 +17,11 @@ _SYMMETRIC[UPPER] = np.arange(10)
 _SYMMETRIC = np.maximum(_SYMMETRIC, _SYMMETRIC.T)
 
 
+def homogeneous(shape: Numbers) -> Numbers:
+    """`(n, 4)`: points `(n, 3)` with a 1 behind."""
+    return np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
+
+
 def shape_moments(shape: Numbers, covariance: Numbers) -> Numbers:
     """Give E[s s^T], s = (S, 1), as ten numbers `(n_points, 10)`."""
     moments = np.empty((len(shape), 10))
@@ -78,11 +83,11 @@ class Sums:
     def of_frames(self, shape: Numbers, moments: Numbers) -> tuple[Numbers, Numbers]:
         """Information `(n_frames, 4, 4)` and vector `(n_frames, 4, 2)` of cameras, at noise variance 1."""
         if not self._dense:
-            information, vector = frame_moments(*self._observations.by_frame.columns, shape, moments)
+            information, vector = frame_moments(self._observations.by_frame, shape, moments)
             return information, vector
         weight, weighted = self._tables
         seconds = _summed(moments, len(weight)) if self._equal else weight @ moments
-        vector = weighted @ np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
+        vector = weighted @ homogeneous(shape)
         return _matrices(seconds, _SYMMETRIC), np.ascontiguousarray(
             vector.reshape(-1, 2, 4).transpose(0, 2, 1)
         )
@@ -90,9 +95,7 @@ class Sums:
     def of_points(self, cameras: Numbers, moments: Numbers) -> tuple[Numbers, Numbers, Numbers]:
         """Information `(n_points, 3, 3)`, vector `(n_points, 3)` and quadratic `(n_points,)` of points."""
         if not self._dense:
-            information, vector, quadratic = point_moments(
-                *self._observations.by_point.columns, cameras, moments
-            )
+            information, vector, quadratic = point_moments(self._observations.by_point, cameras, moments)
             return information, vector, quadratic
         weight, weighted = self._tables
         seconds = _summed(moments, weight.shape[1]) if self._equal else weight.T @ moments

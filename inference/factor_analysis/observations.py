@@ -1,8 +1,7 @@
 """Observed positions of points as two sparse lists, by frame and by point, in units of their own spread."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,16 +16,15 @@ LEAST_POINTS = 4
 ROUNDING = 1e-13
 
 
-@dataclass(frozen=True, eq=False)
-class Listed:
+class Listed(NamedTuple):
     """Observations in one order: those of frame (or point) k are `edges[k]:edges[k + 1]`.
 
     Parameters
     ----------
     edges
         `(n + 1,)`.
-    other
-        `(n_observations,)`, the point (or frame) of each.
+    own, other
+        `(n_observations,)`, the frame (or point) of each, and the point (or frame).
     x, y
         `(n_observations,)` positions.
     weight
@@ -34,33 +32,33 @@ class Listed:
     """
 
     edges: Indices
+    own: Indices
     other: Indices
     x: Numbers
     y: Numbers
     weight: Numbers
 
-    @property
-    def columns(self) -> tuple[Indices, Indices, Numbers, Numbers, Numbers]:
-        """As the kernels take them."""
-        return self.edges, self.other, self.x, self.y, self.weight
+    @classmethod
+    def sorted_by(cls, own: Indices, n: int, other: Indices, x: Numbers, y: Numbers, weight: Numbers) -> Self:
+        """Observations that are in the order of their own side already, of which there are `n`."""
+        edges = np.zeros(n + 1, np.int64)
+        np.cumsum(np.bincount(own, minlength=n), out=edges[1:])
+        return cls(edges, own, other, x, y, weight)
 
-    def transposed(self, n: int) -> "Listed":
+    def transposed(self, n: int) -> Self:
         """The same in the order of the other side, of which there are `n`."""
-        rows = len(self.edges) - 1
-        places = csr_array((np.arange(len(self.other)), self.other, self.edges), shape=(rows, n)).tocsc()
-        order = places.data
-        return Listed(
-            places.indptr.astype(np.int64),
-            places.indices.astype(np.int64),
-            self.x[order],
-            self.y[order],
-            self.weight[order],
-        )
+        rows = csr_array((np.arange(len(self.own)), self.other, self.edges), shape=(len(self.edges) - 1, n))
+        order = rows.tocsc().data  # faster than sorting
+        own, x, y, weight = self.own[order], self.x[order], self.y[order], self.weight[order]
+        return self.sorted_by(self.other[order], n, own, x, y, weight)
 
-    @cached_property
-    def own(self) -> Indices:
-        """`(n_observations,)`, the frame (or point) of each."""
-        return np.repeat(np.arange(len(self.edges) - 1), np.diff(self.edges))
+    def only(self, own: NDArray[np.bool_], other: NDArray[np.bool_]) -> Self:
+        """Observations of which both sides are kept."""
+        if own.all() and other.all():
+            return self
+        keep = own[self.own] & other[self.other]
+        other_kept, x, y, weight = self.other[keep], self.x[keep], self.y[keep], self.weight[keep]
+        return self.sorted_by(self.own[keep], len(own), other_kept, x, y, weight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +150,7 @@ class Observations:
         scale = float(np.sqrt(max(squares, 0.0) / (2 * len(x))))
         if scale <= ROUNDING * float(np.abs(centre).max() + np.sqrt(x @ x + y @ y)):
             raise ValueError("positions: got all points of a frame in one place, expected points that differ")
-        edges = np.zeros(n_frames + 1, np.int64)
-        np.cumsum(counts, out=edges[1:])
-        by_frame = Listed(edges, points, x / scale, y / scale, given / unit)
+        by_frame = Listed.sorted_by(frames, n_frames, points, x / scale, y / scale, given / unit)
         return cls(by_frame, by_frame.transposed(n_points), centre, scale, unit)
 
     @property
@@ -181,15 +177,5 @@ class Observations:
     def only(self, frames: NDArray[np.bool_], points: NDArray[np.bool_]) -> "Observations":
         """Those of some frames `(n_frames,)` and points `(n_points,)`; numbering and units stay."""
         return replace(
-            self, by_frame=_kept(self.by_frame, frames, points), by_point=_kept(self.by_point, points, frames)
+            self, by_frame=self.by_frame.only(frames, points), by_point=self.by_point.only(points, frames)
         )
-
-
-def _kept(listed: Listed, own: NDArray[np.bool_], other: NDArray[np.bool_]) -> Listed:
-    """Observations of which both sides are kept."""
-    if own.all() and other.all():
-        return listed
-    keep = own[listed.own] & other[listed.other]
-    edges = np.zeros_like(listed.edges)
-    np.cumsum(np.bincount(listed.own[keep], minlength=len(own)), out=edges[1:])
-    return Listed(edges, listed.other[keep], listed.x[keep], listed.y[keep], listed.weight[keep])

@@ -43,7 +43,7 @@ def around_start(
     cameras = _bridged(cameras, frames)
     shape[~points] = 0
     part = observations.only(frames, points)
-    error = float(squared_error(*part.by_point.columns, cameras, shape).sum())
+    error = float(squared_error(part.by_point, cameras, shape).sum())
     noise = max(error / max(freedom(part), 0.1 * part.count), LEAST_VARIANCE)
     covariance = np.tile(np.eye(RANK), (len(shape), 1, 1))
     covariance[points] *= min(noise, 1e-2)
@@ -82,7 +82,7 @@ def around_optimum(observations: Observations, part: Observations, found: LeastS
     noise = max(found.error / max(freedom(part), 1.0), LEAST_VARIANCE**2)
     points, frames = np.diff(part.by_point.edges) > 0, np.diff(part.by_frame.edges) > 0
     certain = np.zeros((len(cameras), 4, 4))
-    information, _, _ = point_moments(*part.by_point.columns, cameras, camera_moments(cameras, certain))
+    information, _, _ = point_moments(part.by_point, cameras, camera_moments(cameras, certain))
     good = points
     for _ in range(2):  # the first spread is that of points which may be anywhere
         mean, change = whitening(shape[good])
@@ -94,11 +94,9 @@ def around_optimum(observations: Observations, part: Observations, found: LeastS
     shape[~points] = 0
 
     prior = first_prior(cameras[frames], coherent=False)
-    edges, other, x, y, weight = part.by_frame.columns
-    leverages = point_leverages(edges, other, x, y, weight, cameras, covariance / noise)
-    information, _ = frame_moments(
-        edges, other, x, y, weight * (1 - leverages), shape, shape_moments(shape, np.zeros_like(covariance))
-    )
+    leverages = point_leverages(part.by_frame, cameras, covariance / noise)
+    others = part.by_frame._replace(weight=part.by_frame.weight * (1 - leverages))
+    information, _ = frame_moments(others, shape, shape_moments(shape, np.zeros_like(covariance)))
     camera_covariance, _ = invert_information(information, np.full(4, LEAST_VARIANCE), 1 / noise)
     posterior = Posterior(cameras, camera_covariance, shape, covariance, noise, prior)
     return _completed(observations, posterior, frames, points)
@@ -111,14 +109,14 @@ def _completed(observations: Observations, posterior: Posterior, frames: Mask, p
     noise = max(posterior.noise, LEAST_VARIANCE)  # or the prior would be lost in rounding
     if not frames.all():
         seen = observations.only(~frames, points).by_frame
-        information, vector = frame_moments(*seen.columns, shape, shape_moments(shape, covariance))
+        information, vector = frame_moments(seen, shape, shape_moments(shape, covariance))
         spread, _ = invert_information(information, 1 / posterior.prior.numbers, 1 / noise)
         camera_covariance[~frames] = spread[~frames]
         cameras[~frames] = (spread @ vector / noise)[~frames].transpose(0, 2, 1)
     if not points.all():
         seen = observations.only(frames, ~points).by_point
         moments = camera_moments(cameras, camera_covariance)
-        information, pull, _ = point_moments(*seen.columns, cameras, moments)
+        information, pull, _ = point_moments(seen, cameras, moments)
         spread, _ = invert_information(information, np.ones(RANK), 1 / noise)
         covariance[~points] = spread[~points]
         shape[~points] = np.einsum("ijk,ik->ij", spread, pull)[~points] / noise

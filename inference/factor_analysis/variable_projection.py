@@ -6,6 +6,7 @@ cameras alone. It has far fewer poor valleys than the error as a function of bot
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,31 @@ MOST_REJECTED = 20
 """Steps in a row; then there is no better place in reach."""
 STILL = 3
 """Steps in a row that hardly lower the error: one may be short because it was damped."""
+
+
+class System(NamedTuple):
+    """Normal equations of the cameras, with points eliminated.
+
+    Parameters
+    ----------
+    cameras, shape, inverses
+        cameras `(n_frames, 2, 4)`, the points `(n_points, 3)` that `eliminate_points` gives for them, and the
+        inverses `(n_points, 3, 3)` of these points' information.
+    information, preconditioner
+        `(n_frames, 4, 4)` of the cameras at fixed points, and the inverse of it plus `damping`.
+    gradient
+        `(n_frames, 2, 4)`, of `camera_gradient`.
+    damping
+        added to the diagonal.
+    """
+
+    cameras: Numbers
+    shape: Numbers
+    inverses: Numbers
+    information: Numbers
+    preconditioner: Numbers
+    gradient: Numbers
+    damping: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,34 +106,28 @@ def least_squares(
     enough
         stop as soon as the error is not above this.
     """
-    by_point = observations.by_point.columns
-    lists = [
-        (listed.edges, listed.other, listed.weight)
-        for listed in (observations.by_point, observations.by_frame)
-    ]
-    points = np.diff(observations.by_point.edges) > 0
+    by_point, by_frame = observations.by_point, observations.by_frame
+    points = np.diff(by_point.edges) > 0
     certain = np.zeros((len(points), RANK, RANK))
     cameras = cameras.copy()
     cameras[..., rank:RANK] = 0
-    shape, inverses, error = eliminate_points(*by_point, cameras)
+    shape, inverses, error = eliminate_points(by_point, cameras)
     cameras, shape, inverses = _in_gauge(cameras, shape, inverses, points, rank)
     rejected, small, better = 0, 0, True
     for steps in range(1, most_steps + 1):  # noqa: B007
         if better:
-            gradient = camera_gradient(*by_point, cameras, shape)
-            information, _ = frame_moments(
-                *observations.by_frame.columns, shape, shape_moments(shape, certain)
-            )
+            gradient = camera_gradient(by_point, cameras, shape)
+            information, _ = frame_moments(by_frame, shape, shape_moments(shape, certain))
             scale = float(np.einsum("tjj->", information)) / (4 * len(cameras))
         added = damping * scale
         inverse, _ = invert_information(information, np.full(4, added), 1.0)
-        system = (cameras, shape, inverses, information, inverse, gradient, added)
-        step = reduced_step(*lists, *system, ACCURACY, MOST_PRODUCTS)
+        system = System(cameras, shape, inverses, information, inverse, gradient, added)
+        step = reduced_step(by_point, by_frame, system, ACCURACY, MOST_PRODUCTS)
         with np.errstate(over="ignore", invalid="ignore"):  # steps may run away where damping is too small
             promised = -float(np.sum(step * gradient))
         if damping <= NEAR and promised <= tolerance * error:
             break  # even an undamped step would hardly gain
-        reached, spreads, left = eliminate_points(*by_point, cameras + step)
+        reached, spreads, left = eliminate_points(by_point, cameras + step)
         better = left < error
         if better:
             damping, rejected = max(damping / BOLDNESS, LEAST_DAMPING), 0

@@ -3,18 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernels.resampling import systematic_indices
-
 Array = NDArray[np.float64]
 
 
-def log_sum(values: Array, axis: int | None = None) -> Array:
-    """log sum exp of `values` along `axis`; minus infinity where all are."""
-    peak = np.max(values, axis=axis, keepdims=True)
-    peak = np.where(np.isfinite(peak), peak, 0.0)
-    with np.errstate(divide="ignore"):
-        total: Array = np.log(np.exp(values - peak).sum(axis=axis, keepdims=True)) + peak
-    return total.reshape(()) if axis is None else np.squeeze(total, axis=axis)
+def log_sum(values: Array) -> float:
+    """log sum exp of `values`; minus infinity where all are. (scipy's takes five times as long.)"""
+    peak = float(values.max())
+    return peak + float(np.log(np.exp(values - peak).sum())) if np.isfinite(peak) else -np.inf
 
 
 def normalised(log_weights: Array) -> Array:
@@ -27,5 +22,6 @@ def normalised(log_weights: Array) -> Array:
 
 def systematic(log_weights: Array, n: int, random: np.random.Generator) -> NDArray[np.int64]:
     """`(n,)` indices drawn by systematic resampling: each sample as often as its weight says, within one."""
-    chosen: NDArray[np.int64] = systematic_indices(log_weights, n, random.random())
-    return chosen
+    ends = np.cumsum(np.exp(normalised(log_weights)))
+    points = (np.arange(n) + random.random()) * (ends[-1] / n)
+    return np.asarray(np.searchsorted(ends[:-1], points, side="right"), np.int64)

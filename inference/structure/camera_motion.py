@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..factor_analysis.em import CameraPrior, estimate_cameras
+from ..filters.linear_motion import kinematic
 
 Numbers = NDArray[np.float64]
 
@@ -55,7 +56,7 @@ class CameraMotion:
 
 
 def vague(extent: float, noise: Numbers) -> CameraMotion:
-    """A camera of which nothing is known, before a shape that looks about `extent` px large."""
+    """A camera of which nothing is known, before a shape that appears about `extent` px large."""
     return CameraMotion(np.zeros((2, ORDERS * ROW)), (VAGUE * extent) ** 2 * np.eye(ORDERS * ROW), noise)
 
 
@@ -64,12 +65,20 @@ def predict(motion: CameraMotion, dt: float) -> CameraMotion:
 
     Eq. (19), with noise that acts all the time instead of once a frame: two steps do the same as one of their
     length.
+
+    Raises
+    ------
+    ValueError
+        if `dt` is negative.
     """
-    steps = _transition(dt)
-    added = np.einsum("kij,kn->ijn", _noise_shapes(dt), motion.noise[:, [0, 0, 0, 1]])
+    steps = kinematic(ORDERS, dt).along(ROW).transition
     covariance = steps @ motion.covariance @ steps.T
-    for j in range(ROW):
-        covariance[j::ROW, j::ROW] += added[:, :, j]
+    added = np.zeros((ORDERS, ORDERS, ROW))
+    for order in range(1, ORDERS + 1):  # noise of a derivative moves those below it
+        density = motion.noise[order - 1, [0, 0, 0, 1]]
+        added[:order, :order] += kinematic(order, dt).noise[:, :, None] * density
+    for number in range(ROW):
+        covariance[number::ROW, number::ROW] += added[:, :, number]
     return replace(motion, mean=motion.mean @ steps.T, covariance=0.5 * (covariance + covariance.T))
 
 
@@ -81,7 +90,7 @@ def shaken(motion: CameraMotion, variance: float) -> CameraMotion:
 
 
 def update(motion: CameraMotion, information: Numbers, vector: Numbers) -> CameraMotion:
-    """The camera after a look.
+    """The camera updated with a frame.
 
     Parameters
     ----------
@@ -94,7 +103,7 @@ def update(motion: CameraMotion, information: Numbers, vector: Numbers) -> Camer
     shrink = np.linalg.inv(np.eye(ROW) + information @ seen[:ROW])
     mean = motion.mean + (vector - motion.camera @ information) @ shrink.T @ seen.T
     covariance = motion.covariance - seen @ (shrink @ information) @ seen.T
-    # the block that is seen as a product: a difference of large numbers would lose a sharp look
+    # the block that is seen as a product: a difference of large numbers would lose sharp information
     covariance[:ROW] = (seen @ shrink).T
     covariance[:, :ROW] = covariance[:ROW].T
     return replace(motion, mean=mean, covariance=0.5 * (covariance + covariance.T))
@@ -108,18 +117,18 @@ def learned_noise(
     extent: float,
     rounds: int = 1,
 ) -> Numbers:
-    """The motion's noise, `(3, 2)` as in `CameraMotion`, that explains a stretch of looks better.
+    """The motion's noise, `(3, 2)` as in `CameraMotion`, that explains a stretch of frames better.
 
     Parameters
     ----------
     noise
         to begin with; `None` where nothing is known of it.
     information, vector
-        `(n, 4, 4)` and `(n, 2, 4)` of looks, as `update` takes them.
+        `(n, 4, 4)` and `(n, 2, 4)` of frames, as `update` takes them.
     times
         `(n,)` s, increasing, two or more; brought onto a grid of their median distance.
     extent
-        px, about how large the shape looks.
+        px, about how large the shape appears.
     rounds
         of the smoother; none makes the likelihood of the stretch less.
     """
@@ -137,21 +146,3 @@ def learned_noise(
     for _ in range(rounds):
         prior = estimate_cameras(of_grid, vector_of_grid, 1.0, prior).better
     return prior.variance / per_step
-
-
-def _transition(dt: float) -> Numbers:
-    """The matrix of eq. (19), `(12, 12)`."""
-    taylor = np.array([[1, dt, 0.5 * dt**2], [0, 1, dt], [0, 0, 1]])
-    return np.kron(taylor, np.eye(ROW))
-
-
-def _noise_shapes(dt: float) -> Numbers:
-    """`(3, 3, 3)`: covariances of (m, m', m'') after `dt` of unit noise in m, in m' and in m''."""
-    of_third = [
-        [dt**5 / 20, dt**4 / 8, dt**3 / 6],
-        [dt**4 / 8, dt**3 / 3, dt**2 / 2],
-        [dt**3 / 6, dt**2 / 2, dt],
-    ]
-    of_second = [[dt**3 / 3, dt**2 / 2, 0], [dt**2 / 2, dt, 0], [0, 0, 0]]
-    of_first = [[dt, 0, 0], [0, 0, 0], [0, 0, 0]]
-    return np.array([of_first, of_second, of_third])

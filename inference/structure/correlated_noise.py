@@ -17,11 +17,11 @@ MEMORIES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)
 
 
 @dataclass(frozen=True)
-class DriftNoise:
+class CorrelatedNoise:
     """Errors of a track along one axis, as a sum of white noise and a first-order Gauss-Markov process.
 
     A template that has slipped off its point stays off it for some frames: the RSMCM paper (§4.3) emulates
-    this as "consistent bias for five frames". Taken for white, such errors make a short track look surer than
+    this as "consistent bias for five frames". Taken for white, such errors make a short track seem surer than
     it is.
 
     Parameters
@@ -43,6 +43,10 @@ class DriftNoise:
         """Correlation of drift from one frame to the next."""
         return float(np.exp(-1 / self.memory))
 
+    def scaled(self, factor: float) -> "CorrelatedNoise":
+        """The same with variances times a factor."""
+        return CorrelatedNoise(factor * self.white, factor * self.drift, self.memory)
+
     def moments(self, tracks: Listed, cameras: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers]:
         """What tracks say of their points where cameras are known.
 
@@ -61,14 +65,14 @@ class DriftNoise:
             `(n_tracks, 3, 3)`, `(n_tracks, 3)`, `(n_tracks,)`, `(n_tracks,)`.
         """
         moments: tuple[Numbers, Numbers, Numbers, Numbers] = track_moments(
-            *tracks.columns, np.ascontiguousarray(cameras), self.white, self.drift, self.decay
+            tracks, np.ascontiguousarray(cameras), self.white, self.drift, self.decay
         )
         return moments
 
 
-def estimate_drift_noise(
+def estimate_correlated_noise(
     tracks: Listed, cameras: Numbers, point_of_track: NDArray[np.int64], prior: Numbers
-) -> DriftNoise:
+) -> CorrelatedNoise:
     """Find the noise under which the tracks are likeliest, whatever the points are (restricted likelihood).
 
     The points are integrated out, so that what fitting them takes from the residuals is accounted for.
@@ -86,10 +90,10 @@ def estimate_drift_noise(
     """
     n_points = int(point_of_track.max()) + 1
     count = 2 * len(tracks.x)
-    best = (-np.inf, DriftNoise(1.0, 0.0, 1.0))
+    best = (-np.inf, CorrelatedNoise(1.0, 0.0, 1.0))
     for share in SHARES:
         for memory in MEMORIES if share else MEMORIES[:1]:
-            shape = DriftNoise(1 - share, share, memory)
+            shape = CorrelatedNoise(1 - share, share, memory)
             information, vector, quadratic, determinant = shape.moments(tracks, cameras)
             whole, sums = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3))
             np.add.at(whole, point_of_track, information)
@@ -108,5 +112,5 @@ def estimate_drift_noise(
                 + (quadratic.sum() - explained) / scale
             )
             if log_likelihood > best[0]:
-                best = (float(log_likelihood), DriftNoise(scale * shape.white, scale * shape.drift, memory))
+                best = (float(log_likelihood), shape.scaled(scale))
     return best[1]

@@ -44,7 +44,7 @@ def depth(positions: ArrayLike, weights: ArrayLike | None, found: Factorisation)
     mean) have rank 2, and a third direction fits noise. It has 2 n_frames + n_points - 6 numbers; fitting
     noise, they take away at most about twice as many variances (the largest singular value of a random
     matrix), so that a criterion of log(numbers observed) for each leaves room, whatever the scene. Errors
-    of a tracker that last may still look like depth.
+    of a tracker that last may still pass for depth.
 
     Parameters
     ----------

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses, nearest_rotation
+from ...models.face.pose import Poses
+from ...models.numerics.rotations import nearest_rotation
 from .nonrigid_em import Numbers, State, Tracks, Weights, climb, moments, weights
 from .nonrigid_start import start
 

@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.face.pose import cross_matrices, exponential
+from ...models.numerics.rotations import cross_matrices, exponential
 
 Numbers = NDArray[np.float64]
 
@@ -285,7 +285,7 @@ def basis_covariance(state: State) -> Numbers:
     Where an object hardly turns, its likelihood grows with its depth: sliding outlines and whatever else does
     not fit the model are then best explained by deep shapes that turn by a trifle. The prior says that a
     basis is about as deep as it is wide; it is taken to the power `ALIKE`, since successive frames err alike
-    and their likelihood claims that much more than it knows. The mean is independent of the modes.
+    and their likelihood is that much surer than it should be. The mean is independent of the modes.
     """
     seen = np.matmul(state.seen_axes.transpose(0, 2, 1), state.seen_axes).mean(axis=0)
     scale = np.trace(seen) / 2

@@ -123,7 +123,7 @@ def with_modes(tracks: Tracks, state: State, count: int) -> State:
 def smoothed(tracks: Tracks, state: State) -> State | None:
     """The state with each frame's rotation or its mirror image, so that turns are smooth; `None` if they are.
 
-    Under orthography a flat object looks the same as its mirror image behind it, R -> F R F_n with F a
+    Under orthography a flat object appears the same as its mirror image behind it, R -> F R F_n with F a
     reflection in depth and F_n one of the object through its plane. For one that is not quite flat, one of
     the two is more likely, though not always the true one if it deforms. The best sequence is found by
     Viterbi's algorithm.

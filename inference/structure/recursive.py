@@ -1,10 +1,10 @@
-"""A rigid shape before a moving affine camera, met with the points of one frame after the other.
+"""A rigid shape before a moving affine camera, estimated recursively from the points of each frame.
 
 RSMCM eq. (18) to (20) as a filter: position of point i = M (S_i, 1) + noise, the shape S constant, the rows
 of M moving by eq. (19). Points and camera are kept apart, each with its own covariance, and updated in turn.
-What keeps that honest is that a point learns from the camera that the *other* points of the frame show, whose
-errors are not its own: camera and point are taken for independent, and so they are but for what they have
-from earlier frames.
+Covariances stay consistent because a point learns from the camera that the *other* points of the frame show,
+whose errors are not its own: camera and point are taken for independent, and so they are but for what they
+have from earlier frames.
 """
 
 from dataclasses import dataclass, replace
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.mahalanobis import squared_distances
+from ..factor_analysis.moments import homogeneous
 from . import camera_motion
 from .camera_motion import CameraMotion
 
@@ -21,38 +22,39 @@ Identities = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 GATE = 9.21
-"""Squared Mahalanobis distance of a position (two numbers) that one good look in a hundred exceeds."""
+"""Squared Mahalanobis distance of a position (two numbers) that one inlier in a hundred exceeds."""
 
 MEDIAN = 2 * np.log(2)
 """Of squared Mahalanobis distances of positions."""
 
 REGISTRATIONS = 5
-"""Rounds in which the camera and the choice of good looks settle, at most."""
+"""Rounds in which the camera and the choice of inliers settle, at most."""
 
-OUTSIDE = 3.0
+PRIOR_DEVIATION = 3.0
 """Standard deviation of a new point's place, in units of the first shape's spread."""
 
-LOOKS = 48
-"""Frames from which the noise of the camera's motion is learned."""
+MOTION_FRAMES = 48
+"""Last frames from which the noise of the camera's motion is learned."""
 
-LEARNING = 0.05
-"""Share by which a frame with many points changes the scale of the noise of positions."""
+LEARNING_RATE = 0.05
+"""Share by which a frame with many points changes what is known of the noise of positions: of a frame and not
+of a second, since each frame is one more sample of that noise."""
 
 LEAST_SCALE = 1e-4
 """Of that scale: a hundredth of the standard deviation that is stated."""
 
-MOST_PERSISTENCE = 0.9
-"""Correlation of a point's errors from one frame to the next, at most; then 19 looks are worth one."""
+MOST_CORRELATION = 0.9
+"""Of a point's errors from one frame to the next; then 19 observations are worth one."""
 
 MANY = 10
 """Points of a frame from which on it counts as one with many."""
 
-FADING = 0.2
-"""s in which the covariance of a point grows by e while it is seen elsewhere than it should be."""
+OUTLIER_TIME = 0.2
+"""s in which the covariance of a point grows by e while it is an outlier."""
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ObservedPoints:
     """Points of a frame.
 
     Parameters
@@ -74,8 +76,8 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
-    """What the last frames said of the camera.
+class CameraEvidence:
+    """What the last frames said of the camera, in information form.
 
     Parameters
     ----------
@@ -101,19 +103,19 @@ class Structure:
     shape, shape_covariance
         `(n, 3)` and `(n, 3, 3)`, in units of the first shape's spread.
     unseen
-        `(n,)` s since a point was last seen where it should be.
+        `(n,)` s since a point was last an inlier.
     motion
         of the camera.
-    looks
-        at the camera in the last frames.
+    evidence
+        of the camera in the last frames.
     extent
-        px, about how large the shape looked at first.
+        px, about how large the shape appeared at first.
     noise_scale
         how much larger the variances of positions are than stated.
-    surprises
-        `(n, 2)` px, by how far a point was off where it should be, when it was last seen there.
-    persistence
-        correlation of surprises from one frame to the next.
+    innovations
+        `(n, 2)` px: position less prediction of each point when it was last an inlier.
+    autocorrelation
+        of innovations, from one frame to the next.
     """
 
     identities: Identities
@@ -121,11 +123,11 @@ class Structure:
     shape_covariance: Numbers
     unseen: Numbers
     motion: CameraMotion
-    looks: Looks
+    evidence: CameraEvidence
     extent: float
     noise_scale: float
-    surprises: Numbers
-    persistence: float
+    innovations: Numbers
+    autocorrelation: float
 
     def __len__(self) -> int:
         return len(self.identities)
@@ -138,7 +140,7 @@ class Structure:
             shape=self.shape[kept],
             shape_covariance=self.shape_covariance[kept],
             unseen=self.unseen[kept],
-            surprises=self.surprises[kept],
+            innovations=self.innovations[kept],
         )
 
 
@@ -149,9 +151,9 @@ class Registration:
     Parameters
     ----------
     motion
-        after the look.
+        updated with the frame.
     information, vector
-        of the look, as `camera_motion.update` takes them.
+        of the camera from the frame, as `camera_motion.update` takes them.
     cameras, leverages
         `(n, 2, 4)` and `(n,)`: for every known point the camera that the others show, and the variance (px^2,
         in u and in v) that its uncertainty gives the point's position.
@@ -161,8 +163,8 @@ class Registration:
         `(k,)` of the seen points among the known ones.
     positions, variances
         `(k, 2)` px and `(k,)` px^2: where they were seen, and the noise of that.
-    good
-        `(k,)`: not too far from where they should be.
+    inliers
+        `(k,)` bool: not too far from where they should be.
     """
 
     motion: CameraMotion
@@ -175,13 +177,13 @@ class Registration:
     places: NDArray[np.intp]
     positions: Numbers
     variances: Numbers
-    good: Mask
+    inliers: Mask
 
 
-def register(structure: Structure, seen: Seen) -> Registration:
-    """The camera that fits a frame's points but for those that are too far off.
+def register(structure: Structure, seen: ObservedPoints) -> Registration:
+    """The camera that fits a frame's points but for outliers.
 
-    For each point also the camera without it: its part of the information is taken out again.
+    For each point also the camera without it (leave-one-out): its part of the information is taken out again.
     """
     known = np.isin(seen.identities, structure.identities)
     places = np.searchsorted(structure.identities, seen.identities[known])
@@ -203,25 +205,25 @@ def register(structure: Structure, seen: Seen) -> Registration:
         return squared_distances(off, covariances)
 
     off = ((positions - points @ before.camera.T) ** 2).sum(axis=1)
-    good = distances(before, np.zeros(len(points), bool)) <= GATE
-    if 2 * good.sum() < len(good):
+    inliers = distances(before, np.zeros(len(points), bool)) <= GATE
+    if 2 * inliers.sum() < len(inliers):
         # A jerk: of the camera next to nothing is known from before, by as much as the points are off.
         before = camera_motion.shaken(before, float(np.median(off)))
-        good = distances(before, np.zeros(len(points), bool)) <= GATE
+        inliers = distances(before, np.zeros(len(points), bool)) <= GATE
     for _ in range(REGISTRATIONS):
-        information, vector = look(points, positions, np.where(good, 1 / noise, 0.0))
+        information, vector = camera_information(points, positions, np.where(inliers, 1 / noise, 0.0))
         motion = camera_motion.update(before, information, vector)
-        settled, good = good, distances(motion, good) <= GATE
-        if np.array_equal(good, settled):
+        settled, inliers = inliers, distances(motion, inliers) <= GATE
+        if np.array_equal(inliers, settled):
             break
-    good = settled
+    inliers = settled
 
     cameras, leverages = np.tile(motion.camera, (len(structure), 1, 1)), _leverage(motion, all_points)
-    used, others = places[good], noise[good] - leverages[places[good]]
-    off = positions[good] - points[good] @ motion.camera.T
-    pull = points[good] @ motion.camera_covariance / others[:, None]
+    used, others = places[inliers], noise[inliers] - leverages[places[inliers]]
+    off = positions[inliers] - points[inliers] @ motion.camera.T
+    pull = points[inliers] @ motion.camera_covariance / others[:, None]
     cameras[used] -= off[:, :, None] * pull[:, None, :]
-    leverages[used] *= noise[good] / others
+    leverages[used] *= noise[inliers] / others
     leverages += _joint(motion, spreads)
     return Registration(
         motion=motion,
@@ -234,43 +236,41 @@ def register(structure: Structure, seen: Seen) -> Registration:
         places=places,
         positions=positions,
         variances=variances,
-        good=good,
+        inliers=inliers,
     )
 
 
-def take_in(structure: Structure, found: Registration, elapsed: float, time: float) -> Structure:
-    """The structure after a frame with which it has been registered, `elapsed` s after the last one.
+def update(structure: Structure, found: Registration, elapsed: float, time: float) -> Structure:
+    """The structure updated with a frame that it is registered with, `elapsed` s after the last one.
 
-    Points that are seen elsewhere than they should be become uncertain, so that they are believed at last.
+    Outliers become uncertain, so that they are believed at last.
     """
     shape, covariance = structure.shape.copy(), structure.shape_covariance.copy()
     unseen = structure.unseen.copy()
-    good, bad = found.places[found.good], found.places[~found.good]
-    shape[good], covariance[good] = intersect(
-        shape[good],
-        covariance[good],
-        found.cameras[good],
-        found.positions[found.good],
-        repeats(structure.persistence) * found.variances[found.good] + found.leverages[good],
+    inliers, outliers = found.places[found.inliers], found.places[~found.inliers]
+    noise = correlation_time(structure.autocorrelation) * found.variances[found.inliers]
+    noise += found.leverages[inliers]
+    shape[inliers], covariance[inliers] = intersect(
+        shape[inliers], covariance[inliers], found.cameras[inliers], found.positions[found.inliers], noise
     )
-    covariance[bad] *= np.exp(elapsed / FADING)
-    unseen[good] = 0.0
+    covariance[outliers] *= np.exp(elapsed / OUTLIER_TIME)
+    unseen[inliers] = 0.0
     if len(found.places):
         structure = _with_learned_noise(structure, found, elapsed, time)
     return replace(structure, shape=shape, shape_covariance=covariance, unseen=unseen)
 
 
-def join(structure: Structure, seen: Seen) -> Structure:
+def add_points(structure: Structure, seen: ObservedPoints) -> Structure:
     """The structure with the points that are new in a frame, whose camera is known.
 
-    What is known of them after one look is where they are across the view, and of the rest that they belong
+    What is known of them after one frame is where they are across the view, and of the rest that they belong
     to the shape.
     """
     new = ~np.isin(seen.identities, structure.identities)
     count, motion = int(new.sum()), structure.motion
     if not count:
         return structure
-    shape, covariance = np.zeros((count, 3)), np.tile(OUTSIDE**2 * np.eye(3), (count, 1, 1))
+    shape, covariance = np.zeros((count, 3)), np.tile(PRIOR_DEVIATION**2 * np.eye(3), (count, 1, 1))
     noise = structure.noise_scale * seen.variances[new] + _joint(motion, covariance)
     noise += _leverage(motion, homogeneous(shape))
     cameras = np.tile(motion.camera, (count, 1, 1))
@@ -281,7 +281,7 @@ def join(structure: Structure, seen: Seen) -> Structure:
         shape=np.concatenate([structure.shape, shape]),
         shape_covariance=np.concatenate([structure.shape_covariance, covariance]),
         unseen=np.concatenate([structure.unseen, np.zeros(count)]),
-        surprises=np.concatenate([structure.surprises, np.zeros((count, 2))]),
+        innovations=np.concatenate([structure.innovations, np.zeros((count, 2))]),
     )
     return together.only(np.argsort(together.identities))
 
@@ -310,21 +310,19 @@ def intersect(
     return shape + (gain @ off[:, :, None])[:, :, 0], after
 
 
-def repeats(persistence: float) -> float:
-    """How many looks at what stays are worth one, because what tracks are off by lasts for a while."""
-    correlation = min(max(persistence, 0.0), MOST_PERSISTENCE)
+def correlation_time(autocorrelation: float) -> float:
+    """Frames whose observations of a point are worth one: what tracks are off by lasts for a while.
+
+    The integrated autocorrelation time of a first-order Gauss-Markov process.
+    """
+    correlation = min(max(autocorrelation, 0.0), MOST_CORRELATION)
     return (1 + correlation) / (1 - correlation)
 
 
-def look(points: Numbers, positions: Numbers, precisions: Numbers) -> tuple[Numbers, Numbers]:
-    """What seen points, `(k, 4)` with a 1 last, say of a camera: information `(4, 4)` and vector `(2, 4)`."""
+def camera_information(points: Numbers, positions: Numbers, precisions: Numbers) -> tuple[Numbers, Numbers]:
+    """Information `(4, 4)` and vector `(2, 4)` of a camera from observed points `(k, 4)`, with a 1 last."""
     weighted = points.T * precisions
     return weighted @ points, (weighted @ positions).T
-
-
-def homogeneous(shape: Numbers) -> Numbers:
-    """`(n, 4)`: points with a 1 behind."""
-    return np.concatenate([shape, np.ones((len(shape), 1))], axis=1)
 
 
 def isotropic(variances: Numbers) -> Numbers:
@@ -355,37 +353,37 @@ def _with_learned_noise(structure: Structure, found: Registration, elapsed: floa
     off = found.positions - found.means[places]
     total = found.covariances[places] + isotropic(found.variances)
     trust = 2 * found.variances / np.trace(total, axis1=1, axis2=2)  # else points are off by their own error
-    rate = LEARNING * count / (count + MANY)
+    rate = LEARNING_RATE * count / (count + MANY)
     # A Newton step towards the scale at which half of the points are farther off than the median should be:
     # those that are far off for another reason count as little as can be.
     far = squared_distances(off, total) > MEDIAN
     step = float((trust * (far - 0.5)).sum() / trust.sum()) / (0.25 * MEDIAN)
     scale = max(structure.noise_scale * float(np.exp(rate * step)), LEAST_SCALE)
 
-    surprises = structure.surprises.copy()
-    again = found.good & (structure.unseen[places] <= 1.01 * elapsed)
-    before, now = surprises[places[again]], off[again]
+    innovations = structure.innovations.copy()
+    again = found.inliers & (structure.unseen[places] <= 1.01 * elapsed)
+    before, now = innovations[places[again]], off[again]
     products = float((trust[again] * (before * now).sum(axis=1)).sum())
     squares = float((trust[again] * 0.5 * (before**2 + now**2).sum(axis=1)).sum())
-    correlation = products / squares if squares > 0 else structure.persistence
-    persistence = max(0.0, structure.persistence + rate * (correlation - structure.persistence))
-    surprises[places[found.good]] = off[found.good]
+    correlation = products / squares if squares > 0 else structure.autocorrelation
+    autocorrelation = max(0.0, structure.autocorrelation + rate * (correlation - structure.autocorrelation))
+    innovations[places[found.inliers]] = off[found.inliers]
 
-    looks = Looks(
-        np.concatenate([structure.looks.information, found.information[None]])[-LOOKS:],
-        np.concatenate([structure.looks.vector, found.vector[None]])[-LOOKS:],
-        np.append(structure.looks.times, time)[-LOOKS:],
+    evidence = CameraEvidence(
+        np.concatenate([structure.evidence.information, found.information[None]])[-MOTION_FRAMES:],
+        np.concatenate([structure.evidence.vector, found.vector[None]])[-MOTION_FRAMES:],
+        np.append(structure.evidence.times, time)[-MOTION_FRAMES:],
     )
     noise = structure.motion.noise
-    if len(looks.times) > 1:
+    if len(evidence.times) > 1:
         noise = camera_motion.learned_noise(
-            noise, looks.information, looks.vector, looks.times, structure.extent
+            noise, evidence.information, evidence.vector, evidence.times, structure.extent
         )
     return replace(
         structure,
         noise_scale=scale,
-        looks=looks,
+        evidence=evidence,
         motion=replace(found.motion, noise=noise),
-        surprises=surprises,
-        persistence=persistence,
+        innovations=innovations,
+        autocorrelation=autocorrelation,
     )

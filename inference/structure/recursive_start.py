@@ -5,27 +5,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..factor_analysis.factorisation import Factorisation, factorise
+from ..factor_analysis.factorisation import Factorisation, factorise, projected
+from ..factor_analysis.moments import homogeneous
 from . import camera_motion
 from .recursive import (
     GATE,
     LEAST_SCALE,
     MEDIAN,
-    OUTSIDE,
+    PRIOR_DEVIATION,
+    CameraEvidence,
     Identities,
-    Looks,
     Numbers,
-    Seen,
+    ObservedPoints,
     Structure,
-    homogeneous,
-    look,
-    repeats,
+    camera_information,
+    correlation_time,
 )
 
 LEAST_SEEN = 6
 """Points that a frame has to show to be kept."""
 
-LEAST_LOOKS = 3
+LEAST_FRAMES = 3
 """Frames that have to show a point for it to be part of the first shape."""
 
 FIRST_FRAMES, MOST_FRAMES, STEP = 8, 32, 4
@@ -35,10 +35,10 @@ CLEAR = 4.0
 """How far the shape's third direction must stand out of what noise alone would give for one."""
 
 UNEVEN = 3.0
-"""Mean over usual squared error from which on some looks are bad."""
+"""Mean over usual squared error from which on there are outliers."""
 
 TRIMMINGS = 4
-"""Rounds in which looks are dropped that do not fit, at most."""
+"""Rounds in which outliers are dropped, at most."""
 
 ROUNDS = 100
 """Of learning the noise of the camera's motion."""
@@ -74,7 +74,7 @@ class Window:
         """No frames yet."""
         return cls(np.zeros(0, np.int64), np.zeros((0, 0, 2)), np.zeros((0, 0)), np.zeros(0))
 
-    def lengthened(self, seen: Seen, time: float, most_points: int) -> "Window":
+    def lengthened(self, seen: ObservedPoints, time: float, most_points: int) -> "Window":
         """With one more frame, if it is this one's turn; of too many points those seen most are kept."""
         if len(seen) < LEAST_SEEN:
             return self
@@ -88,13 +88,13 @@ class Window:
         old, new = (np.searchsorted(identities, part) for part in (self.identities, seen.identities))
         positions[:-1, old], variances[:-1, old] = self.positions[::every], self.variances[::every]
         positions[-1, new], variances[-1, new] = seen.positions, seen.variances
-        looks = (variances > 0).sum(axis=0)
-        kept = np.sort(np.argsort(-looks, kind="stable")[: min(most_points, np.count_nonzero(looks))])
+        counts = (variances > 0).sum(axis=0)
+        kept = np.sort(np.argsort(-counts, kind="stable")[: min(most_points, np.count_nonzero(counts))])
         return Window(identities[kept], positions[:, kept], variances[:, kept], times, stride)
 
     @property
     def due(self) -> bool:
-        """Whether a shape should be looked for."""
+        """Whether it is time to try for a shape."""
         n_frames = len(self.times)
         return not self.skipped and n_frames >= FIRST_FRAMES and n_frames % STEP == 0
 
@@ -106,7 +106,7 @@ def first_structure(window: Window) -> Structure | None:
     comes from noise alone, whose largest singular value is known.
     """
     seen = window.variances > 0
-    points = seen.sum(axis=0) >= LEAST_LOOKS
+    points = seen.sum(axis=0) >= LEAST_FRAMES
     frames = seen[:, points].sum(axis=1) >= LEAST_SEEN
     if frames.sum() < FIRST_FRAMES:
         return None
@@ -127,15 +127,17 @@ def first_structure(window: Window) -> Structure | None:
 
     extent = float(np.sqrt(0.5 * (linear**2).sum() / len(linear)))
     precisions = weights / scale
-    persistence = _persistence(found.cameras, found.shape, positions, seen)
-    shape, covariance = _intersected(found.cameras, found.shape, positions, precisions, repeats(persistence))
+    autocorrelation = _autocorrelation(found.cameras, found.shape, positions, seen)
+    shape, covariance = _intersected(
+        found.cameras, found.shape, positions, precisions, correlation_time(autocorrelation)
+    )
     of_shape = np.einsum("tcj,ijk,tck->ti", linear, covariance, linear, optimize=True)
     points_and_one = homogeneous(shape)
-    looks = [
-        look(points_and_one, where, precision / (1 + precision * noise))
+    of_camera = [
+        camera_information(points_and_one, where, precision / (1 + precision * noise))
         for where, precision, noise in zip(positions, precisions, of_shape, strict=True)
     ]
-    information, vector = np.array([part for part, _ in looks]), np.array([part for _, part in looks])
+    information, vector = (np.array(parts) for parts in zip(*of_camera, strict=True))
     motion_noise = camera_motion.learned_noise(None, information, vector, times, extent, ROUNDS)
     motion = camera_motion.vague(extent, motion_noise)
     for k in range(len(times)):
@@ -152,43 +154,37 @@ def first_structure(window: Window) -> Structure | None:
         shape_covariance=covariance,
         unseen=now - last_seen,
         motion=motion,
-        looks=Looks(information, vector, times),
+        evidence=CameraEvidence(information, vector, times),
         extent=extent,
         noise_scale=scale,
-        surprises=np.zeros_like(shape[:, :2]),
-        persistence=persistence ** (1 / window.stride),
+        innovations=np.zeros_like(shape[:, :2]),
+        autocorrelation=autocorrelation ** (1 / window.stride),
     )
 
 
 def _factorised(
     positions: Numbers, stated: Numbers, seen: NDArray[np.bool_]
 ) -> tuple[Factorisation, NDArray[np.bool_], bool]:
-    """Shape and cameras, the looks that are left without those that do not fit, and whether all of these do.
+    """Shape and cameras, which observations are inliers, and whether these have errors of one size.
 
-    Few frames can bend a shape to bad looks, which then show in errors of very different size only.
+    Few frames can bend a shape to outliers, which then show in errors of very different size only.
     """
     for last in (*[False] * (TRIMMINGS - 1), True):
         weights = np.divide(1, stated, out=np.zeros_like(stated), where=seen)
         found = factorise(positions, weights)
-        squares = weights * ((positions - _expected(found.cameras, found.shape)) ** 2).sum(axis=2)
+        squares = weights * ((positions - projected(found.cameras, found.shape)) ** 2).sum(axis=2)
         usual = float(np.median(squares[seen])) / MEDIAN
         fits = seen & (squares <= GATE * usual)
-        enough = (fits.sum(axis=1) >= LEAST_SEEN).all() and (fits.sum(axis=0) >= LEAST_LOOKS).all()
+        enough = (fits.sum(axis=1) >= LEAST_SEEN).all() and (fits.sum(axis=0) >= LEAST_FRAMES).all()
         if last or not enough or np.array_equal(fits, seen):
             break
         seen = fits
     return found, seen, found.noise_variance <= max(UNEVEN * usual, LEAST_SCALE)
 
 
-def _expected(cameras: Numbers, shape: Numbers) -> Numbers:
-    """`(n_frames, n, 2)` px."""
-    positions: Numbers = np.einsum("tcj,ij->tic", cameras[:, :, :3], shape) + cameras[:, None, :, 3]
-    return positions
-
-
-def _persistence(cameras: Numbers, shape: Numbers, positions: Numbers, seen: NDArray[np.bool_]) -> float:
+def _autocorrelation(cameras: Numbers, shape: Numbers, positions: Numbers, seen: NDArray[np.bool_]) -> float:
     """Correlation of what points are off by, from one frame of the window to the next."""
-    off = np.where(seen[:, :, None], positions - _expected(cameras, shape), 0.0)
+    off = np.where(seen[:, :, None], positions - projected(cameras, shape), 0.0)
     both = (seen[1:] & seen[:-1])[:, :, None]
     squares = 0.5 * float(((off[1:] ** 2 + off[:-1] ** 2) * both).sum())
     return max(0.0, float((off[1:] * off[:-1]).sum()) / squares) if squares > 0 else 0.0
@@ -206,5 +202,5 @@ def _intersected(
     linear = cameras[:, :, :3]
     information = np.einsum("ti,tcj,tck->ijk", weights, linear, linear, optimize=True)
     vector = np.einsum("ti,tcj,tic->ij", weights, linear, positions - cameras[:, None, :, 3], optimize=True)
-    covariance = np.linalg.inv(information + np.eye(3) / OUTSIDE**2)
+    covariance = np.linalg.inv(information + np.eye(3) / PRIOR_DEVIATION**2)
     return (covariance @ vector[:, :, None])[:, :, 0], covariance

@@ -12,24 +12,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_triangular
 
 from ..factor_analysis.factorisation import Factorisation, factorise
 from ..factor_analysis.observations import Observations
-from .correlated_noise import DriftNoise, estimate_drift_noise
-from .kernels.track_association import assign_tracks, camera_coupling, same_point_gains
+from .correlated_noise import CorrelatedNoise, estimate_correlated_noise
+from .joint_posterior import covariance_of_points
+from .kernels.track_association import assign_tracks, same_point_gains
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-NEW = 0.1
+NEW_POINT = 0.1
 """Prior probability that a track which begins shows a point that was never seen before."""
 
 MARGINS = (3.0, 1.5, 0.0)
 """Nats by which a union has to be likelier than what it excludes: round by round, as cameras get better."""
 
 MOST_ROUNDS = 10
-SHARINGS = 4
+SOFT_ROUNDS = 4
 SURE = 0.99
 """Probability from which a track is said to show a point."""
 
@@ -40,20 +40,14 @@ TORN = 0.05
 """Product of probabilities from which a track is torn between two points."""
 
 MOST_TOGETHER = 500
-"""Tracks with most observations whose joint posterior is looked at; others are only assigned at the end."""
+"""Tracks with most observations whose joint posterior is computed; others are only assigned at the end."""
 
 AT_ONCE = 0.05
-"""Unions between two looks at all pairs, as a share of the points."""
-
-LEAST_CORRELATION = 1e-8
-"""Of the noise of two frames, that counts."""
-
-RIDGE = 1e-7
-"""Added to the cameras' information, of unit diagonal, for what rounding takes away."""
+"""Unions between two comparisons of all pairs, as a share of the points."""
 
 
 @dataclass(frozen=True, eq=False)
-class Linked:
+class TrackAssociation:
     """Points and the tracks that show them.
 
     Parameters
@@ -71,10 +65,12 @@ class Linked:
     factorisation: Factorisation
     point_of_track: Indices
     membership: Numbers
-    noise: DriftNoise
+    noise: CorrelatedNoise
 
 
-def link_tracks(positions: ArrayLike, weights: ArrayLike | None = None, *, coherence: bool = False) -> Linked:
+def associate_tracks(
+    positions: ArrayLike, weights: ArrayLike | None = None, *, coherence: bool = False
+) -> TrackAssociation:
     """Find points, cameras, and which tracks belong to which point.
 
     Parameters
@@ -95,13 +91,13 @@ def link_tracks(positions: ArrayLike, weights: ArrayLike | None = None, *, coher
     where = np.asarray(positions, np.float64)
     weight = np.asarray(~np.isnan(where).any(axis=2) if weights is None else weights, np.float64)
     where = np.where(weight[..., None] > 0, where, 0.0)
-    linking = _Linking(where, weight, coherence)
-    linking.unite()
-    linking.share()
-    return linking.result()
+    association = _Association(where, weight, coherence)
+    association.unite()
+    association.soft_assignment()
+    return association.result()
 
 
-class _Linking:
+class _Association:
     """State of the association, in the units of `Observations`."""
 
     def __init__(self, positions: Numbers, weights: Numbers, coherence: bool) -> None:
@@ -117,7 +113,7 @@ class _Linking:
         self._membership = np.eye(n_tracks)
         self._fit = factorise(positions, weights, coherence=coherence)
         at_once = np.bincount(self._observations.by_frame.own).max()
-        self._log_new = float(np.log(at_once * NEW / (1 - NEW)))
+        self._log_new = float(np.log(at_once * NEW_POINT / (1 - NEW_POINT)))
         """Log prior odds of a new point against a certain one of those that there may be."""
 
     # --- what the present cameras say ---
@@ -134,9 +130,9 @@ class _Linking:
         shape = self._fit.shape[well]
         return shape.mean(axis=0), 1.5 * np.cov(shape.T) + 1e-6 * np.eye(3)
 
-    def _noise(self) -> DriftNoise:
+    def _noise(self) -> CorrelatedNoise:
         mean, covariance = self._population()
-        return estimate_drift_noise(
+        return estimate_correlated_noise(
             self._tracks, self._cameras, self._point, covariance + np.outer(mean, mean)
         )
 
@@ -155,58 +151,20 @@ class _Linking:
 
     def _united(self, margin: float) -> Indices:
         """Point of each track after all unions that are surer than `margin`."""
-        noise = self._noise()
         chosen = np.sort(np.argsort(-(self._membership.T @ self._counts), kind="stable")[:MOST_TOGETHER])
-        mean, covariance = self._posterior(noise, chosen)
+        covariance = covariance_of_points(self._observations, self._fit, self._point, self._noise(), chosen)
         seen = np.zeros((len(chosen), self._observations.n_frames))
         place = np.full(self._fit.shape.shape[0], -1)
         place[chosen] = np.arange(len(chosen))
         inside = place[self._point[self._tracks.own]]
         seen[inside[inside >= 0], self._tracks.other[inside >= 0]] = 1
         _, population = self._population()
-        group = unite_points(mean, covariance, seen @ seen.T > 0, 2 * population, self._log_new, margin)
+        group = unite_points(
+            self._fit.shape[chosen], covariance, seen @ seen.T > 0, 2 * population, self._log_new, margin
+        )
         target = np.arange(len(place))
         target[chosen] = chosen[group]
         return target[self._point]
-
-    def _posterior(self, noise: DriftNoise, chosen: Indices) -> tuple[Numbers, Numbers]:
-        """Mean `(n, 3)` and covariance `(n, 3, n, 3)` of chosen points, with cameras uncertain as well."""
-        fit, tracks = self._fit, self._tracks
-        cameras, n_points, n_frames = self._cameras, len(self._fit.shape), self._observations.n_frames
-        homogeneous = np.concatenate([fit.shape, np.ones((n_points, 1))], axis=1)
-        own, cross = camera_coupling(
-            tracks.edges,
-            tracks.other,
-            tracks.weight,
-            self._point,
-            homogeneous,
-            cameras,
-            noise.white,
-            noise.drift,
-            noise.decay,
-            LEAST_CORRELATION,
-        )
-        information, _, _, _ = noise.moments(tracks, cameras)
-        whole = np.tile(np.eye(3), (n_points, 1, 1))
-        np.add.at(whole, self._point, information)
-        inverse = np.linalg.inv(whole)
-        own += camera_precision(fit, n_frames) * self._observations.scale**2
-        size = 4 * n_frames
-        coupling = cross.reshape(2 * size, n_points, 3)
-        through = np.einsum("anj,njk->ank", coupling, inverse)
-        marginal = -through.reshape(2 * size, -1) @ coupling.reshape(2 * size, -1).T
-        marginal[:size, :size] += own
-        marginal[size:, size:] += own
-        # all cameras can move together with all points, which only the points' prior limits
-        unit = 1 / np.sqrt(np.diag(marginal))
-        marginal *= unit[:, None] * unit
-        marginal[np.diag_indices(2 * size)] += RIDGE
-        root = np.linalg.cholesky(marginal)
-        part = solve_triangular(root, unit[:, None] * through[:, chosen].reshape(2 * size, -1), lower=True)
-        covariance = (part.T @ part).reshape(len(chosen), 3, len(chosen), 3)
-        diagonal = np.arange(len(chosen))
-        covariance[diagonal, :, diagonal] += inverse[chosen]
-        return fit.shape[chosen], covariance
 
     # --- assignment given cameras ---
 
@@ -222,8 +180,7 @@ class _Linking:
         order = np.argsort(self._counts, kind="stable")
         assign_tracks(
             order,
-            tracks.edges,
-            tracks.other,
+            tracks,
             information,
             vector,
             prior,
@@ -266,7 +223,7 @@ class _Linking:
         )
 
     def _points_given_cameras(self, membership: Numbers) -> tuple[Numbers, Numbers]:
-        noise = DriftNoise(self._fit.noise_variance / self._observations.scale**2, 0.0, 1.0)
+        noise = CorrelatedNoise(self._fit.noise_variance / self._observations.scale**2, 0.0, 1.0)
         information, vector, _, _ = noise.moments(self._tracks, self._cameras)
         whole = np.eye(3) + np.einsum("kp,kij->pij", membership, information)
         inverse = np.linalg.inv(whole)
@@ -274,18 +231,18 @@ class _Linking:
 
     # --- the end ---
 
-    def share(self) -> None:
+    def soft_assignment(self) -> None:
         """Let tracks belong to points in part, and leave out points that they do not determine."""
         self._noise_now = self._noise()
         membership = self._membership
-        for _ in range(SHARINGS):
+        for _ in range(SOFT_ROUNDS):
             membership = membership[:, self._determined(membership)]
-            membership = self._without_twins(membership)
+            membership = self._without_duplicates(membership)
             membership = self._assigned(membership, hard=False)
             self._refit(membership[:, membership.sum(axis=0) > 0.5])
             membership = self._membership
 
-    def _without_twins(self, membership: Numbers) -> Numbers:
+    def _without_duplicates(self, membership: Numbers) -> Numbers:
         """Memberships after points between which the same tracks are torn have become one."""
         information, vector, _, _ = self._noise_now.moments(self._tracks, self._cameras)
         mean, covariance = self._population()
@@ -318,7 +275,7 @@ class _Linking:
         known: NDArray[np.bool_] = (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
         return known
 
-    def result(self) -> Linked:
+    def result(self) -> TrackAssociation:
         """Points that are determined, and the tracks that surely show them; the surest one at least."""
         membership = self._membership
         sure = membership > SURE
@@ -333,10 +290,7 @@ class _Linking:
         point[point >= 0] = np.cumsum(own)[point[point >= 0]] - 1
         fit = replace(self._fit, shape=self._fit.shape[own], shape_covariance=self._fit.shape_covariance[own])
         unit = self._observations.scale**2 * self._observations.weight_unit
-        noise = self._noise_now
-        return Linked(
-            fit, point, membership[:, own], DriftNoise(noise.white * unit, noise.drift * unit, noise.memory)
-        )
+        return TrackAssociation(fit, point, membership[:, own], self._noise_now.scaled(unit))
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:
@@ -430,41 +384,3 @@ def _close(gains: Numbers, chosen: int, margin: float) -> Indices:
     near = gains > gains[chosen] - margin
     near[chosen] = False
     return np.flatnonzero(near).astype(np.int64)
-
-
-def camera_precision(fit: Factorisation, n_frames: int) -> Numbers:
-    """Prior information `(4 n_frames, 4 n_frames)` 1/px^2 of a row of the cameras at all times."""
-    if not fit.coherent:
-        return np.diag(np.tile(1 / np.repeat(fit.motion_noise[0], (3, 1)), n_frames))
-    linear, shift = (motion_precision(fit.motion_noise[:, k], n_frames) for k in range(2))
-    precision = np.zeros((n_frames, 4, n_frames, 4))
-    for number in range(3):
-        precision[:, number, :, number] = linear
-    precision[:, 3, :, 3] = shift
-    return precision.reshape(4 * n_frames, 4 * n_frames)
-
-
-def motion_precision(variances: Numbers, n_frames: int) -> Numbers:
-    """Information `(n_frames, n_frames)` that eq. (19) holds of one number m at all times.
-
-    `variances` are those of eps_1, eps_2 and eps_3; of the first frame nothing is known. Eq. (19) without its
-    derivatives: the third difference of m is (eps_3 + its last value) / 2 plus the first difference of eps_2
-    plus the second difference of eps_1.
-    """
-    count = n_frames - 3
-    if count < 1:
-        return np.zeros((n_frames, n_frames))
-    noise = np.zeros((count, count))
-    for weights, variance in (
-        ((0.5, 0.5), variances[2]),
-        ((-1, 1), variances[1]),
-        ((1, -2, 1), variances[0]),
-    ):
-        band = np.zeros((count, count + len(weights) - 1))
-        for k, weight in enumerate(weights):
-            band += weight * np.eye(*band.shape, k)
-        noise += variance * band @ band.T
-    noise[np.diag_indices(count)] *= 1 + 1e-6
-    rows = solve_triangular(np.linalg.cholesky(noise), np.diff(np.eye(n_frames), 3, axis=0), lower=True)
-    precision: Numbers = rows.T @ rows
-    return precision

@@ -1,6 +1,6 @@
 """Does it pay to combine these two chains? An answer from what they predicted in a recorded run.
 
-The theory is in `prediction_errors`; here its quantities are estimated, with intervals.
+The theory is in `validity.theory`; here its quantities are estimated, with intervals.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -129,9 +129,10 @@ class StatedComparison:
 
     Parameters
     ----------
-    excess_first, excess_second, excess_product
-        mean squared error of the observed over what was stated (prediction's covariance plus observation
-        noise), a dimension: 1 is honest, more is overconfident, less is timid.
+    nis_first, nis_second, nis_product
+        normalised innovation squared (NIS), a dimension: squared error of the observed over what was stated
+        (prediction's covariance plus observation noise). 1 is consistent, more is overconfident, less is
+        timid. NEES is the same of a state that is known, which observations do not give.
     score_first, score_second, score_product
         mean log density of the observed under each prediction, nats.
     score_gain
@@ -141,9 +142,9 @@ class StatedComparison:
         predictions of the observed, and this the posterior once it is observed.
     """
 
-    excess_first: Interval[float]
-    excess_second: Interval[float]
-    excess_product: Interval[float]
+    nis_first: Interval[float]
+    nis_second: Interval[float]
+    nis_product: Interval[float]
     score_first: Interval[float]
     score_second: Interval[float]
     score_product: Interval[float]
@@ -222,7 +223,7 @@ def compare(
     """Judge from two chains' recorded predictions whether combining them pays.
 
     Prediction errors show A = Sigma_0 + P_1, B = Sigma_0 + P_2 and, from the cross term, K = Sigma_0 + P_12,
-    each plus the observation noise, which has to be known. Sigma_0 alone cannot be told from P_1, P_2 and
+    each plus the observation noise, which has to be known. Sigma_0 alone does not follow from P_1, P_2 and
     P_12, and need not be: gains depend on A, B, K only.
 
     Parameters
@@ -352,7 +353,7 @@ def _measures_as_stated(
     combined = (of_first @ error[:, :, None] + of_second @ other[:, :, None])[:, :, 0]
     d = error.shape[1]
     cases = ((error, covariance), (other, other_covariance), (combined, covariance_of_both))
-    excesses, scores, costs = [], [], []
+    squares, scores, costs = [], [], []
     for off, stated in cases:
         predicted = stated + noise
         square = squared_distances(off, predicted)
@@ -360,10 +361,10 @@ def _measures_as_stated(
         of_feature = squared_distances(off, stated) - np.trace(
             np.linalg.solve(stated, noise), axis1=1, axis2=2
         )
-        excesses.append(square / d)
+        squares.append(square / d)
         scores.append(-0.5 * (d * np.log(2 * np.pi) + log_size + square))
         costs.append(0.5 * (log_determinant(stated) - log_size + of_feature - square))
-    return np.column_stack([*excesses, *scores, *costs])
+    return np.column_stack([*squares, *scores, *costs])
 
 
 def _summarised(means: Numbers) -> StatedComparison:

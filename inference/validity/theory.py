@@ -23,7 +23,7 @@ What the paper prints differently (all of it checked by Monte Carlo in the tests
   for X = 0 only; that this is the minimum follows from C(q_1) - C(q_1opt) being what observing through noise
   takes away from a KL divergence. Lemma 1 is right.
 - (A.4): both costs lack the factor 1/2.
-- Theorem 2 and eq. (17) are right as printed, and sufficient (Gamma_i look asymmetric and are symmetric), but
+- Theorem 2 and eq. (17) are right as printed, and sufficient (Gamma_i seem asymmetric and are symmetric), but
   only with Lemma 1's noises and far from necessary. The remark on P_1 = P_12 misplaces a transpose:
   Gamma_1 = -Q (P_12 + Sigma_0) there. That the correlation must be less than 0.5 is true of (17) with
   Sigma_0 > 0, not of benefit: in one dimension products help up to a correlation of A, B, K of log 2 = 0.69.

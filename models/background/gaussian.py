@@ -17,6 +17,10 @@ from ..numerics.threads import over_bands
 from . import colour
 from .kernels.gaussian import (
     ODDS_STEPS,
+    Gaussians,
+    Light,
+    PixelModel,
+    SecondColours,
     interpolate,
     log_evidence,
     pool_log_odds,
@@ -43,20 +47,13 @@ class LightField:
     blocks: Planes
     size: tuple[int, int]
 
-    def rows(self) -> Planes:
-        """`(block_rows + 1, width)` float32: interpolated along x at block centres; the last one twice."""
-        return self._rows
-
-    def row_positions(self) -> Planes:
-        """`(height,)` float32: where between the rows of `rows()` each pixel row lies."""
-        return _positions(self.size[0], self.blocks.shape[0])
-
     @cached_property
-    def _rows(self) -> Planes:
+    def along_rows(self) -> Light:
+        """The field interpolated along x at the blocks' centres, and where between them each row lies."""
         left, share = _neighbours(self.size[1], self.blocks.shape[1])
         rows: Planes = np.empty((self.blocks.shape[0] + 1, self.size[1]), np.float32)
         interpolate(self.blocks, left, share, rows)
-        return rows
+        return Light(rows, _positions(self.size[0], self.blocks.shape[0]))
 
 
 @lru_cache(maxsize=16)
@@ -121,15 +118,6 @@ class BackgroundFactor(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Update:
-    """The background after an image, if no other chain has anything to say (see `BackgroundPrediction`)."""
-
-    mean: Planes
-    variance: Planes
-    noise: Planes
-
-
-@dataclass(frozen=True, eq=False)
 class BackgroundPrediction:
     """Prediction of every pixel's background value: N(L; light * mean, light^2 * (variance + drift) + noise).
 
@@ -137,52 +125,59 @@ class BackgroundPrediction:
     ----------
     size
         `(height, width)` px.
-    mean
-        `(channels, n_pixels)` float32 in the planes of `models.colour`.
-    variance, noise
-        `(n_pixels,)` float32, squared grey levels: of the mean, and of a single look (sensor and scene).
+    pixels
+        before this frame; the mean in the planes of `models.colour`.
     light
         of this frame.
     prior
         P(B=1), that a pixel shows background.
     drift
-        squared grey levels added to the variance since the last look.
-    noise_rate
-        share by which `noise` follows what is seen, 0 to keep it fixed.
+        squared grey levels added to the variance since the last observation.
+    noise_share
+        share by which the noise follows what is seen, 0 to keep it fixed.
+    first_variance
+        squared grey levels, of a value seen once.
     pooling
         weight of what the 5 x 5 pixels around a pixel saw in its own log odds: neighbours mostly share their
         label, but are not independent looks. 0 makes every pixel decide for itself.
-    candidate, seen
-        `(n_pixels * channels,)` uint8 second colour of every pixel, and `(n_pixels,)` uint8 in how many looks
-        it was seen; from `trusted_looks` on, what is within `tolerance` (squared grey levels) of it is
+    second
+        second colour of every pixel: once known, what is within `tolerance` (squared grey levels) of it is
         background too.
     """
 
     size: tuple[int, int]
-    mean: Planes
-    variance: Planes
-    noise: Planes
+    pixels: Gaussians
     light: LightField
     prior: float
     drift: float
-    noise_rate: float
+    noise_share: float
+    first_variance: float
     pooling: float
-    candidate: NDArray[np.uint8]
-    seen: NDArray[np.uint8]
-    trusted_looks: int
+    second: SecondColours
     tolerance: float
     _readings: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
-    _updates: dict[int, Update] = field(default_factory=dict)
+    _updates: dict[int, Gaussians] = field(default_factory=dict)
+
+    @property
+    def mean(self) -> Planes:
+        """`(channels, n_pixels)` float32."""
+        return self.pixels.mean
 
     @property
     def channels(self) -> int:
         """1 for grey, 3 for colour."""
-        return int(self.mean.shape[0])
+        return len(self.pixels.mean)
 
-    @property
-    def log_prior_odds(self) -> float:
-        """Log of P(B=1) over P(B=0) times the uniform density, in the units of the planes."""
-        return log_prior_odds(self.prior, self.channels)
+    @cached_property
+    def model(self) -> PixelModel:
+        """What loops need to know beside the pixels."""
+        numbers = (
+            log_prior_odds(self.prior, self.channels),
+            self.drift,
+            self.noise_share,
+            self.first_variance,
+        )
+        return PixelModel(*map(np.float32, numbers))
 
     def against(self, image: NDArray[np.uint8]) -> Subtraction:
         """Read an image against the prediction; the same image is read only once."""
@@ -193,7 +188,7 @@ class BackgroundPrediction:
             self._updates[id(image)] = update
         return known[1]
 
-    def update(self, image: NDArray[np.uint8]) -> Update:
+    def update(self, image: NDArray[np.uint8]) -> Gaussians:
         """The background after the image. The arrays are the caller's to change: they are forgotten here."""
         self.against(image)
         return self._updates.pop(id(image), None) or self._subtract(image)[1]
@@ -206,39 +201,26 @@ class BackgroundPrediction:
         left out.
         """
         shift = np.zeros(1, np.float32) if pixel_shift is None else pixel_shift
-        total = log_evidence(
-            np.ascontiguousarray(image).reshape(-1), self.mean, self.variance, self.noise, self.light.rows(),
-            self.light.row_positions(), np.float32(self.drift), np.float32(self.log_prior_odds), shift,
-        )  # fmt: skip
+        flat = np.ascontiguousarray(image).reshape(-1)
+        total = log_evidence(flat, self.pixels, self.light.along_rows, self.model, shift)
         uniform = np.log1p(-self.prior) - self.channels * np.log(256.0)
         return float(total + uniform * self.size[0] * self.size[1])
 
-    def _subtract(self, image: NDArray[np.uint8]) -> tuple[Subtraction, Update]:
+    def _subtract(self, image: NDArray[np.uint8]) -> tuple[Subtraction, Gaussians]:
         height, width = self.size
-        n_pixels = height * width
-        mean = array_pool.empty(self.mean.shape, np.float32)
-        variance = array_pool.empty((n_pixels,), np.float32)
-        noise = array_pool.empty((n_pixels,), np.float32)
-        log_odds = array_pool.empty((n_pixels,), np.int8)
-        pixels = np.ascontiguousarray(image).reshape(-1)
-        light_rows, row_positions = self.light.rows(), self.light.row_positions()
+        after = Gaussians(*(array_pool.empty(before.shape, np.float32) for before in self.pixels))
+        log_odds = array_pool.empty((height * width,), np.int8)
+        flat = np.ascontiguousarray(image).reshape(-1)
         kernel = subtract_colour if self.channels == 3 else subtract_grey
-        drift, log_prior = np.float32(self.drift), np.float32(self.log_prior_odds)
-        noise_rate, tolerance = np.float32(self.noise_rate), np.float32(self.tolerance)
+        light, model, tolerance = self.light.along_rows, self.model, np.float32(self.tolerance)
 
         def subtract(first: int, end: int) -> None:
-            kernel(
-                first, end, width, pixels, self.mean, self.variance, self.noise, light_rows, row_positions,
-                drift, log_prior, noise_rate, mean, variance, noise, log_odds,
-            )  # fmt: skip
-            recall(
-                first * width, end * width, pixels, self.candidate, self.seen, self.trusted_looks,
-                self.channels, tolerance, log_odds,
-            )  # fmt: skip
+            kernel(first, end, flat, self.pixels, light, model, after, log_odds)
+            recall(first * width, end * width, flat, self.second, self.channels, tolerance, log_odds)
 
         over_bands(subtract, height)
         pooled = pool(log_odds, self.size, self.prior, self.pooling)
-        return Subtraction(log_odds, pooled), Update(mean, variance, noise)
+        return Subtraction(log_odds, pooled), after
 
 
 def log_prior_odds(prior: float, channels: int) -> float:

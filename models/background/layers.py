@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import colour
-from .kernels.layers import compose_layer, shift_of
+from .kernels.layers import Sprite, compose_layer, shift_of
 
 Map = NDArray[np.float32]
 Box = tuple[int, int, int, int]
@@ -173,10 +173,10 @@ def add_layer(region: Region, layer: Layer, patch: Map | None) -> None:
     if patch is None or appearance is None:  # any colour: densities integrate to 1
         appearance, log_ratio = np.zeros((0, *layer.mask.shape), np.float32), 0.0
         patch = np.zeros((0, *region.clear.shape), np.float32)
+    numbers = (np.float32(value) for value in (0.5 / layer.spread, log_ratio, layer.outliers))
     compose_layer(
-        region.clear, region.explained, patch, layer.top - region.top, layer.left - region.left, layer.mask,
-        appearance, np.float32(0.5 / layer.spread), np.float32(log_ratio),
-        np.float32(layer.outliers), np.float32(layer.strength), layer.ghost,
+        region.clear, region.explained, patch, layer.top - region.top, layer.left - region.left,
+        Sprite(layer.mask, appearance, *numbers), np.float32(layer.strength), layer.ghost,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from ..numerics import array_pool
 from ..numerics.threads import over_bands
 from . import colour
 from .gaussian import Subtraction, log_prior_odds, pool
-from .kernels.mixture import learn_mixture, mixture_log_evidence, subtract_mixture
+from .kernels.mixture import Mixture, learn_mixture, mixture_log_evidence, subtract_mixture
 
 Planes = NDArray[np.float32]
 
@@ -18,25 +18,6 @@ REACH = {1: 6.25, 3: 10.9}
 
 It is 2.5 standard deviations of one channel, as in the paper.
 """
-
-
-@dataclass(frozen=True, eq=False)
-class Mixture:
-    """Components of every pixel, in the order of weight over standard deviation.
-
-    Parameters
-    ----------
-    weights
-        `(components, n_pixels)` float32, their sum is 1; 0 where there is no such component.
-    means
-        `(components, channels, n_pixels)` float32 in the planes of `models.colour`.
-    variances
-        `(components, n_pixels)` float32, squared grey levels, of each channel.
-    """
-
-    weights: Planes
-    means: Planes
-    variances: Planes
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +62,9 @@ class MixturePrediction:
 
         `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0.
         """
-        planes, mixture = self._comparison(image)[1], self.mixture
+        planes = self._comparison(image)[1]
         total = mixture_log_evidence(
-            self.size[1], planes, mixture.weights, mixture.means, mixture.variances, np.float32(self.share),
+            self.size[1], planes, self.mixture, np.float32(self.share),
             np.float32(log_prior_odds(self.prior, len(planes))),
             np.zeros(1, np.float32) if pixel_shift is None else pixel_shift,
         )  # fmt: skip
@@ -112,18 +93,14 @@ class MixturePrediction:
             squared grey levels, of a new component.
         """
         height, width = self.size
-        planes, before = self._comparison(image)[1], self.mixture
-        after = Mixture(
-            array_pool.empty(before.weights.shape, np.float32),
-            array_pool.empty(before.means.shape, np.float32),
-            array_pool.empty(before.variances.shape, np.float32),
-        )
+        planes = self._comparison(image)[1]
+        after = Mixture(*(array_pool.empty(before.shape, np.float32) for before in self.mixture))
         reach = np.float32(REACH[len(planes)])
 
         def learn(first: int, end: int) -> None:
             learn_mixture(
                 first, end, width, planes, rates, np.float32(least_rate), np.float32(first_variance), reach,
-                before.weights, before.means, before.variances, after.weights, after.means, after.variances,
+                self.mixture, after,
             )  # fmt: skip
 
         over_bands(learn, height)
@@ -138,15 +115,13 @@ class MixturePrediction:
 
     def _subtract(self, planes: Planes) -> Subtraction:
         height, width = self.size
-        mixture = self.mixture
         log_prior = np.float32(log_prior_odds(self.prior, len(planes)))
         log_odds = array_pool.empty((height * width,), np.int8)
 
         def subtract(first: int, end: int) -> None:
             subtract_mixture(
-                first, end, width, planes, mixture.weights, mixture.means, mixture.variances,
-                np.float32(self.share), log_prior, log_odds,
-            )  # fmt: skip
+                first, end, width, planes, self.mixture, np.float32(self.share), log_prior, log_odds
+            )
 
         over_bands(subtract, height)
         return Subtraction(log_odds, pool(log_odds, self.size, self.prior, self.pooling))

@@ -104,17 +104,27 @@ class PixelMessage:
 
     @property
     def log_mass(self) -> float:
-        """Log of the integral over labels and colours, summed over pixels (nats); 0 where it has no scale."""
-        if self.background is None or self.image is None:
+        """Log of the integral over labels and colours, summed over pixels (nats); 0 without a background.
+
+        With an image, whose colours are then fixed, it is the log density of what it shows. Without one,
+        colours are integrated out, and it is 0 as long as nobody else than the background has predicted
+        anything. Colours of several chains' layers at one pixel are taken for independent there.
+        """
+        background, image = self.background, self.image
+        if background is None:
             return 0.0
+        if image is None:
+            clear, covered = background.prior, 1 - background.prior
+            masses = (clear * region.clear + covered * region.explained for region in self.regions)
+            return sum(float(np.log(mass, dtype=np.float64).sum()) for mass in masses)
         if not self.layers:
-            return self.background.log_likelihood(self.image)
+            return background.log_likelihood(image)
         shift = np.zeros(self.size, np.float32)
         explained = 0.0
         for region in self.regions:
             shift[region.window] = region.shift
             explained += float(np.log(region.explained, dtype=np.float64).sum())
-        return self.background.log_likelihood(self.image, shift.reshape(-1)) + explained
+        return background.log_likelihood(image, shift.reshape(-1)) + explained
 
     def _log_odds(self) -> NDArray[np.int8]:
         """`(height, width)` int8 log odds of background without the layers."""

@@ -1,4 +1,4 @@
-"""What one image says of a person's upper body: faces, flesh, its blobs, edges."""
+"""What one image says of a person's upper body: faces, skin, its blobs, edges."""
 
 from dataclasses import dataclass
 
@@ -24,25 +24,17 @@ class BodyImage:
 
     Parameters
     ----------
-    flesh
-        `(height, width)` float32 nats: log odds of the pixel's colour on flesh against anything else, between
+    skin
+        `(height, width)` float32 nats: log odds of the pixel's colour on skin against anything else, between
         -4 and 4; `None` where there is no colour to tell from.
-    moving
-        the same less what is flesh all the time: for hands.
+    moving_skin
+        the same less what is skin all the time: for hands.
     edges
         `(height, width)` float32 px: distance to the nearest edge, capped at a sixth of the head's height.
     edge_directions
         `(height, width)` float32 rad, between 0 and pi: the normal of the nearest edge, as angle from x to y.
-    faces
-        `(k, 4)` px: boxes x, y, width, height of the detected faces, the surest first.
-    head_centres
-        `(k, 2)` px: of the heads that these faces belong to, from chin to skull.
-    head_covariances
-        `(k, 2, 2)` px^2: of these.
     blobs
-        `(m, 2)` px: centres of places with as much flesh as a hand shows, the strongest first.
-    blob_covariances
-        `(m, 2, 2)` px^2: of the hand's centre, if the blob is a hand.
+        `(m, 2)` px: centres of places with as much skin as a hand shows, the strongest first.
     blob_log_weights
         `(m,)`: log of the probability ratio that the blob is some given hand against clutter, up to one
         constant.
@@ -50,15 +42,11 @@ class BodyImage:
         the evidence phi(I, F) of head and hands that faces and blobs give.
     """
 
-    flesh: NDArray[np.float32] | None
-    moving: NDArray[np.float32] | None
+    skin: NDArray[np.float32] | None
+    moving_skin: NDArray[np.float32] | None
     edges: NDArray[np.float32]
     edge_directions: NDArray[np.float32]
-    faces: NDArray[np.float64]
-    head_centres: NDArray[np.float64]
-    head_covariances: NDArray[np.float64]
     blobs: NDArray[np.float64]
-    blob_covariances: NDArray[np.float64]
     blob_log_weights: NDArray[np.float64]
     mixtures: GaussianMixtures
 

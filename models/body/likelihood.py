@@ -1,47 +1,53 @@
-"""How well poses of a body explain an image: face, flesh and occlusion edges (RSMCM paper §4.1)."""
+"""How well poses of a body explain an image: face, skin and occlusion edges (RSMCM paper §4.1)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from .image_features import BodyImage
-from .kernels.likelihood import blob_terms, edge_features, edge_terms, hand_terms, head_terms, over_density
+from .kernels.likelihood import (
+    HandModel,
+    blob_terms,
+    edge_features,
+    edge_terms,
+    hand_terms,
+    head_terms,
+    over_density,
+)
 from .poses import BodyPoses
 from .silhouette import silhouettes
+from .skin_colour import HIGHEST
 from .upper_body import UpperBody
 
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 
 CELLS = 5.0
-"""Entries of the flesh maps in a hand's radius."""
+"""Entries of the skin maps in a hand's radius."""
 
 WINDOWS = (0.4, 1.6)
-"""Hand radii: standard deviations of the windows that weigh flesh in a hand and flesh around it. Beside other
+"""Hand radii: standard deviations of the windows that weigh skin in a hand and skin around it. Beside other
 widths these had the least error, 0.03 head heights on hands of a synthetic signer."""
 
-FLESH_SCORES = (11.0, -1.0, 0.2)
-"""Nats of a place that looks all like a hand, and of one that does not; probability of a hand without flesh.
-With these a hand's place is known to about 0.07 head heights, as real hands are off their model by. Flesh is
+SKIN_SCORES = (11.0, -1.0, 0.2)
+"""Nats of a place that looks all like a hand, and of one that does not; probability of a hand without skin.
+With these a hand's place is known to about 0.07 head heights, as real hands are off their model by. Skin is
 hidden in bursts, where frame after frame says the same: the second must not drive a hand to the face."""
 
 LEVELS = 256
 """Entries of tables over distances and directions."""
 
-MOST_FLESH = 4.0
-"""Nats: greatest log odds of flesh."""
-
 HEAD_WINDOWS = (0.5, 1.2)
-"""Half widths and heights of the head: standard deviations of the windows for its flesh."""
+"""Half widths and heights of the head: standard deviations of the windows for its skin."""
 
 HEAD_SCORES = (5.0, 0.2)
-"""Nats of a place with all the flesh of a head, where no face is detected; probability of a head without."""
+"""Nats of a place with all the skin of a head, where no face is detected; probability of a head without."""
 
 NECK_RADIUS, NO_NECK = 0.28, -9.0
-"""Head heights: of bare flesh between head and shoulders; of none, since all that rests is left out."""
+"""Head heights: of bare skin between head and shoulders; of none, since all that rests is left out."""
 
 BLOB_COST = 4.0
 """Nats: of what looks like a hand and is neither hand nor head."""
@@ -71,23 +77,18 @@ EDGE_POINTS = 20.0
 """Independent points of a whole outline: neighbours on it err together."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Maps:
-    """What is looked up for every pose: flesh of hands, flesh of the head if it is not detected, edges."""
-
-    flesh: tuple[Map, Map] | None
-    head: Map | None
-    ratios: Map
+PoseLikelihood = Callable[[BodyImage], Callable[[BodyPoses], Array]]
+"""Of an image, and then of poses `(n,)`: log p(image | pose) in nats, up to a constant of the image."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class BodyLikelihood:
     """Log likelihood of an image given poses, up to a constant of the image.
 
-    The image speaks through a face detector for the head, through flesh colour for the hands and through
+    The image speaks through a face detector for the head, through skin colour for the hands and through
     edges for the outline, as in the paper, which gives no formulas. Here each term is the log ratio of how
     likely the cue is under the pose to how likely it is anywhere in the picture, with a chance that the cue
-    fails: a hand without flesh, as is expected in every fifth frame, loses a few nats and no more.
+    fails: a hand without skin, as is expected in every fifth frame, loses a few nats and no more.
 
     Parameters
     ----------
@@ -97,91 +98,115 @@ class BodyLikelihood:
 
     body: UpperBody
 
-    def __call__(self, image: BodyImage, poses: BodyPoses) -> Array:
+    def __call__(self, image: BodyImage) -> "ImageLikelihood":
+        """The likelihood of this image, ready for any number of poses."""
+        unit, skin, head = self.body.head_height, None, None
+        if image.skin is not None and image.moving_skin is not None:
+            skin = skin_maps(image.moving_skin, self.body.hand)
+            if not image.mixtures.informative[0]:
+                head = head_map(image.skin, self.body)
+        edges = edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit)
+        return ImageLikelihood(self.body, image, skin, head, edges)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageLikelihood:
+    """The maps of one image in which poses are looked up.
+
+    Parameters
+    ----------
+    body, image
+        which are compared.
+    skin
+        of hands, see `skin_maps`; `None` without colour.
+    head
+        skin of the head, if no face is detected, see `head_map`.
+    edges
+        see `edge_ratios`.
+    """
+
+    body: UpperBody
+    image: BodyImage
+    skin: tuple[Map, Map] | None
+    head: Map | None
+    edges: Map
+
+    def __call__(self, poses: BodyPoses) -> Array:
         """log p(image | pose) `(n,)` nats, up to a constant."""
-        total: Array = self.terms(image, poses).sum(axis=0)
+        total: Array = self.terms(poses).sum(axis=0)
         return total
 
-    def terms(self, image: BodyImage, poses: BodyPoses) -> Array:
-        """`(3, n)` nats: what face, flesh and edges say, each up to a constant.
+    def terms(self, poses: BodyPoses) -> Array:
+        """`(3, n)` nats: what face, skin and edges say, each up to a constant.
 
-        The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of flesh
+        The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of skin
         stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,
-        flesh that looks like one more hand with `blob_terms`, the outline with `edge_terms`.
+        skin that looks like one more hand with `blob_terms`, the outline with `edge_terms`.
         """
-        maps = _maps(self.body, image)
-        parts = self.body.parts(poses)
+        body, image = self.body, self.image
+        parts = body.parts(poses)
         terms = np.zeros((3, len(poses)))
         terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
-        if maps.head is not None:
-            head_terms(parts[:, 0], maps.head, _scales(maps.head, image), np.array(HEAD_SCORES), terms[0])
-        if maps.flesh is not None:
-            self._add_flesh(terms[1], image, maps.flesh, parts, poses.roots)
-        outlines = silhouettes(self.body, poses)
+        if self.head is not None:
+            head_terms(parts[:, 0], self.head, _scales(self.head, image), np.array(HEAD_SCORES), terms[0])
+        if self.skin is not None:
+            hand = hand_model(body, NECK_RADIUS if image.moving_skin is image.skin else NO_NECK)
+            hand_terms(parts, poses.roots, *self.skin, _scales(self.skin[0], image), hand, terms[1])
+            # the odds that a blob is a hand; what is hardly one need not be explained
+            costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
+            blob_terms(parts, image.blobs, costs, body.head_height * np.array(BLOB_REACH), terms[1])
+        outlines = silhouettes(body, poses)
         edge_terms(
-            outlines.points, outlines.normals, outlines.visible, maps.ratios, EDGE_POINTS,
+            outlines.points, outlines.normals, outlines.visible, self.edges, EDGE_POINTS,
             np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)]), NO_EDGE, terms[2],
         )  # fmt: skip
         return terms
 
-    def _add_flesh(
-        self, term: Array, image: BodyImage, flesh: tuple[Map, Map], parts: Array, roots: Array
-    ) -> None:
-        body = self.body
-        neck = NECK_RADIUS if image.moving is image.flesh else NO_NECK
-        hand_terms(
-            parts, roots, *flesh, _scales(flesh[0], image),
-            body.hand, body.hand * np.array(WINDOWS), 0.5 * np.array([body.head_width, body.head_height]),
-            neck * body.head_height, np.array(FLESH_SCORES), term,
-        )  # fmt: skip
-        # the odds that a blob is a hand; what is hardly one need not be explained
-        costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
-        blob_terms(parts, image.blobs, costs, body.head_height * np.array(BLOB_REACH), term)
+
+def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS) -> HandModel:
+    """What a hand of this body looks like; the neck's radius is in head heights."""
+    return HandModel(
+        body.hand,
+        body.hand * np.array(WINDOWS),
+        0.5 * np.array([body.head_width, body.head_height]),
+        neck_radius * body.head_height,
+        np.array(SKIN_SCORES),
+    )
 
 
-@lru_cache(maxsize=2)
-def _maps(body: UpperBody, image: BodyImage) -> _Maps:
-    unit, flesh, head = body.head_height, None, None
-    if image.flesh is not None and image.moving is not None:
-        flesh = flesh_maps(image.moving, body.hand)
-        if not image.mixtures.informative[0]:
-            head = head_map(image.flesh, body)
-    return _Maps(flesh, head, edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit))
+def skin_maps(skin: Map, hand: float) -> tuple[Map, Map]:
+    """Mean skin, from 0 to 1, in Gaussian windows of a hand's size and around it.
 
-
-def flesh_maps(flesh: Map, hand: float) -> tuple[Map, Map]:
-    """Mean flesh, from 0 to 1, in Gaussian windows of a hand's size and around it.
-
-    It grows with the log odds from where they are even: what is only rather like flesh, such as beige
+    It grows with the log odds from where they are even: what is only rather like skin, such as beige
     trousers, counts for little, and what is unlike it for nothing, however much.
 
     Parameters
     ----------
-    flesh
+    skin
         `(height, width)` float32 nats: log odds.
     hand
         px: radius. The maps have an entry each fifth of it, or each px.
     """
     shrink = min(CELLS / hand, 1.0)
-    share = _share(flesh, shrink)
+    share = _share(skin, shrink)
     centre, surround = (
         np.asarray(cv2.GaussianBlur(share, (0, 0), window * shrink * hand), np.float32) for window in WINDOWS
     )
     return centre, surround
 
 
-def head_map(flesh: Map, body: UpperBody) -> Map:
-    """How much more flesh there is in a head's place than around it, 1 for an ellipse of nothing else.
+def head_map(skin: Map, body: UpperBody) -> Map:
+    """How much more skin there is in a head's place than around it, 1 for an ellipse of nothing else.
 
     Parameters
     ----------
-    flesh
+    skin
         `(height, width)` float32 nats: log odds.
     body
         of the head.
     """
     shrink = min(CELLS / body.hand, 1.0)
-    share = _share(flesh, shrink)
+    share = _share(skin, shrink)
     across, down = 0.5 * shrink * body.head_width, 0.5 * shrink * body.head_height
     inner, outer = (
         cv2.GaussianBlur(share, (0, 0), window * across, sigmaY=window * down) for window in HEAD_WINDOWS
@@ -190,11 +215,11 @@ def head_map(flesh: Map, body: UpperBody) -> Map:
     return np.asarray((inner - outer) / np.float32(ideal), np.float32)
 
 
-def _share(flesh: Map, shrink: float) -> Map:
-    """Flesh from 0 to 1, in a picture that is `shrink` times as large."""
-    height, width = (max(round(shrink * length), 2) for length in flesh.shape)
-    coarse = cv2.resize(flesh, (width, height), interpolation=cv2.INTER_AREA)
-    return np.maximum(coarse, np.float32(0)) * np.float32(1 / MOST_FLESH)
+def _share(skin: Map, shrink: float) -> Map:
+    """Skin from 0 to 1, in a picture that is `shrink` times as large."""
+    height, width = (max(round(shrink * length), 2) for length in skin.shape)
+    coarse = cv2.resize(skin, (width, height), interpolation=cv2.INTER_AREA)
+    return np.maximum(coarse, np.float32(0)) * np.float32(1 / HIGHEST)
 
 
 def _scales(coarse: Map, image: BodyImage) -> Array:

@@ -12,9 +12,9 @@ from ..core.frame import Frame
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..face.detectors import HaarFaces, PartDetector
 from .image_features import BodyImage, edge_distances
-from .skin_blobs import FleshBlobs, flesh_blobs
-from .skin_colour import HIGHEST, FleshColour
-from .static_skin import still_flesh
+from .skin_blobs import SkinBlobs, skin_blobs
+from .skin_colour import HIGHEST, SkinColour
+from .static_skin import static_skin
 from .upper_body import PARTS
 
 Array = NDArray[np.float64]
@@ -36,10 +36,10 @@ EDGE_REACH = 1 / 6
 """Of the head's height: as far as an edge is felt."""
 
 HEAD_ELLIPSE, NECK_ELLIPSE = (0.0, 0.0, 0.38, 0.49), (0.0, 0.62, 0.26, 0.32)
-"""In head heights: centres, from the head's, and half axes of what the flesh of face and throat fills."""
+"""In head heights: centres, from the head's, and half axes of what the skin of face and throat fills."""
 
 HEAD_BLOB = 0.42
-"""Of the head's height: radius of the disc of flesh that a head is without a face detector."""
+"""Of the head's height: radius of the disc of skin that a head is without a face detector."""
 
 KNOWN = 0.35
 """Of the head's height: where chains know its place better than this, they show where it is."""
@@ -47,8 +47,8 @@ KNOWN = 0.35
 FACE_FOUND, FALSE_FACES = 0.8, 0.05
 """Chance that a face is detected, and number of false detections in an image."""
 
-HEAD_FLESH, FALSE_HEADS = 0.6, 3.0
-"""The same of a head's blob of flesh."""
+HEAD_SKIN, FALSE_HEADS = 0.6, 3.0
+"""The same of a head's blob of skin."""
 
 HAND_FOUND, FALSE_HANDS = 0.8, 4.0
 """The same of a hand's blob."""
@@ -99,18 +99,18 @@ class BodyParts:
     ----------
     head_height
         px, from chin to skull: all sizes are in its units.
-    flesh
-        the person's flesh colour; without it (grey video), the image says nothing of the hands but edges.
+    skin
+        the person's skin colour; without it (grey video), the image says nothing of the hands but edges.
     detector
-        of faces; without it, the head is where a head's size of flesh is.
-    still
-        `(height, width)` nats: `still_flesh` of the clip, which hands are told from.
+        of faces; without it, the head is where a head's size of skin is.
+    static_skin
+        `(height, width)` nats: `static_skin` of the clip, which hands are told from.
     """
 
     head_height: float
-    flesh: FleshColour | None = None
+    skin: SkinColour | None = None
     detector: PartDetector | None = None
-    still: NDArray[np.float32] | None = None
+    static_skin: NDArray[np.float32] | None = None
     name: str = "parts"
 
     searches = True
@@ -121,7 +121,7 @@ class BodyParts:
 
     @classmethod
     def learned(cls, images: Sequence[NDArray[np.uint8]], detector: PartDetector) -> Self:
-        """Learn the head's size and the flesh's colour from the faces found in some frames of a clip.
+        """Learn the head's size and the skin's colour from the faces found in some frames of a clip.
 
         Raises
         ------
@@ -142,9 +142,9 @@ class BodyParts:
         height = float(np.median([box[3] for box in boxes]))
         if isinstance(detector, HaarFaces):
             detector = replace(detector, height=height)
-        flesh = FleshColour.learned(seen, np.array(boxes))
-        still = None if flesh is None else still_flesh(flesh, [images[number] for number in chosen])
-        return cls(HEAD_OF_BOX * height, flesh, detector, still)
+        skin = SkinColour.learned(seen, np.array(boxes))
+        still = None if skin is None else static_skin(skin, [images[number] for number in chosen])
+        return cls(HEAD_OF_BOX * height, skin, detector, still)
 
     def uniform(self) -> PartMessage:
         """The message that says nothing."""
@@ -163,34 +163,32 @@ class BodyParts:
         frame
             of a missing one, nothing is said.
         prior
-            shows where the head is when no face is detected, so that hands are told from its flesh.
+            shows where the head is when no face is detected, so that hands are told from its skin.
         """
         image = frame.image
         if image is None:
             return self.uniform()
         height = self.head_height
-        flesh = None if self.flesh is None else self.flesh.log_odds(image)
+        skin = None if self.skin is None else self.skin.log_odds(image)
         faces = np.zeros((0, 4)) if self.detector is None else self.detector(frame)
         centres = faces[:, :2] + faces[:, 2:] * (0.5, CENTRE_OF_BOX)
-        if flesh is not None:
-            centres = _recentred(centres, flesh, height)
+        if skin is not None:
+            centres = _recentred(centres, skin, height)
         spread = np.diag(np.square(np.array(HEAD_SPREAD) * height))
         covariances = np.broadcast_to(spread, (len(faces), 2, 2)).copy()
-        heads = FleshBlobs(centres, covariances, np.zeros(len(faces)))
-        hands, moving = FleshBlobs.none(), None
+        heads = SkinBlobs(centres, covariances, np.zeros(len(faces)))
+        hands, moving = SkinBlobs.none(), None
         found, false = FACE_FOUND, FALSE_FACES
-        if flesh is not None:
+        if skin is not None:
             known = centres if len(faces) else self._known_head(prior, image.shape)
             faces_there = _ellipses(known, HEAD_ELLIPSE, height)
-            moving = self._moving(flesh, faces_there)
+            moving = self._moving(skin, faces_there)
             bare = (
-                [faces_there]
-                if moving is not flesh
-                else [faces_there, _ellipses(known, NECK_ELLIPSE, height)]
+                [faces_there] if moving is not skin else [faces_there, _ellipses(known, NECK_ELLIPSE, height)]
             )
-            hands = flesh_blobs(moving, HAND_RADIUS * height, np.concatenate(bare))
+            hands = skin_blobs(moving, HAND_RADIUS * height, np.concatenate(bare))
             if not len(faces):
-                heads, found, false = flesh_blobs(flesh, HEAD_BLOB * height), HEAD_FLESH, FALSE_HEADS
+                heads, found, false = skin_blobs(skin, HEAD_BLOB * height), HEAD_SKIN, FALSE_HEADS
         area = image.shape[0] * image.shape[1]
         hand_weights = np.log(HAND_FOUND * area / FALSE_HANDS) + hands.log_weights
         lost_head = np.log(1 - found) if len(heads.means) else 0.0
@@ -204,29 +202,17 @@ class BodyParts:
             [len(numbers) + np.arange(len(heads.means)), numbers, numbers],
         )
         edges, directions = edge_distances(image, EDGE_REACH * height)
-        seen = BodyImage(
-            flesh,
-            moving,
-            edges,
-            directions,
-            faces,
-            centres,
-            covariances,
-            hands.means,
-            hands.covariances,
-            hands.log_weights,
-            mixtures,
-        )
+        seen = BodyImage(skin, moving, edges, directions, hands.means, hands.log_weights, mixtures)
         return PartMessage(self.uniform().predicted, seen)
 
-    def _moving(self, flesh: NDArray[np.float32], faces: Array) -> NDArray[np.float32]:
-        """Flesh less what is there all the time; but of faces none is lost, since heads move."""
-        if self.still is None or self.still.shape != flesh.shape:
-            return flesh
-        still = self.still.copy()
+    def _moving(self, skin: NDArray[np.float32], faces: Array) -> NDArray[np.float32]:
+        """Skin less what is there all the time; but of faces none is lost, since heads move."""
+        if self.static_skin is None or self.static_skin.shape != skin.shape:
+            return skin
+        still = self.static_skin.copy()
         for x, y, across, down in faces:
             cv2.ellipse(still, ((x, y), (2 * across, 2 * down), 0.0), 0.0, cv2.FILLED)
-        return np.asarray(np.maximum(flesh - still, np.float32(-HIGHEST)))
+        return np.asarray(np.maximum(skin - still, np.float32(-HIGHEST)))
 
     def _known_head(self, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: the head's centre, k = 1, if the chains know it."""
@@ -240,16 +226,16 @@ def _ellipses(heads: Array, shape: tuple[float, ...], height: float) -> Array:
     return np.hstack([heads, np.zeros_like(heads)]) + height * np.array(shape)
 
 
-def _recentred(centres: Array, flesh: NDArray[np.float32], height: float) -> Array:
-    """Heads `(k, 2)` px moved sideways to the middle of their flesh: of one that looks away, a detector
+def _recentred(centres: Array, skin: NDArray[np.float32], height: float) -> Array:
+    """Heads `(k, 2)` px moved sideways to the middle of their skin: of one that looks away, a detector
     finds the face, which is not its middle.
     """
     moved = centres.copy()
-    columns = np.arange(flesh.shape[1])
+    columns = np.arange(skin.shape[1])
     for centre in moved:
         x, y = centre
-        top, bottom = (int(np.clip(y + step * height, 0, flesh.shape[0])) for step in (-0.35, 0.25))
-        odds = flesh[top:bottom]
+        top, bottom = (int(np.clip(y + step * height, 0, skin.shape[0])) for step in (-0.35, 0.25))
+        odds = skin[top:bottom]
         share = (odds > 0).sum(axis=0) * (np.abs(columns - x) < 0.55 * height)
         if share.any():
             centre[0] = x + np.clip(share @ columns / share.sum() - x, -0.2 * height, 0.2 * height)

@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.pose import exponential, logarithm
+from ..numerics.rotations import logarithm
 
 Array = NDArray[np.float64]
 
@@ -40,12 +40,6 @@ class BodyPoses:
         return len(self.roots)
 
     @classmethod
-    def resting(cls, roots: Array) -> Self:
-        """Bodies at `roots` `(n, 2)` px that look at the viewer, with their arms hanging straight down."""
-        n = len(roots)
-        return cls(np.asarray(roots, np.float64), np.zeros((n, 3)), np.tile([0.0, 1.0, 0.0], (n, 2, 2, 1)))
-
-    @classmethod
     def concatenated(cls, parts: Sequence["BodyPoses"]) -> Self:
         """All poses of `parts`, one after the other."""
         return cls(
@@ -74,26 +68,6 @@ class BodyPoses:
         per_arm[:, :, 3] = flexions
         return angles
 
-    @classmethod
-    def from_angles(cls, angles: Array) -> Self:
-        """Poses from the rows of `angles` `(n, 13)`, as the property `angles` gives them.
-
-        Raises
-        ------
-        ValueError
-            if `angles` is not of this shape.
-        """
-        angles = np.asarray(angles, np.float64)
-        if angles.ndim != 2 or angles.shape[1] != ANGLES:
-            raise ValueError(f"angles of an upper body must be (n, {ANGLES}), got {angles.shape}")
-        n = len(angles)
-        per_arm = angles[:, 5:].reshape(n, 2, 4)
-        rotations = exponential(per_arm[:, :, :3].reshape(2 * n, 3)).reshape(n, 2, 3, 3)
-        flexions = per_arm[:, :, 3, None]
-        upper_arms = rotations[..., 1]
-        forearms = np.cos(flexions) * upper_arms - np.sin(flexions) * rotations[..., 2]
-        return cls(angles[:, :2].copy(), angles[:, 2:5].copy(), np.stack([upper_arms, forearms], axis=2))
-
 
 def shoulder_rotations(arms: Array) -> tuple[Array, Array]:
     """Rotations of the shoulders and flexions of the elbows of `arms` `(..., 2, 3)` [upper arm, forearm].
@@ -118,42 +92,18 @@ def shoulder_rotations(arms: Array) -> tuple[Array, Array]:
 
 def transport(upper: Array) -> Array:
     """`(..., 3, 3)`: the shortest rotations that lead a hanging arm (0, 1, 0) to `upper` `(..., 3)`."""
-    x, z = upper[..., 0], upper[..., 2]
-    shrink, turned_over = _shrink(upper)
+    x, y, z = upper[..., 0], upper[..., 1], upper[..., 2]
+    square = x * x + z * z
+    turned_over = (square < 1e-28) & (y < 0)
+    # 1 / (1 + y), which loses its digits near the top, where it equals (1 - y) / (1 - y^2)
+    below = (1 - y) / np.maximum(square, 1e-28)
+    shrink = np.where(y < 0, below, 1 / np.maximum(1 + y, 0.5))
     rotations = np.empty((*upper.shape, 3))
     rotations[..., 0, 0], rotations[..., 1, 0], rotations[..., 2, 0] = 1 - x * x * shrink, -x, -x * z * shrink
     rotations[..., :, 1] = upper
     rotations[..., 0, 2], rotations[..., 1, 2], rotations[..., 2, 2] = -x * z * shrink, -z, 1 - z * z * shrink
     rotations[turned_over] = np.diag([1.0, -1.0, -1.0])
     return rotations
-
-
-def twists(arms: Array) -> Array:
-    """`(...)` rad: turns about the upper arms of `arms` `(..., 2, 3)` that `transport` leaves out.
-
-    The shoulder's rotation is a turn about (0, 1, 0) by this angle, then the transport. The turn is positive
-    where the forearm of a hanging arm points to the left of the picture, to the person's right.
-    """
-    upper = arms[..., 0, :]
-    axis = cross(arms[..., 1, :], upper)
-    x, z = upper[..., 0], upper[..., 2]
-    shrink, turned_over = _shrink(upper)
-    shared = shrink * (x * axis[..., 0] + z * axis[..., 2]) + axis[..., 1]
-    # products of the elbow's axis with the first and the third column of `transport`
-    first, third = axis[..., 0] - x * shared, axis[..., 2] - z * shared
-    angles: Array = np.arctan2(np.where(turned_over, third, -third), first)
-    return angles
-
-
-def _shrink(upper: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """1 / (1 + y) of `upper` `(..., 3)` or 0 where it points straight up, and whether it does."""
-    x, y, z = upper[..., 0], upper[..., 1], upper[..., 2]
-    square = x * x + z * z
-    turned_over = (square < 1e-28) & (y < 0)
-    # 1 + y loses its digits near the top, where it equals (1 - y^2) / (1 - y)
-    below = (1 - y) / np.where((y < 0) & ~turned_over, square, 1.0)
-    shrink = np.where(y < 0, below, 1 / np.maximum(1 + y, 0.5))
-    return np.where(turned_over, 0.0, shrink), turned_over
 
 
 def cross(first: Array, second: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics.threads import over_bands
-from .kernels.silhouette import outlines, paint
+from .kernels.silhouette import Solid, outlines, paint
 from .poses import BodyPoses
 
 if TYPE_CHECKING:
@@ -48,8 +48,6 @@ class Silhouettes:
         `(n, m, 2)` float32: of unit length, out of the part.
     visible
         `(n, m)`: not hidden by another part; ends of limbs that are inside their neighbours are hidden too.
-    backed
-        `(n, m)`: visible, with another part of the body behind: sleeve before shirt, often without an edge.
     part
         `(m,)`: number of the part in `OUTLINE_PARTS`, the same for all poses.
     """
@@ -57,7 +55,6 @@ class Silhouettes:
     points: Floats
     normals: Floats
     visible: NDArray[np.bool_]
-    backed: NDArray[np.bool_]
     part: NDArray[np.intp]
 
 
@@ -65,47 +62,34 @@ def silhouettes(body: "UpperBody", poses: BodyPoses) -> Silhouettes:
     """Outlines of `poses`: ellipse of the head, tapered limbs, torso's sides and shoulders, round hands."""
     n = len(poses)
     solid = _solid(body)
-    part, firsts, circles = _layout()
-    m = len(part)
+    m = len(solid.circles)
     points, normals = np.empty((n, m, 2), np.float32), np.empty((n, m, 2), np.float32)
-    visible, backed = np.empty((n, m), np.bool_), np.empty((n, m), np.bool_)
+    visible = np.empty((n, m), np.bool_)
 
     def trace(first: int, end: int) -> None:
         rows = slice(first, end)
         outlines(
-            poses.roots[rows], poses.necks[rows], poses.arms[rows], solid.lengths, solid.torso,
-            solid.torso_points, solid.torso_normals, circles, firsts,
-            np.float32(0.02 * body.head_height), _RIM,
-            points[rows], normals[rows], visible[rows], backed[rows],
+            poses.roots[rows], poses.necks[rows], poses.arms[rows], solid,
+            points[rows], normals[rows], visible[rows],
         )  # fmt: skip
 
     if n < _WORTH_THREADS:
         trace(0, n)
     else:
         over_bands(trace, n)
-    return Silhouettes(points, normals, visible, backed, part)
+    part = np.repeat(np.arange(len(OUTLINE_PARTS)), np.diff(solid.firsts))
+    return Silhouettes(points, normals, visible, part)
 
 
 def masks(body: "UpperBody", poses: BodyPoses, size: tuple[int, int]) -> NDArray[np.uint8]:
     """`(n, h, w)` pictures of `size` (h, w): 0, or 1 + the number in `OUTLINE_PARTS` of the nearest part."""
     labels = np.zeros((len(poses), *size), np.uint8)
-    solid = _solid(body)
-    paint(poses.roots, poses.necks, poses.arms, solid.lengths, solid.torso, labels)
+    paint(poses.roots, poses.necks, poses.arms, _solid(body), labels)
     return labels
 
 
-@dataclass(frozen=True, eq=False)
-class _Solid:
-    """A body as the kernels take it."""
-
-    lengths: Array
-    torso: Floats
-    torso_points: Floats
-    torso_normals: Floats
-
-
 @lru_cache(maxsize=8)
-def _solid(body: "UpperBody") -> _Solid:
+def _solid(body: "UpperBody") -> Solid:
     lengths = np.array(
         [
             body.neck,
@@ -136,22 +120,15 @@ def _solid(body: "UpperBody") -> _Solid:
         across = np.tile([bottom - top, narrow - wide], (count, 1)) / np.hypot(bottom - top, wide - narrow)
         points += [right, right * [-1, 1]]
         normals += [across, across * [-1, 1]]
-    return _Solid(
+    counts = [_COUNTS[name.removeprefix("left_").removeprefix("right_")] for name in OUTLINE_PARTS]
+    turns = np.concatenate([2 * np.pi * (np.arange(count) + 0.5) / count for count in counts])
+    return Solid(
         lengths,
         pieces.astype(np.float32),
         np.concatenate(points).astype(np.float32),
         np.concatenate(normals).astype(np.float32),
+        np.stack([np.cos(turns), np.sin(turns)], axis=1).astype(np.float32),
+        np.cumsum([0, *counts]),
+        np.float32(0.02 * body.head_height),
+        _RIM,
     )
-
-
-@lru_cache(maxsize=1)
-def _layout() -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:
-    """Part of each point, first point of each part (and the end), points of unit circles."""
-    counts = [_COUNTS[name.removeprefix("left_").removeprefix("right_")] for name in OUTLINE_PARTS]
-    circles = []
-    for count in counts:
-        turns = 2 * np.pi * (np.arange(count) + 0.5) / count
-        circles.append(np.stack([np.cos(turns), np.sin(turns)], axis=1))
-    part = np.repeat(np.arange(len(counts)), counts)
-    part.flags.writeable = False
-    return part, np.cumsum([0, *counts]), np.concatenate(circles).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Places with as much flesh as a hand shows, or a head."""
+"""Places with as much skin as a hand shows, or a head."""
 
 from dataclasses import dataclass
 
@@ -20,33 +20,33 @@ APART, TOGETHER = 0.5, 0.55
 """Radii: peaks are the highest within the first; of two places within the second, one is left."""
 
 LEAST_CONTRAST = 0.03
-"""Of the share of flesh in the two windows; 0.4 for a lone disc."""
+"""Of the share of skin in the two windows; 0.4 for a lone disc."""
 
 LEVEL, PENALTY = 1.5, 2.0
 """A place's log weight: 1.5 times the mean log odds in the inner window, less those in the outer one, less 2.
-Neither enough says much: cloth in flesh's colour has a level without contrast, its corners contrast without
+Neither enough says much: cloth in skin's colour has a level without contrast, its corners contrast without
 level. On 16 frames of a real signer, hands had 0.6 and clutter -0.6 on average, both spread by 0.8."""
 
 OF_HEAD = 0.3
-"""As much does the head's flesh count when a hand's middle is worked out."""
+"""As much does the head's skin count when a hand's middle is worked out."""
 
 HIDDEN_BY_HEAD = 6.0
-"""Nats: the face has such places of its own, and a hand in front of it adds no flesh."""
+"""Nats: the face has such places of its own, and a hand in front of it adds no skin."""
 
 ONE_HAND = 0.9
-"""Radii^2 times pi, under a Gaussian window of one radius: more flesh than one hand shows (0.55 to 0.8)."""
+"""Radii^2 times pi, under a Gaussian window of one radius: more skin than one hand shows (0.55 to 0.8)."""
 
 HALF_APART = 0.55
 """Radii: half the distance of the two hands that such a place may be."""
 
 SPREAD, ELONGATION = 0.2, 0.15
-"""A place's covariance: the first squared, in radii, and this share of the flesh's own second moments."""
+"""A place's covariance: the first squared, in radii, and this share of the skin's own second moments."""
 
 MOST_BLOBS = 12
 
 
 @dataclass(frozen=True, eq=False)
-class FleshBlobs:
+class SkinBlobs:
     """Places where a hand, or a head, may be.
 
     Parameters
@@ -64,21 +64,21 @@ class FleshBlobs:
     log_weights: Array
 
     @classmethod
-    def none(cls) -> "FleshBlobs":
+    def none(cls) -> "SkinBlobs":
         """No place at all."""
         return cls(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
 
 
-def flesh_blobs(flesh: Map, radius: float, heads: Array | None = None) -> FleshBlobs:
-    """Find places of a hand's size with more flesh than there is around them.
+def skin_blobs(skin: Map, radius: float, heads: Array | None = None) -> SkinBlobs:
+    """Find places of a hand's size with more skin than there is around them.
 
     Hands beside and below the face are sought in the picture without it, which would outshine them. Where
-    there is more flesh than one hand shows, two that touch are listed as well.
+    there is more skin than one hand shows, two that touch are listed as well.
 
     Parameters
     ----------
-    flesh
-        `(height, width)` float32 nats: log odds of flesh.
+    skin
+        `(height, width)` float32 nats: log odds of skin.
     radius
         px: of a hand.
     heads
@@ -87,13 +87,13 @@ def flesh_blobs(flesh: Map, radius: float, heads: Array | None = None) -> FleshB
     """
     scale = min(1.0, COARSE_RADIUS / radius)
     reach = radius * scale
-    odds = np.asarray(cv2.resize(flesh, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.float32)
+    odds = np.asarray(cv2.resize(skin, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.float32)
     share = np.asarray(1 / (1 + np.exp(-odds)), np.float32)
     inside = _inside(share.shape, np.zeros((0, 4)) if heads is None else heads, scale)
     beside = np.where(inside, np.float32(0), share)
     places = _thinned(np.concatenate([_peaks(beside, reach), _peaks(share, reach)]), reach)
     if not len(places):
-        return FleshBlobs.none()
+        return SkinBlobs.none()
     means, moments, masses = _local(np.where(inside, np.float32(OF_HEAD) * share, share), places, reach)
     log_weights = _log_weights(odds, places, reach)
     log_weights -= np.where(inside[places[:, 1], places[:, 0]], HIDDEN_BY_HEAD, 0.0)
@@ -104,7 +104,7 @@ def flesh_blobs(flesh: Map, radius: float, heads: Array | None = None) -> FleshB
     log_weights = np.concatenate([log_weights, *2 * [log_weights[two] - np.log(2)]])
     order = np.argsort(-log_weights, kind="stable")[:MOST_BLOBS]
     covariances = (SPREAD * reach) ** 2 * np.eye(2) + ELONGATION * moments[order]
-    return FleshBlobs((means[order] + 0.5) / scale - 0.5, covariances / scale**2, log_weights[order])
+    return SkinBlobs((means[order] + 0.5) / scale - 0.5, covariances / scale**2, log_weights[order])
 
 
 def _inside(shape: tuple[int, ...], heads: Array, scale: float) -> NDArray[np.bool_]:
@@ -146,7 +146,7 @@ def _log_weights(odds: Map, places: NDArray[np.int64], reach: float) -> Array:
 
 
 def _local(share: Map, places: NDArray[np.int64], reach: float) -> tuple[Array, Array, Array]:
-    """Flesh near places: its centre `(n, 2)`, second moments `(n, 2, 2)` and amount `(n,)`, in pixels."""
+    """Skin near places: its centre `(n, 2)`, second moments `(n, 2, 2)` and amount `(n,)`, in pixels."""
     half = int(np.ceil(2.5 * reach))
     steps = np.arange(-half, half + 1)
     padded = np.pad(share, half)

@@ -1,4 +1,4 @@
-"""What colour a person's flesh has, learned from the person's face: no skin colour is built in."""
+"""What colour a person's skin has, learned from the person's face: no skin colour is built in."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ FLOOR = 1 / 30
 """Added to both densities, in units of the uniform one: colours that nobody has seen say nothing."""
 
 HIGHEST = 4.0
-"""Nats: as much as one pixel can say for or against flesh."""
+"""Nats: as much as one pixel can say for or against skin."""
 
 LEAST_COLOUR = 4.0
 """Levels that the colour of one pixel in a hundred has to differ from grey; compression makes 1 to 3."""
@@ -40,7 +40,7 @@ BLUR = 0.8
 
 
 @dataclass(frozen=True, eq=False)
-class FleshColour:
+class SkinColour:
     """How much more often colours are seen in a face than elsewhere.
 
     Parameters
@@ -68,8 +68,8 @@ class FleshColour:
 
         Returns
         -------
-        FleshColour or None
-            `None` if the images have no colour: grey tells nothing of flesh.
+        SkinColour or None
+            `None` if the images have no colour: grey tells nothing of skin.
 
         Raises
         ------
@@ -93,7 +93,7 @@ class FleshColour:
         return cls(np.clip(ratio, -HIGHEST, HIGHEST).astype(np.float32))
 
     def log_odds(self, image: Image) -> NDArray[np.float32]:
-        """Log odds of flesh against anything else, where both are as likely without the colour.
+        """Log odds of skin against anything else, where both are as likely without the colour.
 
         Parameters
         ----------

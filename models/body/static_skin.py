@@ -1,16 +1,16 @@
-"""Flesh colour that is nearly always there, and so is no hand: clutter, trousers, the face itself."""
+"""Skin colour that is nearly always there, and so is no hand: clutter, trousers, the face itself."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .skin_colour import FleshColour
+from .skin_colour import SkinColour
 
 Map = NDArray[np.float32]
 
 SELDOM = 0.2
-"""Share of a clip in which a pixel has to be without flesh, so that flesh there is news."""
+"""Share of a clip in which a pixel has to be without skin, so that skin there is news."""
 
 FEWEST = 8
 """Frames, spread over a clip, of which this can be told."""
@@ -19,10 +19,10 @@ LEVELS = 16
 """Steps of the log odds per nat, so that many frames fit into memory."""
 
 
-def still_flesh(colour: FleshColour, images: Sequence[NDArray[np.uint8]]) -> Map | None:
-    """`(height, width)` nats: log odds of flesh that a pixel has in nearly all frames, 0 if it has none.
+def static_skin(colour: SkinColour, images: Sequence[NDArray[np.uint8]]) -> Map | None:
+    """`(height, width)` nats: log odds of skin that a pixel has in nearly all frames, 0 if it has none.
 
-    How much a flesh-coloured pixel speaks for a hand is its log odds less this.
+    How much a skin-coloured pixel speaks for a hand is its log odds less this.
 
     Parameters
     ----------

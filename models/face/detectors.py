@@ -172,8 +172,10 @@ def _is_survived(path: str, _changed: int) -> bool:
     return done.returncode == 0
 
 
-def default_faces(path: Path | None = None) -> PartDetector:
+def default_faces(path: Path | None = None, otherwise: str = "a model file of YuNet") -> PartDetector:
     """YuNet if its model file is given, OpenCV's cascades otherwise.
+
+    Where this OpenCV has none, the error says that something `otherwise` is expected.
 
     Raises
     ------
@@ -187,7 +189,7 @@ def default_faces(path: Path | None = None) -> PartDetector:
     try:
         return HaarFaces()
     except ValueError as error:
-        raise ValueError(f"{error}, expected a model file of YuNet") from None
+        raise ValueError(f"{error}, expected {otherwise}") from None
 
 
 def _cascade(name: str) -> Any:

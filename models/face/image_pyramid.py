@@ -1,6 +1,6 @@
 """A picture prepared for matching textures: light taken out, smoothed to several degrees."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -24,14 +24,13 @@ SMOOTHING = (0.0175, 0.05, 0.125)
 """Standard deviation of the smoothing of each level, in sizes of the object, fine to coarse."""
 
 
-@dataclass(frozen=True, eq=False)
-class Level:
+class Level(NamedTuple):
     """One level of a picture.
 
     Parameters
     ----------
     image
-        `(height, width)` float32 grey.
+        `(height, width)` float32 grey, its rows one after the other.
     scale
         px of the level per px of the picture: pixel x of the picture is at x scale + (scale - 1) / 2.
     """
@@ -40,7 +39,7 @@ class Level:
     scale: float
 
 
-def picture_levels(image: NDArray[np.uint8], size: float, *, n_levels: int, local_mean: bool) -> list[Level]:
+def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local_mean: bool) -> list[Level]:
     """Levels of a picture, fine to coarse; each is half as large as the one before.
 
     With `local_mean` grey values are divided by their mean about them, y <- 128 y / (mean + 5), which takes

@@ -109,12 +109,12 @@ def _rigid_poses(points: "MorphableModel", landmarks: Array, seen: NDArray[np.bo
     flat[:, 0, 0] = flat[:, 1, 1] = np.cos(angle)
     flat[:, 1, 0], flat[:, 0, 1] = np.sin(angle), -np.sin(angle)
     size = np.maximum(scales[:, :1], 1e-6)  # where nothing agrees with the shape
-    peaks = [
+    modes = [
         _peak(typical, landmarks, seen, Poses(rotations, cameras[:, 3], size), noise)
         for rotations in (turned, mirror @ turned @ mirror, flat)
     ]
-    chosen = np.argmin([cost for _, cost in peaks], axis=0)
-    best = Poses.concatenated([found for found, _ in peaks])[chosen * len(rows) + np.arange(len(rows))]
+    chosen = np.argmin([cost for _, cost in modes], axis=0)
+    best = Poses.concatenated([found for found, _ in modes])[chosen * len(rows) + np.arange(len(rows))]
     morphs = np.zeros((len(best), points.n_bases))
     morphs[:, 0] = best.sizes
     return Poses(best.rotations, best.translations, morphs)
@@ -127,7 +127,6 @@ def _peak(
 
     Levenberg and Marquardt's steps in units of rad and of the first size, so that all columns are alike.
     """
-    poses = poses.moved(np.zeros((1, poses.dimension)))  # written to below
     units = np.ones((len(poses), poses.dimension))
     units[:, 3:] = poses.sizes[:, None]
     sigma = noise * poses.sizes  # px; held, or it would reward large objects
@@ -146,12 +145,7 @@ def _peak(
         trial_cost = _cost(points, landmarks[moving], seen[moving], trial, sigma[moving])
         better = trial_cost <= cost[moving]
         taken = moving[better]
-        for whole, part in (
-            (poses.rotations, trial.rotations),
-            (poses.translations, trial.translations),
-            (poses.morphs, trial.morphs),
-        ):
-            whole[taken] = part[better]
+        poses = poses.replaced(taken, trial[better])
         cost[taken] = trial_cost[better]
         damping[moving] *= np.where(better, 0.2, 8.0)
         moving = moving[(np.abs(steps).max(axis=1) > _SMALL_STEP) & (damping[moving] < 1e9)]

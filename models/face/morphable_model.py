@@ -6,8 +6,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..numerics.rotations import cross_matrices
 from .landmark_fit import LANDMARK_NOISE, fit_points
-from .pose import RIGID, Poses, cross_matrices
+from .pose import RIGID, Poses
 from .surface_points import SurfacePoints
 
 Array = NDArray[np.float64]

@@ -1,7 +1,7 @@
 """Outlines of a projected mesh against what is behind it, and the pixels that it covers, in many poses."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,7 @@ MOST_POINTS = 512
 """Points of one outline."""
 
 
-@dataclass(frozen=True)
-class Box:
+class Box(NamedTuple):
     """A rectangle of whole pixels, which may reach over the picture's edge.
 
     Parameters
@@ -56,8 +55,7 @@ class Box:
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
 
-@dataclass(frozen=True, eq=False)
-class MeshEdges:
+class MeshEdges(NamedTuple):
     """Edges of a triangle mesh.
 
     Parameters
@@ -115,7 +113,7 @@ def covered(positions: NDArray[np.floating], triangles: NDArray[np.int64], box: 
     `positions` are `(n, n_vertices, 2)` px.
     """
     out = np.zeros((len(positions), box.height, box.width), np.uint8)
-    outline_kernels.cover(np.ascontiguousarray(positions, np.float32), triangles, box.top, box.left, out)
+    outline_kernels.cover(np.ascontiguousarray(positions, np.float32), triangles, box, out)
     return out
 
 
@@ -142,9 +140,15 @@ def outline(
     weights = np.zeros((n, MOST_POINTS, 3), np.float32)
     normals = np.zeros((n, MOST_POINTS, 2), np.float32)
     count = np.zeros(n, np.int64)
+    points = outline_kernels.OutlinePoints(vertices, weights, normals, count)
     outline_kernels.trace(
-        np.ascontiguousarray(positions, np.float32), edges.triangles, edges.ends, edges.sides, inside,
-        box.top, box.left, np.float32(spacing), np.float32(DEPTH), vertices, weights, normals, count,
-    )  # fmt: skip
+        np.ascontiguousarray(positions, np.float32),
+        edges,
+        inside,
+        box,
+        np.float32(spacing),
+        np.float32(DEPTH),
+        points,
+    )
     most = int(count.max(initial=0))
     return Outline(vertices[:, :most], weights[:, :most, :2], weights[:, :most, 2], normals[:, :most])

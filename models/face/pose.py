@@ -7,6 +7,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..numerics.rotations import exponential, logarithm, nearest_rotation
+
 Array = NDArray[np.float64]
 
 RIGID = 5
@@ -70,6 +72,15 @@ class Poses:
             np.concatenate([part.morphs for part in parts]),
         )
 
+    def replaced(self, which: NDArray[np.int64], poses: "Poses") -> Self:
+        """With `poses` in the places `which` `(k,)`."""
+        parts = []
+        for name in ("rotations", "translations", "morphs"):
+            part = getattr(self, name).copy()
+            part[which] = getattr(poses, name)
+            parts.append(part)
+        return type(self)(*parts)
+
     def moved(self, changes: Array) -> Self:
         """The poses changed by `changes` `(n, dimension)`; one pose may be moved in many ways."""
         turned = exponential(changes[:, :3]) @ self.rotations
@@ -89,54 +100,3 @@ class Poses:
         share = weights / weights.sum()
         rotation = nearest_rotation(np.einsum("n,nij->ij", share, self.rotations))
         return type(self)(rotation[None], (share @ self.translations)[None], (share @ self.morphs)[None])
-
-
-def exponential(vectors: Array) -> Array:
-    """`(n, 3, 3)` rotations exp([w]x) about the rotation vectors `(n, 3)` rad (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
-    cross = cross_matrices(vectors)
-    sine = np.sinc(angle / np.pi)
-    versine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2  # (1 - cos) / angle^2 without its cancellation
-    rotations: Array = np.eye(3) + sine * cross + versine * (cross @ cross)
-    return rotations
-
-
-def logarithm(rotations: Array) -> Array:
-    """`(n, 3)` rad: rotation vectors, shorter than or equal to pi, of the rotations `(n, 3, 3)`."""
-    twice_sine = np.stack(
-        [
-            rotations[:, 2, 1] - rotations[:, 1, 2],
-            rotations[:, 0, 2] - rotations[:, 2, 0],
-            rotations[:, 1, 0] - rotations[:, 0, 1],
-        ],
-        axis=1,
-    )
-    sine = 0.5 * np.linalg.norm(twice_sine, axis=1)
-    cosine = 0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1)
-    angle = np.arctan2(sine, cosine)
-    vectors: Array = 0.5 * twice_sine / np.sinc(angle / np.pi)[:, None]
-    turned_round = cosine < -0.9  # the sine fades, and the axis with it
-    if turned_round.any():
-        from scipy.spatial.transform import Rotation
-
-        vectors[turned_round] = Rotation.from_matrix(rotations[turned_round]).as_rotvec()
-    return vectors
-
-
-def cross_matrices(vectors: Array) -> Array:
-    """[w]x for which [w]x p = w x p: `(..., 3, 3)` for vectors `(..., 3)`."""
-    matrices = np.zeros((*vectors.shape, 3))
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    matrices[..., 0, 1], matrices[..., 0, 2], matrices[..., 1, 2] = -z, y, -x
-    matrices[..., 1, 0], matrices[..., 2, 0], matrices[..., 2, 1] = z, -y, x
-    return matrices
-
-
-def nearest_rotation(matrices: Array) -> Array:
-    """The rotations nearest to `matrices` `(..., 3, 3)` in the Frobenius norm."""
-    left, _, right = np.linalg.svd(matrices)
-    sign = np.linalg.det(left @ right)
-    left = left.copy()
-    left[..., :, 2] *= sign[..., None]
-    nearest: Array = left @ right
-    return nearest

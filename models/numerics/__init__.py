@@ -1,1 +1,1 @@
-"""Compiling, threads and arrays that are used again."""
+"""Compiling, threads, rotations and arrays that are used again."""

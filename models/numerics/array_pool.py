@@ -8,10 +8,12 @@ handed out again.
 import os
 import sys
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 _LONGEST_LIST = 12
 
@@ -38,6 +40,13 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
             arrays.pop(0)
         arrays.append(array)
         return array
+
+
+def copy(array: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Give a copy in an array of `empty`."""
+    out = empty(array.shape, array.dtype)
+    np.copyto(out, array)
+    return out
 
 
 def _references(arrays: list[NDArray[Any]]) -> list[int]:

@@ -1,3 +1,6 @@
+import pickle
+from dataclasses import FrozenInstanceError
+
 import numpy as np
 import pytest
 from rsmcm.chains.articulated_pose import GROUPS, ArticulatedPose
@@ -21,9 +24,8 @@ FRAME = Frame(np.zeros((*SIZE, 3), np.uint8), 0.0, 1)
 
 def picture(mixtures):
     """An image that says of the parts what the mixtures say."""
-    none = np.zeros((0, 2)), np.zeros((0, 2, 2))
     flat = np.zeros(SIZE, np.float32)
-    return BodyImage(None, None, flat, flat, np.zeros((0, 4)), *none, *none, np.zeros(0), mixtures)
+    return BodyImage(None, None, flat, flat, np.zeros((0, 2)), np.zeros(0), mixtures)
 
 
 def seen(places, spread, chance=0.9):
@@ -38,9 +40,9 @@ def seen(places, spread, chance=0.9):
     )
 
 
-def by_mixtures(image, poses):
+def by_mixtures(image):
     """The image's likelihood is what its mixtures say, so that everything else can be checked."""
-    return image.mixtures.log_values(BODY.parts(poses)).sum(axis=1)
+    return lambda poses: image.mixtures.log_values(BODY.parts(poses)).sum(axis=1)
 
 
 def a_chain(samples=1000, **options):
@@ -82,12 +84,11 @@ def test_posterior_is_that_of_a_bootstrap_filter_with_many_samples(seed):
     message = PartMessage(told, picture(seen(target, 15.0)))
     found = moments(BODY, chain.update(prediction, Incoming({NODE: message})))
 
-    ancestors = prediction.ancestors.take(
-        random.choice(len(prediction.ancestors), 400_000, p=prediction.ancestor_weights)
-    )
+    past = prediction.ancestors
+    ancestors = past.poses.take(random.choice(len(past.poses), 400_000, p=past.weights))
     poses = chain.dynamics.draw(ancestors, DT, random)
     poses = poses.take(BODY.allowed(poses))
-    log_weights = by_mixtures(message.image, poses) + told.log_values(BODY.parts(poses)).sum(axis=1)
+    log_weights = by_mixtures(message.image)(poses) + told.log_values(BODY.parts(poses)).sum(axis=1)
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
     joints = BODY.joints(poses)
@@ -165,6 +166,17 @@ def test_state_is_saved_and_the_run_goes_on_as_it_would_have(tmp_path):
     again = list(engine.run(images[2:], state=state))[-1]
     assert np.array_equal(again["pose"].poses.arms, beliefs[-1]["pose"].poses.arms)
     assert np.array_equal(again["pose"].log_weights, beliefs[-1]["pose"].log_weights)
+
+
+def test_a_chain_holds_its_parameters_only():
+    chain = ArticulatedPose(UpperBody.from_head(30.0), 50)
+    before = pickle.dumps(chain)
+    engine = RecursiveBP(MultiChain().connect(chain, BodyParts(30.0)))
+    list(engine.run([np.zeros((120, 160, 3), np.uint8)] * 2))
+    assert pickle.dumps(chain) == before
+    assert len(before) < 1000
+    with pytest.raises(FrozenInstanceError):
+        chain.samples = 20
 
 
 def test_too_few_samples_are_refused():

@@ -1,6 +1,7 @@
 """CONDENSATION against a Kalman filter, where all is linear and Gaussian, and its contract as a chain."""
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -38,10 +39,15 @@ class Seen:
 
 
 class RootLikelihood:
-    def __call__(self, image: BodyImage, poses: BodyPoses) -> Array:
+    def __call__(self, image: BodyImage) -> Callable[[BodyPoses], Array]:
         assert isinstance(image, Seen)
-        squares: Array = ((poses.roots - image.place) ** 2).sum(axis=1)
-        return -0.5 * squares / NOISE**2 - np.log(2 * np.pi * NOISE**2)
+        place = image.place
+
+        def of(poses: BodyPoses) -> Array:
+            squares: Array = ((poses.roots - place) ** 2).sum(axis=1)
+            return -0.5 * squares / NOISE**2 - np.log(2 * np.pi * NOISE**2)
+
+        return of
 
 
 def told(place: Array | None) -> Incoming:

@@ -47,9 +47,8 @@ def at(*heads: Sequence[float]) -> Array:
 
 def picture(mixtures: GaussianMixtures) -> PartMessage:
     """An image that says this of parts, and nothing else that the tracker asks for."""
-    none = np.zeros((0, 2)), np.zeros((0, 2, 2))
     flat = np.zeros(IMAGE.shape[:2], np.float32)
-    image = BodyImage(None, None, flat, flat, np.zeros((0, 4)), *none, *none, np.zeros(0), mixtures)
+    image = BodyImage(None, None, flat, flat, np.zeros((0, 2)), np.zeros(0), mixtures)
     return PartMessage(GaussianMixtures.uniform(3), image)
 
 
@@ -159,6 +158,22 @@ def test_motion_in_two_steps_is_that_in_one() -> None:
     np.testing.assert_allclose(twice.covariances, once.covariances, rtol=1e-9)
 
 
+@given(SEEDS, st.floats(1e-3, 5.0), st.integers(2, 10))
+@settings(max_examples=20, deadline=None)
+def test_predicting_in_steps_is_predicting_at_once(seed: int, dt: float, steps: int) -> None:
+    """Of a hand that has not been seen for long, too, and for what is said of it afterwards."""
+    random = np.random.default_rng(seed)
+    state = replace(standing(), trust=random.uniform(0, 1, 3), unseen=random.uniform(0, 3, 3))
+    state = replace(state, covariances=state.covariances * random.uniform(1, 1e4, (3, 1, 1)))
+    whole, stepwise = TRACKER.predict(state, dt), state
+    for _ in range(steps):
+        stepwise = TRACKER.predict(stepwise, dt / steps)
+    for name in ("means", "covariances", "trust", "exchanged", "unseen"):
+        np.testing.assert_allclose(getattr(stepwise, name), getattr(whole, name), rtol=1e-9, atol=1e-9)
+    one, other = (TRACKER.message(each, None, Incoming({})).predicted for each in (whole, stepwise))
+    np.testing.assert_allclose(other.covariances, one.covariances, rtol=1e-9, atol=1e-9)
+
+
 def test_without_doubt_it_is_filterpys_filter() -> None:
     random = np.random.default_rng(1)
     speeds, lasts = np.array([60.0, 200.0, 200.0]), 0.3
@@ -177,7 +192,7 @@ def test_without_doubt_it_is_filterpys_filter() -> None:
         noise = root @ root.swapaxes(1, 2) + 0.1 * np.eye(2)
         message = GaussianMixtures.of_parts(np.zeros((3, 1)), looks[:, None], noise[:, None])
         known = PartPosterior.of([parts, parts], [np.zeros(3), np.full(3, -np.inf)], message)
-        parts, located = known.taken_for(np.full(3, NO_LABEL))
+        parts, located = known.assigned(np.full(3, NO_LABEL))
         np.testing.assert_array_equal(located, 1.0)
         for part, oracle in enumerate(oracles):
             oracle.predict()
@@ -196,7 +211,7 @@ def test_clean_single_detections_are_filterpys_up_to_the_doubt(monkeypatch: pyte
     for part, speed in enumerate(speeds):
         oracle = KalmanFilter(dim_x=4, dim_z=2)
         oracle.x, oracle.P, oracle.H = state.means[part].copy(), state.covariances[part], np.eye(2, 4)
-        oracle.F, oracle.Q = matrices(DT, speed, sure.lasts)
+        oracle.F, oracle.Q = matrices(DT, speed, sure.velocity_time)
         oracles.append(oracle)
     random = np.random.default_rng(2)
     for _ in range(30):
@@ -557,14 +572,14 @@ def test_robustness_pays_in_clutter() -> None:
         parts = MovingParts(near(truth[0]).means, near(truth[0]).covariances)
         speeds = HEIGHT * np.array([TRACKER.head_speed, TRACKER.hand_speed, TRACKER.hand_speed])
         for blobs, places in zip(looks, truth, strict=True):
-            parts = parts.moved(DT, speeds, TRACKER.lasts)
+            parts = parts.moved(DT, speeds, TRACKER.velocity_time)
             if len(blobs):
                 apart = np.linalg.norm(parts.means[:, None, :2] - blobs, axis=2)
                 nearest = blobs[apart.argmin(axis=1)][:, None]
                 noise = np.tile(NOISE**2 * np.eye(2), (3, 1, 1, 1))
                 message = GaussianMixtures.of_parts(np.zeros((3, 1)), nearest, noise)
                 known = PartPosterior.of([parts, parts], [np.zeros(3), np.full(3, -np.inf)], message)
-                parts, _ = known.taken_for(np.full(3, NO_LABEL))
+                parts, _ = known.assigned(np.full(3, NO_LABEL))
             errors["nearest"].extend(np.linalg.norm(parts.means[:, :2] - places, axis=1) / HEIGHT)
     robust, nearest = (float(np.sqrt(np.mean(np.square(errors[name])))) for name in ("robust", "nearest"))
     assert robust < 0.35

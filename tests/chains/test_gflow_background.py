@@ -15,9 +15,9 @@ from rsmcm.inference.core.protocols import Incoming
 from rsmcm.inference.core.recursive_bp import RecursiveBP
 from rsmcm.inference.face.background_contrast import (
     UNSEEN,
-    Backdrop,
-    Behind,
-    Reading,
+    BackgroundContrast,
+    OccludedBackground,
+    SharedBackground,
     first_trust,
     tones,
     units,
@@ -28,7 +28,7 @@ from rsmcm.inference.face.experts import log_likelihood
 from rsmcm.inference.face.texture_likelihood import TexturedObject, TextureLikelihood
 from rsmcm.models.background.pixel_labels import PixelLabels, PixelMessage
 from rsmcm.models.core.frame import Frame
-from rsmcm.models.face.image_pyramid import picture_levels
+from rsmcm.models.face.image_pyramid import image_pyramid
 from rsmcm.models.face.outline import Box, covered
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
@@ -49,7 +49,7 @@ def test_the_unit_is_the_derivative_of_the_normalisation() -> None:
     image = np.full(SIZE, 90, np.uint8)  # even, so that the local mean is known
     unit = units(image, 24.0, local_mean=True)
     values = [
-        picture_levels(np.full(SIZE, grey, np.uint8), 24.0, n_levels=1, local_mean=True) for grey in (90,)
+        image_pyramid(np.full(SIZE, grey, np.uint8), 24.0, n_levels=1, local_mean=True) for grey in (90,)
     ]
     normalised = values[0][0].image[60, 80]
     assert normalised == pytest.approx(128 * 90 / 95, rel=1e-4)
@@ -75,18 +75,20 @@ def likelihood_of(image: NDArray[np.uint8], poses: Poses, seed: int) -> TextureL
     model = bumpy(3, seed)
     surface = TexturedObject(model, SurfaceTexels.dense(model, 3000))
     n_texels = len(surface.texels)
-    levels = picture_levels(image, 24.0, n_levels=1, local_mean=False)
+    levels = image_pyramid(image, 24.0, n_levels=1, local_mean=False)
     mean = np.random.default_rng(seed).uniform(90, 160, (1, 1, n_texels)).astype(np.float32)
     visible = np.ones((1, n_texels), np.bool_)
     return TextureLikelihood(surface, levels, mean, np.full((1, n_texels), 400, np.float32), visible)
 
 
-def behind_of(contrast: NDArray[np.float32], trust: float, image: NDArray[np.uint8], model: Any) -> Behind:
+def background_of(
+    contrast: NDArray[np.float32], trust: float, image: NDArray[np.uint8], model: Any
+) -> OccludedBackground:
     trusted = np.full((1, *SIZE), trust, np.float32)
     its_units = units(image, 24.0, local_mean=False)
     image_of_tones = np.zeros(SIZE, np.float32)
-    backdrop = Backdrop.of(WHOLE, contrast[None], trusted, image_of_tones, its_units, np.zeros(1))
-    return Behind(backdrop, TexturedObject(model, SurfaceTexels.dense(model, 3000)))
+    background = BackgroundContrast.of(WHOLE, contrast[None], trusted, image_of_tones, its_units, np.zeros(1))
+    return OccludedBackground(background, TexturedObject(model, SurfaceTexels.dense(model, 3000)))
 
 
 def test_foreground_less_background_is_the_whole_picture_but_for_a_constant() -> None:
@@ -98,14 +100,15 @@ def test_foreground_less_background_is_the_whole_picture_but_for_a_constant() ->
     )
     likelihood = likelihood_of(image, poses, 1)
     model = likelihood.surface.model
-    background = np.asarray(smooth_picture(7), np.float32)
-    density = -0.5 * (np.log(2 * np.pi * 900) + (image - background) ** 2 / 900)
-    behind = behind_of((density + np.log(256)).astype(np.float32), 1.0, image, model)
-    behind = Behind(behind.backdrop, behind.surface, np.ones((1, len(behind.surface.texels)), np.bool_))
+    room = np.asarray(smooth_picture(7), np.float32)
+    density = -0.5 * (np.log(2 * np.pi * 900) + (image - room) ** 2 / 900)
+    background = background_of((density + np.log(256)).astype(np.float32), 1.0, image, model)
+    everything = np.ones((1, len(background.surface.texels)), np.bool_)
+    background = replace(background, covering=everything)
     owner = np.zeros(3, np.int64)
     areas = likelihood.sums(poses, owner)[:, 2]
     beta = 400 / np.median(areas)
-    found = log_likelihood(likelihood, poses, owner, 400, behind) / beta
+    found = log_likelihood(likelihood, poses, owner, 400, background) / beta
     squares, logs, area, _ = likelihood.sums(poses, owner).T
     own = -0.5 * (squares + logs + np.log(2 * np.pi) * area)
     inside = covered(model.project(poses), model.triangles, WHOLE) > 0
@@ -119,10 +122,11 @@ def test_a_background_that_is_not_known_favours_no_size() -> None:
     image = np.rint(smooth_picture(2)).astype(np.uint8)
     poses = poses_near(6, 3, 3)
     likelihood = likelihood_of(image, poses, 2)
-    behind = behind_of(np.full(SIZE, 2.0, np.float32), 0.0, image, likelihood.surface.model).around(poses[:1])
+    unknown = background_of(np.full(SIZE, 2.0, np.float32), 0.0, image, likelihood.surface.model)
+    background = unknown.around(poses[:1])
     owner = np.zeros(6, np.int64)
     without = log_likelihood(likelihood, poses, owner, 400)
-    found = log_likelihood(likelihood, poses, owner, 400, behind)
+    found = log_likelihood(likelihood, poses, owner, 400, background)
     # the mean density over the covered pixels decides in both; their areas are within a tenth of each other
     assert np.corrcoef(without, found)[0, 1] > 0.99
     assert found.argmax() == without.argmax()
@@ -140,7 +144,7 @@ def test_maps_are_kalman_filters_of_pixels() -> None:
     mean, variance = np.zeros((2, *SIZE)), np.full((2, *SIZE), UNKNOWN_VARIANCE)
     for image, covers in zip(images, hidden, strict=True):
         parents = np.array([1, 0])
-        maps = maps.after(image, parents, covers, box)
+        maps = maps.updated(image, parents, covers, box)
         gain = variance[parents] / (variance[parents] + NOISE)
         gain[:, 10:40, 20:60] *= 1 - covers
         mean = mean[parents] + gain * (image - mean[parents])
@@ -155,10 +159,10 @@ def test_what_an_expert_never_saw_says_nothing_and_the_rest_is_a_density() -> No
     box = Box(30, 40, 50, 60)
     hidden = np.zeros((2, 50, 60), np.uint8)
     hidden[1, 10:40, 10:50] = 1
-    maps = ExpertBackground.unknown(2, SIZE).after(image, np.arange(2), hidden, box)
+    maps = ExpertBackground.unknown(2, SIZE).updated(image, np.arange(2), hidden, box)
     flat = np.zeros((50, 60), np.float32)
-    found = maps.backdrop(image, box, flat, units(image, 24.0, local_mean=True))
-    assert np.abs(found.contrast[1, 10:40, 10:50]).max() < 1e-5
+    found = maps.contrast(image, box, flat, units(image, 24.0, local_mean=True))
+    assert np.abs(found.log_ratio[1, 10:40, 10:50]).max() < 1e-5
     assert (found.trust[0] > 0.98).all()
     variance = maps.variance.astype(float) + NOISE
     nats = np.log(256) - 0.5 * (
@@ -166,7 +170,7 @@ def test_what_an_expert_never_saw_says_nothing_and_the_rest_is_a_density() -> No
     )
     trust = 1 - maps.variance / UNKNOWN_VARIANCE
     np.testing.assert_allclose(found.everywhere, (trust * nats).sum(axis=(1, 2)), rtol=1e-4)
-    np.testing.assert_allclose(found.contrast, (trust * nats)[:, 30:80, 40:100], atol=1e-3)
+    np.testing.assert_allclose(found.log_ratio, (trust * nats)[:, 30:80, 40:100], atol=1e-3)
 
 
 # A background that is shared
@@ -181,8 +185,8 @@ def test_trust_grows_where_predictions_come_true_and_the_object_is_not() -> None
     changed = scene.copy()
     changed[:20] = 200
     for image, visible in ((scene, ~hidden), (changed, hidden)):
-        told = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage(image=image)}))
-        trust = Reading(told * PixelMessage(image=image)).trust_after(trust, ~visible, box)
+        message = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage(image=image)}))
+        trust = SharedBackground(message * PixelMessage(image=image)).trust_after(trust, ~visible, box)
     assert (trust[45, 65], trust[60, 5]) == (UNSEEN, pytest.approx(1 - 0.875**2))
     assert trust[5, 5] == pytest.approx(0.125 * 0.875)
 
@@ -264,9 +268,9 @@ def test_a_tracker_that_knows_nothing_says_nothing() -> None:
     nothing = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage()}))
     assert nothing.layers.layers == ()
     assert nothing.image is None
-    lost = replace(state, doubts=9, looks=5)
-    told = Incoming({PIXELS: PixelMessage(image=scene.image(0))})
-    message = chain.message(lost, PIXELS, told)
+    lost = replace(state, doubts=9, frames_seen=5)
+    others = Incoming({PIXELS: PixelMessage(image=scene.image(0))})
+    message = chain.message(lost, PIXELS, others)
     assert lost.lost
     assert message.layers.layers == ()
     assert message.background is None

@@ -11,7 +11,7 @@ from rsmcm.chains.gflow import GFlow
 from rsmcm.chains.point_tracker import PointTracker
 from rsmcm.inference.core.graph import MultiChain
 from rsmcm.inference.core.protocols import Incoming
-from rsmcm.inference.core.recursive_bp import RecursiveBP
+from rsmcm.inference.core.recursive_bp import RecursiveBP, RunState
 from rsmcm.inference.face.pose_dynamics import PoseDynamics, PosePrior
 from rsmcm.inference.face.pose_terms import measured_points, predicted_points
 from rsmcm.inference.validity.estimate import compare
@@ -109,9 +109,9 @@ def test_the_tracker_is_helped_by_what_the_face_predicts() -> None:
         node = PointTracks(noise=NOISE)
         alone = RecursiveBP(MultiChain().connect(chain, PIXELS))
         apart = RecursiveBP(MultiChain().connect(tracker, node))
-        first = second = None
+        first = second = RunState()
         for number, frame in enumerate(with_points(scene, 0.5, seed)):
-            if first is not None and second is not None:
+            if number:
                 dt = frame.time - first.time
                 nobody = Incoming({node: node.uniform()})
                 face_says = chain.message(chain.predict(first.states["gflow"], dt), node, nobody)

@@ -17,7 +17,7 @@ from rsmcm.inference.face import gauss_newton
 from rsmcm.inference.face.pose_dynamics import PoseDynamics
 from rsmcm.models.background.pixel_labels import PixelLabels, PixelMessage
 from rsmcm.models.core.frame import Frame
-from rsmcm.models.face.image_pyramid import picture_levels
+from rsmcm.models.face.image_pyramid import image_pyramid
 from rsmcm.models.face.morphable_model import MorphableModel
 from rsmcm.models.face.pose import Poses
 from scipy.ndimage import affine_transform
@@ -157,7 +157,7 @@ def test_an_end_of_gflow_is_the_classic_tracker(case: str, seed: int, local_mean
         local_mean=local_mean,
         dynamics=UNINFORMATIVE,
     )
-    pictures = [picture_levels(frame, SIZE, n_levels=1, local_mean=local_mean)[0].image for frame in frames]
+    pictures = [image_pyramid(frame, SIZE, n_levels=1, local_mean=local_mean)[0].image for frame in frames]
     wanted, residual = by_hand(
         model, start, [np.asarray(one, np.float64) for one in pictures], case == "flow"
     )

@@ -10,8 +10,9 @@ from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.background.gaussian import colour
 from rsmcm.models.background.kernels.gaussian import HIGHEST_NOISE, LOWEST_NOISE, ODDS_STEPS
+from rsmcm.models.background.kernels.mixture import Mixture
 from rsmcm.models.background.layers import Layer, LayerStack
-from rsmcm.models.background.mixture import REACH, Mixture, MixturePrediction
+from rsmcm.models.background.mixture import REACH, MixturePrediction
 from rsmcm.models.background.pixel_labels import PixelMessage
 from scipy.stats import norm
 

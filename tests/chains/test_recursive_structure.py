@@ -12,21 +12,21 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.chains.point_tracker import PointTracker
 from rsmcm.chains.recursive_structure import RecursiveStructure, StructureState
-from rsmcm.inference import Cavity, Incoming, MultiChain, RecursiveBP
+from rsmcm.inference import Cavity, Incoming, MultiChain, RecursiveBP, RunState
+from rsmcm.inference.factor_analysis.moments import homogeneous
 from rsmcm.inference.structure import camera_motion as motion_filter
 from rsmcm.inference.structure.camera_motion import CameraMotion
 from rsmcm.inference.structure.recursive import (
-    FADING,
     GATE,
-    LOOKS,
-    Looks,
-    Seen,
+    MOTION_FRAMES,
+    OUTLIER_TIME,
+    CameraEvidence,
+    ObservedPoints,
     Structure,
-    homogeneous,
+    add_points,
     intersect,
-    join,
     register,
-    take_in,
+    update,
 )
 from rsmcm.inference.structure.recursive_start import LEAST_SEEN, MOST_FRAMES, Window, first_structure
 from rsmcm.models.core.frame import Frame, GivenPoints
@@ -86,9 +86,7 @@ def engine(
     return RecursiveBP(MultiChain().connect(chain, points)), chain, points
 
 
-def told(
-    identities: Sequence[int] | NDArray[np.int64], positions: Numbers, noise: float = 1.0
-) -> PointMessage:
+def at(identities: Sequence[int] | NDArray[np.int64], positions: Numbers, noise: float = 1.0) -> PointMessage:
     covariances = np.tile(noise**2 * np.eye(2), (len(identities), 1, 1))
     return PointMessage(GaussianMessage.from_moments(identities, positions, covariances))
 
@@ -104,7 +102,7 @@ def some_structure(seed: int, n_points: int = 12, uncertain: float = 0.05) -> tu
     spread = random.normal(size=(12, 12))
     motion = CameraMotion(mean, 4 * spread @ spread.T / 12, np.ones((3, 2)))
     shape = truth + (np.linalg.cholesky(covariance) @ random.normal(size=(n_points, 3, 1)))[:, :, 0]
-    empty = Looks(np.zeros((0, 4, 4)), np.zeros((0, 2, 4)), np.zeros(0))
+    empty = CameraEvidence(np.zeros((0, 4, 4)), np.zeros((0, 2, 4)), np.zeros(0))
     numbers = np.arange(n_points, dtype=np.int64)
     structure = Structure(
         identities=3 * numbers,
@@ -112,22 +110,22 @@ def some_structure(seed: int, n_points: int = 12, uncertain: float = 0.05) -> tu
         shape_covariance=covariance,
         unseen=np.full(n_points, DT),
         motion=motion,
-        looks=empty,
+        evidence=empty,
         extent=70.0,
         noise_scale=1.0,
-        surprises=np.zeros((n_points, 2)),
-        persistence=0.0,
+        innovations=np.zeros((n_points, 2)),
+        autocorrelation=0.0,
     )
     return structure, truth
 
 
-def picture(structure: Structure, truth: Numbers, seed: int = 0) -> Seen:
+def picture(structure: Structure, truth: Numbers, seed: int = 0) -> ObservedPoints:
     """What a camera sees that is drawn from what is known of it."""
     random = np.random.default_rng(seed)
     root = np.linalg.cholesky(structure.motion.camera_covariance)
     camera = structure.motion.camera + random.normal(size=(2, 4)) @ root.T
     positions = homogeneous(truth) @ camera.T + random.normal(size=(len(truth), 2))
-    return Seen(structure.identities, positions, np.ones(len(truth)))
+    return ObservedPoints(structure.identities, positions, np.ones(len(truth)))
 
 
 # --- camera -------------------------------------------------------------------------------------------------
@@ -178,7 +176,7 @@ def test_update_is_that_of_joint_gaussians(seed: int, decades: float) -> None:
     assert np.linalg.eigvalsh(found.covariance)[0] > -1e-9
 
 
-def test_a_vague_camera_takes_a_sharp_look() -> None:
+def test_a_vague_camera_takes_sharp_information() -> None:
     """Covariances stay positive definite over 16 decades."""
     motion = motion_filter.vague(100.0, np.full((3, 2), 1e-6))
     points = homogeneous(np.random.default_rng(0).normal(size=(50, 3)))
@@ -221,10 +219,12 @@ def test_camera_without_a_point_is_the_one_that_the_others_show(seed: int) -> No
     structure, truth = some_structure(seed)
     seen = picture(structure, truth, seed)
     found = register(structure, seen)
-    for point in np.flatnonzero(found.good)[:4]:
+    for point in np.flatnonzero(found.inliers)[:4]:
         others = np.arange(len(seen)) != point
-        without = register(structure, Seen(seen.identities[others], seen.positions[others], np.ones(11)))
-        if not np.array_equal(without.good, found.good[others]):
+        without = register(
+            structure, ObservedPoints(seen.identities[others], seen.positions[others], np.ones(11))
+        )
+        if not np.array_equal(without.inliers, found.inliers[others]):
             continue
         np.testing.assert_allclose(found.cameras[point], without.motion.camera, rtol=1e-7, atol=1e-7)
         s = homogeneous(structure.shape)[point]
@@ -240,7 +240,7 @@ def test_registration_is_the_kalman_update_of_the_camera() -> None:
     structure = replace(structure, shape=truth, shape_covariance=np.zeros((12, 3, 3)))
     seen = picture(structure, truth)
     found = register(structure, seen)
-    assert found.good.all()
+    assert found.inliers.all()
     motion, points = structure.motion, homogeneous(truth)
     gain = motion.covariance[:, :4] @ points.T
     gain = gain @ np.linalg.inv(points @ motion.covariance[:4, :4] @ points.T + np.eye(12))
@@ -255,29 +255,31 @@ def test_points_far_off_are_left_out() -> None:
     positions = seen.positions.copy()
     positions[:6] += 100.0
     found = register(structure, replace(seen, positions=positions))
-    assert not found.good[:6].any()
+    assert not found.inliers[:6].any()
     np.testing.assert_allclose(found.motion.camera, clean.motion.camera, atol=2.0)  # six points less
-    after = take_in(structure, found, DT, DT)
+    after = update(structure, found, DT, DT)
     np.testing.assert_array_equal(after.shape[:6], structure.shape[:6])
     np.testing.assert_allclose(
-        after.shape_covariance[:6], np.exp(DT / FADING) * structure.shape_covariance[:6]
+        after.shape_covariance[:6], np.exp(DT / OUTLIER_TIME) * structure.shape_covariance[:6]
     )
     assert (after.unseen[:6] == DT).all()
-    assert (after.unseen[6:][found.good[6:]] == 0).all()
+    assert (after.unseen[6:][found.inliers[6:]] == 0).all()
 
 
-def test_gate_lets_99_of_100_good_looks_pass() -> None:
+def test_gate_lets_99_of_100_inliers_pass() -> None:
     """1000 frames of 30 points drawn from the model: 1 % are left out, to within 0.4 %.
 
-    The standard error is 0.06 %; the rest is for the noise that the camera is told of, which is the same in
-    all directions and so never less than it is.
+    The standard error is 0.06 %; the rest is for the noise that the camera is given, which is the same in all
+    directions and so never less than it is.
     """
     random = np.random.default_rng(0)
     assert 2 * -np.log(0.01) == pytest.approx(GATE, abs=0.01)
     bad = 0
     for trial in range(1000):
         structure, truth = some_structure(trial, 30, uncertain=0.005)
-        bad += int((~register(structure, picture(structure, truth, int(random.integers(2**31)))).good).sum())
+        bad += int(
+            (~register(structure, picture(structure, truth, int(random.integers(2**31)))).inliers).sum()
+        )
     assert bad / 30_000 == pytest.approx(0.01, abs=0.004)
 
 
@@ -289,7 +291,7 @@ def test_jerk_of_the_camera_is_followed() -> None:
     found = register(still, moved)
     off = moved.positions - homogeneous(structure.shape) @ found.motion.camera.T
     assert np.abs(off).mean() < 5
-    assert found.good.mean() > 0.8
+    assert found.inliers.mean() > 0.8
 
 
 def test_intersection_is_least_squares() -> None:
@@ -311,7 +313,9 @@ def test_intersection_is_least_squares() -> None:
 
 def test_a_new_point_is_known_across_the_view_only() -> None:
     structure, truth = some_structure(4)
-    joined = join(structure, Seen(np.array([1, 3]), np.array([[5.0, 7.0], [0.0, 0.0]]), np.ones(2)))
+    joined = add_points(
+        structure, ObservedPoints(np.array([1, 3]), np.array([[5.0, 7.0], [0.0, 0.0]]), np.ones(2))
+    )
     np.testing.assert_array_equal(joined.identities, np.sort([*structure.identities, 1]))
     place = int(np.searchsorted(joined.identities, 1))
     camera = structure.motion.camera
@@ -329,7 +333,9 @@ def window_of(scene: Scene, n_frames: int) -> Window:
     window = Window.empty()
     for t in range(n_frames):
         seen = np.flatnonzero(scene.visible[t])
-        window = window.lengthened(Seen(seen, scene.observed[t, seen], np.ones(len(seen))), DT * t, 1000)
+        window = window.lengthened(
+            ObservedPoints(seen, scene.observed[t, seen], np.ones(len(seen))), DT * t, 1000
+        )
     return window
 
 
@@ -350,7 +356,7 @@ def test_window_keeps_the_points_that_are_seen_most() -> None:
     for t in range(20):
         identities = np.unique(np.concatenate([np.arange(8), random.integers(100, 10**6, 30)]))
         window = window.lengthened(
-            Seen(identities, np.zeros((len(identities), 2)), np.ones(len(identities))), DT * t, 12
+            ObservedPoints(identities, np.zeros((len(identities), 2)), np.ones(len(identities))), DT * t, 12
         )
     assert len(window.identities) == 12
     np.testing.assert_array_equal(window.identities[:8], np.arange(8))
@@ -363,7 +369,7 @@ def test_first_shape_is_right_but_for_an_affine_change() -> None:
     predicted = homogeneous(structure.shape) @ structure.motion.camera.T
     assert np.sqrt(np.mean((predicted - scene.positions[31, structure.identities]) ** 2)) < 1.0
     assert structure.noise_scale == pytest.approx(1, abs=0.2)
-    assert structure.persistence < 0.2
+    assert structure.autocorrelation < 0.2
 
 
 @pytest.mark.parametrize("kind", ["static", "shifted", "flat"])
@@ -403,10 +409,10 @@ def follow(scene: Scene, begin: int = 25, **options: float) -> tuple[Followed, S
     nothing = Incoming({PointTracks(): points.uniform()})
     parts: dict[str, list[Numbers]] = {field.name: [] for field in fields(Followed)}
     unseen = np.zeros(scene.visible.shape[1], int)
-    state = None
+    state = RunState()
     for t, frame in enumerate(scene.frames()):
         guess = None
-        if state is not None:
+        if state.states:
             ahead = chain.predict(state.states["structure"], DT)
             guess = chain.message(ahead, points, nothing).positions
         belief = run.step(state, frame)
@@ -469,16 +475,16 @@ def test_points_lost_for_ten_frames_are_predicted(followed: list[Followed]) -> N
 def test_time_and_memory_stay_constant() -> None:
     scene = cylinder(0, n_frames=400)
     run, _, _ = engine()
-    state, seconds, sizes = None, [], []
+    state, seconds, sizes = RunState(), [], []
     for frame in scene.frames():
         start = time.perf_counter()
         state = run.step(state, frame).state
         seconds.append(time.perf_counter() - start)
         structure = state.states["structure"].structure
         if structure is not None:
-            arrays = (structure.shape, structure.shape_covariance, structure.looks.information)
+            arrays = (structure.shape, structure.shape_covariance, structure.evidence.information)
             sizes.append(sum(array.nbytes for array in arrays))
-    assert len(set(sizes[LOOKS:])) == 1
+    assert len(set(sizes[MOTION_FRAMES:])) == 1
     assert np.median(seconds[300:]) < 3 * np.median(seconds[60:160])  # a busy machine may be slower at times
 
 
@@ -499,11 +505,11 @@ def test_errors_that_last_make_it_less_sure() -> None:
     scene = replace(scene, observed=scene.positions + lasting + 0.5 * random.standard_normal((100, 40, 2)))
     found, state = follow(scene)
     assert state.structure is not None
-    assert 0.3 < state.structure.persistence < 0.8
+    assert 0.3 < state.structure.autocorrelation < 0.8
     assert found.others_normalised.mean() < 3
 
 
-def test_bad_looks_do_little_harm() -> None:
+def test_outliers_do_little_harm() -> None:
     """One position in ten is off by 40 px."""
     scene, random = cylinder(5), np.random.default_rng(0)
     bad = random.random((100, 40, 1)) < 0.1
@@ -519,14 +525,14 @@ def test_what_is_said_of_a_point_never_comes_back() -> None:
     *_, last = run.run(list(scene.frames())[:60])
     ahead = chain.predict(last.state.states["structure"], DT)
     identities = np.arange(40)
-    cavity = told(identities, scene.observed[60])
+    cavity = at(identities, scene.observed[60])
     message = chain.message(ahead, points, Incoming({PointTracks(): cavity})).positions
     for point in (0, 17):
         for shift in (1.5, 400.0):
             positions = scene.observed[60].copy()
             positions[point] += shift
             other = chain.message(
-                ahead, points, Incoming({PointTracks(): told(identities, positions)})
+                ahead, points, Incoming({PointTracks(): at(identities, positions)})
             ).positions
             np.testing.assert_allclose(other.marginal(point)[0], message.marginal(point)[0], atol=1e-6)
             # its neighbours hear of it, if it is not too far off
@@ -536,7 +542,7 @@ def test_what_is_said_of_a_point_never_comes_back() -> None:
             ahead,
             points,
             Incoming(
-                {PointTracks(): told(np.delete(identities, point), np.delete(scene.observed[60], point, 0))}
+                {PointTracks(): at(np.delete(identities, point), np.delete(scene.observed[60], point, 0))}
             ),
         ).positions
         np.testing.assert_allclose(silent.marginal(point)[0], message.marginal(point)[0], atol=0.02)
@@ -576,7 +582,7 @@ def test_only_what_the_frame_shows_is_taken_in() -> None:
     ahead = chain.predict(last.state.states["structure"], DT)
     frame = Frame(None, DT * 40, 41, GivenPoints(scene.observed[40, :20], np.arange(20)))
     found = points.evidence(frame, points.uniform())
-    guesses = told(np.arange(40), scene.positions[40] + 1.0)
+    guesses = at(np.arange(40), scene.positions[40] + 1.0)
     after = chain.update(ahead, Incoming({PointTracks(): found * guesses})).structure
     assert after is not None
     assert (after.unseen[20:] > 0).all()
@@ -586,14 +592,14 @@ def test_only_what_the_frame_shows_is_taken_in() -> None:
         Incoming(
             {
                 "points": replace(
-                    found, positions=told(np.arange(20), scene.positions[40, :20], 0.5**0.5).positions
+                    found, positions=at(np.arange(20), scene.positions[40, :20], 0.5**0.5).positions
                 )
             }
         ),
     ).structure
     assert alone is not None
     np.testing.assert_allclose(after.shape, alone.shape, atol=1e-9)
-    earlier = replace(told(np.arange(40), scene.positions[40]), view=replace(found.view, time=DT * 39))
+    earlier = replace(at(np.arange(40), scene.positions[40]), view=replace(found.view, time=DT * 39))
     waiting = chain.update(ahead, Incoming({PointTracks(): earlier})).structure
     assert waiting is not None
     assert (waiting.unseen > 0).all()
@@ -673,7 +679,7 @@ def test_points_are_forgotten() -> None:
     _, state = follow(scene, patience=1.0)
     assert state.structure is not None
     np.testing.assert_array_equal(state.structure.identities, np.arange(30))
-    assert len(state.structure.shape) == len(state.structure.surprises) == 30
+    assert len(state.structure.shape) == len(state.structure.innovations) == 30
     _, state = follow(scene, most_points=35)
     assert state.structure is not None
     assert len(state.structure) == 35
@@ -713,9 +719,7 @@ def test_states_are_values() -> None:
     copies = {
         name: getattr(before.structure, name).copy() for name in ("shape", "shape_covariance", "unseen")
     }
-    chain.update(
-        chain.predict(before, DT), Incoming({PointTracks(): told(np.arange(40), scene.observed[40])})
-    )
+    chain.update(chain.predict(before, DT), Incoming({PointTracks(): at(np.arange(40), scene.observed[40])}))
     for name, array in copies.items():
         np.testing.assert_array_equal(getattr(before.structure, name), array)
 

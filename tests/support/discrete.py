@@ -99,7 +99,7 @@ def random_model(
 def enumerate_slice(
     model: MultiChain, predictions: Mapping[str, Table], frame: Frame
 ) -> tuple[dict[str, Table], dict[str, Table], float]:
-    """Sum over all joint values: the chains' posteriors, the features' beliefs, the log normaliser."""
+    """Sum over all joint values: the chains' posteriors, the features' beliefs, log p(frame | past)."""
     chains, features = model.chains, model.features
     names = [*chains, *features]
     sizes = [len(predictions[name]) for name in chains] + [feature.size for feature in features.values()]
@@ -108,7 +108,7 @@ def enumerate_slice(
         for name, feature in features.items()
     }
     marginals = {name: np.zeros(size) for name, size in zip(names, sizes, strict=True)}
-    total = 0.0
+    before, total = 0.0, 0.0
     for values in product(*map(range, sizes)):
         at = dict(zip(names, values, strict=True))
         weight = 1.0
@@ -116,10 +116,15 @@ def enumerate_slice(
             weight *= predictions[name][at[name]]
             for feature in model.features_of(name):
                 weight *= chain.tables[feature][at[name], at[feature]]
+        before += weight
         for name, likelihood in likelihoods.items():
             weight *= likelihood[at[name]]
         total += weight
         for name in names:
             marginals[name][at[name]] += weight
     posterior = {name: marginals[name] / total for name in names}
-    return {c: posterior[c] for c in chains}, {f: posterior[f] for f in features}, float(np.log(total))
+    return (
+        {c: posterior[c] for c in chains},
+        {f: posterior[f] for f in features},
+        float(np.log(total / before)),
+    )

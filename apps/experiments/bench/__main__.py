@@ -32,11 +32,11 @@ from ...reports.expectations import HEADER, Expectation, in_columns
 from ...runs.progress import Progress
 from ...scenes import cylinder, sleeping_man
 from ...structure.reconstruction import engine_for
-from .body_samples import bootstrap_times, resampling_times
+from .body_samples import bootstrap_times
 from .body_tracker import body_claims
 from .face import face_claims
 from .points import point_claims
-from .structure import structure_claims
+from .structure import structure_expectations
 
 SIZE = (768, 576)
 N_FRAMES = 240  # preloaded: 320 MB
@@ -65,9 +65,9 @@ def main() -> None:
         expectations += speed_claims(frames, threads)
     expectations += [end_to_end(frames), *over_time(frames, 10_000 if "--long" in sys.argv[1:] else 1_500)]
     set_threads(1)
-    expectations += [*point_claims(), *structure_claims(), feedback_in_rounds(), *face_claims()]
+    expectations += [*point_claims(), *structure_expectations(), feedback_in_rounds(), *face_claims()]
     of_bodies, stages_of_bodies = body_claims()
-    expectations += [*of_bodies, *resampling_times(), *bootstrap_times()]
+    expectations += [*of_bodies, *bootstrap_times()]
     print(in_columns(HEADER, [expectation.cells for expectation in expectations]))
     print("\nwhere the time of a frame goes, one thread\n")
     print(in_columns(STAGE, stages(frames)))

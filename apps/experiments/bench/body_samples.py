@@ -1,4 +1,4 @@
-"""Speed of tracking bodies by samples: resampling beside filterpy, a filter's step beside `particles`.
+"""Speed of tracking bodies by samples: a filter's step beside that of `particles`.
 
 Set `OPENBLAS_NUM_THREADS=1` (or that of your BLAS) for the peers too. `particles` asks for numpy 1 and runs
 with numpy 2 all the same: `pip install --no-deps particles joblib cloudpickle scikit-learn threadpoolctl
@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from filterpy.monte_carlo import systematic_resample
 from numpy.typing import NDArray
 
 from ....chains.condensation import Condensation
 from ....inference.core.protocols import Incoming
-from ....inference.filters.resampling import systematic
 from ....models.body.parts import BodyParts, PartMessage
 from ....models.body.upper_body import PARTS
 from ....models.core.frame import Frame
@@ -28,40 +26,17 @@ from .points import in_turns
 Numbers = NDArray[np.float64]
 
 SAMPLES, DIMENSION = 1000, 13
-STEP, NOISE = 0.1, 0.3  # standard deviations of a walk and of the looks at it
+STEP, NOISE = 0.1, 0.3  # standard deviations of a walk and of its measurements
 N_FRAMES = 400  # more than there are steps in the measurement
-
-
-def resampling_times() -> list[Expectation]:
-    """Systematic resampling, ours from log weights, filterpy's from weights."""
-    random = np.random.default_rng(0)
-    expectations = []
-    for n in (SAMPLES, 20 * SAMPLES):
-        weights = random.dirichlet(np.ones(n))
-        log_weights = np.log(weights)
-
-        def ours(log_weights: Numbers = log_weights, n: int = n) -> object:
-            return systematic(log_weights, n, random)
-
-        def theirs(weights: Numbers = weights) -> object:
-            return systematic_resample(weights)
-
-        seconds = in_turns({"ours": ours, "filterpy": theirs}, rounds=20)
-        many = in_turns({"ours": ours}, rounds=20, turn=20)["ours"]
-        expectations += [
-            Expectation(f"systematic resampling of {n}, us", 1e6 * many),
-            Expectation(f"filterpy over systematic resampling of {n}", seconds["filterpy"] / many, ">=", 50),
-        ]
-    return expectations
 
 
 def bootstrap_times() -> list[Expectation]:
     """A step of CONDENSATION over vectors with a Gaussian walk and likelihood, beside a bootstrap filter."""
     random = np.random.default_rng(0)
-    looks = STEP * random.normal(size=(N_FRAMES, DIMENSION)).cumsum(axis=0)
-    methods = {"ours": _condensation(looks)}
+    measured = STEP * random.normal(size=(N_FRAMES, DIMENSION)).cumsum(axis=0)
+    methods = {"ours": _condensation(measured)}
     if importlib.util.find_spec("particles") is not None:
-        methods["particles"] = _bootstrap(looks)
+        methods["particles"] = _bootstrap(measured)
     seconds = in_turns(methods, rounds=15, turn=20)
     what = f"CONDENSATION's step, {SAMPLES} x {DIMENSION}"
     expectations = [Expectation(f"{what}, ms", 1e3 * seconds["ours"])]
@@ -110,32 +85,35 @@ class _Walk:
         return 0.0
 
 
-def _likelihood(look: Numbers, vectors: _Vectors) -> Numbers:
-    off = vectors.values - look
-    logs: Numbers = np.einsum("nd,nd->n", off, off)
-    logs *= -0.5 / NOISE**2
-    return logs
+def _likelihood(measured: Numbers) -> Callable[[_Vectors], Numbers]:
+    def of(vectors: _Vectors) -> Numbers:
+        off = vectors.values - measured
+        logs: Numbers = np.einsum("nd,nd->n", off, off)
+        logs *= -0.5 / NOISE**2
+        return logs
+
+    return of
 
 
-def _condensation(looks: Numbers) -> Callable[[], object]:
+def _condensation(measured: Numbers) -> Callable[[], object]:
     """One step further at each call."""
     stand_ins: Any = (_Anything(), _Vectors(np.zeros((1, DIMENSION))), _Walk(), _likelihood)
     body, start, dynamics, likelihood = stand_ins
     chain = Condensation(body, SAMPLES, start, 0, dynamics, likelihood)
     state = chain.initial(Frame(np.zeros((2, 2), np.uint8), 0.0, 1))
-    frames = iter(looks)
+    frames = iter(measured)
     nothing, node = GaussianMixtures.uniform(len(PARTS)), BodyParts(1.0)
 
     def step() -> object:
         nonlocal state
-        look: Any = next(frames)
-        state = chain.update(chain.predict(state, 1.0), Incoming({node: PartMessage(nothing, look)}))
+        now: Any = next(frames)
+        state = chain.update(chain.predict(state, 1.0), Incoming({node: PartMessage(nothing, now)}))
         return state
 
     return step
 
 
-def _bootstrap(looks: Numbers) -> Callable[[], object]:
+def _bootstrap(measured: Numbers) -> Callable[[], object]:
     """The same with `particles`, which resamples at every step too."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of its age
@@ -155,12 +133,10 @@ def _bootstrap(looks: Numbers) -> Callable[[], object]:
         def PY(self, t: int, xp: Numbers, x: Numbers) -> Any:  # noqa: N802
             return MvNormal(loc=x, scale=NOISE, cov=unit)
 
-    model = Bootstrap(ssm=Walk(), data=list(looks))
+    model = Bootstrap(ssm=Walk(), data=list(measured))
     run = particles.SMC(fk=model, N=SAMPLES, resampling="systematic", ESSrmin=1.0)
     return lambda: next(run)
 
 
 if __name__ == "__main__":
-    print(
-        in_columns(HEADER, [expectation.cells for expectation in [*resampling_times(), *bootstrap_times()]])
-    )
+    print(in_columns(HEADER, [expectation.cells for expectation in bootstrap_times()]))

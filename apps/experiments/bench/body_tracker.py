@@ -14,10 +14,11 @@ from ....chains.articulated_pose import ArticulatedPose
 from ....chains.flesh_tracker import FleshTracker
 from ....inference import MultiChain, RecursiveBP, RunState
 from ....inference.body.dynamics import BodyDynamics
-from ....models.body.image_features import edge_distances
+from ....models.body.image_features import BodyImage, edge_distances
 from ....models.body.likelihood import BodyLikelihood
 from ....models.body.parts import EDGE_REACH, HAND_RADIUS, BodyParts
-from ....models.body.skin_blobs import flesh_blobs
+from ....models.body.poses import BodyPoses
+from ....models.body.skin_blobs import skin_blobs
 from ....models.body.upper_body import UpperBody
 from ....models.core.frame import Frame
 from ....models.face.detectors import HaarFaces
@@ -89,11 +90,15 @@ def seconds_a_frame(film: BodyFilm, samples: int) -> tuple[Numbers, dict[str, Nu
     """
     spent, steps = _Spent(), ("predict", "message", "update")
     detector: Any = _Timed(film.parts.detector, spent, {"__call__": "detector"})
-    colour: Any = _Timed(film.parts.flesh, spent, {"log_odds": "colour"})
+    colour: Any = _Timed(film.parts.skin, spent, {"log_odds": "colour"})
     dynamics: Any = _Timed(BodyDynamics(film.body), spent, {"log_density": "prior"})
-    likelihood: Any = _Timed(BodyLikelihood(film.body), spent, {"__call__": "likelihood"})
-    parts = _Timed(replace(film.parts, detector=detector, flesh=colour), spent, {"evidence": "features"})
-    pose = ArticulatedPose(film.body, samples, dynamics=dynamics, likelihood=likelihood)
+    likelihood = BodyLikelihood(film.body)
+
+    def timed_likelihood(image: BodyImage) -> Callable[[BodyPoses], Numbers]:
+        return partial(spent.timed, "likelihood", spent.timed("likelihood", likelihood, image))
+
+    parts = _Timed(replace(film.parts, detector=detector, skin=colour), spent, {"evidence": "features"})
+    pose = ArticulatedPose(film.body, samples, dynamics=dynamics, likelihood=timed_likelihood)
     poses = _Timed(pose, spent, dict.fromkeys(steps, "poses"))
     flesh = _Timed(FleshTracker(film.body), spent, dict.fromkeys(steps, "flesh"))
     engine = RecursiveBP(MultiChain().connect(flesh, parts).connect(poses, parts))
@@ -103,7 +108,7 @@ def seconds_a_frame(film: BodyFilm, samples: int) -> tuple[Numbers, dict[str, Nu
             belief = engine.step(state, frame)
         state, seen = belief.state, belief[film.parts].image
         assert seen is not None
-        spent.timed("blobs", flesh_blobs, seen.flesh, HAND_RADIUS * unit)
+        spent.timed("blobs", skin_blobs, seen.skin, HAND_RADIUS * unit)
         spent.timed("edges", edge_distances, frame.image, EDGE_REACH * unit)
     return spent.whole[WARM_UP:], {name: spent.stage(name)[WARM_UP:] for name in spent.names}
 
@@ -132,7 +137,7 @@ def stages_of(whole: Numbers, within: dict[str, Numbers]) -> Stages:
     total = float(whole.mean())
     stages = {
         "features: face detector": mean["detector"],
-        "features: map of flesh": mean["colour"],
+        "features: map of skin": mean["colour"],
         "features: blobs": mean["blobs"],
         "features: edges": mean["edges"],
         "features: the rest": mean["features"] - known,

@@ -16,7 +16,7 @@ from ....inference.core.protocols import Incoming
 from ....inference.face.texture_filter import Texture
 from ....inference.face.texture_likelihood import TexturedObject, TextureLikelihood
 from ....models.background.pixel_labels import PixelLabels, PixelMessage
-from ....models.face.image_pyramid import picture_levels
+from ....models.face.image_pyramid import image_pyramid
 from ....models.face.pose import Poses
 from ....models.face.surface_texels import SurfaceTexels
 from ....models.numerics.threads import set_threads, thread_count
@@ -54,10 +54,10 @@ def seconds_a_frame(scene: FaceScene, experts: int, texels: int) -> Numbers:
     seconds = []
     for number in range(len(scene)):
         frame = scene.frame(number)
-        told = Incoming({PixelLabels(): PixelMessage(image=frame.image)})
+        others = Incoming({PixelLabels(): PixelMessage(image=frame.image)})
         started = time.perf_counter()
         state = chain.initial(frame) if state is None else chain.predict(state, 1 / RATE)
-        state = chain.update(state, told)
+        state = chain.update(state, others)
         seconds.append(time.perf_counter() - started)
     return np.array(seconds[WARM_UP:])
 
@@ -98,7 +98,7 @@ def fused_claim(scene: FaceScene) -> Expectation:
     image = scene.image(1)
     surface = TexturedObject(scene.model, SurfaceTexels.dense(scene.model, TEXELS))
     poses = scene.poses[0]
-    level = picture_levels(image, float(poses.sizes[0]), n_levels=1, local_mean=True)
+    level = image_pyramid(image, float(poses.sizes[0]), n_levels=1, local_mean=True)
     texture = Texture.unknown(1, 1, len(surface.texels), learn=False)
     likelihood = TextureLikelihood(
         surface, level, texture.mean, np.full_like(texture.variance, 36), surface.visible(poses)
@@ -123,14 +123,14 @@ def _by_remap(
     """The same normal equations with a Jacobian of every texel."""
     texels = surface.texels
     positions, rows = surface.rows(poses)
-    corners = surface.groups[texels.group_of_texel]
+    corners = surface.used_texels.groups[texels.group_of_texel]
     places = np.einsum("na,nac->nc", texels.weights, positions[0][corners])
     texel_rows = np.einsum("na,nacd->ncd", texels.weights, rows[0][corners][..., : poses.dimension])
     value, across, down = (
         cv2.remap(picture, places[:, 0], places[:, 1], cv2.INTER_LINEAR)[:, 0] for picture in pictures
     )
     jacobian = across[:, None] * texel_rows[:, 0] + down[:, None] * texel_rows[:, 1]
-    triangles = positions[0][surface.groups]
+    triangles = positions[0][surface.used_texels.groups]
     edges = triangles[:, 1:] - triangles[:, :1]
     size = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
     area = (size / np.maximum(np.diff(texels.first), 1))[texels.group_of_texel]

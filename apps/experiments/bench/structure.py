@@ -30,9 +30,14 @@ SAME = 5e-6
 """Relative difference of errors that agree to five digits."""
 
 
-def structure_claims(n_starts: int = 100) -> list[Expectation]:
+def structure_expectations(n_starts: int = 100) -> list[Expectation]:
     """All of them."""
-    return [*iteration_claims(), *solve_claims(), *linearity_claims(), *start_claims(n_starts)]
+    return [
+        *iteration_expectations(),
+        *solve_expectations(),
+        *linearity_expectations(),
+        *start_expectations(n_starts),
+    ]
 
 
 def turning_points(n_frames: int, n_points: int, length: int, seed: int = 0) -> Numbers:
@@ -87,7 +92,7 @@ def turntable(
 # --- one iteration ------------------------------------------------------------------------------------------
 
 
-def iteration_claims() -> list[Expectation]:
+def iteration_expectations() -> list[Expectation]:
     """An iteration of EM beside the first three singular vectors of the same matrix."""
     positions = turning_points(N_FRAMES, N_POINTS, N_FRAMES)
     table = positions.transpose(0, 2, 1).reshape(2 * N_FRAMES, N_POINTS)
@@ -123,7 +128,7 @@ def _iterate(observations: Observations, start: Posterior, count: int) -> Callab
 # --- a converged solve --------------------------------------------------------------------------------------
 
 
-def solve_claims() -> list[Expectation]:
+def solve_expectations() -> list[Expectation]:
     """Start and polish beside bundle adjustment, which is given a start."""
     expectations = []
     for length, bound in ((N_FRAMES, 10.0), (60, None)):
@@ -201,7 +206,7 @@ def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers, most
 # --- how the time grows -------------------------------------------------------------------------------------
 
 
-def linearity_claims(sizes: Sequence[int] = (10**3, 10**4, 10**5, 10**6)) -> list[Expectation]:
+def linearity_expectations(sizes: Sequence[int] = (10**3, 10**4, 10**5, 10**6)) -> list[Expectation]:
     """Time of an iteration over about so many observations, each point seen in 30 frames."""
     expectations, counts, seconds = [], [], []
     for size in sizes:
@@ -225,7 +230,7 @@ def linearity_claims(sizes: Sequence[int] = (10**3, 10**4, 10**5, 10**6)) -> lis
 # --- starts that succeed ------------------------------------------------------------------------------------
 
 
-def start_claims(n_starts: int = 100) -> list[Expectation]:
+def start_expectations(n_starts: int = 100) -> list[Expectation]:
     """Share of random cameras from which the best known optimum is reached, to five digits."""
     expectations = []
     for what, positions, bound in (
@@ -253,4 +258,4 @@ def _from_random(positions: Numbers, seed: int) -> float:
 if __name__ == "__main__":
     from ...reports.expectations import HEADER, in_columns
 
-    print(in_columns(HEADER, [expectation.cells for expectation in structure_claims()]))
+    print(in_columns(HEADER, [expectation.cells for expectation in structure_expectations()]))

@@ -82,7 +82,7 @@ FAIR = (
 NOTE = (
     "Time of a whole frame, features included: the median, in one thread beside another scene, all trackers "
     f"in turns. A mis-track: a hand's error above {OFF:g} head heights in {LEAST_OFF} frames in a row. "
-    f"Recovered: below {FOUND:g} within {SOON} frames from the first in which that hand looks like flesh."
+    f"Recovered: below {FOUND:g} within {SOON} frames from the first in which that hand looks like skin."
 )
 
 Found = dict[str, list[BodyTrial]]

@@ -121,7 +121,7 @@ def _dual_chain(tracks: Numbers, coherence: Coherence) -> Recovered:
 
 
 def _oracle(truth: Cylinder) -> Recovered:
-    """Factor analysis that is told which tracks belong together."""
+    """Factor analysis that is given which tracks belong together."""
     found = factorise(PX * truth.observed, coherence=True)
     return Recovered(predicted(found)[0] / PX, found.shape, truth.point_of_track)
 

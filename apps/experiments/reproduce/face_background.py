@@ -19,7 +19,7 @@ from ...reports.expectations import Expectation
 from ...reports.experiment import Plot, Table, publish
 from ...runs.parallel import in_processes
 from ...scenes import FaceScene, face
-from ..trials.face import Measured, Trial, as_json, median, n_lost, quartiles
+from ..trials.face import Evaluation, Measured, as_json, median, n_lost, quartiles
 
 SEEDS = range(10)
 N_FRAMES = 100
@@ -35,7 +35,7 @@ LINE = ("scene", "method", "error, px", f"lost of {len(SEEDS)}", "ms a frame")
 
 
 @dataclass(frozen=True)
-class Setting:
+class Condition:
     """A scene, and how the tracker is set for it."""
 
     name: str
@@ -58,29 +58,30 @@ class PannedScene(FaceScene):
         return picture + (1 - covered) * (moved - self._room), covered
 
 
-WEAK = Setting("weak texture, raw light", {"texture": 0.3, "light": 0.3}, {"local_mean": False, "gain": 0.2})
-SETTINGS = (
-    Setting("textured, light taken out", {}, {}),
+RAW = {"local_mean": False, "gain": 0.2}
+WEAK = Condition("weak texture, raw light", {"texture": 0.3, "light": 0.3}, RAW)
+CONDITIONS = (
+    Condition("textured, light taken out", {}, {}),
     WEAK,
-    Setting("textured, raw light", {"light": 0.3}, {"local_mean": False, "gain": 0.2}),
-    Setting("moving room", {}, {}, pans=True),
+    Condition("textured, raw light", {"light": 0.3}, RAW),
+    Condition("moving room", {}, {}, pans=True),
 )
 TURNING = (
-    Setting("turns by 60 degrees", {"max_yaw": 60.0}, {}),
-    Setting("parts that stand off", {"shields": True}, {}),
+    Condition("turns by 60 degrees", {"max_yaw": 60.0}, {}),
+    Condition("parts that stand off", {"shields": True}, {}),
 )
-COMPARED = tuple((setting, (NONE, SHARED, EXACT)) for setting in SETTINGS) + tuple(
-    (setting, (SEEN, ALL)) for setting in TURNING
+COMPARED = tuple((condition, (NONE, SHARED, EXACT)) for condition in CONDITIONS) + tuple(
+    (condition, (SEEN, ALL)) for condition in TURNING
 )
-"""Every setting with the methods that are compared on it."""
+"""Every condition with the methods that are compared on it."""
 
 Found = dict[str, Measured]
-"""By setting and method, one trial for each seed."""
+"""By condition and method, one evaluation for each seed."""
 
 
-def run(setting: Setting, method: str, seed: int) -> Trial:
+def run(condition: Condition, method: str, seed: int) -> Evaluation:
     """Follow one scene from its true first pose; vertices are the mean over the experts."""
-    scene = setting.sequence(seed)
+    scene = condition.sequence(seed)
     chain = GFlow(
         scene.model,
         scene.poses[0],
@@ -89,7 +90,7 @@ def run(setting: Setting, method: str, seed: int) -> Trial:
         occlusion=method != ALL,
         recover=False,
         seed=seed,
-        **setting.tracker,
+        **condition.tracker,
     )
     pixels, model = PixelLabels(), MultiChain()
     if method == SHARED:
@@ -102,44 +103,44 @@ def run(setting: Setting, method: str, seed: int) -> Trial:
         spent += time.perf_counter() - begin
         state = belief.state
         vertices.append(chain.vertices(belief[chain])[0])
-    return replace(Trial.of(scene, np.array(vertices)), time=1000 * spent / len(scene))
+    return replace(Evaluation.of(scene, np.array(vertices)), time=1000 * spent / len(scene))
 
 
 def measure(seeds: Sequence[int]) -> Found:
     """Run everything."""
-    cells = [(setting, method) for setting, methods in COMPARED for method in methods]
-    trials = iter(
+    cells = [(condition, method) for condition, methods in COMPARED for method in methods]
+    evaluations = iter(
         in_processes(
             "face and background",
-            [(run, (setting, method, seed)) for setting, method in cells for seed in seeds],
+            [(run, (condition, method, seed)) for condition, method in cells for seed in seeds],
         )
     )
-    found: Found = {setting.name: {} for setting, _ in COMPARED}
-    for setting, method in cells:
-        found[setting.name][method] = [next(trials) for _ in seeds]
+    found: Found = {condition.name: {} for condition, _ in COMPARED}
+    for condition, method in cells:
+        found[condition.name][method] = [next(evaluations) for _ in seeds]
     return found
 
 
 def expectations_of(found: Found) -> list[Expectation]:
     """What is wanted of ratios of medians."""
 
-    def ratio(setting: Setting, method: str, other: str) -> float:
-        return median(found[setting.name][method]) / median(found[setting.name][other])
+    def ratio(condition: Condition, method: str, other: str) -> float:
+        return median(found[condition.name][method]) / median(found[condition.name][other])
 
     expectations = [
         Expectation(
-            f"{setting.name}: error with {method} over that without",
-            ratio(setting, method, NONE),
+            f"{condition.name}: error with {method} over that without",
+            ratio(condition, method, NONE),
             "<=",
-            BETTER if setting is WEAK else NO_WORSE,
+            BETTER if condition is WEAK else NO_WORSE,
         )
         for method in (SHARED, EXACT)
-        for setting in SETTINGS
+        for condition in CONDITIONS
     ]
-    gains = [ratio(setting, SEEN, ALL) for setting in TURNING]
+    gains = [ratio(condition, SEEN, ALL) for condition in TURNING]
     expectations += [
-        Expectation(f"{setting.name}: error with self-occlusion handled over that without", gain)
-        for setting, gain in zip(TURNING, gains, strict=True)
+        Expectation(f"{condition.name}: error with self-occlusion handled over that without", gain)
+        for condition, gain in zip(TURNING, gains, strict=True)
     ]
     expectations.append(Expectation("the better of these", min(gains), "<=", HALF))
     return expectations
@@ -157,9 +158,9 @@ def reproduce_face_background(out: Path) -> None:
     found = measure(SEEDS)
     expectations = expectations_of(found)
     lines = [
-        [scene, method, quartiles(trials), n_lost(trials), f"{median(trials, 'time'):.0f}"]
+        [scene, method, quartiles(evaluations), n_lost(evaluations), f"{median(evaluations, 'time'):.0f}"]
         for scene, methods in found.items()
-        for method, trials in methods.items()
+        for method, evaluations in methods.items()
     ]
     caption = f"Mean vertex error in each of {len(SEEDS)} scenes of {N_FRAMES} frames, and the median."
     note = "Medians and quartiles over the scenes; time in one thread, with another run beside it."
@@ -177,11 +178,11 @@ def draw(canvas: Figure, found: Found) -> None:
     """Error of every run, a plot for each scene."""
     axes = canvas.subplots(1, len(found), sharey=True, squeeze=False)[0]
     for axis, (scene, methods) in zip(axes, found.items(), strict=True):
-        for place, (method, trials) in enumerate(methods.items()):
-            errors = [trial.error for trial in trials]
+        for place, (method, evaluations) in enumerate(methods.items()):
+            errors = [evaluation.error for evaluation in evaluations]
             aside = place + np.linspace(-0.2, 0.2, len(errors))
             axis.plot(aside, errors, ".", color=COLOURS[method], alpha=0.6)
-            axis.hlines(median(trials), place - 0.35, place + 0.35, color=COLOURS[method], linewidth=2)
+            axis.hlines(median(evaluations), place - 0.35, place + 0.35, color=COLOURS[method], linewidth=2)
         axis.set_xticks(range(len(methods)), list(methods), rotation=30, ha="right", fontsize=8)
         axis.set_title(scene, fontsize=9)
     axes[0].set_yscale("log")
@@ -190,6 +191,6 @@ def draw(canvas: Figure, found: Found) -> None:
 
 def _as_json(methods: Measured) -> dict[str, Any]:
     return {
-        method: {**errors, "time": [trial.time for trial in methods[method]]}
+        method: {**errors, "time": [evaluation.time for evaluation in methods[method]]}
         for method, errors in as_json(methods).items()
     }

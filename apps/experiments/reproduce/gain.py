@@ -51,9 +51,9 @@ def reproduce_gain(out: Path) -> None:
     everything = {name: measure(f"gain, {name}", trackers(), scene, SEEDS) for name, scene in SCENES.items()}
     expectations = expectations_of(everything)
     lines = [
-        [scene, gain, quartiles(trials), quartiles(trials, "error_3d"), n_lost(trials)]
+        [scene, gain, quartiles(evaluations), quartiles(evaluations, "error_3d"), n_lost(evaluations)]
         for scene, found in everything.items()
-        for gain, trials in found.items()
+        for gain, evaluations in found.items()
     ]
     caption = (
         f"Fig. 3b: error of the mean pose's vertices over the gain, median and quartiles of {len(SEEDS)} "
@@ -109,7 +109,7 @@ def draw(canvas: Figure, everything: Mapping[str, Measured]) -> None:
     axis = canvas.add_subplot()
     places = np.log(np.array(GAINS) / (1 - np.array(GAINS)))
     for scene, found in everything.items():
-        errors = [[trial.error for trial in found[_name(gain)]] for gain in GAINS]
+        errors = [[evaluation.error for evaluation in found[_name(gain)]] for gain in GAINS]
         low, middle, high = np.percentile(errors, [25, 50, 75], axis=1)
         axis.plot(places, middle, "o-", color=COLOURS[scene], linewidth=1.4, label=scene)
         axis.fill_between(places, low, high, color=COLOURS[scene], alpha=0.2, linewidth=0)

@@ -14,7 +14,7 @@ from ....models.face.pose import Poses
 from ...reports.expectations import Expectation
 from ...reports.experiment import Plot, Table, publish
 from ...runs.parallel import in_processes
-from ..trials.face import Film, taught_texture
+from ..trials.face import Clip, ground_truth_texture
 from ..trials.face_baselines import states
 
 Numbers = NDArray[np.float64]
@@ -74,8 +74,8 @@ def reproduce_recovery(out: Path) -> None:
     ]
     line = ("texture at the start", *(f"error in frame {index + 1}, px" for index in SHOWN))
 
-    film = Film.of(seed=SEEDS[0], **SCENE)
-    pictures = [film.scene.image(index) for index in SHOWN]
+    clip = Clip.of(seed=SEEDS[0], **SCENE)
+    pictures = [clip.scene.image(index) for index in SHOWN]
     firsts = {start: found[start][0] for start in STARTS}
     publish(
         out,
@@ -102,21 +102,21 @@ def reproduce_recovery(out: Path) -> None:
 
 def recover(seed: int) -> dict[str, Recovery]:
     """Start experts about the true pose of a sequence, with both textures."""
-    film = Film.of(seed=seed, **SCENE)
-    scene = film.scene
-    start = scattered(film, np.random.default_rng([seed, 9]))
+    clip = Clip.of(seed=seed, **SCENE)
+    scene = clip.scene
+    start = scattered(clip, np.random.default_rng([seed, 9]))
     blank = GFlow(scene.model, start, experts=N_EXPERTS, gain=GAIN, recover=False, seed=seed)
-    known = replace(blank, texture=taught_texture(film, blank))
-    return {KNOWN: _followed(film, known), BLANK: _followed(film, blank)}
+    known = replace(blank, texture=ground_truth_texture(clip, blank))
+    return {KNOWN: _followed(clip, known), BLANK: _followed(clip, blank)}
 
 
-def scattered(film: Film, random: np.random.Generator) -> Poses:
+def scattered(clip: Clip, random: np.random.Generator) -> Poses:
     """Experts about the true pose of the first frame, `SCATTER` px from it in the mean over all vertices.
 
     Turned, shifted, sized and deformed at random, in proportions in which each of these moves vertices by
     about as much.
     """
-    scene = film.scene
+    scene = clip.scene
     truth = scene.poses[np.zeros(N_EXPERTS, np.int64)]
     size = truth.sizes[0]
     deviations = np.full(truth.dimension, 0.5 * size)
@@ -126,24 +126,24 @@ def scattered(film: Film, random: np.random.Generator) -> Poses:
     factor = 1.0
     for _ in range(20):  # vertices do not move in proportion to a turn, but nearly
         poses = truth.moved(factor * changes)
-        factor *= SCATTER / float(_distances(film, poses, 0).mean())
+        factor *= SCATTER / float(_distances(clip, poses, 0).mean())
     return poses
 
 
-def _distances(film: Film, poses: Poses, index: int) -> Numbers:
+def _distances(clip: Clip, poses: Poses, index: int) -> Numbers:
     """`(n_poses,)` px: mean distance of vertices from the true ones."""
-    off = film.scene.model.project(poses) - film.scene.vertices[index]
+    off = clip.scene.model.project(poses) - clip.scene.vertices[index]
     distances: Numbers = np.linalg.norm(off, axis=2).mean(axis=1)
     return distances
 
 
-def _followed(film: Film, chain: GFlow) -> Recovery:
+def _followed(clip: Clip, chain: GFlow) -> Recovery:
     errors, each, vertices = [], [], []
-    for index, state in enumerate(states(chain, film.frames)):
-        errors.append(float(_distances(film, chain.mean_pose(state), index)[0]))
-        each.append(_distances(film, state.poses, index))
+    for index, state in enumerate(states(chain, clip.frames)):
+        errors.append(float(_distances(clip, chain.mean_pose(state), index)[0]))
+        each.append(_distances(clip, state.poses, index))
         if index in SHOWN:
-            vertices.append(film.scene.model.project(state.poses))
+            vertices.append(clip.scene.model.project(state.poses))
     return Recovery(np.array(errors), np.array(each), np.array(vertices))
 
 

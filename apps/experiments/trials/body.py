@@ -41,7 +41,7 @@ class SignerFilm:
 
     @classmethod
     def of(cls, **settings: Any) -> Self:
-        """The scene of these settings of `signer`; flesh is learned from it as from any clip."""
+        """The scene of these settings of `signer`; skin is learned from it as from any clip."""
         scene = signer(**settings)
         frames = list(scene)
         images = [frame.image for frame in frames if frame.image is not None]
@@ -140,9 +140,7 @@ class _Run:
             return state
         n = len(poses.poses)
         truth = self._film.scene.poses.take(np.zeros(n, np.int64))
-        known = replace(
-            poses, poses=truth, log_weights=np.full(n, -np.log(n)), ancestors=None, ancestor_weights=None
-        )
+        known = BodySamples.even(truth, poses.size, poses.random)
         return replace(state, states={**state.states, self._chain: known})
 
     def _effective(self, state: RunState) -> float:

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....chains.gflow import GFlow, GFlowState
-from ....inference.face.gauss_newton import find_peaks
+from ....inference.face.gauss_newton import find_modes
 from ....inference.face.pose_dynamics import PosePrior
 from ....inference.face.texture_filter import UNKNOWN_VARIANCE, Texture
 from ....inference.face.texture_likelihood import TextureLikelihood
 from ....models.core.frame import Frame
-from ....models.face.image_pyramid import Level, picture_levels
+from ....models.face.image_pyramid import Level, image_pyramid
 from ....models.face.pose import Poses
 from ...runs.parallel import in_processes
 from ...scenes import FaceScene, face
@@ -32,12 +32,12 @@ LOST_SHARE = 0.5
 """Error from which a face counts as not followed, in sizes of the face."""
 LOST_SECONDS = 1.0
 """For how long at a stretch, unless it is so in the last frame."""
-TAUGHT_EVERY, MODES = 10, 8
+LEARNED_EVERY, MODES = 10, 8
 """Frames from which a subspace of textures is learned, and its dimension."""
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class Evaluation:
     """How a tracker did on a sequence.
 
     Parameters
@@ -48,7 +48,7 @@ class Trial:
     errors_3d
         `(n_frames,)` px: the same in space, after the mean offset in depth is taken off, which a weak
         perspective does not show.
-    squared
+    nees
         `(n_frames,)`: normalised estimation error squared of the pose per dimension, about 1 where the
         tracker's covariance is honest; NaN where it was not worked out.
     size
@@ -61,17 +61,17 @@ class Trial:
 
     errors: Numbers
     errors_3d: Numbers
-    squared: Numbers
+    nees: Numbers
     size: float
     dt: float
     time: float = np.nan
 
     @classmethod
-    def of(cls, scene: FaceScene, vertices: Numbers, squared: Numbers | None = None) -> Self:
+    def of(cls, scene: FaceScene, vertices: Numbers, nees: Numbers | None = None) -> Self:
         """Of the vertices `(n_frames, n_vertices, 3)` px that were found in a scene."""
         errors = vertex_errors(vertices, scene.model.positions(scene.poses))
-        squared = np.full(len(scene), np.nan) if squared is None else squared
-        return cls(*errors, squared, float(scene.poses.sizes[0]), scene.dt)
+        nees = np.full(len(scene), np.nan) if nees is None else nees
+        return cls(*errors, nees, float(scene.poses.sizes[0]), scene.dt)
 
     @property
     def error(self) -> float:
@@ -84,9 +84,9 @@ class Trial:
         return float(self.errors_3d[1:].mean())
 
     @property
-    def honesty(self) -> float:
+    def mean_nees(self) -> float:
         """Normalised estimation error squared per dimension, mean over the frames after the first."""
-        return float(self.squared[1:].mean())
+        return float(self.nees[1:].mean())
 
     @property
     def lost(self) -> bool:
@@ -98,14 +98,14 @@ class Trial:
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class Clip:
     """A scene whose pictures are drawn once for all trackers."""
 
     scene: FaceScene
     frames: Sequence[Frame]
 
     @classmethod
-    def of(cls, **settings: Any) -> "Film":
+    def of(cls, **settings: Any) -> "Clip":
         """The scene of these settings of `face`."""
         scene = face(**settings)
         return cls(scene, list(scene))
@@ -142,62 +142,60 @@ class Tracker:
         """The chain for a scene, started at the true pose."""
         return GFlow(scene.model, scene.poses[0], **{"recover": False, **self.settings})
 
-    def run(self, film: Film) -> Trial:
-        """Follow the face through the film."""
-        scene, frames = film.scene, film.frames
+    def run(self, clip: Clip) -> Evaluation:
+        """Follow the face through the clip."""
+        scene, frames = clip.scene, clip.frames
         if self.system == "oracle":
-            return floor(film, replace(self.chain(scene), experts=1))
+            return floor(clip, replace(self.chain(scene), experts=1))
         if self.system == "g-flow":
-            return follow(film, self.chain(scene), self.texturing)
+            return follow(clip, self.chain(scene), self.texturing)
         if self.system == "subspace":
-            taught = slice(0, None, TAUGHT_EVERY)
-            subspace = learned_subspace(frames[taught], scene.model, scene.poses[taught], MODES)
+            known = slice(0, None, LEARNED_EVERY)
+            subspace = learned_subspace(frames[known], scene.model, scene.poses[known], MODES)
             found = template_subspace(frames, scene.model, scene.poses[0], subspace)
         else:
             track = constrained_flow(frames, scene.model, scene.poses[0])
             found = generative_template(frames, scene.model, track).poses
-        return Trial.of(scene, scene.model.positions(found))
+        return Evaluation.of(scene, scene.model.positions(found))
 
 
-def follow(film: Film, chain: GFlow, texturing: Texturing = "own") -> Trial:
-    """Run a chain over a film, by itself."""
-    scene = film.scene
+def follow(clip: Clip, chain: GFlow, texturing: Texturing = "own") -> Evaluation:
+    """Run a chain over a clip, by itself."""
+    scene = clip.scene
     if texturing == "own":
-        return Trial.of(scene, scene.model.positions(followed(chain, film.frames)))
-    taught, squared = _Taught(chain, film), np.full(len(scene), np.nan)
+        return Evaluation.of(scene, scene.model.positions(followed(chain, clip.frames)))
+    truth, nees = _GroundTruthTexture(chain, clip), np.full(len(scene), np.nan)
 
     def with_true_texture(before: GFlowState, after: GFlowState) -> GFlowState:
-        index = taught.learned + 1
+        index = truth.learned + 1
         if index:
             mean = chain.mean_pose(after)
-            squared[index] = normalised_square(
-                scene.poses[index], mean, taught.covariance(before, after, mean)
-            )
-        return replace(after, texture=taught.learn(index).of(np.zeros(chain.experts, np.int64)))
+            nees[index] = normalised_square(scene.poses[index], mean, truth.covariance(before, after, mean))
+        return replace(after, texture=truth.learn(index).of(np.zeros(chain.experts, np.int64)))
 
-    found = followed(chain, film.frames, with_true_texture)
-    return Trial.of(scene, scene.model.positions(found), squared)
+    found = followed(chain, clip.frames, with_true_texture)
+    return Evaluation.of(scene, scene.model.positions(found), nees)
 
 
-def floor(film: Film, chain: GFlow) -> Trial:
+def floor(clip: Clip, chain: GFlow) -> Evaluation:
     """The oracle: texture learned at the true poses, Gauss-Newton started at the true pose of each frame.
 
     Its prior is what the filter's would be if all had gone well before: a walk from the true pose of the
     previous frame. What remains is noise of the picture, the model's error, and texture that changes.
     """
-    scene, taught = film.scene, _Taught(chain, film)
+    scene, truth = clip.scene, _GroundTruthTexture(chain, clip)
     found = [scene.poses[0]]
-    squared = np.full(len(scene), np.nan)
+    nees = np.full(len(scene), np.nan)
     for index in range(1, len(scene)):
-        texture = taught.learn(index - 1)
-        likelihood = taught.likelihood(index, texture, scene.poses[index])
-        prior = PosePrior.after(scene.poses[index - 1], chain.dynamics, taught.size, scene.dt)
-        peaks = find_peaks(
+        texture = truth.learn(index - 1)
+        likelihood = truth.likelihood(index, texture, scene.poses[index])
+        prior = PosePrior.after(scene.poses[index - 1], chain.dynamics, truth.size, scene.dt)
+        modes = find_modes(
             likelihood, prior, scene.poses[index], chain.effective_pixels, coarsest=chain.levels - 1
         )
-        found.append(peaks.poses)
-        squared[index] = normalised_square(scene.poses[index], peaks.poses, np.linalg.inv(peaks.precision[0]))
-    return Trial.of(scene, scene.model.positions(Poses.concatenated(found)), squared)
+        found.append(modes.poses)
+        nees[index] = normalised_square(scene.poses[index], modes.poses, np.linalg.inv(modes.precision[0]))
+    return Evaluation.of(scene, scene.model.positions(Poses.concatenated(found)), nees)
 
 
 def normalised_square(truth: Poses, estimate: Poses, covariance: Numbers) -> float:
@@ -207,29 +205,29 @@ def normalised_square(truth: Poses, estimate: Poses, covariance: Numbers) -> flo
 
 
 @dataclass(eq=False)
-class _Taught:
+class _GroundTruthTexture:
     """Texture of a chain's object learned at the true poses, frame after frame."""
 
     chain: GFlow
-    film: Film
+    clip: Clip
     texture: Texture = field(init=False)
     learned: int = field(init=False, default=-1)
 
     def __post_init__(self) -> None:
-        self.texture = self.chain.initial(self.film.frames[0]).texture.of(np.zeros(1, np.int64))
+        self.texture = self.chain.initial(self.clip.frames[0]).texture.of(np.zeros(1, np.int64))
 
     @cached_property
     def size(self) -> float:
         """px: of the face at the start, as the chain takes it."""
-        return float(self.film.scene.poses.sizes[0])
+        return float(self.clip.scene.poses.sizes[0])
 
     def levels(self, index: int) -> list[Level]:
         """Picture `index` as the chain prepares it."""
-        image = self.film.frames[index].image
+        image = self.clip.frames[index].image
         if image is None:
             raise ValueError(f"frames: got none at index {index}, expected pictures of a generated scene")
         chain = self.chain
-        return picture_levels(image, self.size, n_levels=chain.levels, local_mean=chain.local_mean)
+        return image_pyramid(image, self.size, n_levels=chain.levels, local_mean=chain.local_mean)
 
     def likelihood(self, index: int, texture: Texture, poses: Poses) -> TextureLikelihood:
         """What picture `index` says, seen with `texture`; visibility is that of `poses`."""
@@ -246,10 +244,10 @@ class _Taught:
         """The texture after the pictures up to `index`, of which this is the next."""
         if index != self.learned + 1:
             raise ValueError(f"index: got {index}, expected {self.learned + 1}, frames in turn")
-        truth = self.film.scene.poses[index]
+        truth = self.clip.scene.poses[index]
         surface = self.chain.object
-        looks, seen = surface.looks(self.levels(index), truth, surface.visible(truth))
-        self.texture, self.learned = self.texture.after(looks, seen, self.chain.noise), index
+        observed, seen = surface.observe(self.levels(index), truth, surface.visible(truth))
+        self.texture, self.learned = self.texture.updated(observed, seen, self.chain.noise), index
         return self.texture
 
     def covariance(self, before: GFlowState, after: GFlowState, mean: Poses) -> Numbers:
@@ -263,9 +261,9 @@ class _Taught:
         return spread + np.linalg.inv(precision + np.diag(prior.precision))
 
 
-def taught_texture(film: Film, chain: GFlow) -> Texture:
+def ground_truth_texture(clip: Clip, chain: GFlow) -> Texture:
     """What a chain's object looks like in the first picture at the true pose, and surely so."""
-    texture = _Taught(replace(chain, start=film.scene.poses[0], texture=None), film).learn(0)
+    texture = _GroundTruthTexture(replace(chain, start=clip.scene.poses[0], texture=None), clip).learn(0)
     steady = np.full_like(texture.variance, chain.noise.steady_variance)
     seen = texture.variance < 0.5 * UNKNOWN_VARIANCE
     return replace(texture, variance=np.where(seen, steady, texture.variance))
@@ -281,7 +279,7 @@ def vertex_errors(found: Numbers, truth: Numbers) -> tuple[Numbers, Numbers]:
 
 # Many of them
 
-Measured = dict[str, list[Trial]]
+Measured = dict[str, list[Evaluation]]
 """By tracker, one for each seed."""
 
 
@@ -294,34 +292,36 @@ def measure(
     return {tracker.name: [one[number] for one in found] for number, tracker in enumerate(trackers)}
 
 
-def _on_one_scene(trackers: Sequence[Tracker], scene: Mapping[str, Any]) -> list[Trial]:
-    film = Film.of(**scene)
-    return [tracker.run(film) for tracker in trackers]
+def _on_one_scene(trackers: Sequence[Tracker], scene: Mapping[str, Any]) -> list[Evaluation]:
+    clip = Clip.of(**scene)
+    return [tracker.run(clip) for tracker in trackers]
 
 
-def median(trials: Sequence[Trial], measure: str = "error") -> float:
-    """Median over the sequences of a measure of `Trial`."""
-    return float(np.median([getattr(trial, measure) for trial in trials]))
+def median(evaluations: Sequence[Evaluation], measure: str = "error") -> float:
+    """Median over the sequences of a measure of `Evaluation`."""
+    return float(np.median([getattr(evaluation, measure) for evaluation in evaluations]))
 
 
-def quartiles(trials: Sequence[Trial], measure: str = "error") -> str:
+def quartiles(evaluations: Sequence[Evaluation], measure: str = "error") -> str:
     """Median and quartiles over the sequences, in words."""
-    low, middle, high = np.percentile([getattr(trial, measure) for trial in trials], [25, 50, 75])
+    low, middle, high = np.percentile(
+        [getattr(evaluation, measure) for evaluation in evaluations], [25, 50, 75]
+    )
     return f"{middle:.3g} ({low:.3g}-{high:.3g})"
 
 
-def n_lost(trials: Sequence[Trial]) -> int:
+def n_lost(evaluations: Sequence[Evaluation]) -> int:
     """Sequences on which the face was lost."""
-    return sum(trial.lost for trial in trials)
+    return sum(evaluation.lost for evaluation in evaluations)
 
 
 def as_json(found: Measured) -> dict[str, Any]:
     """Every run's errors (px) and whether it was lost, by system and seed."""
     return {
         name: {
-            "error": [trial.error for trial in trials],
-            "error_3d": [trial.error_3d for trial in trials],
-            "lost": [trial.lost for trial in trials],
+            "error": [evaluation.error for evaluation in evaluations],
+            "error_3d": [evaluation.error_3d for evaluation in evaluations],
+            "lost": [evaluation.lost for evaluation in evaluations],
         }
-        for name, trials in found.items()
+        for name, evaluations in found.items()
     }

@@ -16,7 +16,7 @@ from ....inference.face.pose_dynamics import PoseDynamics, PosePrior
 from ....inference.face.texture_likelihood import TexturedObject
 from ....models.background.pixel_labels import PixelLabels, PixelMessage
 from ....models.core.frame import Frame
-from ....models.face.image_pyramid import Level, picture_levels
+from ....models.face.image_pyramid import Level, image_pyramid
 from ....models.face.morphable_model import MorphableModel
 from ....models.face.pose import Poses
 from ....models.face.surface_texels import SurfaceTexels
@@ -105,12 +105,12 @@ def learned_subspace(
     ValueError
         if a frame has no picture, or there are not more frames than modes.
     """
-    surface, looks, seen = dense_surface(model), [], []
+    surface, observed, seen = dense_surface(model), [], []
     for number, levels in enumerate(_levels(frames, float(poses.sizes[0]))):
-        shown, inside = surface.looks(levels, poses[number], surface.visible(poses[number]))
-        looks.append(shown)
+        shown, inside = surface.observe(levels, poses[number], surface.visible(poses[number]))
+        observed.append(shown)
         seen.append(inside)
-    return TextureSubspace.learned(np.concatenate(looks), np.concatenate(seen), n_modes)
+    return TextureSubspace.learned(np.concatenate(observed), np.concatenate(seen), n_modes)
 
 
 def generative_template(
@@ -152,7 +152,7 @@ def dense_surface(model: MorphableModel) -> TexturedObject:
 
 def _levels(frames: Sequence[Frame], size: float) -> Iterator[list[Level]]:
     for frame in frames:
-        yield picture_levels(_picture(frame), size, n_levels=GFlow.levels, local_mean=GFlow.local_mean)
+        yield image_pyramid(_picture(frame), size, n_levels=GFlow.levels, local_mean=GFlow.local_mean)
 
 
 def _picture(frame: Frame) -> NDArray[np.uint8]:

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ....inference.face.gauss_newton import find_peaks
+from ....inference.face.gauss_newton import find_modes
 from ....inference.face.pose_dynamics import PoseDynamics, PosePrior
 from ....inference.face.texture_likelihood import TexturedObject, TextureLikelihood
-from ....models.face.image_pyramid import MIDDLE_GREY, Level, picture_levels
+from ....models.face.image_pyramid import MIDDLE_GREY, Level, image_pyramid
 from ....models.face.kernels import warp as warp_kernels
 from ....models.face.pose import RIGID, Poses
 
@@ -74,11 +74,11 @@ class ClipTemplate:
 
 
 @dataclass(frozen=True, eq=False)
-class _Moments:
+class _FrameSums:
     """Sums over frames from which the template, its noises and the share of outliers are made."""
 
     weight: Array
-    looks: Array
+    observed: Array
     squares: Array
     unsure: Array
     inliers: float = 0.0
@@ -86,13 +86,13 @@ class _Moments:
 
     def template(self) -> Map:
         """`(n_levels, n_texels)`: weighted mean of what frames show."""
-        mean = self.looks / np.maximum(self.weight, 1e-9)
+        mean = self.observed / np.maximum(self.weight, 1e-9)
         return np.where(self.weight > 1e-9, mean, MIDDLE_GREY).astype(np.float32)
 
     def noise(self) -> Map:
         """`(n_texels,)`: weighted mean square about the template, with what the uncertain shape adds."""
         weight = np.maximum(self.weight, 1e-9)
-        middle = self.looks[0] / weight
+        middle = self.observed[0] / weight
         spread = (self.squares + self.unsure) / weight - middle**2
         return np.where(self.weight > 1e-9, np.maximum(spread, LEAST_NOISE), FIRST_NOISE).astype(np.float32)
 
@@ -158,7 +158,7 @@ class GenerativeTemplate:
         return clip
 
     def _levels(self, picture: NDArray[np.uint8], size: float) -> list[Level]:
-        return picture_levels(picture, size, n_levels=self.levels, local_mean=self.local_mean)
+        return image_pyramid(picture, size, n_levels=self.levels, local_mean=self.local_mean)
 
     def _first_template(self, pictures: Sequence[NDArray[np.uint8]], start: Poses) -> tuple[Map, Map]:
         """What the first picture shows; where that is nothing, the mean of what the others do."""
@@ -167,11 +167,11 @@ class GenerativeTemplate:
         for number, picture in enumerate(pictures):
             pose = start[number]
             levels = self._levels(picture, float(start.sizes[0]))
-            looks, seen = self.surface.looks(levels, pose, self.surface.visible(pose))
+            observed, seen = self.surface.observe(levels, pose, self.surface.visible(pose))
             # the first picture's share is as large as no number of others', which are then passed over
             share = 1.0 if number else float(len(pictures))
             weight = seen[0] * np.where(count >= len(pictures), 0.0, share)
-            total += weight * looks[0]
+            total += weight * observed[0]
             count += weight
         mean = np.where(count > 0, total / np.maximum(count, 1), MIDDLE_GREY)
         return mean.astype(np.float32), np.full(n, FIRST_NOISE, np.float32)
@@ -182,7 +182,7 @@ class GenerativeTemplate:
         """E step in every frame, then M step."""
         n_texels = len(self.surface.texels)
         zero = np.zeros(n_texels)
-        sums = _Moments(zero, np.zeros((self.levels, n_texels)), zero, zero)
+        sums = _FrameSums(zero, np.zeros((self.levels, n_texels)), zero, zero)
         poses, covariances, occlusion, bound = [], [], [], 0.0
         for number, picture in enumerate(pictures):
             levels = self._levels(picture, float(prior.previous.sizes[0]))
@@ -222,7 +222,7 @@ class _Frame:
         """Turn, place and the Gaussian's middle, with outliers taken as they are in `pose`."""
         inlier = self._texels(pose, covariance).inlier
         likelihood = self._likelihood(inlier)
-        return find_peaks(likelihood, self.prior, pose, self.tracker.effective_pixels, coarsest).poses
+        return find_modes(likelihood, self.prior, pose, self.tracker.effective_pixels, coarsest).poses
 
     def covariance(self, pose: Poses, before: Array) -> Array:
         """`(n_bases, n_bases)`: of the Gaussian of the coefficients, where turn and place are known."""
@@ -232,11 +232,11 @@ class _Frame:
         covariance: Array = np.linalg.inv(precision[RIGID:, RIGID:])
         return covariance
 
-    def judged(self, pose: Poses, covariance: Array, sums: _Moments) -> tuple[_Moments, float, float]:
+    def judged(self, pose: Poses, covariance: Array, sums: _FrameSums) -> tuple[_FrameSums, float, float]:
         """Sums with this frame's added, the share of the surface that shows the template, and its bound."""
         texels = self._texels(pose, covariance)
         inlier, weight = texels.inlier, texels.weight
-        looks, seen = self.tracker.surface.looks(self.levels, pose, self.visible[None])
+        observed, seen = self.tracker.surface.observe(self.levels, pose, self.visible[None])
         own = weight * inlier * seen[0]
         total, inliers = float(weight.sum()), float((weight * inlier).sum())
         # minus the divergence of the outliers' probabilities and of the Gaussian from what was known before
@@ -248,10 +248,10 @@ class _Frame:
         )
         bound = float(weight @ chances - divergence - self.prior.energy(pose, np.zeros(1, np.int64))[0][0])
         return (
-            _Moments(
+            _FrameSums(
                 sums.weight + own,
-                sums.looks + own * looks[0],
-                sums.squares + own * looks[0, 0].astype(np.float64) ** 2,
+                sums.observed + own * observed[0],
+                sums.squares + own * observed[0, 0].astype(np.float64) ** 2,
                 sums.unsure + own * texels.unsure,
                 sums.inliers + inliers,
                 sums.total + total,
@@ -272,19 +272,16 @@ class _Frame:
         """How texels of the finest level look in a pose, and whether they are the template's."""
         surface, level = self.tracker.surface, self.levels[0]
         texels, n = surface.texels, len(surface.texels)
-        height, width = level.image.shape
         positions, rows = surface.rows(pose)
         places, area = np.empty((2, n), np.float32), np.empty(n, np.float32)
         value, across, down = (np.empty(n, np.float32) for _ in range(3))
         warp_kernels.texel_places(
-            positions[0], surface.groups, texels.first, 1, texels.weights, texels.offsets, texels.areas,
-            self.visible, np.float32(1), places, area,
-        )  # fmt: skip
-        warp_kernels.sample_with_slopes(
-            level.image.reshape(-1), width, height, places, n, value, across, down, area
+            positions[0], surface.used_texels, 1, self.visible, level.scale, places, area
         )
+        samples = warp_kernels.Samples(value, across, down, area)
+        warp_kernels.sample_with_slopes(level, places, n, samples)
         area = np.maximum(area, 0)  # off the picture
-        corners = surface.groups[texels.group_of_texel]
+        corners = surface.used_texels.groups[texels.group_of_texel]
         shapes = rows[0][..., RIGID : RIGID + len(covariance)].astype(np.float64)
         moves = sum(texels.weights[:, corner, None, None] * shapes[corners[:, corner]] for corner in range(3))
         slopes = across[:, None] * moves[:, 0] + down[:, None] * moves[:, 1]

@@ -17,11 +17,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ....inference.face.gauss_newton import Peaks, find_peaks
+from ....inference.face.gauss_newton import Modes, find_modes
 from ....inference.face.pose_dynamics import PosePrior
 from ....inference.face.texture_likelihood import Equations, TexturedObject, TextureLikelihood
 from ....models.face.image_pyramid import MIDDLE_GREY, Level
-from ....models.face.kernels import warp as warp_kernels
 from ....models.face.pose import Poses
 
 Array = NDArray[np.float64]
@@ -55,49 +54,50 @@ class TextureSubspace:
     known: Mask
 
     @classmethod
-    def learned(cls, looks: Map, seen: Mask, n_modes: int) -> Self:
-        """Principal components of aligned looks of which texels may be missing: EM for probabilistic PCA.
+    def learned(cls, observed: Map, seen: Mask, n_modes: int) -> Self:
+        """Principal components of aligned textures of which texels may be missing: EM for probabilistic PCA.
 
         Parameters
         ----------
-        looks
-            `(n_looks, n_levels, n_texels)` grey levels: the surface as pictures of known pose show it.
+        observed
+            `(n_pictures, n_levels, n_texels)` grey levels: the surface as pictures of known pose show it.
         seen
-            `(n_looks, n_texels)` bool: the other texels are missing.
+            `(n_pictures, n_texels)` bool: the other texels are missing.
         n_modes
-            how many, fewer than looks.
+            how many, fewer than pictures.
 
         Raises
         ------
         ValueError
-            if there are not more looks than modes, or shapes do not fit.
+            if there are not more pictures than modes, or shapes do not fit.
         """
-        if looks.ndim != 3 or seen.shape != (len(looks), looks.shape[2]):
+        if observed.ndim != 3 or seen.shape != (len(observed), observed.shape[2]):
             raise ValueError(
-                f"looks: got {looks.shape} with {seen.shape} seen, expected (n_looks, n_levels, n_texels) "
-                "with (n_looks, n_texels)"
+                f"observed: got {observed.shape} with {seen.shape} seen, expected (n_pictures, n_levels, "
+                "n_texels) with (n_pictures, n_texels)"
             )
-        if not 0 <= n_modes < len(looks):
-            raise ValueError(f"modes: got {n_modes} for {len(looks)} looks, expected 0 to {len(looks) - 1}")
-        known, finest = np.any(seen, axis=0), looks[:, 0].astype(np.float64)
+        n = len(observed)
+        if not 0 <= n_modes < n:
+            raise ValueError(f"modes: got {n_modes} for {n} pictures, expected 0 to {n - 1}")
+        known, finest = np.any(seen, axis=0), observed[:, 0].astype(np.float64)
         weight = seen.astype(np.float64)
         mean = (weight * finest).sum(axis=0) / np.maximum(weight.sum(axis=0), 1)
         off = weight * (finest - mean)
         left, values, right = np.linalg.svd(off, full_matrices=False)
-        modes = values[:n_modes, None] / np.sqrt(len(looks)) * right[:n_modes]
+        modes = values[:n_modes, None] / np.sqrt(n) * right[:n_modes]
         rest = off - (left[:, :n_modes] * values[:n_modes]) @ right[:n_modes]
         noise = max(float((weight * rest**2).sum() / weight.sum()), LEAST_NOISE)
         for _ in range(EM_STEPS):
             first, second = _coefficients(finest, weight, mean, modes, noise)
             mean, modes = _regressed(finest, weight, first, second)
             error = (finest - mean - first @ modes) ** 2
-            unsure = (second - first[:, :, None] * first[:, None]).reshape(len(looks), -1) @ _squares(modes)
+            unsure = (second - first[:, :, None] * first[:, None]).reshape(n, -1) @ _squares(modes)
             noise = max(float((weight * (error + unsure)).sum() / weight.sum()), LEAST_NOISE)
         turn = np.linalg.svd(modes, full_matrices=False)[0]
         first, second = _coefficients(finest, weight, mean, turn.T @ modes, noise)
         levels = [
-            _regressed(looks[:, level].astype(np.float64), weight, first, second)
-            for level in range(looks.shape[1])
+            _regressed(observed[:, level].astype(np.float64), weight, first, second)
+            for level in range(observed.shape[1])
         ]
         return cls(
             np.where(known, np.stack([mean for mean, _ in levels]), MIDDLE_GREY).astype(np.float32),
@@ -114,24 +114,24 @@ def _squares(modes: Array) -> Array:
 
 
 def _coefficients(
-    looks: Array, weight: Array, mean: Array, modes: Array, noise: float
+    observed: Array, weight: Array, mean: Array, modes: Array, noise: float
 ) -> tuple[Array, Array]:
-    """First and second moments of every look's coefficients, `(n, n_modes)` and `(n, n_modes, n_modes)`."""
-    n_modes = len(modes)
-    precision = (weight @ _squares(modes).T).reshape(len(looks), n_modes, n_modes) / noise + np.eye(n_modes)
+    """First and second moments of the pictures' coefficients, `(n, n_modes)` and `(n, n_modes, n_modes)`."""
+    n, n_modes = len(observed), len(modes)
+    precision = (weight @ _squares(modes).T).reshape(n, n_modes, n_modes) / noise + np.eye(n_modes)
     covariance = np.linalg.inv(precision)
-    first = np.einsum("fkl,fl->fk", covariance, (weight * (looks - mean)) @ modes.T / noise)
+    first = np.einsum("fkl,fl->fk", covariance, (weight * (observed - mean)) @ modes.T / noise)
     return first, covariance + first[:, :, None] * first[:, None]
 
 
-def _regressed(looks: Array, weight: Array, first: Array, second: Array) -> tuple[Array, Array]:
-    """Mean `(n_texels,)` and modes `(n_modes, n_texels)` that explain looks best, texel by texel."""
+def _regressed(observed: Array, weight: Array, first: Array, second: Array) -> tuple[Array, Array]:
+    """Mean `(n_texels,)` and modes `(n_modes, n_texels)` that explain the observed best, texel by texel."""
     n, n_modes = first.shape
     moments = np.ones((n, n_modes + 1, n_modes + 1))
     moments[:, 1:, 1:], moments[:, 0, 1:], moments[:, 1:, 0] = second, first, first
     gram = (weight.T @ moments.reshape(n, -1)).reshape(-1, n_modes + 1, n_modes + 1)
     gram += 1e-6 * np.eye(n_modes + 1)  # texels that were never seen
-    right = (weight * looks).T @ moments[:, 0]
+    right = (weight * observed).T @ moments[:, 0]
     solved = np.linalg.solve(gram, right[..., None])[..., 0].astype(np.float64, copy=False)
     return solved[:, 0], solved[:, 1:].T
 
@@ -180,10 +180,10 @@ class SubspaceLikelihood:
         first = slice(None, None, n_modes + 1)
         vectors = all_of_them.vectors.reshape(n, n_modes + 1, -1)
         along = vectors[:, :1] - vectors[:, 1:]
-        looks, area = self._sampled(level, poses)
+        observed, area = self._sampled(level, poses)
         weight = area / self.subspace.noise
         modes = self.subspace.modes[:, level].astype(np.float64)
-        right = (weight * (looks - self.subspace.mean[level])) @ modes.T
+        right = (weight * (observed - self.subspace.mean[level])) @ modes.T
         gram = (weight @ _squares(modes).T).reshape(n, n_modes, n_modes) + np.eye(n_modes)
         solved = np.linalg.solve(gram, np.concatenate([right[..., None], along], axis=2))
         sums = all_of_them.sums[first].copy()
@@ -197,15 +197,9 @@ class SubspaceLikelihood:
 
     def _sampled(self, level: int, poses: Poses) -> tuple[Array, Array]:
         """Texels in the picture `(n, n_texels)`, and the areas that they stand for, 0 if not used there."""
-        surface, texels, image = self.surface, self.surface.texels, self.levels[level].image
-        height, width = image.shape
-        values = np.empty((len(poses), len(texels)), np.float32)
-        areas = np.empty_like(values)
-        warp_kernels.sample_texels(
-            image.reshape(-1), width, height, np.float32(self.levels[level].scale), surface.positions(poses),
-            surface.groups, texels.first, texels.weights, texels.offsets, texels.areas,
-            self._templates.visible[:1].repeat(len(poses), axis=0), values, areas,
-        )  # fmt: skip
+        texels = self.surface.texels
+        visible = self._templates.visible[:1].repeat(len(poses), axis=0)
+        values, areas = self.surface.sampled(self.levels[level], poses, visible)
         group, counts = texels.group_of_texel, np.diff(texels.first)
         part = -(-counts // 4**level)  # a coarse level takes a first part of each group
         used = np.arange(len(texels)) - texels.first[group] < part[group]
@@ -219,7 +213,7 @@ def best_pose(
     levels: Sequence[Level],
     prior: PosePrior,
     effective_pixels: float,
-) -> Peaks:
+) -> Modes:
     """The pose in which a picture is nearest to the subspace, sought from the one before."""
     likelihood = SubspaceLikelihood(surface, levels, subspace, surface.visible(prior.previous)[0])
-    return find_peaks(likelihood, prior, prior.previous, effective_pixels, len(levels) - 1)
+    return find_modes(likelihood, prior, prior.previous, effective_pixels, len(levels) - 1)

@@ -1,4 +1,4 @@
-"""What goes wrong for a tracker of a signer: features that are missing for a while, flesh that is no hand."""
+"""What goes wrong for a tracker of a signer: features that are missing for a while, skin that is no hand."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
 MISSING = (2, 12)  # frames that a feature is missing in one burst
-FALSE = (4, 20)  # frames that false flesh is there
+FALSE = (4, 20)  # frames that false skin is there
 FACE_BOX = 0.75  # side of a detected face's box, in head heights; brow to chin
 FACE_BELOW = 0.1  # sides: how much lower the middle of the box is than the head's
 BOX_NOISE = 0.03  # of place and side of a box, in its side
@@ -19,7 +19,7 @@ BOX_NOISE = 0.03  # of place and side of a box, in its side
 
 @dataclass(frozen=True, eq=False)
 class Distractor:
-    """Something flesh-coloured, about as large as a hand, that is none.
+    """Something skin-coloured, about as large as a hand, that is none.
 
     Parameters
     ----------
@@ -90,10 +90,10 @@ def bursts(n_frames: int, share: float, lengths: tuple[int, int], generator: np.
     return numbers
 
 
-def false_flesh(
+def false_skin(
     bodies: Array, head_height: float, size: tuple[int, int], amount: float, seed: int
 ) -> tuple[Distractor, ...]:
-    """False flesh about `bodies` `(n_frames, 2)` px, the points between the shoulders.
+    """False skin about `bodies` `(n_frames, 2)` px, the points between the shoulders.
 
     About 15 % of the frames have one or two if `amount` is 1.
     """

@@ -8,19 +8,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernels import draw_solid
+from ..rendering_kernels import FARTHEST, draw_mesh
 from .paint import Palette, paint_cloth, paint_head, paint_skin
-from .room import paint_room
+from .room import paint_background
 from .shape import Solid
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 SAMPLES = 2  # of a pixel, across and down
-FARTHEST = 1e30  # depth of the room
 AMBIENT = 0.45  # share of the light that has no direction
 BRIGHTEST = 1.12  # light on what faces the lamp
-GLARE = np.array([236.0, 240.0, 242.0])  # BGR of blown-out flesh
+GLARE = np.array([236.0, 240.0, 242.0])  # BGR of blown-out skin
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +62,13 @@ class Look:
             attributes = np.column_stack([density * solid.texels, light])
             facing = solid.normals[:, 2] < 0.2
             seen = solid.triangles[facing[solid.triangles].any(axis=1)]
-            draw_solid(colours, depths, places, attributes, seen, self._textures[material])
+            draw_mesh(colours, depths, places, attributes, seen, self._textures[material])
         return np.asarray(cv2.resize(colours, self.size, interpolation=cv2.INTER_AREA), np.float32)
 
     @cached_property
     def _room(self) -> Pixels:
         """The room in samples."""
-        room = paint_room(self.size, self.palette, self.clutter, np.random.default_rng([self.seed, 5]))
+        room = paint_background(self.size, self.palette, self.clutter, np.random.default_rng([self.seed, 5]))
         return np.ascontiguousarray(room.repeat(SAMPLES, axis=0).repeat(SAMPLES, axis=1))
 
     @cached_property

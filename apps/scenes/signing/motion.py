@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from ....models.body.inverse_kinematics import arm_at
 from ....models.body.poses import BodyPoses
 from ....models.body.upper_body import UpperBody
-from ....models.face.pose import exponential
+from ....models.numerics.rotations import exponential
+from ..random_fields import wander
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -56,16 +57,6 @@ TOGETHER = 0.35  # of the right hand's moves begin with one of the left's
 WAIT = 0.4  # s, at most, for the other hand
 TO_OTHER_HAND = 0.15  # of its moves end near the left hand
 PEAK = 1.875  # speed of a minimum-jerk move at its fastest, over its mean
-
-
-def wander(times: Array, periods: tuple[float, float], generator: np.random.Generator) -> Array:
-    """A smooth random function of unit variance at `times` (s): sines of periods (s) in a range."""
-    n_sines = 8
-    lengths = np.exp(generator.uniform(np.log(periods[0]), np.log(periods[1]), n_sines))
-    phases = generator.uniform(0, 2 * np.pi, n_sines)
-    sines = np.sin(2 * np.pi * times[:, None] / lengths + phases)
-    wandered: Array = sines.sum(axis=1) * np.sqrt(2 / n_sines)
-    return wandered
 
 
 def signing(

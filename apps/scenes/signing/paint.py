@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face_paint import mottle
+from ..random_fields import mottle
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]

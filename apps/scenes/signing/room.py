@@ -1,10 +1,10 @@
-"""The room behind a signer: a wall with shelves, books, pictures, and wooden things of flesh's colour."""
+"""The room behind a signer: a wall with shelves, books, pictures, and wooden things of skin's colour."""
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face_paint import mottle
+from ..random_fields import mottle
 from .paint import Palette, colour
 
 Array = NDArray[np.float64]
@@ -14,7 +14,7 @@ Pixels = NDArray[np.float32]
 SHIFT = 4  # fractional bits of the corners' coordinates
 
 
-def paint_room(
+def paint_background(
     size: tuple[int, int], palette: Palette, clutter: float, generator: np.random.Generator
 ) -> Pixels:
     """What is behind the signer, `(height, width, 3)`; with `clutter` 0 a plain wall."""
@@ -112,7 +112,7 @@ def _board(canvas: Canvas, palette: Palette, unit: float, generator: np.random.G
 
 
 def _wooden(canvas: Canvas, palette: Palette, unit: float, generator: np.random.Generator) -> None:
-    """A vase, a bowl, a cork, a leg of a chair: round or long, in the colour of flesh."""
+    """A vase, a bowl, a cork, a leg of a chair: round or long, in the colour of skin."""
     height, width = canvas.shape[:2]
     centre = generator.uniform(0.02, 0.98, 2) * (width, height)
     radii = generator.uniform(7, 22, 2) * unit

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ....models.body.poses import BodyPoses, transport
 from ....models.body.upper_body import UpperBody
-from ....models.face.pose import exponential
+from ....models.numerics.rotations import exponential
 from .faults import Distractor
 from .paint import Palette, hairiness
 

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from ....models.body.poses import BodyPoses
 from ....models.body.upper_body import PARTS, UpperBody
 from ....models.core.frame import Frame
-from .faults import MISSING, Distractor, ListedFaces, bursts, face_boxes, false_flesh
+from ..random_fields import wander
+from .faults import MISSING, Distractor, ListedFaces, bursts, face_boxes, false_skin
 from .look import Look
-from .motion import signing, wander
+from .motion import signing
 from .shape import HandShape, Solid, blob, surface
 
 Array = NDArray[np.float64]
@@ -139,7 +140,7 @@ class SignerScene:
     @cached_property
     def distractors(self) -> tuple[Distractor, ...]:
         """What looks like a hand and is none."""
-        return false_flesh(self.poses.roots, self.body.head_height, self.size, self.clutter, self.seed)
+        return false_skin(self.poses.roots, self.body.head_height, self.size, self.clutter, self.seed)
 
     @cached_property
     def _bursts(self) -> NDArray[np.int64]:
@@ -242,9 +243,9 @@ def signer(
         decides who it is, motion, room, light, faults and noise.
     detector_dropout
         share of frames, 0 to 1, in which the feature of a part is missing, for head and hands each on its
-        own, in bursts of 2 to 12 frames: the detector gives no face, a hand has no colour of flesh.
+        own, in bursts of 2 to 12 frames: the detector gives no face, a hand has no colour of skin.
     clutter
-        how much there is in the room, and how much of it looks like flesh: 0, a plain wall; 1, shelves,
+        how much there is in the room, and how much of it looks like skin: 0, a plain wall; 1, shelves,
         pictures and wooden things, and false hands in 15 % of the frames.
     size
         `(width, height)` px.

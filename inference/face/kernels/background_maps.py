@@ -1,22 +1,34 @@
 """Loops over the pixels of the background maps of many experts."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ....models.numerics.compiled import compiled, logarithm
 
 _f4 = np.float32
 _LOG_2_PI = _f4(1.8378771)
+_LOG_GREYS = _f4(np.log(256))
+
+
+class MapNoise(NamedTuple):
+    """Squared grey levels: of an observation, of a change between two, and of a pixel never seen."""
+
+    observation: np.float32
+    change: np.float32
+    unknown: np.float32
 
 
 @compiled
-def read_maps(grey, mean, variance, top, left, unknown, noise, log_greys, least, ratio, trust, everywhere):
+def compare_with_maps(grey, mean, variance, box, noise, least, ratio, trust, everywhere):
     """Log density of a picture under each map over the uniform one, and the trust in it, cut out of a box.
 
-    `grey` `(height, width)` uint8; `mean` and `variance` `(n, height, width)`; `ratio` and `trust`
-    `(n, rows, columns)` from `(top, left)`; `everywhere` `(n,)`: sum of their product over all pixels.
+    `grey` `(height, width)` uint8; `mean` and `variance` `(n, height, width)`; `ratio` (not below `least`
+    nats) and `trust` `(n, rows, columns)` of the `box`; `everywhere` `(n,)`: sum of their product over all
+    pixels.
     """
     height, width = grey.shape
-    rows, columns = ratio.shape[1], ratio.shape[2]
+    top, left, rows, columns = box
     line, share = np.empty(width, _f4), np.empty(width, _f4)
     for m in range(len(mean)):
         total = 0.0
@@ -25,11 +37,11 @@ def read_maps(grey, mean, variance, top, left, unknown, noise, log_greys, least,
             in_row = _f4(0)
             for x in range(width):
                 before = spread[x]
-                whole = before + noise
+                whole = before + noise.observation
                 off = _f4(seen[x]) - expected[x]
-                nats = log_greys - _f4(0.5) * (_LOG_2_PI + logarithm(whole) + off * off / whole)
+                nats = _LOG_GREYS - _f4(0.5) * (_LOG_2_PI + logarithm(whole) + off * off / whole)
                 nats = max(nats, least)
-                known = _f4(1) - before / unknown
+                known = _f4(1) - before / noise.unknown
                 line[x], share[x] = nats, known
                 in_row += known * nats
             total += in_row
@@ -40,12 +52,10 @@ def read_maps(grey, mean, variance, top, left, unknown, noise, log_greys, least,
 
 
 @compiled
-def update_maps(
-    grey, mean, variance, parents, hidden, top, left, noise, wandering, unknown, new_mean, new_variance
-):
-    """Kalman filter of every pixel of every map; no gain where `hidden` `(n, rows, columns)`."""
+def update_maps(grey, mean, variance, parents, hidden, box, noise, new_mean, new_variance):
+    """Kalman filter of every pixel of every map; no gain where `hidden` `(n, rows, columns)` in the box."""
     height, width = grey.shape
-    rows, columns = hidden.shape[1], hidden.shape[2]
+    top, left, rows, columns = box
     shown = np.empty(width, _f4)
     for m in range(len(parents)):
         parent = parents[m]
@@ -58,6 +68,6 @@ def update_maps(
             seen, before, spread = grey[y], mean[parent, y], variance[parent, y]
             after, narrow = new_mean[m, y], new_variance[m, y]
             for x in range(width):
-                gain = shown[x] * spread[x] / (spread[x] + noise)
+                gain = shown[x] * spread[x] / (spread[x] + noise.observation)
                 after[x] = before[x] + gain * (_f4(seen[x]) - before[x])
-                narrow[x] = min((_f4(1) - gain) * spread[x] + wandering, unknown)
+                narrow[x] = min((_f4(1) - gain) * spread[x] + noise.change, noise.unknown)

@@ -1,10 +1,24 @@
 """Loops over points of a surface whose places in the picture are known, and over scans across outlines."""
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ....models.numerics.compiled import compiled
 
 _f4 = np.float32
+
+
+class Scans(NamedTuple):
+    """Lines across an outline: through `places` `(n, n_points, 2)` px along unit `normals`, each for a
+    length of outline, px, 0 where there is none; `reach` steps of `step` px to either side."""
+
+    places: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    lengths: NDArray[np.float64]
+    reach: int
+    step: float
 
 
 @compiled
@@ -54,17 +68,18 @@ def place_equations(
 
 
 @compiled
-def scan(contrast, top, left, places, normals, lengths, share, reach, step, noise, targets, information):
+def find_edges(contrast, box, scans, share, noise, targets, information):
     """Where along their normals the edge of an object is, given what its background looks like.
 
     `contrast` `(n_maps, height, width)` float32: log density of the background over that of the
-    object, of pixels from `(top, left)`; one map for all, or one each. Writes `targets` `(n, n_points, 2)`
-    and `information` `(n, n_points, 3)`, zero where a scan says nothing. A scan goes `reach` steps of
-    `step` px to either side, and the variance `noise` in steps is added to what it finds; `share` `(n,)` is
+    object, of pixels of the `box`; one map for all, or one each. Writes `targets` `(n, n_points, 2)`
+    and `information` `(n, n_points, 3)`, zero where a scan says nothing. The
+    variance `noise` in steps is added to what it finds; `share` `(n,)` is
     how much a px of outline counts. Nats are not tempered by it, or the edge would be found too far on the
     side where the background speaks more softly.
     """
-    height, width = contrast.shape[1], contrast.shape[2]
+    places, normals, lengths, reach, step = scans
+    top, left, height, width = box
     n_steps = 2 * reach + 1
     outside = np.empty(n_steps + 1)
     for m in range(len(places)):
@@ -116,12 +131,13 @@ def scan(contrast, top, left, places, normals, lengths, share, reach, step, nois
 
 
 @compiled
-def map_sums(positions, owner, groups, first, weights, offsets, areas, on, contrast, top, left, sums):
+def map_sums(positions, owner, texels, on, contrast, box, sums):
     """Sums over texels that are `on` `(n_experts, n_texels)` of their area times a map at their place.
 
-    `contrast` `(n_maps, height, width)` starts at `(top, left)`, one for all or one an expert; 0 beyond it.
+    `contrast` `(n_maps, height, width)` is of the `box`, one for all or one an expert; 0 beyond it.
     """
-    height, width = contrast.shape[1], contrast.shape[2]
+    groups, first, weights, offsets, areas = texels
+    top, left, height, width = box
     for m in range(len(positions)):
         d = owner[m]
         image = contrast[d] if len(contrast) > 1 else contrast[0]

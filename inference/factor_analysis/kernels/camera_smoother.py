@@ -40,19 +40,37 @@ def smooth_cameras(information, vector, precision, noise, start_mean, start_vari
         `(12,)`: twice the derivative of the log evidence by `noise` is `squares - counts`, both positive.
     """
     n_frames = information.shape[0]
+    first = 0
+    while first < n_frames - 1 and information[first, ROW - 1, ROW - 1] <= 0.0:
+        first += 1
+    mean, spread = start_mean.copy(), np.diag(start_variance)
+    filtered, log_evidence = _filtered(information, vector, precision, noise, first, mean, spread)
     cameras, covariance = np.empty((n_frames, 2, ROW)), np.empty((n_frames, ROW, ROW))
-    # filtered states; of the predictions only what the way back needs
+    squares, counts = _smoothed(filtered, first, mean, spread, cameras, covariance)
+    for t in range(first - 1, -1, -1):
+        for j in range(STATE):
+            spread[j, j] += noise[j]
+        _undo(mean)
+        _undo(spread)
+        _undo(spread.T)
+        _read(mean, spread, cameras[t], covariance[t])
+    return cameras, covariance, log_evidence, squares, counts
+
+
+@inlined
+def _filtered(information, vector, precision, noise, first, mean, spread):
+    """The way forward, from the state `mean`, `spread` (changed in place) of frame `first`.
+
+    Returns, for every frame, what the way back needs (filtered means and covariances; of the predictions
+    P H^T, the gain on it, (I + information H P H^T)^-1 and the innovation), and the log evidence.
+    """
+    n_frames = information.shape[0]
     means, spreads = np.empty((n_frames, STATE, 2)), np.empty((n_frames, STATE, STATE))
     ahead, gains = np.empty((n_frames, STATE, ROW)), np.empty((n_frames, ROW, ROW))
     shrinks = np.empty((n_frames, ROW, ROW))
     innovations = np.empty((n_frames, ROW, 2))
-    mean, spread = start_mean.copy(), np.diag(start_variance)
     scaled, left = np.empty((ROW, ROW)), np.empty((STATE, ROW))
-    product = np.empty((STATE, STATE))
     log_evidence = 0.0
-    first = 0
-    while first < n_frames - 1 and information[first, ROW - 1, ROW - 1] <= 0.0:
-        first += 1
     for t in range(first, n_frames):
         if t > first:
             _advance(mean)
@@ -87,11 +105,21 @@ def smooth_cameras(information, vector, precision, noise, start_mean, start_vari
                 spread[j, k] = spread[k, j] = value
         means[t] = mean
         spreads[t] = spread
+    return (means, spreads, ahead, gains, shrinks, innovations), log_evidence
 
+
+@inlined
+def _smoothed(filtered, first, mean, spread, cameras, covariance):
+    """The way back to frame `first`, whose state is written to `mean`, `spread`; and every frame's camera.
+
+    Returns squares and counts of `smooth_cameras`.
+    """
+    means, spreads, ahead, gains, shrinks, innovations = filtered
+    product = np.empty((STATE, STATE))
     squares, counts = np.zeros(STATE), np.zeros(STATE)
     # what later frames say of a prediction: x + P pull, P - P stiffness P
     pull, stiffness = np.zeros((STATE, 2)), np.zeros((STATE, STATE))
-    for t in range(n_frames - 1, first - 1, -1):
+    for t in range(means.shape[0] - 1, first - 1, -1):
         for j in range(STATE):
             squares[j] += pull[j, 0] ** 2 + pull[j, 1] ** 2
             counts[j] += 2.0 * stiffness[j, j]
@@ -112,22 +140,15 @@ def smooth_cameras(information, vector, precision, noise, start_mean, start_vari
                     total -= spreads[t, j, n] * product[n, k]
                 spread[j, k] = spread[k, j] = total
         _read(mean, spread, cameras[t], covariance[t])
-        _look_back(pull, ahead[t], gains[t], shrinks[t])
-        _look_back(stiffness, ahead[t], gains[t], shrinks[t])
-        _look_back(stiffness.T, ahead[t], gains[t], shrinks[t])
+        _through_update(pull, ahead[t], gains[t], shrinks[t])
+        _through_update(stiffness, ahead[t], gains[t], shrinks[t])
+        _through_update(stiffness.T, ahead[t], gains[t], shrinks[t])
         for j in range(ROW):
             for c in range(2):
                 pull[j, c] += innovations[t, j, c]
             for k in range(ROW):
                 stiffness[j, k] += gains[t, j, k]
-    for t in range(first - 1, -1, -1):
-        for j in range(STATE):
-            spread[j, j] += noise[j]
-        _undo(mean)
-        _undo(spread)
-        _undo(spread.T)
-        _read(mean, spread, cameras[t], covariance[t])
-    return cameras, covariance, log_evidence, squares, counts
+    return squares, counts
 
 
 @inlined
@@ -168,7 +189,7 @@ def _retreat(rows):
 
 
 @inlined
-def _look_back(rows, ahead, gain, shrink):
+def _through_update(rows, ahead, gain, shrink):
     """(I - H^T G H P) times a matrix of 12 rows, in place; `ahead` is P H^T.
 
     Of the first four columns the difference is `shrink` = (I + information H P H^T)^-1, which would drown in
@@ -203,21 +224,20 @@ def _innovate(scaled, vector, precision, mean, spread, shrink, innovation):
     """Write u, with mean + P H^T u the filtered mean; return the exponent of the log evidence."""
     exponent = 0.0
     for c in range(2):
-        d0 = d1 = d2 = d3 = 0.0
-        told = np.empty(ROW)
+        residual = np.empty(ROW)
         for j in range(ROW):
             explained = 0.0
             for k in range(ROW):
                 explained += scaled[j, k] * mean[k, c]
-            told[j] = precision * vector[j, c]
-            exponent += mean[j, c] * (told[j] - 0.5 * explained)
-            told[j] -= explained
-        d0, d1, d2, d3 = told[0], told[1], told[2], told[3]
+            residual[j] = precision * vector[j, c]
+            exponent += mean[j, c] * (residual[j] - 0.5 * explained)
+            residual[j] -= explained
+        d0, d1, d2, d3 = residual[0], residual[1], residual[2], residual[3]
         for j in range(ROW):
             innovation[j, c] = shrink[j, 0] * d0 + shrink[j, 1] * d1 + shrink[j, 2] * d2 + shrink[j, 3] * d3
         for j in range(ROW):
             for k in range(ROW):
-                exponent += 0.5 * told[j] * spread[j, k] * innovation[k, c]
+                exponent += 0.5 * residual[j] * spread[j, k] * innovation[k, c]
     return exponent
 
 

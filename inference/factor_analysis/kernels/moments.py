@@ -1,23 +1,21 @@
 """Loops of factor analysis: moments over observations, cameras frame by frame, points one by one.
 
-Observations lie in two orders, by frame and by point: `edges[k]:edges[k + 1]` are those of frame (point) k,
-`other` names the point (frame) of each. A symmetric 4x4 matrix is ten numbers: 00 01 02 03 11 12 13 22 23 33.
+Observations come by frame or by point, as `Listed` of `observations` has them. A symmetric 4x4 matrix is ten
+numbers: 00 01 02 03 11 12 13 22 23 33.
 """
 
 import numpy as np
 
 from ....models.numerics.compiled import compiled, inlined
 
-MOMENTS = 10
-"""Numbers of a symmetric 4x4 matrix."""
-
 
 @compiled
-def frame_moments(edges, other, x, y, weight, shape, shape_moments):
+def frame_moments(listed, shape, shape_moments):
     """Information `(n_frames, 4, 4)` and vector `(n_frames, 4, 2)` that points give of each camera's rows.
 
     At noise variance 1. `shape` is `(n_points, 3)`, `shape_moments` `(n_points, 10)` E[s s^T], s = (S, 1).
     """
+    edges, _, other, x, y, weight = listed
     n_frames = edges.size - 1
     information = np.empty((n_frames, 4, 4))
     vector = np.empty((n_frames, 4, 2))
@@ -46,7 +44,7 @@ def frame_moments(edges, other, x, y, weight, shape, shape_moments):
             c1 += wy * s[1]
             c2 += wy * s[2]
             c3 += wy
-        _unpack(information[t], a0, a1, a2, a3, a4, a5, a6, a7, a8, a9)
+        _unpack((a0, a1, a2, a3, a4, a5, a6, a7, a8, a9), information[t])
         h = vector[t]
         h[0, 0], h[1, 0], h[2, 0], h[3, 0] = b0, b1, b2, b3
         h[0, 1], h[1, 1], h[2, 1], h[3, 1] = c0, c1, c2, c3
@@ -54,8 +52,9 @@ def frame_moments(edges, other, x, y, weight, shape, shape_moments):
 
 
 @inlined
-def _unpack(matrix, a0, a1, a2, a3, a4, a5, a6, a7, a8, a9):
+def _unpack(numbers, matrix):
     """Write ten numbers as a symmetric matrix."""
+    a0, a1, a2, a3, a4, a5, a6, a7, a8, a9 = numbers
     matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[0, 3] = a0, a1, a2, a3
     matrix[1, 0], matrix[1, 1], matrix[1, 2], matrix[1, 3] = a1, a4, a5, a6
     matrix[2, 0], matrix[2, 1], matrix[2, 2], matrix[2, 3] = a2, a5, a7, a8
@@ -63,12 +62,13 @@ def _unpack(matrix, a0, a1, a2, a3, a4, a5, a6, a7, a8, a9):
 
 
 @compiled
-def point_moments(edges, other, x, y, weight, cameras, camera_moments):
+def point_moments(listed, cameras, camera_moments):
     """Information `(n_points, 3, 3)`, vector `(n_points, 3)` and quadratic `(n_points,)` of each point.
 
     E[sum_t w |x_t - M_t (S, 1)|^2] = quadratic - 2 vector . S + S . information S. `cameras` is
     `(n_frames, 2, 4)`, `camera_moments` `(n_frames, 10)`: E[m m^T] summed over both rows m.
     """
+    edges, _, other, x, y, weight = listed
     n_points = edges.size - 1
     information = np.empty((n_points, 3, 3))
     vector = np.empty((n_points, 3))
@@ -99,8 +99,9 @@ def point_moments(edges, other, x, y, weight, cameras, camera_moments):
 
 
 @compiled
-def squared_error(edges, other, x, y, weight, cameras, shape):
+def squared_error(listed, cameras, shape):
     """Weighted squared error of each point `(n_points,)` at given cameras and shape."""
+    edges, _, other, x, y, weight = listed
     error = np.zeros(edges.size - 1)
     for i in range(error.size):
         s0, s1, s2 = shape[i, 0], shape[i, 1], shape[i, 2]
@@ -164,13 +165,13 @@ def _invert(information, prior, scale, factor, inverse, covariance):
 
 
 @compiled
-def connected_frames(frame_edges, points, point_edges, frames, first, second, shared, views):
+def connected_frames(by_frame, by_point, first, second, shared, views):
     """Frames that hang together with two frames to begin with, bool `(n_frames,)`.
 
     Points are known once `views` frames that hang together show them, frames as soon as they show `shared`
-    known points. `points` and `frames` are those of each observation, by frame and by point.
+    known points.
     """
-    n_frames, n_points = frame_edges.size - 1, point_edges.size - 1
+    n_frames, n_points = by_frame.edges.size - 1, by_point.edges.size - 1
     joined = np.zeros(n_frames, np.bool_)
     seen_in, known_in = np.zeros(n_points, np.int64), np.zeros(n_frames, np.int64)
     waiting = np.empty(n_frames, np.int64)
@@ -180,12 +181,12 @@ def connected_frames(frame_edges, points, point_edges, frames, first, second, sh
     while done < end:
         t = waiting[done]
         done += 1
-        for k in range(frame_edges[t], frame_edges[t + 1]):
-            i = points[k]
+        for k in range(by_frame.edges[t], by_frame.edges[t + 1]):
+            i = by_frame.other[k]
             seen_in[i] += 1
             if seen_in[i] == views:
-                for n in range(point_edges[i], point_edges[i + 1]):
-                    other = frames[n]
+                for n in range(by_point.edges[i], by_point.edges[i + 1]):
+                    other = by_point.other[n]
                     known_in[other] += 1
                     if known_in[other] >= shared and not joined[other]:
                         joined[other] = True
@@ -195,11 +196,12 @@ def connected_frames(frame_edges, points, point_edges, frames, first, second, sh
 
 
 @compiled
-def point_leverages(edges, other, x, y, weight, cameras, inverses):
+def point_leverages(listed, cameras, inverses):
     """Share of each observation `(n_observations,)`, by frame, in its point: mean of both coordinates, 0..1.
 
     `inverses` `(n_points, 3, 3)` of the points' information at noise variance 1.
     """
+    edges, _, other, _, _, weight = listed
     leverages = np.empty(weight.size)
     for t in range(edges.size - 1):
         m = cameras[t]

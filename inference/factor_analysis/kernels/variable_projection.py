@@ -1,4 +1,4 @@
-"""Loops of the polish: points eliminated from the normal equations of cameras and shape."""
+"""Loops of variable projection: points eliminated from the normal equations of cameras and shape."""
 
 import numpy as np
 
@@ -9,11 +9,12 @@ ROUNDING = 1e-13
 
 
 @compiled
-def eliminate_points(edges, other, x, y, weight, cameras):
+def eliminate_points(by_point, cameras):
     """Best points for given cameras, the inverses of their information, and the weighted squared error left.
 
     `(n_points, 3)` and `(n_points, 3, 3)`. Directions that only rounding determines stay at 0.
     """
+    edges, _, other, x, y, weight = by_point
     n_points = edges.size - 1
     shape, inverses = np.empty((n_points, 3)), np.empty((n_points, 3, 3))
     error = 0.0
@@ -60,8 +61,9 @@ def eliminate_points(edges, other, x, y, weight, cameras):
 
 
 @compiled
-def camera_gradient(edges, other, x, y, weight, cameras, shape):
+def camera_gradient(by_point, cameras, shape):
     """Half the derivative of the squared error by cameras, `(n_frames, 2, 4)`."""
+    edges, _, other, x, y, weight = by_point
     gradient = np.zeros(cameras.shape)
     for i in range(edges.size - 1):
         s0, s1, s2 = shape[i, 0], shape[i, 1], shape[i, 2]
@@ -88,19 +90,7 @@ def _add_outer(out, a, b, s0, s1, s2):
 
 
 @compiled
-def reduced_step(
-    by_point,
-    by_frame,
-    cameras,
-    shape,
-    inverses,
-    information,
-    preconditioner,
-    gradient,
-    damping,
-    accuracy,
-    most,
-):
+def reduced_step(by_point, by_frame, system, accuracy, most):
     """Gauss-Newton step of the cameras `(n_frames, 2, 4)` with points eliminated, by conjugate gradients.
 
     The matrix is never formed: a product with it goes through both lists of observations once. It leaves out
@@ -109,18 +99,13 @@ def reduced_step(
     Parameters
     ----------
     by_point, by_frame
-        `(edges, other, weight)` of the observations in both orders.
-    cameras, shape, inverses
-        the points of `eliminate_points` for these cameras, and the inverses of their information.
-    information, preconditioner
-        `(n_frames, 4, 4)` of the cameras at fixed points, and the inverse of it plus `damping`.
-    gradient
-        of `camera_gradient`.
-    damping
-        added to the diagonal.
+        the observations in both orders.
+    system
+        the normal equations, a `System`.
     accuracy, most
         relative, and number of products at most.
     """
+    cameras, shape, inverses, information, preconditioner, gradient, damping = system
     n_frames, n_points = cameras.shape[0], shape.shape[0]
     step, residual = np.zeros(gradient.shape), -gradient
     direction, product = np.zeros(gradient.shape), np.empty(gradient.shape)
@@ -181,7 +166,7 @@ def _turned_by(cameras, direction, of_frames):
 @inlined
 def _weighted_sums(listed, rows, out):
     """Write for each frame (point) the weighted sum of the rows of its points (frames)."""
-    edges, other, weight = listed
+    edges, _, other, _, _, weight = listed
     for k in range(out.shape[0]):
         total = out[k]
         for j in range(ENTRIES):

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from ....models.numerics.compiled import compiled
+from ....models.numerics.compiled import compiled, inlined
 
 
 @compiled
-def track_moments(edges, frame, x, y, weight, cameras, white, drift, decay):
+def track_moments(tracks, cameras, white, drift, decay):
     """What each track says of its point, under noise that is in part remembered from frame to frame.
 
     The error of a track along each axis is white noise of variance white / weight plus a first-order
@@ -16,6 +16,7 @@ def track_moments(edges, frame, x, y, weight, cameras, white, drift, decay):
 
     Returns information (n, 3, 3), vector (n, 3), quadratic (n,) and log determinant (n,) of the noise.
     """
+    edges, _, frame, x, y, weight = tracks
     n = len(edges) - 1
     information = np.zeros((n, 3, 3))
     vector = np.zeros((n, 3))
@@ -64,12 +65,13 @@ def track_moments(edges, frame, x, y, weight, cameras, white, drift, decay):
 
 
 @compiled
-def camera_coupling(edges, frame, weight, point, homogeneous, cameras, white, drift, decay, least):
+def camera_coupling(tracks, point, homogeneous, cameras, white, drift, decay, least):
     """Second derivatives of the fit by cameras, and by cameras and points.
 
     Of both rows of a camera alike: own (4 n_frames, 4 n_frames). With the points: cross (2, n_frames, 4,
     n_points, 3). The noise's inverse falls off with the frames between; what is below `least` is left out.
     """
+    edges, _, frame, _, _, weight = tracks
     n_frames, n_points = cameras.shape[0], homogeneous.shape[0]
     own = np.zeros((n_frames, 4, n_frames, 4))
     cross = np.zeros((2, n_frames, 4, n_points, 3))
@@ -129,56 +131,28 @@ def same_point_gains(mean, covariance, apart, spread, gains):
     `spread` (3, 3), beside their errors. Fills `gains` (n, n), with -1e30 for pairs that are `apart`.
     """
     n = mean.shape[0]
+    same, other, away = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for i in range(n):
         gains[i, i] = -1e30
         for j in range(i):
             if apart[i, j]:
                 gains[i, j] = gains[j, i] = -1e30
                 continue
-            d0, d1, d2 = mean[i, 0] - mean[j, 0], mean[i, 1] - mean[j, 1], mean[i, 2] - mean[j, 2]
-            a = _entry(covariance, i, j, 0, 0)
-            b = 0.5 * (_entry(covariance, i, j, 0, 1) + _entry(covariance, i, j, 1, 0))
-            c = 0.5 * (_entry(covariance, i, j, 0, 2) + _entry(covariance, i, j, 2, 0))
-            d = _entry(covariance, i, j, 1, 1)
-            e = 0.5 * (_entry(covariance, i, j, 1, 2) + _entry(covariance, i, j, 2, 1))
-            f = _entry(covariance, i, j, 2, 2)
-            same = _log_gaussian(d0, d1, d2, a, b, c, d, e, f)
-            other = _log_gaussian(
-                d0,
-                d1,
-                d2,
-                a + spread[0, 0],
-                b + spread[0, 1],
-                c + spread[0, 2],
-                d + spread[1, 1],
-                e + spread[1, 2],
-                f + spread[2, 2],
-            )
-            gains[i, j] = gains[j, i] = same - other
-
-
-@compiled
-def _entry(covariance, i, j, a, b):
-    return covariance[i, a, i, b] + covariance[j, a, j, b] - covariance[i, a, j, b] - covariance[j, a, i, b]
-
-
-@compiled
-def _log_gaussian(x, y, z, a, b, c, d, e, f):
-    """Log density at (x, y, z) of covariance [[a, b, c], [b, d, e], [c, e, f]], without log(2 pi)."""
-    root0 = np.sqrt(max(a, 1e-30))
-    l10, l20 = b / root0, c / root0
-    root1 = np.sqrt(max(d - l10 * l10, 1e-30))
-    l21 = (e - l20 * l10) / root1
-    root2 = np.sqrt(max(f - l20 * l20 - l21 * l21, 1e-30))
-    u = x / root0
-    v = (y - l10 * u) / root1
-    w = (z - l20 * u - l21 * v) / root2
-    return -0.5 * (u * u + v * v + w * w) - np.log(root0 * root1 * root2)
+            for a in range(3):
+                away[a] = mean[i, a] - mean[j, a]
+                for b in range(a + 1):
+                    across = covariance[i, a, j, b] + covariance[j, a, i, b]
+                    across += covariance[i, b, j, a] + covariance[j, b, i, a]
+                    same[a, b] = covariance[i, a, i, b] + covariance[j, a, j, b] - 0.5 * across
+                    other[a, b] = same[a, b] + spread[a, b]
+            square, log_root = _whitened(away, same)
+            square_apart, log_root_apart = _whitened(away, other)
+            gains[i, j] = gains[j, i] = 0.5 * (square_apart - square) + log_root_apart - log_root
 
 
 @compiled
 def assign_tracks(
-    order, edges, frame, information, vector, prior_information, prior_vector, log_new, hard, membership, busy
+    order, tracks, information, vector, prior_information, prior_vector, log_new, hard, membership, busy
 ):
     """Probabilities that tracks show points, track after track, each left out of what it is tested on.
 
@@ -187,6 +161,7 @@ def assign_tracks(
     membership (n, n_points), the probabilities, and busy (n_points, n_frames), how many of its observations
     each point has in a frame, are changed in place; `hard` makes each track a member of one point or none.
     """
+    edges, frame = tracks.edges, tracks.other
     n, n_points = membership.shape
     whole = np.empty((n_points, 3, 3))
     sums = np.empty((n_points, 3))
@@ -257,12 +232,19 @@ def assign_tracks(
 @compiled
 def _log_partition(information, vector):
     """Log integral of exp(vector . x - x . information x / 2), without log(2 pi)."""
-    root0 = np.sqrt(max(information[0, 0], 1e-30))
-    l10, l20 = information[1, 0] / root0, information[2, 0] / root0
-    root1 = np.sqrt(max(information[1, 1] - l10 * l10, 1e-30))
-    l21 = (information[2, 1] - l20 * l10) / root1
-    root2 = np.sqrt(max(information[2, 2] - l20 * l20 - l21 * l21, 1e-30))
+    square, log_root = _whitened(vector, information)
+    return 0.5 * square - log_root
+
+
+@inlined
+def _whitened(vector, matrix):
+    """Squared Mahalanobis length of a vector (3,) under a covariance (3, 3), and half its log determinant."""
+    root0 = np.sqrt(max(matrix[0, 0], 1e-30))
+    l10, l20 = matrix[1, 0] / root0, matrix[2, 0] / root0
+    root1 = np.sqrt(max(matrix[1, 1] - l10 * l10, 1e-30))
+    l21 = (matrix[2, 1] - l20 * l10) / root1
+    root2 = np.sqrt(max(matrix[2, 2] - l20 * l20 - l21 * l21, 1e-30))
     u = vector[0] / root0
     v = (vector[1] - l10 * u) / root1
     w = (vector[2] - l20 * u - l21 * v) / root2
-    return 0.5 * (u * u + v * v + w * w) - np.log(root0 * root1 * root2)
+    return u * u + v * v + w * w, np.log(root0 * root1 * root2)

@@ -1,11 +1,13 @@
 """Loops over all pixels of the background: flat, planar, float32 within, uint8 in (one pass over the bytes).
 
-`mean` is `(channels, n_pixels)`, everything else per pixel is `(n_pixels,)`; `light_rows` is the light field
-at block rows, already interpolated along x: `(block_rows, width)`. Log odds are int8 in steps of
+What is known of each pixel is `(n_pixels,)` or `(channels, n_pixels)`. Log odds are int8 in steps of
 `1 / ODDS_STEPS`.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled, exponential, inlined, logarithm, sigmoid
 
@@ -18,21 +20,94 @@ ODDS_STEPS = 20.0
 LOWEST_VARIANCE, HIGHEST_VARIANCE = 0.5, 60.0
 LOWEST_NOISE, HIGHEST_NOISE = 20.0, 400.0
 
+SETTLED = 1 << 14
+"""Steps of the settling time: a second colour seen for so long has settled."""
+
 _UNUSABLE = _f4(1e30)
 _SIGNS = np.uint64(0x8080808080808080)
 
+Planes = NDArray[np.float32]
+
+
+class Gaussians(NamedTuple):
+    """One Gaussian a pixel: `(channels, n_pixels)` mean, `(n_pixels,)` variance of the mean and noise.
+
+    In squared grey levels; the noise is that of a single observation (sensor and scene). All float32.
+    """
+
+    mean: Planes
+    variance: Planes
+    noise: Planes
+
+
+class Light(NamedTuple):
+    """Today's light relative to that of the mean, interpolated along x.
+
+    `rows` `(block_rows + 1, width)` float32 are at the blocks' centres, the last one twice; `positions`
+    `(height,)` float32 says where between them each row of pixels lies.
+    """
+
+    rows: Planes
+    positions: Planes
+
+
+class PixelModel(NamedTuple):
+    """Numbers of the model that all pixels share, float32.
+
+    `log_prior_odds` of background before the image, in the units of the planes; `drift`, the variance that is
+    added to a mean's since the last observation; `noise_share`, by which the noise follows what is seen;
+    `first_variance` of a value that was seen once.
+    """
+
+    log_prior_odds: np.float32
+    drift: np.float32
+    noise_share: np.float32
+    first_variance: np.float32
+
+
+class SecondColours(NamedTuple):
+    """A second hypothesis: `(n_pixels * channels,)` uint8 colours, and for how long each was seen.
+
+    `seen` is `(n_pixels,)` uint16, the share of the settling time in steps of 1 / `SETTLED`.
+    """
+
+    colours: NDArray[np.uint8]
+    seen: NDArray[np.uint16]
+
+
+class Settling(NamedTuple):
+    """When a second colour takes the mean's place.
+
+    It is the same colour within `tolerance` (squared grey levels); `step` is what one observation adds to the
+    time for which it was seen, `least` the least time. It has `variance` then; a mean of more than
+    `unsure_variance` gives way earlier.
+    """
+
+    tolerance: np.float32
+    step: int
+    least: int
+    variance: np.float32
+    unsure_variance: np.float32
+
 
 @inlined
-def posterior(distance, light, variance, noise, drift, log_prior, channels, rate):
+def light_beside(light, y):
+    """The rows of the light above and below a row of pixels, and the share of the lower one."""
+    above = int(light.positions[y])
+    return light.rows[above], light.rows[above + 1], light.positions[y] - _f4(above)
+
+
+@inlined
+def posterior(distance, light, variance, noise, model, channels):
     """One pixel's log odds of background, step of its mean per grey level, variance and noise afterwards.
 
     The mean R has prediction N(m, s); seen, it shows I ~ N(light R, noise); covered, it shows anything. The
     posterior is a mixture of "was seen" and "was covered", collapsed by its moments.
     """
-    before = variance + drift
+    before = variance + model.drift
     total = light * light * before + noise
     precision = _f4(1.0) / total
-    odds = log_prior - _f4(0.5) * (channels * logarithm(total) + distance * precision)
+    odds = model.log_prior_odds - _f4(0.5) * (channels * logarithm(total) + distance * precision)
     odds = min(max(odds, _f4(-6.0)), _f4(6.0))
     weight = sigmoid(odds)
     gain = light * before * precision
@@ -40,23 +115,20 @@ def posterior(distance, light, variance, noise, drift, log_prior, channels, rate
     per_channel = distance * (_f4(1.0) / channels)
     after = before - step * light * before + step * (gain - step) * per_channel
     after = min(max(after, _f4(LOWEST_VARIANCE)), _f4(HIGHEST_VARIANCE))
-    noisier = noise + rate * weight * (per_channel - total)
+    noisier = noise + model.noise_share * weight * (per_channel - total)
     noisier = min(max(noisier, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
     return odds, step, after, noisier
 
 
 @compiled
-def subtract_colour(
-    first, end, width, pixels, mean, variance, noise, light_rows, row_position, drift, log_prior, rate,
-    new_mean, new_variance, new_noise, log_odds,
-):  # fmt: skip
+def subtract_colour(first, end, pixels, before, light_field, model, after, log_odds):
     """Rows `first` to `end` of a colour picture: log odds of background, and the update that they imply."""
-    luma, red, blue = mean[0], mean[1], mean[2]
-    new_luma, new_red, new_blue = new_mean[0], new_mean[1], new_mean[2]
+    luma, red, blue = before.mean[0], before.mean[1], before.mean[2]
+    new_luma, new_red, new_blue = after.mean[0], after.mean[1], after.mean[2]
+    variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
+    width = light_field.rows.shape[1]
     for y in range(first, end):
-        above = int(row_position[y])
-        below_share = row_position[y] - _f4(above)
-        upper, lower = light_rows[above], light_rows[above + 1]
+        upper, lower, below_share = light_beside(light_field, y)
         base = np.uint64(y * width)
         for x in range(np.uint64(width)):
             i = base + x
@@ -68,38 +140,31 @@ def subtract_colour(
             d1 = _f4(1.426) * (r - grey) - light * red[i]
             d2 = _f4(1.128) * (b - grey) - light * blue[i]
             distance = d0 * d0 + d1 * d1 + d2 * d2
-            odds, step, after, noisier = posterior(
-                distance, light, variance[i], noise[i], drift, log_prior, _f4(3.0), rate
-            )
+            odds, step, spread, noisier = posterior(distance, light, variance[i], noise[i], model, _f4(3.0))
             new_luma[i] = luma[i] + step * d0
             new_red[i] = red[i] + step * d1
             new_blue[i] = blue[i] + step * d2
-            new_variance[i] = after
+            new_variance[i] = spread
             new_noise[i] = noisier
             log_odds[i] = np.int8(odds * _f4(ODDS_STEPS))
 
 
 @compiled
-def subtract_grey(
-    first, end, width, pixels, mean, variance, noise, light_rows, row_position, drift, log_prior, rate,
-    new_mean, new_variance, new_noise, log_odds,
-):  # fmt: skip
+def subtract_grey(first, end, pixels, before, light_field, model, after, log_odds):
     """Rows `first` to `end` of a grey picture: log odds of background, and the update that they imply."""
-    luma, new_luma = mean[0], new_mean[0]
+    luma, new_luma = before.mean[0], after.mean[0]
+    variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
+    width = light_field.rows.shape[1]
     for y in range(first, end):
-        above = int(row_position[y])
-        below_share = row_position[y] - _f4(above)
-        upper, lower = light_rows[above], light_rows[above + 1]
+        upper, lower, below_share = light_beside(light_field, y)
         base = np.uint64(y * width)
         for x in range(np.uint64(width)):
             i = base + x
             light = upper[x] + below_share * (lower[x] - upper[x])
             d0 = _f4(pixels[i]) - light * luma[i]
-            odds, step, after, noisier = posterior(
-                d0 * d0, light, variance[i], noise[i], drift, log_prior, _f4(1.0), rate
-            )
+            odds, step, spread, noisier = posterior(d0 * d0, light, variance[i], noise[i], model, _f4(1.0))
             new_luma[i] = luma[i] + step * d0
-            new_variance[i] = after
+            new_variance[i] = spread
             new_noise[i] = noisier
             log_odds[i] = np.int8(odds * _f4(ODDS_STEPS))
 
@@ -134,21 +199,18 @@ def pool_log_odds(first, end, height, width, log_odds, prior, share, pooled):
 
 
 @compiled
-def log_evidence(pixels, mean, variance, noise, light_rows, row_position, drift, log_prior, shift):
+def log_evidence(pixels, before, light_field, model, shift):
     """Sum over pixels of log(exp(log odds + shift) + 1), the log odds neither rounded nor saturated.
 
     `shift` has one entry a pixel, or a single one for all.
     """
-    channels, n_pixels = mean.shape
-    height = row_position.size
-    width = n_pixels // height
+    mean = before.mean
+    channels, (height, width) = mean.shape[0], (light_field.positions.size, light_field.rows.shape[1])
     distance, light = np.empty(width, np.float32), np.empty(width, np.float32)
     added = np.full(width, shift[0])
     total = 0.0
     for y in range(height):
-        above = int(row_position[y])
-        below_share = row_position[y] - _f4(above)
-        upper, lower = light_rows[above], light_rows[above + 1]
+        upper, lower, below_share = light_beside(light_field, y)
         row = slice(y * width, (y + 1) * width)
         shown, luma = pixels[channels * y * width : channels * (y + 1) * width], mean[0, row]
         for x in range(width):
@@ -166,13 +228,15 @@ def log_evidence(pixels, mean, variance, noise, light_rows, row_position, drift,
             for x in range(width):
                 d0 = _f4(shown[x]) - light[x] * luma[x]
                 distance[x] = d0 * d0
-        before, looks = variance[row], noise[row]
+        variance, noise = before.variance[row], before.noise[row]
         if shift.size > 1:
             added[:] = shift[row]
         in_row = _f4(0)
         for x in range(width):
-            spread = light[x] * light[x] * (before[x] + drift) + looks[x]
-            odds = log_prior - _f4(0.5) * (_f4(channels) * logarithm(spread) + distance[x] / spread)
+            spread = light[x] * light[x] * (variance[x] + model.drift) + noise[x]
+            odds = model.log_prior_odds - _f4(0.5) * (
+                _f4(channels) * logarithm(spread) + distance[x] / spread
+            )
             odds += added[x]
             in_row += max(odds, _f4(0.0)) + logarithm(_f4(1.0) + exponential(-abs(odds)))
         total += in_row
@@ -190,7 +254,7 @@ def interpolate(blocks, left, share, rows):
 
 
 @compiled
-def light_ratios(pixels, mean, light_rows, row_position, height, width, ratios, agreement):
+def light_ratios(pixels, mean, light, ratios, agreement):
     """Robust brightness of the picture relative to the prediction, per block of the light field.
 
     A block is sampled on a grid of 6 x 6 pixels. `ratios` gets the median of luma seen over luma predicted,
@@ -198,6 +262,7 @@ def light_ratios(pixels, mean, light_rows, row_position, height, width, ratios, 
     """
     channels = mean.shape[0]
     luma = mean[0]
+    height, width = light.positions.size, light.rows.shape[1]
     block_rows, block_columns = ratios.shape
     samples = 6 * block_columns
     columns = np.empty(samples, np.int64)
@@ -209,9 +274,7 @@ def light_ratios(pixels, mean, light_rows, row_position, height, width, ratios, 
     for row in range(block_rows):
         for sample_row in range(6):
             y = int((6 * row + sample_row + 0.5) * height / (6 * block_rows))
-            above = int(row_position[y])
-            below_share = row_position[y] - _f4(above)
-            upper, lower = light_rows[above], light_rows[above + 1]
+            upper, lower, below_share = light_beside(light, y)
             own = luma[y * width : (y + 1) * width]
             shown = pixels[channels * y * width : channels * (y + 1) * width]
             out = values[sample_row]
@@ -297,56 +360,56 @@ def foreground_spans(log_odds, spans):
 
 
 @compiled
-def recall(first, end, pixels, candidate, seen, trusted_looks, channels, tolerance, log_odds):
+def recall(first, end, pixels, second, channels, tolerance, log_odds):
     """Foreground that shows the second colour of a pixel known to have two is background after all.
 
-    `first` and `end` are pixels.
+    It is known when it was seen for half the settling time. `first` and `end` are pixels.
     """
     spans = np.empty((end - first) // 64 + 1, np.int64)
     for k in range(foreground_spans(log_odds[first:end], spans)):
         start = first + spans[k]
         for i in range(start, min(start + 64, end)):
-            known = log_odds[i] < 0 and seen[i] >= trusted_looks
-            if known and colour_gap(pixels, candidate, i, channels) < tolerance:
+            known = log_odds[i] < 0 and 2 * second.seen[i] >= SETTLED
+            if known and colour_gap(pixels, second.colours, i, channels) < tolerance:
                 log_odds[i] = np.int8(ODDS_STEPS)
 
 
 @compiled
-def second_look(
-    pixels, log_odds, covered, width, light_rows, row_position, to_planes, from_planes, tolerance,
-    settle_looks, settled_variance, unsure_variance, noise, mean, variance, candidate, seen,
-):  # fmt: skip
+def learn_second_colours(
+    pixels, log_odds, covered, light_field, to_planes, from_planes, settling, after, second
+):
     """A second hypothesis for pixels that show neither the background nor a predicted object.
 
-    A colour that stays for `settle_looks` changes places with the mean. A mean that was hardly seen itself
-    (its variance is over `unsure_variance`) gives way to one that was seen about twice as often, also behind
-    an object: it may only seem to be one because the scene was never seen without what stood there at first.
+    A colour that lasts changes places with the mean (see `Settling`); another one wears it out twice as fast.
+    A mean that was hardly seen itself gives way to one that was seen about twice as often, also behind an
+    object: it may only seem to be one because the scene was never seen without what stood there at first.
     """
-    channels = mean.shape[0]
+    mean, variance, candidate, seen = after.mean, after.variance, second.colours, second.seen
+    channels, width = mean.shape[0], light_field.rows.shape[1]
     old = np.empty(channels, np.float32)
     spans = np.empty(log_odds.size // 64 + 1, np.int64)
     for span in range(foreground_spans(log_odds, spans)):
         for i in range(spans[span], min(spans[span] + 64, log_odds.size)):
-            unsure = variance[i] > unsure_variance
+            unsure = variance[i] > settling.unsure_variance
             if log_odds[i] >= 0 or (covered[i] != 0 and not unsure):
                 continue
-            if seen[i] == 0 or colour_gap(pixels, candidate, i, channels) >= tolerance:
-                if seen[i] > 2:
-                    seen[i] -= 2
+            if seen[i] == 0 or colour_gap(pixels, candidate, i, channels) >= settling.tolerance:
+                if seen[i] > 2 * settling.step:
+                    seen[i] -= 2 * settling.step
                 else:
-                    seen[i] = 1
+                    seen[i] = settling.step
                     for k in range(channels):
                         candidate[channels * i + k] = pixels[channels * i + k]
                 continue
-            seen[i] += 1
-            enough = min(settle_looks, int(5 + 2 * noise[i] / variance[i])) if unsure else settle_looks
-            if seen[i] < enough:
+            seen[i] += settling.step
+            # noise over variance is about how often the mean was seen
+            own = settling.least + settling.step * int(2 * after.noise[i] / variance[i])
+            if seen[i] < (min(SETTLED, own) if unsure else SETTLED):
                 continue
             y = i // width
             x = i - y * width
-            above = int(row_position[y])
-            below_share = row_position[y] - _f4(above)
-            light = light_rows[above, x] + below_share * (light_rows[above + 1, x] - light_rows[above, x])
+            upper, lower, below_share = light_beside(light_field, y)
+            light = upper[x] + below_share * (lower[x] - upper[x])
             for channel in range(channels):
                 old[channel] = light * mean[channel, i]
                 value = _f4(0)
@@ -358,5 +421,5 @@ def second_look(
                 for k in range(channels):
                     value += from_planes[channel, k] * old[k]
                 candidate[channels * i + channel] = np.uint8(min(max(value + _f4(0.5), _f4(0)), _f4(255)))
-            variance[i] = settled_variance
-            seen[i] = 0 if unsure else settle_looks // 2
+            variance[i] = settling.variance
+            seen[i] = 0 if unsure else SETTLED // 2

@@ -4,7 +4,10 @@ Components are kept in the order of weight over standard deviation: the first on
 Arrays are planar, `(components[, channels], n_pixels)` float32, and worked on row by row.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled, exponential, logarithm
 from .gaussian import HIGHEST_NOISE, LOWEST_NOISE, ODDS_STEPS
@@ -15,6 +18,19 @@ LEAST_WEIGHT = 1e-9
 """Weight below which a component is forgotten: it is 0 from then on."""
 
 _LEAST_DENSITY = _f4(1e-30)
+
+
+class Mixture(NamedTuple):
+    """Components of every pixel, in the order of weight over standard deviation; all float32.
+
+    `(components, n_pixels)` weights, whose sum is 1 (0 where there is no such component);
+    `(components, channels, n_pixels)` means in the planes of `models.colour`; `(components, n_pixels)`
+    variances of each channel, squared grey levels.
+    """
+
+    weights: NDArray[np.float32]
+    means: NDArray[np.float32]
+    variances: NDArray[np.float32]
 
 
 @compiled
@@ -29,14 +45,14 @@ def _row_distance(planes, mean, here, out):
 
 
 @compiled
-def _row_log_odds(planes, weights, means, variances, here, share, log_prior, out):
+def _row_log_odds(planes, mixture, here, share, log_prior, out):
     """Log odds of background along one row: density of the components that together exceed `share`."""
     channels = _f4(planes.shape[0])
     distance = np.empty(out.size, np.float32)
     density, gathered = np.zeros(out.size, np.float32), np.zeros(out.size, np.float32)
-    for k in range(weights.shape[0]):
-        _row_distance(planes, means[k], here, distance)
-        weight, variance = weights[k, here], variances[k, here]
+    for k in range(len(mixture.weights)):
+        _row_distance(planes, mixture.means[k], here, distance)
+        weight, variance = mixture.weights[k, here], mixture.variances[k, here]
         for x in range(out.size):
             part = weight[x] if gathered[x] <= share else _f4(0)
             power = _f4(-0.5) * (channels * logarithm(variance[x]) + distance[x] / variance[x])
@@ -47,19 +63,19 @@ def _row_log_odds(planes, weights, means, variances, here, share, log_prior, out
 
 
 @compiled
-def subtract_mixture(first, end, width, planes, weights, means, variances, share, log_prior, log_odds):
+def subtract_mixture(first, end, width, planes, mixture, share, log_prior, log_odds):
     """Rows `first` to `end`: log odds of background as int8 in steps of `1 / ODDS_STEPS`."""
     odds = np.empty(width, np.float32)
     for y in range(first, end):
         here = slice(y * width, (y + 1) * width)
-        _row_log_odds(planes, weights, means, variances, here, share, log_prior, odds)
+        _row_log_odds(planes, mixture, here, share, log_prior, odds)
         out = log_odds[here]
         for x in range(width):
             out[x] = np.int8(min(max(odds[x], _f4(-6)), _f4(6)) * _f4(ODDS_STEPS))
 
 
 @compiled
-def mixture_log_evidence(width, planes, weights, means, variances, share, log_prior, shift):
+def mixture_log_evidence(width, planes, mixture, share, log_prior, shift):
     """Sum over pixels of log(exp(log odds + shift) + 1), the log odds neither rounded nor saturated.
 
     `shift` has one entry a pixel, or a single one for all.
@@ -68,7 +84,7 @@ def mixture_log_evidence(width, planes, weights, means, variances, share, log_pr
     total = 0.0
     for y in range(planes.shape[1] // width):
         here = slice(y * width, (y + 1) * width)
-        _row_log_odds(planes, weights, means, variances, here, share, log_prior, odds)
+        _row_log_odds(planes, mixture, here, share, log_prior, odds)
         if shift.size > 1:
             added[:] = shift[here]
         in_row = _f4(0)
@@ -80,15 +96,14 @@ def mixture_log_evidence(width, planes, weights, means, variances, share, log_pr
 
 
 @compiled
-def learn_mixture(
-    first, end, width, planes, rates, least_rate, first_variance, reach, weights, means, variances,
-    new_weights, new_means, new_variances,
-):  # fmt: skip
-    """Rows `first` to `end`: one step of learning, by each pixel's own rate.
+def learn_mixture(first, end, width, planes, rates, least_rate, first_variance, reach, before, mixture):
+    """Rows `first` to `end`: one step of learning from `before` to `mixture`, by each pixel's own rate.
 
     The most probable component within `reach` variances learns. Where there is none, a new one takes the
     place of the last, if the rate exceeds `least_rate`: a component cannot be replaced in part.
     """
+    weights, means, variances = before
+    new_weights, new_means, new_variances = mixture
     components, channels = means.shape[:2]
     distances = np.empty((components, width), np.float32)
     shown, fresh = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -139,14 +154,15 @@ def learn_mixture(
                 weight_after[x] /= total[x]
         # only one component can be out of order: one pass lets it sink, the other lets it rise
         for k in range(components - 1):
-            _order(k, here, new_weights, new_means, new_variances, shown)
+            _order(k, here, mixture, shown)
         for k in range(components - 3, -1, -1):
-            _order(k, here, new_weights, new_means, new_variances, shown)
+            _order(k, here, mixture, shown)
 
 
 @compiled
-def _order(k, here, weights, means, variances, swapped):
+def _order(k, here, mixture, swapped):
     """Let components `k` and `k + 1` of a row change places where the second is the more probable."""
+    weights, means, variances = mixture
     weight, next_weight = weights[k, here], weights[k + 1, here]
     variance, next_variance = variances[k, here], variances[k + 1, here]
     for x in range(swapped.size):

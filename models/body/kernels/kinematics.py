@@ -119,7 +119,7 @@ def within_limits(necks, arms, half, upper, fore, limits, torso, allowed):
             x, y, z = sign * half + upper * ux, upper * uy, upper * uz
             good &= not _in_torso(x, y, z, torso)
             good &= not _in_torso(x + fore * fx, y + fore * fy, z + fore * fz, torso)
-            # the turn as in `body_poses.twists`: 1 / (1 + y) loses its digits near the top
+            # the turn that `poses.transport` leaves out; 1 / (1 + y) loses its digits near the top
             square = ux * ux + uz * uz
             over = (square < 1e-28) & (uy < 0.0)
             shrink = (1.0 - uy) / max(square, 1e-28) if uy < 0.0 else 1.0 / (1.0 + uy)

@@ -1,13 +1,16 @@
 """Compiled loops that compare poses with the maps of one image."""
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled, exponential, inlined, logarithm
 
 _f4 = np.float32
 
 NECK = 0.62
-"""Of the way from the head's centre to the root: middle of the neck's flesh."""
+"""Of the way from the head's centre to the root: middle of the neck's skin."""
 
 
 @inlined
@@ -36,34 +39,46 @@ def _seen_or_not(nats, hidden):
     return logarithm((_f4(1.0) - hidden) * exponential(min(nats, _f4(60.0))) + hidden)
 
 
-@compiled
-def hand_terms(parts, roots, centre, surround, scales, hand, windows, head, neck_radius, scores, out):
-    """Log likelihood ratios of both hands' flesh, added to `out` `(n,)`.
+class HandModel(NamedTuple):
+    """What a hand's skin looks like, and what else may be there."""
 
-    A hand is a disc of flesh amid none, as two Gaussian windows see it: much in the inner one, little in the
+    radius: float
+    """px."""
+    windows: NDArray[np.float64]
+    """`(2,)` px: standard deviations of the inner and the outer window."""
+    head: NDArray[np.float64]
+    """`(2,)` px: its half width and half height."""
+    neck_radius: float
+    """px."""
+    scores: NDArray[np.float64]
+    """`(3,)`: nats of all that a hand shows, and of nothing of it; probability of a hand without skin."""
+
+
+@compiled
+def hand_terms(parts, roots, centre, surround, scales, hand, out):
+    """Log likelihood ratios of both hands' skin, added to `out` `(n,)`.
+
+    A hand is a disc of skin amid none, as two Gaussian windows see it: much in the inner one, little in the
     outer one. What head, neck and the other hand explain counts for neither; two hands at one place see the
-    same flesh, which counts once.
+    same skin, which counts once.
 
     Parameters
     ----------
     parts, roots
         `(n, 3, 2)` and `(n, 2)` px.
     centre, surround
-        maps of flesh, from 0 to 1, in the inner and the outer window; `scales` `(2,)` are their entries a px,
+        maps of skin, from 0 to 1, in the inner and the outer window; `scales` `(2,)` are their entries a px,
         along x and y.
-    hand, windows
-        px: its radius; the windows' standard deviations `(2,)`.
-    head, neck_radius
-        px: half width and half height `(2,)`; radius of the neck.
-    scores
-        `(3,)`: nats of a place that looks all like a hand, and of one that does not; probability of no flesh.
+    hand
+        a `HandModel`.
     """
-    full, none, hidden = _f4(scores[0]), _f4(scores[1]), _f4(scores[2])
-    inner, outer = _f4(windows[0]), _f4(windows[1])
-    radius, wide, high, neck = _f4(hand), _f4(head[0]), _f4(head[1]), _f4(neck_radius)
+    full, none, hidden = _f4(hand.scores[0]), _f4(hand.scores[1]), _f4(hand.scores[2])
+    inner, outer = _f4(hand.windows[0]), _f4(hand.windows[1])
+    radius, neck = _f4(hand.radius), _f4(hand.neck_radius)
+    wide, high = _f4(hand.head[0]), _f4(hand.head[1])
     across, down = _f4(scales[0]), _f4(scales[1])
     head_radius = np.sqrt(wide * high)
-    # a disc of flesh of the hand's size, as the windows see it from its centre
+    # a disc of skin of the hand's size, as the windows see it from its centre
     ideal = exponential(_f4(-0.5) * (radius / outer) ** 2) - exponential(_f4(-0.5) * (radius / inner) ** 2)
     width = outer * outer + _f4(0.25) * radius * radius
     for k in range(len(parts)):
@@ -84,7 +99,7 @@ def hand_terms(parts, roots, centre, surround, scales, hand, windows, head, neck
             around = max(_inside(from_head, head_radius, outer), _inside(from_neck, neck, outer))
             column = (x + _f4(0.5)) * across - _f4(0.5)
             row = (y + _f4(0.5)) * down - _f4(0.5)
-            # what head and other hand explain tells nothing: it is there anyway; other flesh around the hand
+            # what head and other hand explain tells nothing: it is there anyway; other skin around the hand
             # speaks against it
             foreign = max(_at(surround, column, row) - neighbour - around, _f4(0.0))
             response = (max(_at(centre, column, row) - before_face, _f4(0.0)) - foreign) / ideal
@@ -94,7 +109,7 @@ def hand_terms(parts, roots, centre, surround, scales, hand, windows, head, neck
             least = min(least, gain)
             total += gain
         apart = np.sqrt(squared) / (_f4(2.0) * radius)
-        if apart < _f4(1.0):  # share of a disc that the other one covers: they see the same flesh once
+        if apart < _f4(1.0):  # share of a disc that the other one covers: they see the same skin once
             shared = (np.arccos(apart) - apart * np.sqrt(_f4(1.0) - apart * apart)) * _f4(2.0 / np.pi)
             total -= min(_f4(2.0) * shared, _f4(1.0)) * max(least, _f4(0.0))
         out[k] += total
@@ -102,9 +117,9 @@ def hand_terms(parts, roots, centre, surround, scales, hand, windows, head, neck
 
 @compiled
 def head_terms(heads, contrast, scales, scores, out):
-    """Log likelihood ratios of flesh where the head is to be, added to `out` `(n,)`.
+    """Log likelihood ratios of skin where the head is to be, added to `out` `(n,)`.
 
-    `heads` are `(n, 2)` px; `contrast`, up to 1, is how much more flesh there is in a head's place than
+    `heads` are `(n, 2)` px; `contrast`, up to 1, is how much more skin there is in a head's place than
     around it, `scales` `(2,)` its entries a px; `scores` `(2,)`: nats of a full one, probability of none.
     """
     full, hidden = _f4(scores[0]), _f4(scores[1])

@@ -4,19 +4,43 @@ A body is a head (ellipsoid), a torso (flat, with a neck), two hands (spheres) a
 of spheres between its ends), seen along z. All depths are exact for these solids.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled
 
 _f4 = np.float32
 
-# parts, as `body_outline.OUTLINE_PARTS` names them
+# parts, as `silhouette.OUTLINE_PARTS` names them
 _HEAD, _TORSO = 0, 1
 _ROUND = (0, 4, 7)
 _N_PARTS = 8
 
 _FAR = _f4(1e9)
 """Depth where a part is not."""
+
+
+class Solid(NamedTuple):
+    """A body as these loops take it; all but `lengths` and `firsts` are float32."""
+
+    lengths: NDArray[np.float64]
+    """`(12,)` px, see `_put_body`."""
+    torso: NDArray[np.float32]
+    """`(4, 4)`, see `_torso_fronts`."""
+    torso_points: NDArray[np.float32]
+    """`(c, 2)` px from the root: its contour."""
+    torso_normals: NDArray[np.float32]
+    """`(c, 2)`: of its contour."""
+    circles: NDArray[np.float32]
+    """`(m, 2)`: points of unit circles for head and hands."""
+    firsts: NDArray[np.intp]
+    """`(9,)`: part j has the points `firsts[j]` to `firsts[j + 1]`."""
+    tolerance: np.float32
+    """px: a point is hidden by what is so much nearer."""
+    rim: np.float32
+    """Share of a part's squared radius that hides nothing, see `_fronts`."""
 
 
 @compiled
@@ -266,57 +290,52 @@ def _fronts(shape, kind, torso, rim, xs, ys, out):
 
 
 @compiled
-def outlines(
-    roots, necks, arms, lengths, torso, torso_points, torso_normals, circles, firsts, tolerance, rim,
-    points, normals, visible, backed,
-):  # fmt: skip
+def outlines(roots, necks, arms, solid, points, normals, visible):
     """Contours of the parts of each pose, and which of their points are seen.
 
-    `roots` `(n, 2)`, `necks` `(n, 3)`, `arms` `(n, 2, 2, 3)` as in `BodyPoses`; `lengths` as in `_put_body`;
-    `torso` `(4, 4)` as in `_torso_fronts`, `torso_points` and `torso_normals` `(c, 2)` its contour; `circles`
-    `(m, 2)` points of unit circles for head and hands; part j has the points `firsts[j]` to `firsts[j + 1]`.
-    A point is hidden by what is more than `tolerance` px nearer, but for the `rim`, see `_fronts`.
-    Writes `points`, `normals` `(n, m, 2)` float32, `visible` and `backed` `(n, m)` bool.
+    `roots` `(n, 2)`, `necks` `(n, 3)`, `arms` `(n, 2, 2, 3)` as in `BodyPoses`. Writes `points`, `normals`
+    `(n, m, 2)` float32 and `visible` `(n, m)` bool.
     """
+    torso, firsts = solid.torso, solid.firsts
     count = points.shape[1]
     shapes = np.zeros((_N_PARTS, 11), np.float32)
     xs, ys = np.zeros(count, np.float32), np.zeros(count, np.float32)
     depths, fronts = np.zeros(count, np.float32), np.zeros(count, np.float32)
     least = np.zeros(count, np.float32)
     for pose in range(len(roots)):
-        _put_body(roots[pose], necks[pose], arms[pose], lengths, torso, shapes)
+        _put_body(roots[pose], necks[pose], arms[pose], solid.lengths, torso, shapes)
         for part in range(_N_PARTS):
             run = slice(firsts[part], firsts[part + 1])
             shape = shapes[part]
             if part == _TORSO:
-                for k in range(len(torso_points)):
+                for k in range(len(solid.torso_points)):
                     place = firsts[part] + k
-                    xs[place], ys[place] = shape[0] + torso_points[k, 0], shape[1] + torso_points[k, 1]
+                    xs[place] = shape[0] + solid.torso_points[k, 0]
+                    ys[place] = shape[1] + solid.torso_points[k, 1]
                     depths[place] = shape[2]
-                    normals[pose, place, 0] = torso_normals[k, 0]
-                    normals[pose, place, 1] = torso_normals[k, 1]
+                    normals[pose, place, 0] = solid.torso_normals[k, 0]
+                    normals[pose, place, 1] = solid.torso_normals[k, 1]
             elif part in _ROUND:
-                _trace_ellipsoid(shape, circles[run], xs[run], ys[run], normals[pose, run], depths[run])
+                _trace_ellipsoid(shape, solid.circles[run], xs[run], ys[run], normals[pose, run], depths[run])
             else:
                 _trace_capsule(shape, xs[run], ys[run], normals[pose, run], depths[run])
         for k in range(count):
             least[k] = _FAR
         for part in range(_N_PARTS):
-            _fronts(shapes[part], part, torso, rim, xs, ys, fronts)
+            _fronts(shapes[part], part, torso, solid.rim, xs, ys, fronts)
             for k in range(firsts[part], firsts[part + 1]):
                 fronts[k] = _FAR
             for k in range(count):
                 least[k] = min(least[k], fronts[k])
-        at, shown, before = points[pose], visible[pose], backed[pose]
+        at, shown = points[pose], visible[pose]
         for k in range(count):
             at[k, 0], at[k, 1] = xs[k], ys[k]
         for k in range(count):
-            seen = least[k] >= depths[k] - tolerance
-            shown[k], before[k] = seen, seen & (least[k] < _FAR)
+            shown[k] = least[k] >= depths[k] - solid.tolerance
 
 
 @compiled
-def paint(roots, necks, arms, lengths, torso, labels):
+def paint(roots, necks, arms, solid, labels):
     """Write into `labels` `(n, height, width)` uint8, zero before, 1 + the nearest part at each pixel."""
     height, width = labels.shape[1], labels.shape[2]
     shapes = np.zeros((_N_PARTS, 11), np.float32)
@@ -326,10 +345,10 @@ def paint(roots, necks, arms, lengths, torso, labels):
     for x in range(width):
         columns[x] = x
     for pose in range(len(roots)):
-        _put_body(roots[pose], necks[pose], arms[pose], lengths, torso, shapes)
+        _put_body(roots[pose], necks[pose], arms[pose], solid.lengths, solid.torso, shapes)
         nearest.fill(_FAR)
         for part in range(_N_PARTS):
-            _box(shapes[part], part, torso, box)
+            _box(shapes[part], part, solid.torso, box)
             begin = max(np.int64(np.ceil(box[0])), 0)
             stop = min(np.int64(np.floor(box[1])) + 1, width)
             for y in range(max(np.int64(np.ceil(box[2])), 0), min(np.int64(np.floor(box[3])) + 1, height)):
@@ -338,7 +357,7 @@ def paint(roots, necks, arms, lengths, torso, labels):
                 for x in range(begin, stop):
                     row[x] = y
                 run = slice(begin, stop)
-                _fronts(shapes[part], part, torso, _f4(0), columns[run], row[run], fronts[run])
+                _fronts(shapes[part], part, solid.torso, _f4(0), columns[run], row[run], fronts[run])
                 for x in range(begin, stop):
                     if fronts[x] < nearest[y, x]:
                         nearest[y, x] = fronts[x]

@@ -1,20 +1,33 @@
 """Loops over triangles and edges of projected meshes: which pixels they cover, where the outline is."""
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled
 
 _f4 = np.float32
 
 
+class OutlinePoints(NamedTuple):
+    """Room for points on outlines: `(n, room)` with two vertices, their shares and px of outline that the
+    point stands for, and the unit normal outwards; `counts` `(n,)` says how many there are."""
+
+    vertices: NDArray[np.int64]
+    weights: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    counts: NDArray[np.int64]
+
+
 @compiled
-def cover(positions, triangles, top, left, covered):
+def cover(positions, triangles, box, covered):
     """Mark the pixels whose centres lie in a triangle, pose by pose.
 
-    `positions` `(n, n_vertices, 2)` float32 px, `covered` `(n, height, width)` uint8, zero before, of which
-    `(top, left)` is the first pixel.
+    `positions` `(n, n_vertices, 2)` float32 px, `covered` `(n, height, width)` uint8 of the `box`, zero
+    before.
     """
-    height, width = covered.shape[1], covered.shape[2]
+    top, left, height, width = box
     for pose in range(len(positions)):
         places, out = positions[pose], covered[pose]
         for number in range(len(triangles)):
@@ -54,16 +67,15 @@ def _inside(covered, x, y):
 
 
 @compiled
-def trace(
-    positions, triangles, ends, sides, covered, top, left, spacing, depth, vertices, weights, normals, count
-):
+def trace(positions, edges, covered, box, spacing, depth, points):
     """Points along the outline about every `spacing` px, at most as many as there is room for.
 
     An edge is on the outline where only one of its triangles faces the viewer, or where it has but one, and
-    what is `depth` px outside it is not covered but what is inside is. Writes into `vertices` `(n, room, 2)`,
-    `weights` `(n, room, 3)` (shares of the two vertices, and px of outline that the point stands for),
-    `normals` `(n, room, 2)` (of unit length, outwards) and `count` `(n,)`.
+    what is `depth` px outside it is not covered but what is inside is. Writes `points`.
     """
+    triangles, ends, sides = edges
+    vertices, weights, normals, count = points
+    top, left = box.top, box.left
     room = vertices.shape[1]
     turned = np.empty(len(triangles), np.bool_)
     for pose in range(len(positions)):

@@ -1,4 +1,4 @@
-"""Loops that find which points of a mesh are seen: a coarse z-buffer of triangles, then a look-up a point."""
+"""Loops that find which points of a mesh are seen: a coarse z-buffer of triangles, then a query a point."""
 
 import numpy as np
 

@@ -1,8 +1,13 @@
 """Loops over texels of many experts: warp the picture, form normal equations, densities, texture updates."""
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled, inlined
+
+Map = NDArray[np.float32]
 
 _f4 = np.float32
 
@@ -12,6 +17,47 @@ FEW = 8
 OFF_PICTURE = _f4(6)
 """e^2 / tau that a visible texel off the picture counts for: its density is then about that of any grey value
 (-log 256, where tau is 36), so that leaving the picture does not pay."""
+
+
+class Texels(NamedTuple):
+    """Where texels lie on a surface; as of `SurfaceTexels`, with the numbers of the vertices in use."""
+
+    groups: NDArray[np.int32]
+    first: NDArray[np.int32]
+    weights: Map
+    offsets: Map
+    areas: Map
+
+
+class Textures(NamedTuple):
+    """What experts expect on a level, each `(n_experts, n_texels)`; `precision` is 1 / tau."""
+
+    mean: Map
+    precision: Map
+    log_temperature: Map
+    visible: NDArray[np.bool_]
+
+
+class Samples(NamedTuple):
+    """What is seen at texels, `(n,)` each: grey level, its slopes per px of the picture, and area."""
+
+    value: Map
+    across: Map
+    down: Map
+    area: Map
+
+
+class NormalSums(NamedTuple):
+    """Sums over the texels of each pose.
+
+    With e_i = y(x_i) - v_i and weights a_i / tau_i: `matrices` `(n, width, width)` = sum of J_i' J_i,
+    `vectors` `(n, width)` = sum of J_i' e_i, `totals` `(n, 3)` = sums of a_i e_i^2 / tau_i, of a_i log tau_i
+    and of a_i.
+    """
+
+    matrices: Map
+    vectors: Map
+    totals: NDArray[np.float64]
 
 
 @compiled
@@ -52,13 +98,15 @@ def vertex_rows(rotations, translations, morphs, bases, positions, rows):
 
 
 @compiled
-def texel_places(positions, groups, first, share, weights, offsets, areas, visible, scale, places, area):
+def texel_places(positions, texels, share, visible, scale, places, area):
     """Where the texels of one expert lie on a level of `scale` and what area each stands for.
 
     Of every group the first part, one `share`-th, is used. Writes, without gaps, `places` `(2, n)` float32
     and `area` `(n,)`, 0 where not `visible`; gives how many there are.
     """
     n = 0
+    groups, first, weights, offsets = texels.groups, texels.first, texels.weights, texels.offsets
+    scale = _f4(scale)
     shift = _f4(0.5) * (scale - _f4(1))  # pixel centres are whole numbers on every level
     for g in range(len(groups)):
         a, b, c = groups[g, 0], groups[g, 1], groups[g, 2]
@@ -67,7 +115,7 @@ def texel_places(positions, groups, first, share, weights, offsets, areas, visib
         ax, ay = positions[a, 0] * scale + shift, positions[a, 1] * scale + shift
         bx, by = positions[b, 0] * scale + shift, positions[b, 1] * scale + shift
         cx, cy = positions[c, 0] * scale + shift, positions[c, 1] * scale + shift
-        each = areas[g] * _f4(first[g + 1] - start)
+        each = texels.areas[g] * _f4(first[g + 1] - start)
         if each == _f4(0):
             size = (positions[b, 0] - positions[a, 0]) * (positions[c, 1] - positions[a, 1])
             size -= (positions[b, 1] - positions[a, 1]) * (positions[c, 0] - positions[a, 0])
@@ -94,215 +142,228 @@ def _cell(x, y, right, bottom, width):
 
 
 @compiled
-def sample_with_slopes(image, width, height, places, n, value, across, down, area):
-    """Picture and its slopes (of the bilinear interpolant) at `places`; outside no slopes, and area below 0.
+def sample_with_slopes(level, places, n, samples):
+    """Level (of at least 2 px either way) and slopes of its bilinear interpolant at `places`.
 
-    `image` `(height * width,)` float32, at least 2 px either way.
+    Outside there are no slopes, and the area, which is given, changes its sign.
     """
+    height, width = level.image.shape
+    image, scale = level.image.reshape(-1), _f4(level.scale)
     right, bottom = _f4(width - 1), _f4(height - 1)
+    value, across, down, area = samples
     for k in range(n):
         inside, at, fx, fy = _cell(places[0, k], places[1, k], right, bottom, width)
         p00, p01 = image[at], image[at + 1]
         p10, p11 = image[at + width], image[at + width + 1]
         above, below = p01 - p00, p11 - p10
         value[k] = p00 + fx * above + fy * (p10 - p00 + fx * (below - above))
-        across[k] = above + fy * (below - above) if inside else _f4(0)
-        down[k] = p10 - p00 + fx * (below - above) if inside else _f4(0)
+        across[k] = (above + fy * (below - above)) * scale if inside else _f4(0)
+        down[k] = (p10 - p00 + fx * (below - above)) * scale if inside else _f4(0)
         area[k] = area[k] if inside else -abs(area[k])
 
 
 @compiled
-def sample(image, width, height, places, n, value, area):
+def sample(image, places, n, value, area):
     """Picture at `places` by bilinear interpolation; outside 0, and minus the area."""
+    height, width = image.shape
+    pixels = image.reshape(-1)
     right, bottom = _f4(width - 1), _f4(height - 1)
     for k in range(n):
         inside, at, fx, fy = _cell(places[0, k], places[1, k], right, bottom, width)
-        p00, p01 = image[at], image[at + 1]
-        p10, p11 = image[at + width], image[at + width + 1]
+        p00, p01 = pixels[at], pixels[at + 1]
+        p10, p11 = pixels[at + width], pixels[at + width + 1]
         above = p00 + fx * (p01 - p00)
         value[k] = above + fy * (p10 + fx * (p11 - p10) - above) if inside else _f4(0)
         area[k] = area[k] if inside else -abs(area[k])
 
 
 @compiled
-def normal_equations(
-    image, width, height, scale, positions, rows, owner, groups, first, share, weights, offsets, areas,
-    visible, mean, precision, log_temperature, dimension, matrices, vectors, sums,
-):  # fmt: skip
+def normal_equations(level, share, texels, textures, owner, positions, rows, dimension, sums):
     """Gauss-Newton's normal equations of the texels' weighted squared differences, for poses of experts.
 
-    Pose m is that of expert `owner[m]`, whose texture `mean`, `precision` (1 / tau), `log_temperature`
-    and `visible` are taken.
+    Pose m is that of expert `owner[m]`, whose texture is taken; `rows` `(n, n_used, 2, width)` are d x / d u
+    of the vertices, of which the first `dimension` columns are the pose's. Writes `sums` (`NormalSums`).
 
-    With e_i = y(x_i) - v_i and weights a_i / tau_i: `matrices` `(n, width, width)` = sum of J_i' J_i,
-    `vectors` `(n, width)` = sum of J_i' e_i, `sums` `(n, 3)` = sums of a_i e_i^2 / tau_i, of a_i log tau_i
-    and of a_i. Slopes are per px of the full picture. No Jacobian of a texel is kept: within a group all are
-    linear in those of the three vertices, so that 6 x 6 moments are summed first and turned into the pose's
-    once. Visible texels off the picture count with `OFF_PICTURE` and have no slope.
+    No Jacobian of a texel is kept where a group has many: all are linear in those of the three vertices, so
+    that 6 x 6 moments are summed first and turned into the pose's once. Visible texels off the picture count
+    with `OFF_PICTURE` and have no slope.
     """
-    n_texels = len(weights)
-    n_rows = rows.shape[3]
+    n_texels, width = len(texels.weights), rows.shape[3]
     places = np.empty((2, n_texels), _f4)
-    area, value = np.empty(n_texels, _f4), np.empty(n_texels, _f4)
+    value, area = np.empty(n_texels, _f4), np.empty(n_texels, _f4)
     across, down = np.empty(n_texels, _f4), np.empty(n_texels, _f4)
-    six = np.empty((6, n_rows), _f4)
-    moments, product = np.empty((6, 6), _f4), np.empty(n_rows, _f4)
+    samples = Samples(value, across, down, area)
+    six, product = np.empty((6, width), _f4), np.empty(width, _f4)
+    moments, right = np.empty((6, 6), _f4), np.empty(6, _f4)
     for m in range(len(positions)):
         d = owner[m]
-        n = texel_places(
-            positions[m], groups, first, share, weights, offsets, areas, visible[d], scale, places, area
+        texture = Textures(
+            textures.mean[d], textures.precision[d], textures.log_temperature[d], textures.visible[d]
         )
-        sample_with_slopes(image, width, height, places, n, value, across, down, area)
-        matrix, vector = matrices[m], vectors[m]
+        n = texel_places(positions[m], texels, share, texture.visible, level.scale, places, area)
+        sample_with_slopes(level, places, n, samples)
+        matrix, vector, total = sums.matrices[m], sums.vectors[m], sums.totals[m]
         matrix[:] = _f4(0)
         vector[:] = _f4(0)
-        squares = logs = total = 0.0
+        total[:] = 0.0
         n = 0
-        for g in range(len(groups)):
-            start = first[g]
-            count = (first[g + 1] - start + share - 1) // share
-            if count <= FEW:
-                for k in range(count):
-                    i, at = start + k, n + k
-                    a = abs(area[at])
-                    if a == _f4(0):
-                        continue
-                    w = a * precision[d, i]
-                    e = value[at] - mean[d, i]
-                    squares += w * e * e if area[at] > _f4(0) else a * OFF_PICTURE
-                    logs += a * log_temperature[d, i]
-                    total += a
-                    gx, gy = across[at] * scale, down[at] * scale
-                    b0, b1, b2 = weights[i, 0], weights[i, 1], weights[i, 2]
-                    corner0, corner1, corner2 = (
-                        rows[m, groups[g, 0]], rows[m, groups[g, 1]], rows[m, groups[g, 2]]
-                    )  # fmt: skip
-                    for j in range(n_rows):
-                        product[j] = (
-                            b0 * (gx * corner0[0, j] + gy * corner0[1, j])
-                            + b1 * (gx * corner1[0, j] + gy * corner1[1, j])
-                            + b2 * (gx * corner2[0, j] + gy * corner2[1, j])
-                        )
-                    for j in range(n_rows):
-                        vector[j] += w * e * product[j]
-                    for row in range(dimension):
-                        factor = w * product[row]
-                        target = matrix[row]
-                        for j in range(n_rows):
-                            target[j] += factor * product[j]
-                n += count
-                continue
-            xx00 = xx01 = xx02 = xx11 = xx12 = xx22 = _f4(0)
-            xy00 = xy01 = xy02 = xy11 = xy12 = xy22 = _f4(0)
-            yy00 = yy01 = yy02 = yy11 = yy12 = yy22 = _f4(0)
-            x0 = x1 = x2 = y0 = y1 = y2 = _f4(0)
-            group_squares = group_logs = group_total = _f4(0)
-            for k in range(count):
-                i, at = start + k, n + k
-                a = abs(area[at])
-                w = a * precision[d, i]
-                e = value[at] - mean[d, i]
-                group_squares += w * e * e if area[at] > _f4(0) else a * OFF_PICTURE
-                group_logs += a * log_temperature[d, i]
-                group_total += a
-                gx, gy = across[at] * scale, down[at] * scale
-                b0, b1, b2 = weights[i, 0], weights[i, 1], weights[i, 2]
-                b00, b01, b02, b11, b12, b22 = b0 * b0, b0 * b1, b0 * b2, b1 * b1, b1 * b2, b2 * b2
-                wxx, wxy, wyy = w * gx * gx, w * gx * gy, w * gy * gy
-                xx00 += wxx * b00
-                xx01 += wxx * b01
-                xx02 += wxx * b02
-                xx11 += wxx * b11
-                xx12 += wxx * b12
-                xx22 += wxx * b22
-                xy00 += wxy * b00
-                xy01 += wxy * b01
-                xy02 += wxy * b02
-                xy11 += wxy * b11
-                xy12 += wxy * b12
-                xy22 += wxy * b22
-                yy00 += wyy * b00
-                yy01 += wyy * b01
-                yy02 += wyy * b02
-                yy11 += wyy * b11
-                yy12 += wyy * b12
-                yy22 += wyy * b22
-                wex, wey = w * e * gx, w * e * gy
-                x0 += wex * b0
-                x1 += wex * b1
-                x2 += wex * b2
-                y0 += wey * b0
-                y1 += wey * b1
-                y2 += wey * b2
+        for g in range(len(texels.groups)):
+            a, b, c = texels.groups[g, 0], texels.groups[g, 1], texels.groups[g, 2]
+            start = texels.first[g]
+            count = (texels.first[g + 1] - start + share - 1) // share
+            part = (start, n, count)
             n += count
-            if group_total == _f4(0):
-                continue
-            squares += group_squares
-            logs += group_logs
-            total += group_total
-            moments[0, 0], moments[0, 1], moments[0, 2] = xx00, xx01, xx02
-            moments[1, 1], moments[1, 2], moments[2, 2] = xx11, xx12, xx22
-            moments[0, 3], moments[0, 4], moments[0, 5] = xy00, xy01, xy02
-            moments[1, 3], moments[1, 4], moments[1, 5] = xy01, xy11, xy12
-            moments[2, 3], moments[2, 4], moments[2, 5] = xy02, xy12, xy22
-            moments[3, 3], moments[3, 4], moments[3, 5] = yy00, yy01, yy02
-            moments[4, 4], moments[4, 5], moments[5, 5] = yy11, yy12, yy22
-            for p in range(6):
-                for q in range(p):
-                    moments[p, q] = moments[q, p]
-            for axis in range(2):
-                for corner in range(3):
-                    source = rows[m, groups[g, corner], axis]
-                    target = six[axis * 3 + corner]
-                    for j in range(n_rows):
-                        target[j] = source[j]
-            for j in range(n_rows):
-                vector[j] += (
-                    six[0, j] * x0 + six[1, j] * x1 + six[2, j] * x2
-                    + six[3, j] * y0 + six[4, j] * y1 + six[5, j] * y2
-                )  # fmt: skip
-            for p in range(6):
-                for j in range(n_rows):
-                    product[j] = (
-                        moments[p, 0] * six[0, j] + moments[p, 1] * six[1, j] + moments[p, 2] * six[2, j]
-                        + moments[p, 3] * six[3, j] + moments[p, 4] * six[4, j] + moments[p, 5] * six[5, j]
-                    )  # fmt: skip
-                for row in range(dimension):
-                    factor = six[p, row]
-                    target = matrix[row]
-                    for j in range(n_rows):
-                        target[j] += factor * product[j]
-        sums[m, 0], sums[m, 1], sums[m, 2] = squares, logs, total
+            if count <= FEW:
+                corners = (rows[m, a], rows[m, b], rows[m, c])
+                _add_texels(
+                    part, samples, texels.weights, texture, corners, dimension, product, matrix, vector, total
+                )
+            elif _sum_moments(part, samples, texels.weights, texture, moments, right, total):
+                for corner, vertex in enumerate((a, b, c)):
+                    six[corner], six[3 + corner] = rows[m, vertex, 0], rows[m, vertex, 1]
+                _add_moments(moments, right, six, dimension, product, matrix, vector)
+
+
+@inlined
+def _add_texels(part, samples, weights, texture, corners, dimension, product, matrix, vector, total):
+    """Add the texels of a group one by one, by the rows of the group's three `corners`."""
+    start, first, count = part
+    one, other, third = corners
+    for k in range(count):
+        i, at = start + k, first + k
+        a = abs(samples.area[at])
+        if a == _f4(0):
+            continue
+        w = a * texture.precision[i]
+        e = samples.value[at] - texture.mean[i]
+        total[0] += w * e * e if samples.area[at] > _f4(0) else a * OFF_PICTURE
+        total[1] += a * texture.log_temperature[i]
+        total[2] += a
+        gx, gy = samples.across[at], samples.down[at]
+        b0, b1, b2 = weights[i, 0], weights[i, 1], weights[i, 2]
+        for j in range(len(product)):
+            product[j] = (
+                b0 * (gx * one[0, j] + gy * one[1, j])
+                + b1 * (gx * other[0, j] + gy * other[1, j])
+                + b2 * (gx * third[0, j] + gy * third[1, j])
+            )
+        for j in range(len(product)):
+            vector[j] += w * e * product[j]
+        for row in range(dimension):
+            factor = w * product[row]
+            target = matrix[row]
+            for j in range(len(product)):
+                target[j] += factor * product[j]
+
+
+@inlined
+def _sum_moments(part, samples, weights, texture, moments, right, total):
+    """Sum a group's texels: `moments` `(6, 6)` of slopes times weights, first across, then down, and `right`,
+    the same times e; gives whether any texel counts."""
+    start, first, count = part
+    value, across, down, areas = samples
+    xx00 = xx01 = xx02 = xx11 = xx12 = xx22 = _f4(0)
+    xy00 = xy01 = xy02 = xy11 = xy12 = xy22 = _f4(0)
+    yy00 = yy01 = yy02 = yy11 = yy12 = yy22 = _f4(0)
+    x0 = x1 = x2 = y0 = y1 = y2 = _f4(0)
+    squares = logs = area = _f4(0)
+    for k in range(count):
+        i, at = start + k, first + k
+        a = abs(areas[at])
+        w = a * texture.precision[i]
+        e = value[at] - texture.mean[i]
+        squares += w * e * e if areas[at] > _f4(0) else a * OFF_PICTURE
+        logs += a * texture.log_temperature[i]
+        area += a
+        gx, gy = across[at], down[at]
+        b0, b1, b2 = weights[i, 0], weights[i, 1], weights[i, 2]
+        b00, b01, b02, b11, b12, b22 = b0 * b0, b0 * b1, b0 * b2, b1 * b1, b1 * b2, b2 * b2
+        wxx, wxy, wyy = w * gx * gx, w * gx * gy, w * gy * gy
+        xx00 += wxx * b00
+        xx01 += wxx * b01
+        xx02 += wxx * b02
+        xx11 += wxx * b11
+        xx12 += wxx * b12
+        xx22 += wxx * b22
+        xy00 += wxy * b00
+        xy01 += wxy * b01
+        xy02 += wxy * b02
+        xy11 += wxy * b11
+        xy12 += wxy * b12
+        xy22 += wxy * b22
+        yy00 += wyy * b00
+        yy01 += wyy * b01
+        yy02 += wyy * b02
+        yy11 += wyy * b11
+        yy12 += wyy * b12
+        yy22 += wyy * b22
+        wex, wey = w * e * gx, w * e * gy
+        x0 += wex * b0
+        x1 += wex * b1
+        x2 += wex * b2
+        y0 += wey * b0
+        y1 += wey * b1
+        y2 += wey * b2
+    total[0] += squares
+    total[1] += logs
+    total[2] += area
+    moments[0, 0], moments[0, 1], moments[0, 2] = xx00, xx01, xx02
+    moments[1, 1], moments[1, 2], moments[2, 2] = xx11, xx12, xx22
+    moments[0, 3], moments[0, 4], moments[0, 5] = xy00, xy01, xy02
+    moments[1, 3], moments[1, 4], moments[1, 5] = xy01, xy11, xy12
+    moments[2, 3], moments[2, 4], moments[2, 5] = xy02, xy12, xy22
+    moments[3, 3], moments[3, 4], moments[3, 5] = yy00, yy01, yy02
+    moments[4, 4], moments[4, 5], moments[5, 5] = yy11, yy12, yy22
+    for p in range(6):
+        for q in range(p):
+            moments[p, q] = moments[q, p]
+    right[0], right[1], right[2], right[3], right[4], right[5] = x0, x1, x2, y0, y1, y2
+    return area > _f4(0)
+
+
+@inlined
+def _add_moments(moments, right, six, dimension, product, matrix, vector):
+    """Turn a group's moments into the pose's, by the rows `six` of its three vertices."""
+    for j in range(len(product)):
+        vector[j] += (
+            six[0, j] * right[0] + six[1, j] * right[1] + six[2, j] * right[2]
+            + six[3, j] * right[3] + six[4, j] * right[4] + six[5, j] * right[5]
+        )  # fmt: skip
+    for p in range(6):
+        for j in range(len(product)):
+            product[j] = (
+                moments[p, 0] * six[0, j] + moments[p, 1] * six[1, j] + moments[p, 2] * six[2, j]
+                + moments[p, 3] * six[3, j] + moments[p, 4] * six[4, j] + moments[p, 5] * six[5, j]
+            )  # fmt: skip
+        for row in range(dimension):
+            factor = six[p, row]
+            target = matrix[row]
+            for j in range(len(product)):
+                target[j] += factor * product[j]
 
 
 @compiled
-def texel_densities(
-    image, width, height, scale, positions, owner, groups, first, share, weights, offsets, areas, visible,
-    mean, precision, log_temperature, extra, sums,
-):  # fmt: skip
+def texel_densities(level, share, texels, textures, owner, positions, extra, sums):
     """Sums of a_i e_i^2 / tau_i, a_i log tau_i, a_i, and a_i times `extra` at x_i, for poses of owners.
 
-    Pose m is judged with the texture and the visibility of expert `owner[m]`; `extra` `(height * width,)`
-    is a map of which the sum over the covered pixels is wanted (a background's log density). Visible texels
-    off the picture count with `OFF_PICTURE`.
+    Pose m is judged with the texture and the visibility of expert `owner[m]`; `extra`, of the shape of the
+    level's image or empty, is a map of which the sum over the covered pixels is wanted (a background's log
+    density). Visible texels off the picture count with `OFF_PICTURE`.
     """
-    n_texels = len(weights)
+    n_texels = len(texels.weights)
     places = np.empty((2, n_texels), _f4)
     area, value = np.empty(n_texels, _f4), np.empty(n_texels, _f4)
-    behind = np.empty(n_texels, _f4)
+    background = np.zeros(n_texels, _f4)
+    first, mean, precision = texels.first, textures.mean, textures.precision
     for m in range(len(positions)):
         d = owner[m]
-        n = texel_places(
-            positions[m], groups, first, share, weights, offsets, areas, visible[d], scale, places, area
-        )
-        sample(image, width, height, places, n, value, area)
-        if len(extra):
-            sample(extra, width, height, places, n, behind, area)
-        else:
-            behind[:n] = _f4(0)
+        n = texel_places(positions[m], texels, share, textures.visible[d], level.scale, places, area)
+        sample(level.image, places, n, value, area)
+        if extra.size:
+            sample(extra, places, n, background, area)
         squares = logs = total = other = 0.0
         n = 0
-        for g in range(len(groups)):
+        for g in range(len(texels.groups)):
             start = first[g]
             count = (first[g + 1] - start + share - 1) // share
             group_squares = group_logs = group_total = group_other = _f4(0)
@@ -311,9 +372,9 @@ def texel_densities(
                 a = abs(area[at])
                 e = value[at] - mean[d, i]
                 group_squares += a * e * e * precision[d, i] if area[at] > _f4(0) else a * OFF_PICTURE
-                group_logs += a * log_temperature[d, i]
+                group_logs += a * textures.log_temperature[d, i]
                 group_total += a
-                group_other += a * behind[at]
+                group_other += a * background[at]
             n += count
             squares += group_squares
             logs += group_logs
@@ -323,17 +384,13 @@ def texel_densities(
 
 
 @compiled
-def sample_texels(
-    image, width, height, scale, positions, groups, first, weights, offsets, areas, visible, values, seen
-):
-    """What all texels look like in the picture: `values`, and `seen` `(n, n_texels)`, the area of those seen.
+def sample_texels(level, texels, visible, positions, values, area):
+    """What all texels look like in the picture: `values`, and `area` `(n, n_texels)` of those seen.
 
     The area is 0 of hidden ones and not above 0 of those off the picture.
     """
-    n_texels = len(weights)
+    n_texels = len(texels.weights)
     places = np.empty((2, n_texels), _f4)
     for d in range(len(positions)):
-        texel_places(
-            positions[d], groups, first, 1, weights, offsets, areas, visible[d], scale, places, seen[d]
-        )
-        sample(image, width, height, places, n_texels, values[d], seen[d])
+        texel_places(positions[d], texels, 1, visible[d], level.scale, places, area[d])
+        sample(level.image, places, n_texels, values[d], area[d])

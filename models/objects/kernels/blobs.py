@@ -3,10 +3,13 @@
 A patch is a small array; `(top, left)` places it in the picture, over whose edges it may reach.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ...background.kernels.gaussian import ODDS_STEPS, foreground_spans
-from ...background.kernels.layers import colour_distance
+from ...background.kernels.layers import Sprite, colour_distance
 from ...numerics.compiled import compiled, exponential, logarithm
 
 _f4 = np.float32
@@ -22,12 +25,30 @@ _NOT_YET = _f4(-1e30)
 _VECTOR = 16
 
 
-@compiled
-def gather(image, log_odds, top, left, planes, odds, free):
-    """Cut planes and log odds (nats) of a box out of the picture; `free` is 1 inside the picture, 0 outside.
+class Patch(NamedTuple):
+    """A box cut out of the picture, all float32.
 
-    `image` is `(height, width, channels)`, `log_odds` `(height, width)` int8.
+    `(channels, height, width)` planes, and `(height, width)` each: log odds of background in nats, and what
+    nothing else covers (0 outside the picture).
     """
+
+    planes: NDArray[np.float32]
+    log_odds: NDArray[np.float32]
+    free: NDArray[np.float32]
+
+
+class Expected(NamedTuple):
+    """Where a blob is expected, px from the middle of its patch, and how surely, 1/px^2 along either axis."""
+
+    y: float
+    x: float
+    precision: float
+
+
+@compiled
+def gather(image, log_odds, top, left, patch):
+    """Cut a box out of a picture `(height, width, channels)` and int8 log odds `(height, width)`."""
+    planes, odds, free = patch
     height, width, channels = image.shape
     rows, columns = free.shape
     first, end = min(max(0, -left), columns), max(min(columns, width - left), 0)
@@ -40,20 +61,20 @@ def gather(image, log_odds, top, left, planes, odds, free):
             if y < 0 or y >= height or end <= first:
                 continue
         free[row, first:end] = _f4(1)
-        told, out = log_odds[y, left + first : left + end], odds[row, first:end]
-        for x in range(told.size):
-            out[x] = _f4(told[x]) * _f4(1 / ODDS_STEPS)
+        steps, out = log_odds[y, left + first : left + end], odds[row, first:end]
+        for x in range(steps.size):
+            out[x] = _f4(steps[x]) * _f4(1 / ODDS_STEPS)
         seen, luma = image[y, left + first : left + end], planes[0, row, first:end]
         if channels == 3:
             red, blue = planes[1, row, first:end], planes[2, row, first:end]
-            for x in range(told.size):
+            for x in range(steps.size):
                 b, g, r = _f4(seen[x, 0]), _f4(seen[x, 1]), _f4(seen[x, 2])
                 grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
                 luma[x] = grey
                 red[x] = _f4(1.426) * (r - grey)
                 blue[x] = _f4(1.128) * (b - grey)
         else:
-            for x in range(told.size):
+            for x in range(steps.size):
                 luma[x] = _f4(seen[x, 0])
 
 
@@ -78,13 +99,15 @@ def cover(free, top, left, mask):
 
 
 @compiled
-def _agreement(start, step, planes, rivals, free, mask, appearance, half_precision, log_ratio, outliers):
+def _agreement(start, step, planes, rivals, free, sprite):
     """Sum of log{[M f + (1 - M) b] / b} over every `step`-th row of a blob at `start` in the patch.
 
     `rivals` is b, what pixels are without the blob, relative to the uniform density; f its colours' density.
     Rows are whole vectors (see `_padded`): an inner loop of fixed length leaves no remainder to scalar code,
     and most blobs are only a few vectors wide.
     """
+    mask, appearance, half_precision = sprite.mask, sprite.appearance, sprite.half_precision
+    log_ratio, outliers = sprite.log_ratio, sprite.outliers
     total = _f4(0)
     channels, rows, columns = appearance.shape
     width = rivals.shape[1]
@@ -119,14 +142,12 @@ def _padded(maps, columns):
 
 
 @compiled
-def search(
-    reach, offset_y, offset_x, precision, temper, step, planes, rivals, free, mask, appearance,
-    half_precision, log_ratio, outliers,
-):  # fmt: skip
+def search(reach, expected, temper, step, patch, rivals, sprite):
     """Where in the patch the blob is: coarse to fine about `(reach, reach)`, prior and pixels together.
 
-    The prior is a Gaussian of `precision` (1 / px^2) about `(reach + offset_y, reach + offset_x)`; the sum
-    over pixels is tempered, for neighbouring pixels are not independent.
+    The prior is a Gaussian about the place that is `expected`; the sum over every `step`-th row of pixels is
+    tempered, for neighbouring pixels are not independent. `rivals` is what pixels are without the blob (see
+    `density_without`).
 
     Returns
     -------
@@ -135,12 +156,18 @@ def search(
     variance_y, variance_x
         px^2, from the curvature of the pixels' part at the best place.
     """
-    spare = -mask.shape[1] % _VECTOR
-    width, patch_width = mask.shape[1] + spare, free.shape[1] + spare
-    masks, looks = _padded(mask.reshape(1, *mask.shape), width)[0], _padded(appearance, width)
-    seen = _padded(planes, patch_width)
-    others = _padded(rivals.reshape(1, *free.shape), patch_width)[0]
-    opens = _padded(free.reshape(1, *free.shape), patch_width)[0]
+    spare = -sprite.mask.shape[1] % _VECTOR
+    width, patch_width = sprite.mask.shape[1] + spare, rivals.shape[1] + spare
+    padded = Sprite(
+        _padded(sprite.mask.reshape(1, *sprite.mask.shape), width)[0],
+        _padded(sprite.appearance, width),
+        sprite.half_precision,
+        sprite.log_ratio,
+        sprite.outliers,
+    )
+    seen = _padded(patch.planes, patch_width)
+    others = _padded(rivals.reshape(1, *rivals.shape), patch_width)[0]
+    opens = _padded(patch.free.reshape(1, *rivals.shape), patch_width)[0]
     best = _NOT_YET
     best_y = best_x = 0
     size = 2 * reach + 1
@@ -154,12 +181,12 @@ def search(
                 y, x = centre_y + i * stride, centre_x + j * stride
                 if abs(y) > reach or abs(x) > reach:
                     continue
-                prior = -0.5 * precision * ((y - offset_y) ** 2 + (x - offset_x) ** 2)
+                prior = -0.5 * expected.precision * ((y - expected.y) ** 2 + (x - expected.x) ** 2)
                 if scores[reach + y, reach + x] == _NOT_YET:
+                    start = (reach + y) * patch_width + reach + x
                     scores[reach + y, reach + x] = temper * _agreement(
-                        (reach + y) * patch_width + reach + x, step, seen, others, opens, masks, looks,
-                        half_precision, log_ratio, outliers,
-                    )  # fmt: skip
+                        start, step, seen, others, opens, padded
+                    )
                 score = scores[reach + y, reach + x] + prior
                 if score > best:
                     best, best_y, best_x = score, y, x
@@ -190,16 +217,13 @@ def _peak(scores, middle):
 
 
 @compiled
-def learn(
-    planes, odds, free, others, mask, appearance, half_precision, log_ratio, outliers, strength, mask_rate,
-    colour_rate, least_kept, new_mask, new_appearance,
-):  # fmt: skip
+def learn(patch, explained, sprite, strength, mask_share, colour_share, least_kept, new_mask, new_appearance):
     """Shape and colours of a blob after a frame.
 
-    The mask follows what the background's chain says alone (`odds`), but keeps `least_kept` of likely pixels
-    that fit the blob's own colours as well; of pixels that it loses, the colours are forgotten. `others` is
-    what all layers together explain (see `Region.explained`): a pixel that another blob explains better is
-    not learned, nor is one that something in front covers.
+    The mask follows what the background's chain says alone (log odds), but keeps `least_kept` of likely
+    pixels that fit the blob's own colours as well; of pixels that it loses, the colours are forgotten.
+    `explained` is by all layers together (see `Region.explained`): a pixel that another blob explains better
+    is not learned, nor is one that something in front covers.
 
     Returns
     -------
@@ -208,6 +232,8 @@ def learn(
     variance
         mean squared difference of its pixels from the remembered colours, per channel.
     """
+    planes, odds, free = patch
+    mask, appearance, half_precision, log_ratio, outliers = sprite
     rows, columns = mask.shape
     distance, rates = np.empty(columns, np.float32), np.empty(columns, np.float32)
     inlying = _f4(1) - outliers
@@ -215,23 +241,24 @@ def learn(
     squares = inside = 1e-6
     for row in range(rows):
         colour_distance(planes, 0, 0, appearance, row, 0, columns, distance)
-        covers, open_, told, explained, out = mask[row], free[row], odds[row], others[row], new_mask[row]
+        covers, open_, out = mask[row], free[row], new_mask[row]
+        own_odds, all_layers = odds[row], explained[row]
         sum_covers = sum_open = sum_seen = sum_squares = sum_inner = _f4(0)
         for x in range(columns):
             density = inlying * exponential(log_ratio - half_precision * distance[x]) + outliers
             clear = open_[x] * covers[x]
-            share = min((strength * clear * density + _f4(1)) / explained[x], _f4(1))
-            target = share / (_f4(1) + exponential(told[x]))
+            share = min((strength * clear * density + _f4(1)) / all_layers[x], _f4(1))
+            target = share / (_f4(1) + exponential(own_odds[x]))
             sum_covers += covers[x]
             sum_open += clear
             sum_seen += clear * target
             # a likely pixel that fits the blob's colours as well as the background's tells nothing
             doubt = (covers[x] > _f4(0.35)) & (density > _f4(1))
             least = least_kept if doubt else _f4(0)
-            after = covers[x] + mask_rate * open_[x] * (max(target, least) - covers[x])
+            after = covers[x] + mask_share * open_[x] * (max(target, least) - covers[x])
             out[x] = min(max(after, _f4(0)), _f4(HIGHEST_COVER))
             # a pixel that is new to the blob takes the colour that it shows
-            rate = _f4(1) if (covers[x] < _f4(0.2)) & (colour_rate > _f4(0)) else colour_rate
+            rate = _f4(1) if (covers[x] < _f4(0.2)) & (colour_share > _f4(0)) else colour_share
             taken = open_[x] * target > _f4(0.5)
             rates[x] = rate if taken else _f4(0)
             inner = _f4(1) if taken & (covers[x] > _f4(0.5)) else _f4(0)

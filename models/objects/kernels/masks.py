@@ -107,8 +107,8 @@ def shape_of(mask: np.ndarray[tuple[int, int], np.dtype[np.float32]]) -> MaskSha
 
 
 @compiled
-def fade_beyond(mask, height, width):
-    """Halve a mask, in place, over 2 px further from its median than half of `height` or `width` px."""
+def fade_beyond(mask, height, width, kept):
+    """Scale a mask by `kept`, in place, further from its median than half of `height`, `width` px and 2."""
     rows, columns = mask.shape
     per_row, per_column = np.zeros(rows, np.float32), np.zeros(columns, np.float32)
     for y in range(rows):
@@ -121,7 +121,7 @@ def fade_beyond(mask, height, width):
         far_row = abs(y - middle_y) > 0.5 * height + 2
         for x in range(columns):
             if far_row or abs(x - middle_x) > 0.5 * width + 2:
-                mask[y, x] *= _f4(0.5)
+                mask[y, x] *= kept
 
 
 @compiled

@@ -23,10 +23,10 @@ from rsmcm.apps.runs import blank_frames
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.inference.body.samples import BodyMoments
 from rsmcm.models import Frame
-from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
 
 from ...conftest import Command, names, summary_of
+from ...support.body_poses import resting
 
 run = Command("body")
 complaint = run.complaint
@@ -246,14 +246,14 @@ def test_a_given_head_is_a_detected_one(images: list[Image]) -> None:
     """Size and colour come from it; a grey image has no colour."""
     start = start_from_head(Frame(images[0], 0.0, 1), (120.0, 27.0, 28.0, 39.0), images[:1], None)
     assert start.parts.head_height == start.body.head_height == 39
-    assert start.parts.flesh is not None
+    assert start.parts.skin is not None
     assert start.notes == []
     assert start.parts.detector is not None
     assert [len(start.parts.detector(Frame(images[0], 0.0, number))) for number in (1, 2)] == [1, 0]
-    odds = start.parts.flesh.log_odds(images[0])
+    odds = start.parts.skin.log_odds(images[0])
     assert odds[45:60, 130:150].mean() > odds[:, 200:].mean() + 1
     grey = start_from_head(Frame(images[0][..., 1], 0.0, 1), (120.0, 27.0, 28.0, 39.0), images[:1], None)
-    assert grey.parts.flesh is None
+    assert grey.parts.skin is None
     assert "grey" in grey.notes[0]
 
 
@@ -505,7 +505,7 @@ def test_a_record_of_any_length() -> None:
     record = BodyRecord()
     picture = np.zeros((48, 64, 3), np.uint8)
     body = UpperBody.from_head(50.0)
-    joints = body.joints(BodyPoses.resting(np.array([[30.0, 20.0]])))[0]
+    joints = body.joints(resting(np.array([[30.0, 20.0]])))[0]
     found = BodyMoments(joints, np.tile(4 * np.eye(3), (8, 1, 1)), np.zeros(13), np.eye(13))
     for number in range(1, 101):
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.body.overlay import BEHIND, IN_FRONT, LEFT, RIGHT, TRUNK, BodyOverlay, TrackedBody
-from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import JOINTS, UpperBody
+
+from ...support.body_poses import from_angles
 
 GREY = 90
 BODY = UpperBody.from_head(90.0)
@@ -26,7 +27,7 @@ def joints_of(**angles: float) -> NDArray[np.float64]:
     vector[0, :2] = 300, 140
     vector[0, 5], vector[0, 7], vector[0, 8] = -0.6, -0.2, angles.get("elbow", 0.9)
     vector[0, 11] = 1.2
-    joints: NDArray[np.float64] = BODY.joints(BodyPoses.from_angles(vector))[0]
+    joints: NDArray[np.float64] = BODY.joints(from_angles(vector))[0]
     return joints
 
 

@@ -336,8 +336,8 @@ def test_estimates_are_near_the_truth() -> None:
     assert (found.count, found.groups, found.verdict) == (4000, 400, "helps")
     stated = found.stated
     assert stated is not None
-    assert stated.excess_first.estimate == pytest.approx(1, abs=0.1)
-    assert stated.excess_second.estimate == pytest.approx(1, abs=0.1)
+    assert stated.nis_first.estimate == pytest.approx(1, abs=0.1)
+    assert stated.nis_second.estimate == pytest.approx(1, abs=0.1)
     assert stated.gain.estimate == pytest.approx(float(min(errors.gains)), abs=0.1)
 
 
@@ -398,7 +398,7 @@ def test_verdicts_and_their_reasons() -> None:
     assert alike.stated is not None
     assert alike.stated.score_gain.high < 0
     assert alike.stated.gain.high < 0
-    assert alike.stated.excess_product.low > 1.2, "the product is surer than it should be"
+    assert alike.stated.nis_product.low > 1.2, "the product is surer than it should be"
     assert between.verdict == "not sure"
     assert few.verdict == "not sure"
     assert f"only from {FEWEST_GROUPS - 1} independent groups" in few.reason

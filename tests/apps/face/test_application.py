@@ -19,9 +19,11 @@ from rsmcm.apps.scenes import face
 from rsmcm.models import Frame
 from rsmcm.models.face import detectors
 from rsmcm.models.face.built_in_model import face_model
+from rsmcm.models.face.detectors import PartDetector, default_faces
 from rsmcm.models.face.model_files import write_model
 from rsmcm.models.face.morphable_model import MorphableModel
-from rsmcm.models.face.pose import Poses, exponential
+from rsmcm.models.face.pose import Poses
+from rsmcm.models.numerics.rotations import exponential
 
 from ...conftest import Command, names, summary_of
 
@@ -470,12 +472,19 @@ def test_started_by_a_detector(
     film: Path, scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The track starts where the detector finds a face at last; a typical shape follows it."""
-    answers = iter([None, None, box_of(scene, 2)])
-    monkeypatch.setattr(application, "find_face", lambda *_: next(answers))
+    answers = iter([np.zeros((0, 4)), np.zeros((0, 4)), np.array([box_of(scene, 2)])])
+    loaded = []
+
+    def load(*_: object) -> PartDetector:
+        loaded.append(True)
+        return lambda frame: next(answers)
+
+    monkeypatch.setattr(application, "default_faces", load)
     out = tmp_path / "out"
     assert run(film, "--out", out, *FEW) == 0
     summary, poses = summary_of(out), poses_of(out)
     assert summary["start"] == "face detector"
+    assert len(loaded) == 1
     assert (summary["before_the_start"], summary["first_frame"]) == ([1, 2], 3)
     assert poses["landmarks"].shape == (N_FRAMES - 2, 0, 2)
     assert summary["error"] is None
@@ -494,8 +503,8 @@ def test_no_face_and_no_detector(
     )
     monkeypatch.delattr(cv2, "CascadeClassifier", raising=False)
     message = complaint(capfd, film, *out)
-    assert "no face detector along: give --landmarks" in message
-    monkeypatch.setattr(application, "find_face", lambda *_: None)
+    assert "no face detector along, expected --landmarks" in message
+    monkeypatch.setattr(application, "default_faces", lambda *_: lambda frame: np.zeros((0, 4)))
     assert "no face is found in it" in complaint(capfd, film, *out)
     assert not (tmp_path / "out").exists()
 
@@ -516,8 +525,9 @@ def test_the_largest_face_is_taken(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     path.touch()
     monkeypatch.setattr(cv2, "FaceDetectorYN", Network)
     monkeypatch.setattr(detectors, "_is_survived", lambda *_: True)  # another process has OpenCV's
-    assert find_face(np.ones((90, 120), np.uint8), path) == (5, 6, 50, 60)
-    assert find_face(np.zeros((90, 120, 3), np.uint8), path) is None
+    faces = default_faces(path)
+    assert find_face(Frame(np.ones((90, 120), np.uint8), 0.0, 1), faces) == (5, 6, 50, 60)
+    assert find_face(Frame(np.zeros((90, 120, 3), np.uint8), 0.0, 1), faces) is None
 
 
 def test_a_typical_shape_fills_the_box() -> None:

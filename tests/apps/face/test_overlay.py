@@ -18,8 +18,9 @@ from rsmcm.apps.face.overlay import (
 )
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.morphable_model import MorphableModel
-from rsmcm.models.face.pose import Poses, exponential
+from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.numerics.rotations import exponential
 
 GREY = 90
 NOWHERE = np.zeros((0, 2))

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import FaceScene, face
-from rsmcm.apps.scenes.face_paint import SKIN, mottle, skin_texels
+from rsmcm.apps.scenes.face_paint import SKIN, skin_texels
+from rsmcm.apps.scenes.random_fields import mottle
 from rsmcm.apps.scenes.rendering_kernels import FARTHEST, average_samples, draw_mesh
 from rsmcm.apps.scenes.talking_face import FINENESS, TEXELS
 from rsmcm.models.face.built_in_model import face_model, face_plane
@@ -93,8 +94,8 @@ def test_visibility_agrees_with_the_drawn_depths(shields: bool) -> None:
         places[:, :2] = (places[:, :2] - places[:, :2].min(axis=0)) * 12 + 3
         columns, rows = np.ceil(places[:, :2].max(axis=0)).astype(int) + 3
         depth = np.full((rows, columns), FARTHEST, np.float32)
-        blank = np.zeros((2, 2), np.float32)
-        draw_mesh(depth.copy(), depth, places, np.zeros_like(places), mesh.triangles, blank)
+        blank = np.zeros((2, 2, 1), np.float32)
+        draw_mesh(depth[..., None].copy(), depth, places, np.zeros_like(places), mesh.triangles, blank)
         front = np.rint(places[: scene.model.n_vertices, :2]).astype(int)
         behind = places[: scene.model.n_vertices, 2] - depth[front[:, 1], front[:, 0]]
         facing = normals(scene, index, FINENESS)[:, 2]
@@ -128,11 +129,11 @@ def test_the_nearer_triangle_wins_whatever_the_order(seed: int) -> None:
     places = generator.uniform(0, 30, (30, 3))
     attributes = np.column_stack([np.zeros((30, 2)), np.repeat(generator.uniform(0.1, 1, 10), 3)])
     triangles = np.arange(30).reshape(10, 3)
-    texture = np.ones((2, 2), np.float32)
+    texture = np.ones((2, 2, 1), np.float32)
     pictures = []
     for order in (np.arange(10), generator.permutation(10)):
         grey, depth = np.zeros((30, 30), np.float32), np.full((30, 30), FARTHEST, np.float32)
-        draw_mesh(grey, depth, places, attributes, triangles[order], texture)
+        draw_mesh(grey[..., None], depth, places, attributes, triangles[order], texture)
         pictures.append(grey)
         for row, column in generator.integers(0, 30, (40, 2)):
             nearest, light = FARTHEST, 0.0

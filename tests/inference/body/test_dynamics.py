@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from rsmcm.inference.body.dynamics import USUAL_UPPER_ARMS, BodyDynamics, anywhere, around
+from rsmcm.inference.body.dynamics import USUAL_UPPER_ARMS, Ancestors, BodyDynamics, anywhere, around
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import UpperBody
 
@@ -48,7 +48,7 @@ def test_mixture_is_that_of_the_plain_formula():
     near = dynamics.draw(ancestors.take(random.integers(60, size=150)), DT, random)
     far = some_poses(50, random)
     for poses in (near, far):
-        found = dynamics.log_density(poses, ancestors, weights, DT) - dynamics.log_posture(poses)
+        found = dynamics.log_density(poses, Ancestors(ancestors, weights, DT)) - dynamics.log_posture(poses)
         assert found == pytest.approx(plain_log_density(dynamics, poses, ancestors, weights, DT), abs=2e-3)
 
 
@@ -58,7 +58,7 @@ def test_nothing_underflows_far_from_all_ancestors():
     ancestors = some_poses(20, random)
     poses = some_poses(30, random)
     poses.roots[:] += 1e4
-    assert np.isfinite(dynamics.log_density(poses, ancestors, np.full(20, 0.05), DT)).all()
+    assert np.isfinite(dynamics.log_density(poses, Ancestors(ancestors, np.full(20, 0.05), DT))).all()
 
 
 def test_draws_have_the_density_that_is_evaluated():
@@ -70,9 +70,8 @@ def test_draws_have_the_density_that_is_evaluated():
     weights = np.array([0.3, 0.7])
     n = 40_000
     poses = dynamics.draw(start.take(random.choice(2, n, p=weights)), DT, random)
-    ratio = np.exp(
-        other.log_density(poses, start, weights, DT) - dynamics.log_density(poses, start, weights, DT)
-    )
+    past = Ancestors(start, weights, DT)
+    ratio = np.exp(other.log_density(poses, past) - dynamics.log_density(poses, past))
     assert ratio.mean() == pytest.approx(1.0, abs=5 * ratio.std() / np.sqrt(n))
     assert ratio.std() < 5  # so that the bar above means something
 

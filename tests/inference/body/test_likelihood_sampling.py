@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from rsmcm.inference.body.dynamics import BodyDynamics
-from rsmcm.inference.body.likelihood_sampling import LikelihoodSampler, Past, draw_mixture
+from rsmcm.inference.body.dynamics import Ancestors, BodyDynamics
+from rsmcm.inference.body.likelihood_sampling import LikelihoodSampler, draw_mixture
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 
@@ -33,7 +33,9 @@ def test_weighted_proposals_are_draws_of_the_temporal_prior(seed):
     random = np.random.default_rng(seed)
     dynamics = BodyDynamics(BODY, jumps=0.3)
     start = dynamics.draw_anywhere(1, (360, 640), random)
-    past = Past(dynamics.draw(start.take(np.zeros(40, int)), DT, random), random.dirichlet(np.ones(40)), DT)
+    past = Ancestors(
+        dynamics.draw(start.take(np.zeros(40, int)), DT, random), random.dirichlet(np.ones(40)), DT
+    )
     chosen = random.choice(40, 40_000, p=past.weights)
     direct = dynamics.draw(past.poses.take(chosen), DT, random)
     usual = random.random(len(direct)) < np.exp(dynamics.log_posture(direct))
@@ -43,7 +45,7 @@ def test_weighted_proposals_are_draws_of_the_temporal_prior(seed):
     sampler = LikelihoodSampler(dynamics, anywhere=0.3, breadth=2.0)
     proposal = sampler.draw(mixtures, past, 60_000, random)
     assert BODY.allowed(proposal.poses).all()
-    prior = dynamics.log_density(proposal.poses, past.poses, past.weights, DT)
+    prior = dynamics.log_density(proposal.poses, past)
     prior -= dynamics.log_posture(proposal.poses)
     joints = BODY.joints(proposal.poses).reshape(len(proposal.poses), -1)
     mean, error, effective = weighted(joints, prior - proposal.log_density)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.inference.body.dynamics import BodyDynamics
+from rsmcm.inference.body.dynamics import Ancestors, BodyDynamics
 from rsmcm.inference.body.samples import (
     A_MOMENT,
     LEAST_SPREAD,
@@ -41,7 +41,7 @@ def samples(poses: BodyPoses, seed: int = 0) -> BodySamples:
     random = np.random.default_rng(seed)
     weights = random.dirichlet(np.full(len(poses), 0.5)) + 1e-12
     log_weights = np.log(weights / weights.sum())
-    return BodySamples(poses, log_weights, None, None, DT, SIZE, 0.0, False, random)
+    return BodySamples(poses, log_weights, SIZE, random)
 
 
 # --- what they tell of the parts ---
@@ -115,7 +115,7 @@ def test_weights_after_a_look_and_the_evidence() -> None:
     np.testing.assert_allclose(after.log_evidence, np.log(evidence) - 400)
     np.testing.assert_allclose(after.effective, 1 / (after.weights**2).sum())
     assert not after.stationary
-    assert (after.ancestors, after.ancestor_weights) == (None, None)
+    assert after.ancestors is None
 
 
 def test_what_fits_no_sample_leaves_the_weights() -> None:
@@ -158,9 +158,10 @@ def test_first_samples_are_a_moment_from_the_start() -> None:
     """Which counts as the frame before."""
     start = some(3)
     state = first(DYNAMICS, 900, SIZE, np.random.default_rng(0), start)
-    assert state.ancestors is start
-    np.testing.assert_allclose(state.ancestor_weights, 1 / 3)
-    assert state.elapsed == A_MOMENT
+    assert state.ancestors is not None
+    assert state.ancestors.poses is start
+    np.testing.assert_allclose(state.ancestors.weights, 1 / 3)
+    assert state.ancestors.elapsed == A_MOMENT
     off = state.poses.roots.reshape(300, 3, 2) - start.roots
     spread = DYNAMICS.place * BODY.head_height * np.sqrt(A_MOMENT)
     assert off.std() == pytest.approx(spread, rel=5 / np.sqrt(2 * 1800))
@@ -171,15 +172,15 @@ def test_predictions_are_draws_of_the_mixture_around_their_ancestors() -> None:
     """Moments of many draws beside those of the mixture; roots in closed form."""
     state = samples(some(60))
     after = predicted(DYNAMICS, state, 20_000, DT)
-    assert after.ancestors is not None
-    assert after.ancestor_weights is not None
-    assert after.elapsed == DT
-    assert after.ancestor_weights.sum() == pytest.approx(1.0, abs=1e-12)
+    past = after.ancestors
+    assert past is not None
+    assert past.elapsed == DT
+    assert past.weights.sum() == pytest.approx(1.0, abs=1e-12)
     usual = np.where(BODY.allowed(after.poses), np.exp(DYNAMICS.log_posture(after.poses)), 0.0)
     np.testing.assert_allclose(after.weights, usual / usual.sum(), atol=1e-12)
     spread = DYNAMICS.place * BODY.head_height * np.sqrt(DT)
-    mean = after.ancestor_weights @ after.ancestors.roots
-    covariance = np.cov(after.ancestors.roots.T, aweights=after.ancestor_weights, ddof=0)
+    mean = past.weights @ past.poses.roots
+    covariance = np.cov(past.poses.roots.T, aweights=past.weights, ddof=0)
     covariance = covariance + spread**2 * np.eye(2)
     bar = 5 * np.sqrt(np.diag(covariance) / 20_000)
     assert (np.abs(after.poses.roots.mean(axis=0) - mean) < bar).all()
@@ -189,13 +190,12 @@ def test_predictions_are_draws_of_the_mixture_around_their_ancestors() -> None:
 def test_ancestors_stand_for_all_poses_of_the_frame_before() -> None:
     """There are never more than the constant says, where none are exchanged."""
     state = samples(some(3000))
-    after = predicted(replace(DYNAMICS, exchanges=0.0), state, 100, DT)
-    assert after.ancestors is not None
-    assert after.ancestor_weights is not None
-    assert len(after.ancestors) <= MOST_ANCESTORS
+    past = predicted(replace(DYNAMICS, exchanges=0.0), state, 100, DT).ancestors
+    assert past is not None
+    assert len(past.poses) <= MOST_ANCESTORS
     roots, weights = state.poses.roots, state.weights
     error = np.sqrt(np.cov(roots.T, aweights=weights, ddof=0).diagonal() / MOST_ANCESTORS)
-    assert (np.abs(after.ancestor_weights @ after.ancestors.roots - weights @ roots) < 5 * error).all()
+    assert (np.abs(past.weights @ past.poses.roots - weights @ roots) < 5 * error).all()
 
 
 def test_predicting_twice_gives_the_same() -> None:
@@ -215,7 +215,9 @@ def test_exchanged_ancestors_have_each_hand_where_the_other_was(seed: int) -> No
     """In space, for heads and roots that stay; all of them are possible, and no weight is lost."""
     poses = some(300, seed)
     weights = np.random.default_rng(seed).dirichlet(np.ones(300))
-    both, shares = DYNAMICS.with_exchanged(poses, weights, DT, np.random.default_rng(seed))
+    after = DYNAMICS.with_exchanged(Ancestors(poses, weights, DT), np.random.default_rng(seed))
+    both, shares = after.poses, after.weights
+    assert after.elapsed == DT
     n = len(poses)
     assert n < len(both) <= 2 * n
     assert shares.shape == (len(both),)
@@ -238,7 +240,8 @@ def test_exchanged_ancestors_have_each_hand_where_the_other_was(seed: int) -> No
 
 
 def test_segments_of_exchanged_arms_keep_their_lengths() -> None:
-    both, _ = DYNAMICS.with_exchanged(some(100), np.full(100, 0.01), DT, np.random.default_rng(0))
+    past = Ancestors(some(100), np.full(100, 0.01), DT)
+    both = DYNAMICS.with_exchanged(past, np.random.default_rng(0)).poses
     np.testing.assert_allclose(np.linalg.norm(both.arms, axis=-1), 1.0, atol=1e-9)
 
 

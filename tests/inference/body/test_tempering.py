@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.inference.body import tempering
-from rsmcm.inference.body.dynamics import BodyDynamics
+from rsmcm.inference.body.dynamics import Ancestors, BodyDynamics
 from rsmcm.inference.body.tempering import Tempered, temper
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import JOINTS, UpperBody
@@ -45,7 +45,7 @@ class Past:
 
     def log_density(self, poses: BodyPoses) -> Array:
         """Minus infinity where joints forbid a pose."""
-        density = self.dynamics.log_density(poses, self.poses, self.weights, self.elapsed)
+        density = self.dynamics.log_density(poses, Ancestors(self.poses, self.weights, self.elapsed))
         return np.where(BODY.allowed(poses), density, -np.inf)
 
 
@@ -80,7 +80,7 @@ def summary(poses: BodyPoses, weights: Array) -> Array:
 def tempered(past: Past, likelihood: LogDensity, n: int, seed: int) -> Tempered:
     random = np.random.default_rng(seed)
     poses = past.drawn(n, random)
-    return temper(past.dynamics, poses, np.zeros(n), past.log_density, likelihood, n, random)
+    return temper(past.dynamics, poses, past.log_density(poses), past.log_density, likelihood, n, random)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -125,7 +125,7 @@ def test_samples_are_many_where_weights_would_leave_a_few() -> None:
     draws = past.drawn(1000, random)
     weights = np.exp(likelihood(draws) - likelihood(draws).max())
     assert weights.sum() ** 2 / (weights**2).sum() < 30
-    found = temper(past.dynamics, draws, np.zeros(1000), past.log_density, likelihood, 1000, random)
+    found = temper(past.dynamics, draws, past.log_density(draws), past.log_density, likelihood, 1000, random)
     assert len(found.poses) == 1000
     assert 1 / np.exp(2 * found.log_weights).sum() > tempering.KEPT * 1000
     assert len(np.unique(found.poses.roots[:, 0])) > 200  # not only copies
@@ -137,7 +137,9 @@ def test_without_a_likelihood_samples_stay_as_they_are() -> None:
     past = Past(4)
     random = np.random.default_rng(4)
     poses = past.drawn(1000, random)
-    found = temper(past.dynamics, poses, np.zeros(len(poses)), past.log_density, nothing, len(poses), random)
+    found = temper(
+        past.dynamics, poses, past.log_density(poses), past.log_density, nothing, len(poses), random
+    )
     assert found.poses is poses
     np.testing.assert_allclose(found.log_weights, -np.log(len(poses)))
     assert found.log_evidence == pytest.approx(0.0, abs=1e-12)
@@ -154,7 +156,9 @@ def test_moves_leave_the_prior_as_it_is(seed: int, monkeypatch: pytest.MonkeyPat
     past = Past(seed)
     random = np.random.default_rng(seed)
     poses, others = (past.drawn(2000, random) for _ in range(2))
-    found = temper(past.dynamics, poses, np.zeros(len(poses)), past.log_density, nothing, len(poses), random)
+    found = temper(
+        past.dynamics, poses, past.log_density(poses), past.log_density, nothing, len(poses), random
+    )
     assert found.accepted > 0.1
     moved = (found.poses.arms != poses.arms).any(axis=(1, 2, 3))
     assert moved.mean() > 0.9
@@ -180,8 +184,7 @@ def test_weights_that_come_in_count() -> None:
     for run in range(RUNS):
         random = np.random.default_rng(50 + run)
         poses = wide.drawn(3000, random)
-        log_weights = past.log_density(poses) - wide.log_density(poses)
-        after = temper(past.dynamics, poses, log_weights, past.log_density, nothing, 3000, random)
+        after = temper(past.dynamics, poses, wide.log_density(poses), past.log_density, nothing, 3000, random)
         found.append(np.exp(after.log_weights) @ hands(after.poses))
     bar = 5 * np.std(found, axis=0, ddof=1) / np.sqrt(RUNS)
     bar = np.hypot(bar, 5 * hands(direct).std(axis=0) / np.sqrt(len(direct)))
@@ -193,10 +196,13 @@ def test_of_many_candidates_as_many_are_left_as_are_wanted() -> None:
     random = np.random.default_rng(8)
     poses = past.drawn(900, random)
     for likelihood in (nothing, looks(BODY.parts(poses)[0, 1:], 8.0)):
-        found = temper(past.dynamics, poses, np.zeros(900), past.log_density, likelihood, 300, random)
+        found = temper(
+            past.dynamics, poses, past.log_density(poses), past.log_density, likelihood, 300, random
+        )
         assert len(found.poses) == 300
         assert np.exp(found.log_weights).sum() == pytest.approx(1.0)
-    few = temper(past.dynamics, poses.take(slice(5)), np.zeros(5), past.log_density, nothing, 300, random)
+    some = poses.take(slice(5))
+    few = temper(past.dynamics, some, past.log_density(some), past.log_density, nothing, 300, random)
     assert len(few.poses) == 300
 
 

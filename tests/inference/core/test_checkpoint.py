@@ -7,7 +7,7 @@ import sys
 import typing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pytest
@@ -37,6 +37,11 @@ class Part:
     score: float
 
 
+class Named(NamedTuple):
+    array: NDArray[Any]
+    part: Part | None
+
+
 @dataclass(frozen=True, eq=False)
 class Tree:
     array: NDArray[Any]
@@ -46,6 +51,7 @@ class Tree:
     text: str
     nothing: None
     pair: tuple[int, NDArray[Any]]
+    named: Named
     parts: tuple[Part, ...]
     floats: list[float]
     by_number: dict[int, Part]
@@ -74,6 +80,7 @@ TREES = st.builds(
     text=TEXT,
     nothing=st.none(),
     pair=st.tuples(st.integers(), ARRAYS),
+    named=st.builds(Named, ARRAYS, st.none() | PARTS),
     parts=st.lists(PARTS, max_size=2).map(tuple),
     floats=st.lists(FLOATS, max_size=3),
     by_number=st.dictionaries(st.integers(), PARTS, max_size=2),

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from rsmcm.inference import Belief, Cavity, Incoming, MultiChain, Port, RecursiveBP, RunState
 from rsmcm.models.core.categorical import Categorical, CategoricalMessage
 from rsmcm.models.core.frame import Frame
+from scipy.special import logsumexp
 
 from ...support.discrete import (
     CavityChain,
@@ -85,8 +87,13 @@ def test_a_chain_that_knows_nothing_sends_the_uniform_message() -> None:
     assert message.log_mass == pytest.approx(0)
 
 
-def cut(links: Sequence[tuple[str, str]], *edges: tuple[str, str], seed: int = 0) -> MultiChain:
-    whole = random_model(rng(seed), links)
+def cut(
+    links: Sequence[tuple[str, str]],
+    *edges: tuple[str, str],
+    seed: int = 0,
+    kinds: dict[str, type] | None = None,
+) -> MultiChain:
+    whole = random_model(rng(seed), links, kinds)
     model = MultiChain()
     for chain, feature in links:
         model.connect(whole.chains[chain], whole.features[feature], feedback=(chain, feature) not in edges)
@@ -105,6 +112,53 @@ def test_feed_forward_equals_the_stand_alone_modules_bit_for_bit() -> None:
         state = chains["b"].initial(low.frame) if state is None else chains["b"].predict(state, 0.04)
         state = chains["b"].update(state, Incoming({feature: low[feature]}))
         np.testing.assert_array_equal(state.probabilities, both["b"].probabilities)
+
+
+CUTS: dict[str, tuple[list[tuple[str, str]], list[tuple[str, str]]]] = {
+    "no cut": (GRAPHS["two features"], []),
+    "one reads": ([("a", "f"), ("b", "f")], [("b", "f")]),
+    "a pipeline": (GRAPHS["three chains"], [("b", "f")]),
+    "two readers": ([("a", "f"), ("b", "f"), ("c", "f"), ("b", "g"), ("c", "g")], [("b", "f"), ("c", "f")]),
+    "three in a row": (
+        [("a", "e"), ("b", "e"), ("b", "f"), ("c", "f"), ("c", "g")],
+        [("b", "e"), ("c", "f")],
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("links", "edges"),
+    [*((links, []) for links in GRAPHS.values()), *CUTS.values()],
+    ids=[*GRAPHS, *CUTS],
+)
+@pytest.mark.parametrize("cavity", ["", "ab"])
+def test_evidence_of_all_images_is_one(
+    links: list[tuple[str, str]], edges: list[tuple[str, str]], cavity: str
+) -> None:
+    model = cut(links, *edges, kinds=dict.fromkeys(cavity, CavityChain))
+    engine = RecursiveBP(model)
+    state = engine.step(RunState(), Frame(image(1, 3, 2), 0.0, 1)).state
+    images = product(range(5), repeat=len(model.features))
+    evidence = [
+        engine.step(state, Frame(image(*values, *(0,) * (3 - len(values))), 0.04, 2)).log_evidence
+        for values in images
+    ]
+    assert logsumexp(evidence) == pytest.approx(0, rel=0, abs=EXACT)
+
+
+def test_a_message_that_is_larger_everywhere_wins_nothing() -> None:
+    class Loud(DiscreteChain):
+        def message(
+            self, state: DiscreteState, feature: Categorical, incoming: Incoming
+        ) -> CategoricalMessage:
+            return CategoricalMessage(super().message(state, feature, incoming).log_weights + 7)
+
+    quiet, loud = (
+        random_model(rng(), GRAPHS["three chains"], dict.fromkeys("abc", kind))
+        for kind in (DiscreteChain, Loud)
+    )
+    evidence = [log_evidences(list(RecursiveBP(model).run(FRAMES))) for model in (quiet, loud)]
+    assert evidence[1] == pytest.approx(evidence[0], rel=0, abs=EXACT)
 
 
 def test_evidence_behind_a_cut_edge_is_counted_once() -> None:

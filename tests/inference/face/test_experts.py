@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.inference.face.experts import continued, log_likelihood, resampled, sampled
-from rsmcm.inference.face.gauss_newton import Peaks
+from rsmcm.inference.face.experts import log_likelihood, propagated, resampled, sampled
+from rsmcm.inference.face.gauss_newton import Modes
 from rsmcm.inference.face.pose_dynamics import PoseDynamics, PosePrior
 from rsmcm.inference.face.texture_likelihood import TexturedObject, TextureLikelihood
 from rsmcm.models.face.pose import Poses
@@ -30,19 +30,19 @@ def precisions(n: int, d: int, seed: int) -> Array:
 
 @pytest.mark.parametrize("spread", [1.0, 0.3])
 def test_samples_have_laplaces_covariance(spread: float) -> None:
-    n_samples, peaks = 20000, Peaks(poses_near(3, 2, 0), precisions(3, 7, 0))
-    seeds = sampled(peaks, n_samples, spread, np.random.default_rng(0))
-    changes = seeds.poses.changes_from(peaks.poses[seeds.owner]).reshape(3, n_samples, 7)
-    density = seeds.log_proposal.reshape(3, n_samples)
+    n_samples, modes = 20000, Modes(poses_near(3, 2, 0), precisions(3, 7, 0))
+    proposal = sampled(modes, n_samples, spread, np.random.default_rng(0))
+    changes = proposal.poses.changes_from(modes.poses[proposal.owner]).reshape(3, n_samples, 7)
+    density = proposal.log_proposal.reshape(3, n_samples)
     for expert in range(3):
-        covariance = spread * np.linalg.inv(peaks.precision[expert])
+        covariance = spread * np.linalg.inv(modes.precision[expert])
         diagonal = np.diag(covariance)
         bars = np.sqrt((np.outer(diagonal, diagonal) + covariance**2) / n_samples)
         assert (np.abs(np.cov(changes[expert].T) - covariance) < 5 * bars).all()
         assert (np.abs(changes[expert].mean(axis=0)) < 5 * np.sqrt(diagonal / n_samples)).all()
         wanted = multivariate_normal(np.zeros(7), covariance).logpdf(changes[expert][:50])
         np.testing.assert_allclose(density[expert, :50], wanted, atol=1e-6)
-    assert seeds.owner.tolist() == sorted(seeds.owner.tolist())
+    assert proposal.owner.tolist() == sorted(proposal.owner.tolist())
 
 
 class Gaussian(NamedTuple):
@@ -55,8 +55,8 @@ class Gaussian(NamedTuple):
         off = np.concatenate([poses.translations, poses.morphs], axis=1) - self.middle
         return np.asarray(-0.5 * np.einsum("nd,de,ne->n", off, self.precision, off))
 
-    def peaks(self, prior: PosePrior) -> tuple[Peaks, Array]:
-        """Exact peaks, and each expert's log evidence in closed form."""
+    def modes(self, prior: PosePrior) -> tuple[Modes, Array]:
+        """Exact modes, and each expert's log evidence in closed form."""
         previous, walk = prior.previous, prior.walk
         own = np.diag(prior.precision)
         own[3:, 3:] += self.precision
@@ -74,7 +74,7 @@ class Gaussian(NamedTuple):
         reach = walk[5:] + prior.spread
         evidence -= 0.5 * ((previous.morphs - prior.middle) ** 2 / reach).sum(axis=1)
         evidence -= 0.5 * np.log(reach / prior.spread).sum()
-        return Peaks(peak, np.tile(own, (len(best), 1, 1))), evidence
+        return Modes(peak, np.tile(own, (len(best), 1, 1))), evidence
 
 
 def toy(seed: int, n: int = 4) -> tuple[PosePrior, Gaussian, Array]:
@@ -89,8 +89,8 @@ def toy(seed: int, n: int = 4) -> tuple[PosePrior, Gaussian, Array]:
 @pytest.mark.parametrize("seed", range(3))
 def test_going_on_is_exact_for_a_gaussian(seed: int) -> None:
     prior, picture, log_weights = toy(seed)
-    peaks, evidence = picture.peaks(prior)
-    found = continued(log_weights, peaks, prior, picture.log_likelihood(peaks.poses))
+    modes, evidence = picture.modes(prior)
+    found = propagated(log_weights, modes, prior, picture.log_likelihood(modes.poses))
     assert found.log_evidence == pytest.approx(np.logaddexp.reduce(log_weights + evidence), abs=1e-8)
     np.testing.assert_allclose(found.log_weights, log_weights + evidence - found.log_evidence, atol=1e-8)
     assert found.parents.tolist() == [0, 1, 2, 3]
@@ -99,12 +99,12 @@ def test_going_on_is_exact_for_a_gaussian(seed: int) -> None:
 @pytest.mark.parametrize("spread", [1.0, 2.0])
 def test_resampling_keeps_evidence_and_shares(spread: float) -> None:
     prior, picture, log_weights = toy(5)
-    peaks, evidence = picture.peaks(prior)
+    modes, evidence = picture.modes(prior)
     random = np.random.default_rng(1)
     repeats, shares, evidences = 60, np.zeros(4), []
     for _ in range(repeats):
-        seeds = sampled(peaks, 200, spread, random)
-        found = resampled(log_weights, seeds, prior, picture.log_likelihood(seeds.poses), 200, random)
+        proposal = sampled(modes, 200, spread, random)
+        found = resampled(log_weights, proposal, prior, picture.log_likelihood(proposal.poses), random)
         evidences.append(found.log_evidence)
         shares += np.bincount(found.parents, minlength=4) / 4
         np.testing.assert_allclose(found.log_weights, np.log(0.25))
@@ -142,29 +142,29 @@ def test_evidence_of_a_picture_that_is_not_gaussian_is_its_integral() -> None:
         morphs = -0.5 * (off**2 / total + np.log(total / prior.spread)).sum()
         evidence.append(np.log(integral) + morphs)
     wanted = np.logaddexp.reduce(log_weights + evidence)
-    peak = Peaks(prior.previous, np.tile(np.diag(prior.precision), (2, 1, 1)))
+    peak = Modes(prior.previous, np.tile(np.diag(prior.precision), (2, 1, 1)))
     random, found = np.random.default_rng(3), []
     for _ in range(40):
-        seeds = sampled(peak, 500, 1.5, random)
-        density = says(seeds.poses.translations[:, 0])
-        found.append(resampled(log_weights, seeds, prior, density, 500, random).log_evidence)
+        proposal = sampled(peak, 500, 1.5, random)
+        density = says(proposal.poses.translations[:, 0])
+        found.append(resampled(log_weights, proposal, prior, density, random).log_evidence)
     ratio = np.exp(np.array(found) - wanted)
     assert abs(ratio.mean() - 1) < 5 * ratio.std() / np.sqrt(40) + 2e-3
 
 
 def test_a_million_nats_more_or_less_change_nothing() -> None:
     prior, picture, log_weights = toy(0)
-    peaks, _ = picture.peaks(prior)
-    density = picture.log_likelihood(peaks.poses)
-    near, far = (continued(log_weights, peaks, prior, density + shift) for shift in (0.0, -1e6))
+    modes, _ = picture.modes(prior)
+    density = picture.log_likelihood(modes.poses)
+    near, far = (propagated(log_weights, modes, prior, density + shift) for shift in (0.0, -1e6))
     assert far.log_evidence == pytest.approx(near.log_evidence - 1e6)
     np.testing.assert_allclose(far.log_weights, near.log_weights, atol=1e-8)
-    one = continued(log_weights, peaks, prior, density + np.array([-1e6, 0, -1e6, -1e6]))
+    one = propagated(log_weights, modes, prior, density + np.array([-1e6, 0, -1e6, -1e6]))
     np.testing.assert_allclose(np.exp(one.log_weights), [0, 1, 0, 0])
-    seeds = sampled(peaks, 5, 1.0, np.random.default_rng(0))
-    density = picture.log_likelihood(seeds.poses)
+    proposal = sampled(modes, 5, 1.0, np.random.default_rng(0))
+    density = picture.log_likelihood(proposal.poses)
     drawn = [
-        resampled(log_weights, seeds, prior, density + shift, 5, np.random.default_rng(1))
+        resampled(log_weights, proposal, prior, density + shift, np.random.default_rng(1))
         for shift in (0.0, -1e6)
     ]
     assert drawn[0].parents.tolist() == drawn[1].parents.tolist()

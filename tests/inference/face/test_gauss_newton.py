@@ -1,12 +1,12 @@
-"""Peaks of beliefs: where texture and prior say, with their curvature, from afar, in any batch."""
+"""Modes of beliefs: where texture and prior say, with their curvature, from afar, in any batch."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.inference.face.gauss_newton import find_peaks
+from rsmcm.inference.face.gauss_newton import find_modes
 from rsmcm.inference.face.pose_dynamics import PoseDynamics, PosePrior
 from rsmcm.inference.face.texture_likelihood import TexturedObject, TextureLikelihood
-from rsmcm.models.face.image_pyramid import picture_levels
+from rsmcm.models.face.image_pyramid import image_pyramid
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
 
@@ -23,9 +23,9 @@ def learned_at(truth: Poses, n_levels: int = 3, seed: int = 0) -> TextureLikelih
     model = bumpy(truth.morphs.shape[1], seed)
     surface = TexturedObject(model, SurfaceTexels.dense(model, 900))
     image = np.rint(smooth_picture(seed)).astype(np.uint8)
-    levels = picture_levels(image, 24.0, n_levels=n_levels, local_mean=False)
+    levels = image_pyramid(image, 24.0, n_levels=n_levels, local_mean=False)
     visible = surface.visible(truth)
-    looks, _ = surface.looks(levels, truth, visible)
+    looks, _ = surface.observe(levels, truth, visible)
     return TextureLikelihood(surface, levels, looks, np.full(visible.shape, 36, np.float32), visible)
 
 
@@ -49,9 +49,9 @@ def test_the_true_pose_is_found_from_near() -> None:
     likelihood = learned_at(truth)
     start = moved_by(truth, 1.5, 2)
     prior = PosePrior.after(start, WEAK, 24.0, 1.0)
-    peaks = find_peaks(likelihood, prior, start, EFFECTIVE, 2)
+    modes = find_modes(likelihood, prior, start, EFFECTIVE, 2)
     assert vertex_error(likelihood, start, truth).min() > 0.5
-    assert vertex_error(likelihood, peaks.poses, truth).max() < 0.05
+    assert vertex_error(likelihood, modes.poses, truth).max() < 0.05
 
 
 def test_coarse_levels_reach_further() -> None:
@@ -61,7 +61,7 @@ def test_coarse_levels_reach_further() -> None:
     prior = PosePrior.after(start, WEAK, 24.0, 1.0)
     found = [
         (
-            vertex_error(likelihood, find_peaks(likelihood, prior, start, EFFECTIVE, n).poses, truth) < 0.5
+            vertex_error(likelihood, find_modes(likelihood, prior, start, EFFECTIVE, n).poses, truth) < 0.5
         ).sum()
         for n in (0, 2)
     ]
@@ -74,15 +74,15 @@ def test_precision_is_that_of_texture_and_prior_at_the_peak() -> None:
     likelihood = learned_at(truth, 1)
     start = moved_by(truth, 0.7, 5)
     prior = PosePrior.after(start, PoseDynamics(), 24.0, 0.04)
-    peaks = find_peaks(likelihood, prior, start, EFFECTIVE, 0)
+    modes = find_modes(likelihood, prior, start, EFFECTIVE, 0)
     every = np.arange(3)
-    there = likelihood.equations(0, peaks.poses, every)
+    there = likelihood.equations(0, modes.poses, every)
     beta = EFFECTIVE / there.sums[:, 2]
     wanted = beta[:, None, None] * there.matrices + np.diag(prior.precision)
     # single precision sums are not quite symmetric, precisions are
-    np.testing.assert_allclose(peaks.precision, wanted, rtol=1e-5, atol=1e-5 * wanted.max())
-    gradient = beta[:, None] * there.vectors + prior.energy(peaks.poses, every)[1]
-    newton = np.linalg.solve(peaks.precision, gradient[..., None])[..., 0]
+    np.testing.assert_allclose(modes.precision, wanted, rtol=1e-5, atol=1e-5 * wanted.max())
+    gradient = beta[:, None] * there.vectors + prior.energy(modes.poses, every)[1]
+    newton = np.linalg.solve(modes.precision, gradient[..., None])[..., 0]
     assert np.abs(np.einsum("nvad,nd->nva", there.rows, newton)).max() < 0.1  # px that are left to go
 
 
@@ -99,11 +99,11 @@ def test_the_prior_decides_where_there_is_nothing_to_see() -> None:
     )
     start = moved_by(truth, 1.0, 7)
     prior = PosePrior.after(truth, PoseDynamics(), 24.0, 0.04)
-    peaks = find_peaks(nothing, prior, start, EFFECTIVE, 2)
+    modes = find_modes(nothing, prior, start, EFFECTIVE, 2)
     pull = prior.walk[5:] / (prior.walk[5:] + prior.spread)
     wanted = Poses(truth.rotations, truth.translations, truth.morphs + pull * (prior.middle - truth.morphs))
-    assert vertex_error(likelihood, peaks.poses, wanted).max() < 0.03
-    np.testing.assert_allclose(peaks.precision, np.tile(np.diag(prior.precision), (3, 1, 1)), rtol=1e-6)
+    assert vertex_error(likelihood, modes.poses, wanted).max() < 0.03
+    np.testing.assert_allclose(modes.precision, np.tile(np.diag(prior.precision), (3, 1, 1)), rtol=1e-6)
 
 
 @pytest.mark.parametrize("distance", [1.0, 10.0])
@@ -112,13 +112,13 @@ def test_the_belief_never_falls_on_one_level(distance: float) -> None:
     likelihood = learned_at(truth, 1)
     start = moved_by(truth, distance, 9)
     prior = PosePrior.after(start, PoseDynamics(), 24.0, 0.04)
-    peaks = find_peaks(likelihood, prior, start, EFFECTIVE, 0)
+    modes = find_modes(likelihood, prior, start, EFFECTIVE, 0)
 
     def energy(poses: Poses) -> Array:
         sums = likelihood.equations(0, poses, np.arange(8)).sums
         return np.asarray(prior.energy(poses, np.arange(8))[0] + 0.5 * EFFECTIVE * sums[:, 0] / sums[:, 2])
 
-    assert (energy(peaks.poses) <= energy(start)).all()
+    assert (energy(modes.poses) <= energy(start)).all()
 
 
 def test_experts_do_not_disturb_each_other() -> None:
@@ -127,10 +127,10 @@ def test_experts_do_not_disturb_each_other() -> None:
     start = moved_by(truth, 2.0, 11)
     start = Poses(start.rotations, start.translations, start.morphs * (24.0 / start.sizes)[:, None])
     prior = PosePrior.after(start, WEAK, 24.0, 1.0)
-    together = find_peaks(likelihood, prior, start, EFFECTIVE, 2)
+    together = find_modes(likelihood, prior, start, EFFECTIVE, 2)
     for expert in range(5):
         one = slice(expert, expert + 1)
-        alone = find_peaks(
+        alone = find_modes(
             TextureLikelihood(
                 likelihood.surface,
                 likelihood.levels,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.path import Path
 from numpy.typing import NDArray
-from rsmcm.inference.face.background_contrast import Backdrop
-from rsmcm.inference.face.gauss_newton import find_peaks
+from rsmcm.inference.face.background_contrast import BackgroundContrast
+from rsmcm.inference.face.gauss_newton import find_modes
 from rsmcm.inference.face.pose_dynamics import PoseDynamics, PosePrior
 from rsmcm.inference.face.pose_terms import PointTerms
 from rsmcm.inference.face.silhouette import Silhouette
@@ -16,8 +16,9 @@ from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.image_pyramid import Level
 from rsmcm.models.face.morphable_model import MorphableModel
 from rsmcm.models.face.outline import Box, MeshEdges, covered, outline
-from rsmcm.models.face.pose import Poses, exponential
+from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.numerics.rotations import exponential
 from scipy.spatial import ConvexHull
 
 from ...support.surfaces import bumpy, poses_near
@@ -116,13 +117,15 @@ def test_an_edge_before_another_part_of_the_object_is_not_on_the_outline() -> No
     assert inside[0, back[:, 1], back[:, 0]].all()
 
 
-def backdrop(border: NDArray[np.float32]) -> Backdrop:
-    return Backdrop(WHOLE, border, np.ones_like(border), border, np.zeros(SIZE, np.float32), np.zeros(1))
+def contrast_of(border: NDArray[np.float32]) -> BackgroundContrast:
+    return BackgroundContrast(
+        WHOLE, border, np.ones_like(border), border, np.zeros(SIZE, np.float32), np.zeros(1)
+    )
 
 
-def known_outside(inside: NDArray[np.uint8], contrast: float = 3.0) -> Backdrop:
+def known_outside(inside: NDArray[np.uint8], contrast: float = 3.0) -> BackgroundContrast:
     """Background seen around an object, whose own pixels it does not explain."""
-    return backdrop(np.where(inside[:1] > 0, -contrast, contrast).astype(np.float32))
+    return contrast_of(np.where(inside[:1] > 0, -contrast, contrast).astype(np.float32))
 
 
 @pytest.mark.parametrize("off", [-2.5, -1.0, 0.0, 1.7, 3.0])
@@ -149,7 +152,7 @@ def test_where_nothing_is_known_a_scan_says_nothing() -> None:
     model = ellipsoid()
     pose = centred(np.zeros((2, 3)))
     silhouette = Silhouette(
-        model, MeshEdges.of(model.triangles), backdrop(np.zeros((1, *SIZE), np.float32)), 400
+        model, MeshEdges.of(model.triangles), contrast_of(np.zeros((1, *SIZE), np.float32)), 400
     )
     energy, gradient, curvature = silhouette.around(pose, 0).equations(pose, np.arange(2))
     assert not energy.any()
@@ -166,7 +169,7 @@ def test_each_expert_may_have_its_own_map() -> None:
         [known_outside(covered(model.project(truth[k]), model.triangles, WHOLE)).border for k in range(2)]
     )
     at = truth[np.array([0, 0])]
-    terms = Silhouette(model, MeshEdges.of(model.triangles), backdrop(both), 400).around(at, 0)
+    terms = Silhouette(model, MeshEdges.of(model.triangles), contrast_of(both), 400).around(at, 0)
     gradient = terms.equations(at, np.arange(2))[1]
     alone = Silhouette(model, MeshEdges.of(model.triangles), maps, 400).around(at, 0)
     np.testing.assert_allclose(gradient[0], alone.equations(at, np.arange(2))[1][0])
@@ -226,7 +229,7 @@ def peak_search(model: MorphableModel, start: Poses, evidence: Silhouette | Poin
         surface.visible(start),
     )
     prior = PosePrior.after(start, PoseDynamics(), float(start.sizes[0]), 1.0)
-    return find_peaks(likelihood, prior, start, 400, 2, [evidence]).poses
+    return find_modes(likelihood, prior, start, 400, 2, [evidence]).poses
 
 
 def test_the_silhouette_alone_finds_place_and_size() -> None:

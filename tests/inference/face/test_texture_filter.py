@@ -26,7 +26,7 @@ def test_every_texel_is_filtered_as_filterpy_does(seed: int, gain: float, temper
     texture = known(random.uniform(0, 255, (2, 3, 4)), random.uniform(0, 900, (2, 4)))
     start = texture
     for look, visible in zip(looks, seen, strict=True):
-        texture = texture.after(look, visible, noise)
+        texture = texture.updated(look, visible, noise)
     for expert, texel in np.ndindex(2, 4):
         one = KalmanFilter(dim_x=1, dim_z=1)
         one.x[:], one.P[:] = start.mean[expert, 0, texel], start.variance[expert, texel]
@@ -46,14 +46,14 @@ def test_a_first_look_is_the_texture(gain: float) -> None:
     noise = TexelNoise.of_steady_state(gain, 36.0)
     looks = np.random.default_rng(0).uniform(0, 255, (400, 1, 2, 5)).astype(np.float32)
     seen = np.array([[True, True, False, False, True]])
-    texture = Texture.unknown(1, 2, 5, learn=False).after(looks[0], seen, noise)
+    texture = Texture.unknown(1, 2, 5, learn=False).updated(looks[0], seen, noise)
     np.testing.assert_array_equal(texture.mean[0][:, seen[0]], looks[0, 0][:, seen[0]])
     np.testing.assert_allclose(
         texture.variance[seen], noise.rendering + noise.process if gain else 0, rtol=1e-6, atol=1e-5
     )
     np.testing.assert_allclose(texture.variance[~seen], UNKNOWN_VARIANCE)
     for look in looks[1:]:
-        texture = texture.after(look, np.ones_like(seen), noise)
+        texture = texture.updated(look, np.ones_like(seen), noise)
     if gain in (0.0, 1.0):  # a template, and optic flow
         late = looks[-1 if gain else 0, 0, 0]
         np.testing.assert_allclose(texture.mean[0, 0, seen[0]], late[seen[0]], atol=1e-4)
@@ -76,7 +76,7 @@ def test_hidden_texels_stay_unknown_for_ever() -> None:
     noise = TexelNoise.of_steady_state(0.5, 36.0)
     texture = Texture.unknown(1, 1, 3, learn=True)
     for _ in range(200):
-        texture = texture.after(np.full((1, 1, 3), 9, np.float32), np.zeros((1, 3), np.bool_), noise)
+        texture = texture.updated(np.full((1, 1, 3), 9, np.float32), np.zeros((1, 3), np.bool_), noise)
     assert texture.variance.max() <= UNKNOWN_VARIANCE
     np.testing.assert_array_equal(texture.mean, Texture.unknown(1, 1, 3, learn=True).mean)
 
@@ -94,7 +94,7 @@ def squared_error(gain: float | None, process: float, rendering: float) -> tuple
         look = (truth + np.sqrt(rendering) * random.normal(size=n)).astype(np.float32)[None, None]
         if frame > frames // 2:
             errors.append(((look - texture.mean) ** 2).mean())
-        texture = texture.after(look, np.ones((1, n), np.bool_), noise)
+        texture = texture.updated(look, np.ones((1, n), np.bool_), noise)
     final = 0.0 if texture.learned is None else float(texture.learned.gain.mean())
     return float(np.mean(errors)), final
 

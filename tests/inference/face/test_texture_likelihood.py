@@ -5,8 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.inference.face.texture_likelihood import TexturedObject, TextureLikelihood
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.pose import Poses, exponential
+from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.numerics.rotations import exponential
 from rsmcm.models.numerics.threads import set_threads, thread_count
 
 from ...support.surfaces import bilinear, bumpy, level, poses_near, smooth_picture
@@ -46,14 +47,14 @@ def test_vertices_without_texels_are_left_out() -> None:
     surface = TexturedObject(model, SurfaceTexels.dense(model, 5))
     poses = poses_near(2, 3, 0)
     used = np.unique(surface.texels.groups)
-    np.testing.assert_array_equal(used[surface.groups], surface.texels.groups)
+    np.testing.assert_array_equal(used[surface.used_texels.groups], surface.texels.groups)
     assert surface.positions(poses).shape == (2, len(used), 2)
 
 
 def test_looks_are_bilinear_values() -> None:
     likelihood = seen_by(3)
     surface, texels, poses = likelihood.surface, likelihood.surface.texels, poses_near(3, 4, 2)
-    looks, seen = surface.looks(likelihood.levels, poses, likelihood.visible)
+    looks, seen = surface.observe(likelihood.levels, poses, likelihood.visible)
     np.testing.assert_array_equal(seen, likelihood.visible)
     corners = surface.model.project(poses)[:, texels.groups][:, texels.group_of_texel]
     places = np.einsum("nc,pnca->pna", texels.weights, corners)

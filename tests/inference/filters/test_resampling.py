@@ -14,9 +14,7 @@ FAR = -1e6
 @given(st.integers(0, 10**6), st.floats(-1e6, 1e6), st.floats(0.01, 1e4))
 def test_sums_equal_those_of_scipy(seed: int, middle: float, spread: float) -> None:
     values = middle + spread * np.random.default_rng(seed).normal(size=(4, 6))
-    assert float(log_sum(values)) == pytest.approx(logsumexp(values), rel=1e-12)
-    for axis in (0, 1):
-        np.testing.assert_allclose(log_sum(values, axis), logsumexp(values, axis=axis), rtol=1e-12)
+    assert log_sum(values) == pytest.approx(logsumexp(values), rel=1e-12)
     np.testing.assert_allclose(normalised(values), values - logsumexp(values), rtol=1e-9, atol=1e-9)
 
 
@@ -24,7 +22,6 @@ def test_weights_of_nothing() -> None:
     nothing = np.full(4, -np.inf)
     assert log_sum(nothing) == -np.inf
     np.testing.assert_allclose(normalised(nothing), np.log(0.25))
-    np.testing.assert_array_equal(log_sum(np.stack([nothing, np.zeros(4)]), 1), [-np.inf, np.log(4)])
     one = np.array([-np.inf, FAR, -np.inf])
     np.testing.assert_array_equal(np.exp(normalised(one)), [0, 1, 0])
     assert systematic(one, 5, np.random.default_rng(0)).tolist() == [1] * 5

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rsmcm.inference.structure import nonrigid_em as em
 from rsmcm.inference.structure import nonrigid_start
 from rsmcm.inference.structure.nonrigid import NonrigidShape, learn_shape, triangles_in_front
-from rsmcm.models.face.pose import exponential
+from rsmcm.models.numerics.rotations import exponential
 from scipy.stats import multivariate_normal
 
 Numbers = NDArray[np.float64]

@@ -7,19 +7,19 @@ from rsmcm.apps.scenes import cylinder
 from rsmcm.apps.structure.metrics import score_structure
 from rsmcm.inference.factor_analysis.factorisation import factorise, predicted
 from rsmcm.inference.factor_analysis.observations import Observations
-from rsmcm.inference.structure.correlated_noise import DriftNoise, estimate_drift_noise
+from rsmcm.inference.structure.correlated_noise import CorrelatedNoise, estimate_correlated_noise
+from rsmcm.inference.structure.joint_posterior import motion_precision
 from rsmcm.inference.structure.kernels.track_association import camera_coupling
 from rsmcm.inference.structure.track_association import (
-    link_tracks,
+    associate_tracks,
     log_partition,
-    motion_precision,
     unite_points,
 )
 from scipy.stats import multivariate_normal
 
 Numbers = NDArray[np.float64]
 
-NOISE = DriftNoise(white=0.5, drift=1.3, memory=2.8)
+NOISE = CorrelatedNoise(white=0.5, drift=1.3, memory=2.8)
 
 
 def small_problem(seed: int) -> tuple[Observations, Numbers, Numbers, NDArray[np.int64]]:
@@ -65,7 +65,7 @@ def test_coupling_of_cameras_equals_dense_derivatives() -> None:
     observations, cameras, points, point = small_problem(2)
     tracks = observations.by_point
     own, cross = camera_coupling(
-        tracks.edges, tracks.other, tracks.weight, point, points, cameras,
+        tracks, point, points, cameras,
         NOISE.white, NOISE.drift, NOISE.decay, 1e-14,
     )  # fmt: skip
     expected_own, expected_cross = np.zeros((8, 4, 8, 4)), np.zeros((2, 8, 4, 3, 3))
@@ -157,7 +157,7 @@ def test_noise_is_found_from_tracks(white: float, drift: float, memory: float | 
     observations = Observations.from_arrays(tracks)
     cameras = scene.cameras / observations.scale
     cameras[..., 3] -= observations.centre / observations.scale
-    found = estimate_drift_noise(observations.by_point, cameras, np.arange(40), np.eye(3))
+    found = estimate_correlated_noise(observations.by_point, cameras, np.arange(40), np.eye(3))
     total = (found.white + found.drift) * observations.scale**2
     assert total == pytest.approx(white + drift, rel=0.1)
     assert found.drift / (found.white + found.drift) == pytest.approx(drift / (white + drift), abs=0.1)
@@ -170,9 +170,9 @@ def test_noise_is_found_from_tracks(white: float, drift: float, memory: float | 
 def test_partial_tracks_are_joined(seed: int, coherence: bool) -> None:
     """Without drift the truth is recovered: what is left is the error of factor analysis that knows it."""
     scene = cylinder(p_loose=0.1, p_drift=0.0, seed=seed)
-    linked = link_tracks(scene.tracks(), coherence=coherence)
-    positions, _ = predicted(linked.factorisation)
-    measures = score_structure(positions, linked.factorisation.shape, linked.point_of_track, scene)
+    found = associate_tracks(scene.tracks(), coherence=coherence)
+    positions, _ = predicted(found.factorisation)
+    measures = score_structure(positions, found.factorisation.shape, found.point_of_track, scene)
     knowing, _ = predicted(factorise(scene.observed, coherence=coherence))
     error = np.sqrt(np.square(knowing - scene.positions).sum(axis=2).mean())
     assert measures.reprojection_error <= 1.2 * error
@@ -184,8 +184,8 @@ def test_order_and_units_of_tracks_do_not_matter() -> None:
     scene = cylinder(p_loose=0.08, p_drift=0.0, n_frames=40, seed=2)
     tracks = scene.tracks()
     order = np.random.default_rng(0).permutation(tracks.shape[1])
-    one = link_tracks(tracks, coherence=True)
-    other = link_tracks(250 * tracks[:, order] + (320, 240), coherence=True)
+    one = associate_tracks(tracks, coherence=True)
+    other = associate_tracks(250 * tracks[:, order] + (320, 240), coherence=True)
     same = one.point_of_track[order][:, None] == one.point_of_track[order]
     again = other.point_of_track[:, None] == other.point_of_track
     assert (same == again).mean() > 0.999
@@ -197,7 +197,7 @@ def test_order_and_units_of_tracks_do_not_matter() -> None:
 def test_tracks_seen_together_are_never_one() -> None:
     scene = cylinder(p_loose=0.05, p_drift=0.1, seed=6)
     tracks = scene.tracks()
-    point = link_tracks(tracks, coherence=True).point_of_track
+    point = associate_tracks(tracks, coherence=True).point_of_track
     seen = ~np.isnan(tracks[..., 0])
     for number in range(point.max() + 1):
         assert seen[:, point == number].sum(axis=1).max() <= 1

@@ -28,17 +28,20 @@ def scene(channels, seed=0, size=(23, 37), prior=0.9, **changes):
     remembered = rng.integers(30, 220, shape).astype(np.uint8)
     values = {
         "size": size,
-        "mean": colour.to_planes(remembered) + rng.normal(0, 2, (channels, n_pixels)).astype(np.float32),
-        "variance": rng.uniform(0.5, 60, n_pixels).astype(np.float32),
-        "noise": rng.uniform(20, 400, n_pixels).astype(np.float32),
+        "pixels": kernels.Gaussians(
+            colour.to_planes(remembered) + rng.normal(0, 2, (channels, n_pixels)).astype(np.float32),
+            rng.uniform(0.5, 60, n_pixels).astype(np.float32),
+            rng.uniform(20, 400, n_pixels).astype(np.float32),
+        ),
         "light": LightField(rng.uniform(0.8, 1.2, (3, 4)).astype(np.float32), size),
         "prior": prior,
         "drift": 1.5,
-        "noise_rate": 0.03,
+        "noise_share": 0.03,
+        "first_variance": 20.0,
         "pooling": 0.3,
-        "candidate": np.zeros(n_pixels * channels, np.uint8),
-        "seen": np.zeros(n_pixels, np.uint8),
-        "trusted_looks": 10,
+        "second": kernels.SecondColours(
+            np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)
+        ),
         "tolerance": 100.0,
     }
     image = np.clip(remembered + rng.normal(0, 6, shape), 0, 255)
@@ -60,8 +63,8 @@ def exact(prediction, image):
     light = light_of(prediction.light)
     channels = prediction.channels
     seen = colour.FROM_BGR @ image.reshape(-1, 3).T if channels == 3 else image.reshape(1, -1).astype(float)
-    before = prediction.variance + prediction.drift
-    total = light**2 * before + prediction.noise
+    before = prediction.pixels.variance + prediction.drift
+    total = light**2 * before + prediction.pixels.noise
     difference = seen - light * prediction.mean
     density = norm.logpdf(difference, 0, np.sqrt(total)).sum(axis=0) + np.log(colour.VOLUME[channels])
     odds = np.log(prediction.prior) - np.log1p(-prediction.prior) + density + channels * np.log(256)
@@ -92,7 +95,7 @@ def test_update(channels):
     np.testing.assert_allclose(after.mean, prediction.mean + weight * gain * difference, rtol=1e-4, atol=5e-3)
     variance = (1 - weight * gain * light) * before + weight * (1 - weight) * gain**2 * square
     np.testing.assert_allclose(after.variance, np.clip(variance, 0.5, 60), rtol=1e-3)
-    noise = prediction.noise + prediction.noise_rate * weight * (square - total)
+    noise = prediction.pixels.noise + prediction.noise_share * weight * (square - total)
     np.testing.assert_allclose(after.noise, np.clip(noise, 20, 400), rtol=1e-3)
 
 
@@ -101,9 +104,11 @@ def test_the_update_is_the_moments_of_a_mixture():
     rng = np.random.default_rng(3)
     mean, variance, noise, shown, prior = 100.0, 40.0, 60.0, 118.0, 0.3
     prediction, _ = scene(
-        1, size=(4, 4), prior=prior, drift=0.0, noise_rate=0.0,
-        mean=np.full((1, 16), mean, np.float32), variance=np.full(16, variance, np.float32),
-        noise=np.full(16, noise, np.float32), light=LightField(np.ones((2, 2), np.float32), (4, 4)),
+        1, size=(4, 4), prior=prior, drift=0.0, noise_share=0.0,
+        pixels=kernels.Gaussians(
+            np.full((1, 16), mean, np.float32), np.full(16, variance, np.float32),
+            np.full(16, noise, np.float32),
+        ), light=LightField(np.ones((2, 2), np.float32), (4, 4)),
     )  # fmt: skip
     image = np.full((4, 4), shown, np.uint8)
     weights = np.array([prior * norm.pdf(shown, mean, np.sqrt(variance + noise)), (1 - prior) / 256])
@@ -123,7 +128,7 @@ def test_likelihood_is_the_integral_over_labels_and_values():
     for k, shown in enumerate(image.reshape(-1).astype(float)):
         mean, deviation = light[k] * prediction.mean[0, k], light[k] * before[k] ** 0.5
         of_background, _ = quad(
-            lambda value, m=mean, d=deviation, s=shown, n=prediction.noise[k]: (
+            lambda value, m=mean, d=deviation, s=shown, n=prediction.pixels.noise[k]: (
                 norm.pdf(value, m, d) * norm.pdf(s, value, n**0.5)
             ),
             mean - 12 * deviation, mean + 12 * deviation, limit=200,
@@ -184,78 +189,97 @@ def test_a_second_colour_that_was_seen_often_is_background(channels):
     own = prediction.against(image).log_odds.copy()
     rng = np.random.default_rng(8)
     candidate = np.clip(image.astype(int) + rng.integers(-6, 7, image.shape), 0, 255).astype(np.uint8)
-    seen = rng.integers(0, 20, own.size).astype(np.uint8)
-    recalled, _ = scene(channels, candidate=candidate.reshape(-1), seen=seen)
+    seen = rng.integers(0, kernels.SETTLED, own.size).astype(np.uint16)
+    recalled, _ = scene(channels, second=kernels.SecondColours(candidate.reshape(-1), seen))
     gap = np.square(colour.to_planes(image).astype(float) - colour.to_planes(candidate)).sum(axis=0)
-    known = (own < 0) & (seen >= 10) & (gap < 100.0)
+    known = (own < 0) & (seen >= kernels.SETTLED / 2) & (gap < 100.0)
     assert 5 < known.sum() < (own < 0).sum()
     np.testing.assert_array_equal(recalled.against(image).log_odds, np.where(known, 20, own))
 
 
-def second_look(channels, candidate, seen, looks, covered=None, odds=-40, tolerance=100.0, known=1.0):
-    """One look at a picture of nine pixels of one colour, all foreground."""
+STEP_OF_TEN = kernels.SETTLED // 10
+
+
+def second_colours(channels=1, colour_seen=0, steps=0):
+    return kernels.SecondColours(
+        np.full(9 * channels, colour_seen, np.uint8), np.full(9, steps * STEP_OF_TEN, np.uint16)
+    )
+
+
+def observe(second, covered=0, odds=-40, known=1.0):
+    """Nine pixels of one colour, all foreground, for about a tenth of the settling time."""
+    channels = second.colours.size // 9
     image = np.full(9 * channels, 90, np.uint8)
     mean = colour.to_planes(np.full((3, 3) if channels == 1 else (3, 3, 3), 200, np.uint8))
     variance, noise = np.full(9, known, np.float32), np.full(9, 30, np.float32)
-    covered = np.zeros(9, np.uint8) if covered is None else covered
     to_planes = colour.from_pixels(channels)
-    kernels.second_look(
-        image, np.full(9, odds, np.int8), covered, 3, np.full((3, 3), 2, np.float32), np.zeros(3, np.float32),
-        to_planes, np.linalg.inv(to_planes), np.float32(tolerance), looks, np.float32(20), np.float32(4),
-        noise, mean, variance, candidate, seen,
+    kernels.learn_second_colours(
+        image, np.full(9, odds, np.int8), np.full(9, covered, np.uint8),
+        kernels.Light(np.full((3, 3), 2, np.float32), np.zeros(3, np.float32)),
+        to_planes, np.linalg.inv(to_planes),
+        kernels.Settling(np.float32(100), STEP_OF_TEN, 2 * STEP_OF_TEN, np.float32(20), np.float32(4)),
+        kernels.Gaussians(mean, variance, noise), second,
     )  # fmt: skip
     return mean, variance
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_a_new_colour_becomes_a_candidate_and_lasts(channels):
-    candidate, seen = np.zeros(9 * channels, np.uint8), np.zeros(9, np.uint8)
-    for looks in range(1, 4):
-        mean, _ = second_look(channels, candidate, seen, 10)
-        assert (seen == looks).all()
-        assert (candidate == 90).all()
+    second = second_colours(channels)
+    for times in range(1, 4):
+        mean, _ = observe(second)
+        assert (second.seen == times * STEP_OF_TEN).all()
+        assert (second.colours == 90).all()
         np.testing.assert_allclose(mean[0], 200, atol=1e-3)
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_a_lasting_colour_changes_places_with_the_mean(channels):
-    candidate, seen = np.full(9 * channels, 92, np.uint8), np.full(9, 9, np.uint8)
-    mean, variance = second_look(channels, candidate, seen, 10)
+    second = second_colours(channels, 92, 10)
+    mean, variance = observe(second)
     np.testing.assert_allclose(mean[0], 90 / 2, atol=1e-3)  # under a light of 2
     assert (variance == 20).all()
-    assert (seen == 5).all()
-    assert (candidate == 255).all()  # 2 * 200, as it would look today
+    assert (second.seen == kernels.SETTLED // 2).all()
+    assert (second.colours == 255).all()  # 2 * 200, as it would look today
 
 
 def test_another_colour_wears_the_candidate_out():
-    candidate, seen = np.full(9, 30, np.uint8), np.full(9, 7, np.uint8)
-    for looks in (5, 3, 1):
-        second_look(1, candidate, seen, 50)
-        assert (seen == looks).all()
-        assert (candidate == 30).all()
-    second_look(1, candidate, seen, 50)
-    assert (candidate == 90).all()
+    second = second_colours(1, 30, 7)
+    for times in (5, 3, 1):
+        observe(second)
+        assert (second.seen == times * STEP_OF_TEN).all()
+        assert (second.colours == 30).all()
+    observe(second)
+    assert (second.colours == 90).all()
 
 
 def test_a_colour_that_is_not_the_candidate_never_becomes_background():
-    """Also when fewer looks are asked for than were counted before, because frames come more slowly."""
-    candidate, seen = np.full(9, 30, np.uint8), np.full(9, 100, np.uint8)
-    mean, _ = second_look(1, candidate, seen, 10)
+    mean, _ = observe(second_colours(1, 30, 20))
     np.testing.assert_allclose(mean, 200)
 
 
-def test_no_second_look_at_objects_and_background():
-    candidate, seen = np.zeros(9, np.uint8), np.zeros(9, np.uint8)
-    second_look(1, candidate, seen, 10, covered=np.ones(9, np.uint8))
-    second_look(1, candidate, seen, 10, odds=0)
-    assert not seen.any()
+def test_objects_and_background_are_no_second_colours():
+    second = second_colours()
+    observe(second, covered=1)
+    observe(second, odds=0)
+    assert not second.seen.any()
+
+
+def test_a_mean_that_was_hardly_seen_gives_way_soon_and_behind_objects_too():
+    second = second_colours(1, 90, 5)  # 2 and 2 * 30 / 15 times are enough
+    mean, variance = observe(second, covered=1, known=15.0)
+    assert (mean == 45).all()
+    assert (variance == 20).all()
+    assert (second.colours == 255).all()
+    mean, _ = observe(second_colours(1, 90, 4), known=15.0)
+    assert (mean == 200).all()
 
 
 @pytest.mark.parametrize("size", [(23, 37), (576, 768), (2, 2), (5, 1000)])
 def test_light_is_interpolated_between_block_centres(size):
     blocks = np.random.default_rng(9).uniform(0.5, 2, (3, 4)).astype(np.float32)
     field = LightField(blocks, size)
-    rows, position = field.rows(), field.row_positions()
+    rows, position = field.along_rows
     above = position.astype(int)
     share = (position - above)[:, None]
     light = rows[above] * (1 - share) + rows[above + 1] * share
@@ -269,8 +293,8 @@ def test_light_ratios_are_medians_of_samples(channels):
     image = np.clip(image * 1.2, 0, 255).astype(np.uint8)
     image[:20, :20] = 255  # nothing to be learned from saturated pixels
     ratios, agreement = np.empty((3, 4), np.float32), np.empty((3, 4), np.float32)
-    rows, position = prediction.light.rows(), prediction.light.row_positions()
-    kernels.light_ratios(image.reshape(-1), prediction.mean, rows, position, 61, 83, ratios, agreement)
+    light = prediction.light.along_rows
+    kernels.light_ratios(image.reshape(-1), prediction.mean, light, ratios, agreement)
     luma = colour.to_planes(image)[0].reshape(61, 83)
     expected = (light_of(prediction.light) * prediction.mean[0]).reshape(61, 83)
     for row in range(3):
@@ -314,14 +338,3 @@ def test_a_view_of_a_picture():
     prediction, image = scene(3)
     wide = np.repeat(image, 2, axis=1)[:, ::2]
     np.testing.assert_array_equal(scene(3)[0].against(wide).pooled, prediction.against(image).pooled)
-
-
-def test_a_mean_that_was_hardly_seen_gives_way_soon_and_behind_objects_too():
-    candidate, seen = np.full(9, 90, np.uint8), np.full(9, 9, np.uint8)
-    mean, variance = second_look(1, candidate, seen, 50, covered=np.ones(9, np.uint8), known=15.0)
-    assert (mean == 45).all()
-    assert (variance == 20).all()
-    assert (candidate == 255).all()
-    seen[:] = 7
-    mean, _ = second_look(1, np.full(9, 90, np.uint8), seen, 50, known=15.0)
-    assert (mean == 200).all()

@@ -10,10 +10,12 @@ from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.background.gaussian import BackgroundPrediction, LightField, colour
+from rsmcm.models.background.kernels import gaussian as gaussian_kernels
 from rsmcm.models.background.kernels import layers as layer_kernels
 from rsmcm.models.background.layers import Layer, LayerStack
 from rsmcm.models.background.pixel_labels import PixelMessage
 from rsmcm.models.numerics.threads import set_threads, thread_count
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 SIZE = (30, 40)
@@ -29,17 +31,20 @@ def background(channels=3, **changes):
     n_pixels = HEIGHT * WIDTH
     values = {
         "size": SIZE,
-        "mean": colour.to_planes(image_of(1, channels)),
-        "variance": np.full(n_pixels, 10, np.float32),
-        "noise": np.full(n_pixels, 100, np.float32),
+        "pixels": gaussian_kernels.Gaussians(
+            colour.to_planes(image_of(1, channels)),
+            np.full(n_pixels, 10, np.float32),
+            np.full(n_pixels, 100, np.float32),
+        ),
         "light": LightField(np.ones((3, 4), np.float32), SIZE),
         "prior": 0.8,
         "drift": 1.0,
-        "noise_rate": 0.0,
+        "noise_share": 0.0,
+        "first_variance": 20.0,
         "pooling": 0.0,
-        "candidate": np.zeros(n_pixels * channels, np.uint8),
-        "seen": np.zeros(n_pixels, np.uint8),
-        "trusted_looks": 10,
+        "second": gaussian_kernels.SecondColours(
+            np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)
+        ),
         "tolerance": 50.0,
     }
     return BackgroundPrediction(**{**values, **changes})
@@ -216,7 +221,27 @@ def test_without_an_image_the_predictions_speak():
     expected = 0.8 * clear / (0.8 * clear + 0.2 * explained)
     np.testing.assert_allclose(message.background_probability(), expected, atol=0.01)  # stored odds
     assert message.subtraction is None
-    assert message.log_mass == 0
+    expected = np.log(0.8 * clear + 0.2 * explained).sum()
+    assert message.log_mass == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("strength", [1.0, 10.0, 100.0])
+@pytest.mark.parametrize("ghost", [False, True])
+def test_over_all_images_densities_sum_to_the_mass_without_one(strength, ghost):
+    def one(value):
+        return np.full(1, value, np.float32)
+
+    scene = background(
+        1, size=(1, 1), mean=one(130)[None], variance=one(10), noise=one(100),
+        candidate=np.zeros(1, np.uint8), seen=np.zeros(1, np.uint8),
+        light=LightField(np.ones((2, 2), np.float32), (1, 1)),
+    )  # fmt: skip
+    mask, appearance = one(0.7)[None], np.full((1, 1, 1), 90, np.float32)
+    layers = LayerStack([Layer(0, 0, mask, None if ghost else appearance, strength=strength, ghost=ghost)])
+    densities = [
+        PixelMessage(scene, layers, np.full((1, 1), value, np.uint8)).log_mass for value in range(256)
+    ]
+    assert logsumexp(densities) == pytest.approx(PixelMessage(scene, layers).log_mass, abs=0.01)
 
 
 def test_without_a_background_labels_are_even():
@@ -228,16 +253,16 @@ def test_without_a_background_labels_are_even():
 @pytest.mark.parametrize("channels", [1, 3])
 def test_the_background_behind_layers_is_updated_with_what_they_say(channels):
     rng = np.random.default_rng(7)
-    scene, image = background(channels, noise_rate=0.05), image_of(0, channels)
+    scene, image = background(channels, noise_share=0.05), image_of(0, channels)
     shift = rng.normal(0, 3, (11, 21)).astype(np.float32)
     pooled = rng.integers(-127, 128, HEIGHT * WIDTH).astype(np.int8)
     before = [rng.normal(size=shape).astype(np.float32) for shape in (scene.mean.shape, (1200,), (1200,))]
     after, covered = [array.copy() for array in before], np.zeros(1200, np.uint8)
     blocks = LightField(rng.uniform(0.8, 1.2, (3, 4)).astype(np.float32), SIZE)
-    rows, position = blocks.rows(), blocks.row_positions()
+    rows, position = blocks.along_rows
     layer_kernels.update_behind(
-        6, 9, shift, WIDTH, colour.patch(image, 6, 9, 11, 21), pooled, scene.mean, scene.variance,
-        scene.noise, rows, position, np.float32(1.0), np.float32(20.0), np.float32(0.05), *after, covered,
+        6, 9, shift, colour.patch(image, 6, 9, 11, 21), pooled, scene.pixels, blocks.along_rows, scene.model,
+        gaussian_kernels.Gaussians(*after), covered,
     )  # fmt: skip
     box = (slice(6, 17), slice(9, 30))
     above = position.astype(int)

@@ -16,14 +16,15 @@ from rsmcm.models.body.likelihood import (
     EDGE_SHARPNESS,
     EDGE_SPREAD,
     EDGE_WINDOW,
-    FLESH_SCORES,
     HEAD_SCORES,
     NECK_RADIUS,
     NO_EDGE,
+    SKIN_SCORES,
     WINDOWS,
     BodyLikelihood,
     edge_ratios,
-    flesh_maps,
+    hand_model,
+    skin_maps,
 )
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.silhouette import masks
@@ -34,7 +35,7 @@ Array = NDArray[np.float64]
 
 SIZE = (360, 640)
 BODY = UpperBody.from_head(80)
-HEAD, FLESH, EDGES = 0, 1, 2
+HEAD, SKIN, EDGES = 0, 1, 2
 HANDS = (5, 8)
 """Labels of the hands in masks."""
 
@@ -47,17 +48,17 @@ def signing() -> BodyPoses:
 
 
 def seen(poses: BodyPoses, *, without: tuple[int, ...] = (), discs: Array | None = None) -> BodyImage:
-    """What an image of the first of `poses` says; hands `without` flesh, and `discs` more of it."""
+    """What an image of the first of `poses` says; hands `without` skin, and `discs` more of it."""
     labels = masks(BODY, poses.take([0]), SIZE)[0]
     parts = BODY.parts(poses)[0]
-    flesh = np.full(SIZE, -4, np.float32)
-    flesh[labels == 1] = 4
+    skin = np.full(SIZE, -4, np.float32)
+    skin[labels == 1] = 4
     more = np.zeros((0, 2)) if discs is None else discs
     for side in (0, 1):
         if side not in without:
-            flesh[labels == HANDS[side]] = 4
+            skin[labels == HANDS[side]] = 4
     for x, y in more:
-        cv2.circle(flesh, (round(x), round(y)), round(BODY.hand), 4, -1)
+        cv2.circle(skin, (round(x), round(y)), round(BODY.hand), 4, -1)
     edges, directions = edge_distances((25 * labels).astype(np.uint8), BODY.head_height / 6)
     heads = parts[:1]
     spread = np.array([(0.1 * BODY.head_height) ** 2 * np.eye(2)])
@@ -69,10 +70,7 @@ def seen(poses: BodyPoses, *, without: tuple[int, ...] = (), discs: Array | None
         np.log([0.05, 1, 1]),
     )
     blobs = np.concatenate([parts[[1 + side for side in (0, 1) if side not in without]], more])
-    return BodyImage(
-        flesh, flesh, edges, directions, np.array([[*(heads[0] - 30), 60, 60]]), heads, spread,
-        blobs, np.tile(25 * np.eye(2), (len(blobs), 1, 1)), np.full(len(blobs), 1.5), mixtures,
-    )  # fmt: skip
+    return BodyImage(skin, skin, edges, directions, blobs, np.full(len(blobs), 1.5), mixtures)
 
 
 def scattered(n: int, random: np.random.Generator, spread: float = 0.3) -> BodyPoses:
@@ -86,15 +84,11 @@ def scattered(n: int, random: np.random.Generator, spread: float = 0.3) -> BodyP
 
 def hand_scores(image: BodyImage, parts: Array, roots: Array) -> Array:
     """`(n,)` as the likelihood calls it."""
-    assert image.flesh is not None
-    flesh = flesh_maps(image.flesh, BODY.hand)
-    scales = np.array(flesh[0].shape[::-1]) / SIZE[::-1]
+    assert image.skin is not None
+    skin = skin_maps(image.skin, BODY.hand)
+    scales = np.array(skin[0].shape[::-1]) / SIZE[::-1]
     out = np.zeros(len(parts))
-    hand_terms(
-        parts, roots, *flesh, scales, BODY.hand, BODY.hand * np.array(WINDOWS),
-        0.5 * np.array([BODY.head_width, BODY.head_height]), NECK_RADIUS * BODY.head_height,
-        np.array(FLESH_SCORES), out,
-    )  # fmt: skip
+    hand_terms(parts, roots, *skin, scales, hand_model(BODY), out)
     return out
 
 
@@ -102,9 +96,9 @@ def hand_scores(image: BodyImage, parts: Array, roots: Array) -> Array:
 
 
 def plain_hands(image: BodyImage, parts: Array, roots: Array) -> Array:
-    assert image.flesh is not None
-    maps = flesh_maps(image.flesh, BODY.hand)
-    full, none, hidden = FLESH_SCORES
+    assert image.skin is not None
+    maps = skin_maps(image.skin, BODY.hand)
+    full, none, hidden = SKIN_SCORES
     r, inner, outer = BODY.hand, *(BODY.hand * np.array(WINDOWS))
     half = 0.5 * np.array([BODY.head_width, BODY.head_height])
     big, small = np.sqrt(half.prod()), NECK_RADIUS * BODY.head_height
@@ -199,33 +193,33 @@ def test_edges_equal_plain_numpy(seed: int) -> None:
 def test_poses_do_not_know_of_each_other() -> None:
     random = np.random.default_rng(0)
     likelihood, image, poses = BodyLikelihood(BODY), seen(signing()), scattered(30, random)
-    together = likelihood(image, poses)
+    together = likelihood(image)(poses)
     assert together.shape == (30,)
     order = random.permutation(30)
-    np.testing.assert_allclose(likelihood(image, poses.take(order)), together[order], rtol=1e-6)
-    np.testing.assert_allclose(likelihood(image, poses.take([7])), together[[7]], rtol=1e-6)
-    np.testing.assert_array_equal(likelihood.terms(image, poses).sum(axis=0), together)
+    np.testing.assert_allclose(likelihood(image)(poses.take(order)), together[order], rtol=1e-6)
+    np.testing.assert_allclose(likelihood(image)(poses.take([7])), together[[7]], rtol=1e-6)
+    np.testing.assert_array_equal(likelihood(image).terms(poses).sum(axis=0), together)
 
 
 def test_another_image_of_the_same_body_is_looked_at_anew() -> None:
     likelihood, poses = BodyLikelihood(BODY), signing()
     first, second = seen(poses), seen(poses, without=(0, 1))
-    before, after = likelihood(first, poses), likelihood(second, poses)
+    before, after = likelihood(first)(poses), likelihood(second)(poses)
     assert before != after
-    assert likelihood(first, poses) == before
+    assert likelihood(first)(poses) == before
 
 
 def test_the_true_pose_is_liked_best() -> None:
     random = np.random.default_rng(1)
     truth = signing()
-    for term in BodyLikelihood(BODY).terms(
-        seen(truth), BodyPoses.concatenated([truth, scattered(300, random)])
+    for term in BodyLikelihood(BODY)(seen(truth)).terms(
+        BodyPoses.concatenated([truth, scattered(300, random)])
     ):
         assert (term[0] > np.quantile(term[1:], 0.95)).all()
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_a_hand_is_in_the_middle_of_its_flesh(side: int) -> None:
+def test_a_hand_is_in_the_middle_of_its_skin(side: int) -> None:
     poses = signing()
     parts = BODY.parts(poses)
     step = np.stack(np.meshgrid(*[np.arange(-40, 41, 2.0)] * 2), -1).reshape(-1, 2)
@@ -240,19 +234,19 @@ def test_a_hand_is_in_the_middle_of_its_flesh(side: int) -> None:
     assert 0.03 < spread / BODY.head_height < 0.12
 
 
-def test_a_hand_without_flesh_loses_a_few_nats_and_no_more() -> None:
+def test_a_hand_without_skin_loses_a_few_nats_and_no_more() -> None:
     poses = signing()
     likelihood = BodyLikelihood(BODY)
-    whole, hidden = (likelihood.terms(seen(poses, without=gone), poses)[FLESH, 0] for gone in ((), (0,)))
-    full, none, missing = FLESH_SCORES
+    whole, hidden = (likelihood(seen(poses, without=gone)).terms(poses)[SKIN, 0] for gone in ((), (0,)))
+    full, none, missing = SKIN_SCORES
     floor = np.log((1 - missing) * np.exp(none) + missing)
     assert 0 < whole - hidden <= full - floor
     parts = BODY.parts(poses)
-    parts[:, 1:] = [[600.0, 40.0], [40.0, 40.0]]  # far from all flesh: the worst there is
+    parts[:, 1:] = [[600.0, 40.0], [40.0, 40.0]]  # far from all skin: the worst there is
     assert hand_scores(seen(poses), parts, poses.roots)[0] == pytest.approx(2 * floor, abs=0.02)
 
 
-def test_flesh_is_explained_once() -> None:
+def test_skin_is_explained_once() -> None:
     spots = np.array([[150.0, 250.0], [500.0, 260.0]])
     image = seen(signing(), without=(0, 1), discs=spots)
     roots = signing().roots
@@ -267,7 +261,7 @@ def test_flesh_is_explained_once() -> None:
     gain = one - nothing
     assert gain > 5
     assert both - nothing == pytest.approx(2 * gain, abs=0.05)
-    # the second hand there is neither paid nor punished, and no flesh costs it a little
+    # the second hand there is neither paid nor punished, and no skin costs it a little
     assert -0.1 < shared - one < 1.5
     assert score(spots[1], spots[0]) == pytest.approx(both, abs=1e-3)
     apart = [score(spots[0], spots[0] + [step, 0.0]) for step in np.linspace(0, 2, 9) * BODY.hand]
@@ -285,11 +279,11 @@ def test_the_face_is_no_hand() -> None:
     assert face < nothing + 2
 
 
-def test_flesh_that_nobody_explains_costs_a_little() -> None:
+def test_skin_that_nobody_explains_costs_a_little() -> None:
     poses = signing()
     spot = np.array([[100.0, 300.0]])
     likelihood = BodyLikelihood(BODY)
-    alone, beside = likelihood(seen(poses), poses), likelihood(seen(poses, discs=spot), poses)
+    alone, beside = likelihood(seen(poses))(poses), likelihood(seen(poses, discs=spot))(poses)
     cost = BLOB_COST / (1 + np.exp(-1.5))
     assert (alone - beside)[0] == pytest.approx(cost, abs=0.02)
 
@@ -299,22 +293,22 @@ def test_flesh_that_nobody_explains_costs_a_little() -> None:
 
 def test_without_colour_hands_are_known_by_edges_alone() -> None:
     poses = scattered(20, np.random.default_rng(2))
-    grey = replace(seen(signing()), flesh=None, moving=None)
-    terms = BodyLikelihood(BODY).terms(grey, poses)
-    assert not terms[FLESH].any()
+    grey = replace(seen(signing()), skin=None, moving_skin=None)
+    terms = BodyLikelihood(BODY)(grey).terms(poses)
+    assert not terms[SKIN].any()
     assert np.ptp(terms[EDGES]) > 1
 
 
-def test_without_a_face_the_head_is_where_its_flesh_is() -> None:
+def test_without_a_face_the_head_is_where_its_skin_is() -> None:
     poses = scattered(200, np.random.default_rng(3), 0.8)
     missed = replace(seen(signing()), mixtures=GaussianMixtures.uniform(3))
-    term = BodyLikelihood(BODY).terms(missed, poses)[HEAD]
+    term = BodyLikelihood(BODY)(missed).terms(poses)[HEAD]
     off = np.linalg.norm(BODY.parts(poses)[:, 0] - BODY.parts(signing())[:, 0], axis=1) / BODY.head_height
     assert term[off.argmin()] > 0.9 * HEAD_SCORES[0] + np.log(1 - HEAD_SCORES[1])
     assert term[off < 0.2].min() > term[off > 0.6].max() + 1
     far = replace(signing(), roots=np.array([[80.0, 300.0]]))
-    assert BodyLikelihood(BODY).terms(missed, far)[HEAD] == pytest.approx(0, abs=0.01)
-    grey = BodyLikelihood(BODY).terms(replace(missed, flesh=None, moving=None), poses)
+    assert BodyLikelihood(BODY)(missed).terms(far)[HEAD] == pytest.approx(0, abs=0.01)
+    grey = BodyLikelihood(BODY)(replace(missed, skin=None, moving_skin=None)).terms(poses)
     assert not grey[HEAD].any()
     assert np.isfinite(grey).all()
 
@@ -323,23 +317,23 @@ def test_an_empty_picture_says_next_to_nothing() -> None:
     edges, directions = edge_distances(np.full(SIZE, 90, np.uint8), BODY.head_height / 6)
     image = replace(
         seen(signing()),
-        flesh=np.full(SIZE, -4, np.float32),
-        moving=np.full(SIZE, -4, np.float32),
+        skin=np.full(SIZE, -4, np.float32),
+        moving_skin=np.full(SIZE, -4, np.float32),
         edges=edges,
         edge_directions=directions,
         mixtures=GaussianMixtures.uniform(3),
         blobs=np.zeros((0, 2)),
         blob_log_weights=np.zeros(0),
     )
-    terms = BodyLikelihood(BODY).terms(image, scattered(20, np.random.default_rng(4)))
+    terms = BodyLikelihood(BODY)(image).terms(scattered(20, np.random.default_rng(4)))
     assert np.isfinite(terms).all()
-    assert np.ptp(terms[FLESH]) < 2  # before the face nothing is expected, elsewhere flesh is missed
+    assert np.ptp(terms[SKIN]) < 2  # before the face nothing is expected, elsewhere skin is missed
     assert terms[EDGES].max() <= 0
 
 
 def test_a_body_out_of_the_picture_is_no_error() -> None:
     away = replace(signing(), roots=np.array([[-900.0, 5000.0]]))
-    assert np.isfinite(BodyLikelihood(BODY)(seen(signing()), away)).all()
+    assert np.isfinite(BodyLikelihood(BODY)(seen(signing()))(away)).all()
 
 
 # --- edges --------------------------------------------------------------------------------------------------
@@ -391,7 +385,7 @@ def test_edges_say_less_where_there_are_many() -> None:
     likelihood = BodyLikelihood(BODY)
     gaps = []
     for edges, directions in (few, many):
-        term = likelihood.terms(replace(seen(signing()), edges=edges, edge_directions=directions), poses)[
+        term = likelihood(replace(seen(signing()), edges=edges, edge_directions=directions)).terms(poses)[
             EDGES
         ]
         gaps.append(term[0] - np.median(term[1:]))
@@ -413,7 +407,7 @@ def test_elbows_are_found_by_edges() -> None:
     bent[:, 0] = arms
     poses = replace(poses, arms=bent)
     poses = poses.take(reachable & BODY.allowed(poses))
-    term = BodyLikelihood(BODY).terms(seen(truth), BodyPoses.concatenated([truth, poses]))[EDGES]
+    term = BodyLikelihood(BODY)(seen(truth)).terms(BodyPoses.concatenated([truth, poses]))[EDGES]
     weights = np.exp(term[1:] - term[1:].max())
     elbows = BODY.joints(poses)[:, 3, :2]
     off = np.linalg.norm(weights @ elbows / weights.sum() - joints[3, :2])

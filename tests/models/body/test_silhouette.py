@@ -11,6 +11,8 @@ from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.spatial.transform import Rotation
 
+from ...support.body_poses import resting
+
 Array = NDArray[np.float64]
 
 BODY = UpperBody.from_head(90)
@@ -34,7 +36,7 @@ def allowed_poses(n: int, seed: int) -> BodyPoses:
 
 def with_arm(upper: Array, forearm: Array) -> BodyPoses:
     """One body whose left arm is like this, while the right one hangs a little aside."""
-    poses = BodyPoses.resting(np.array([[280.0, 200.0]]))
+    poses = resting(np.array([[280.0, 200.0]]))
     poses.arms[0, 0] = upper / np.linalg.norm(upper), forearm / np.linalg.norm(forearm)
     poses.arms[0, 1] = np.array([-0.6, 0.8, 0.0])
     return poses
@@ -130,7 +132,7 @@ def test_outlines_of_limbs_and_hands_touch_their_spheres(seed: int) -> None:
 @given(seeds)
 def test_the_head_is_the_outline_of_a_turned_ellipsoid(seed: int) -> None:
     random = np.random.default_rng(seed)
-    poses = BodyPoses.resting(np.array([[280.0, 200.0]]))
+    poses = resting(np.array([[280.0, 200.0]]))
     poses.necks[0] = 0.5 * random.normal(size=3)
     points, normals = of_part(BODY.silhouettes(poses), HEAD)
     surface = random.normal(size=(40000, 3))
@@ -161,11 +163,6 @@ def test_points_are_visible_where_the_picture_shows_their_part(seed: int) -> Non
     assert (beyond != own)[seen].mean() > 0.97
     assert (beyond != own)[~seen].mean() > 0.97
     assert (shown != own)[~seen].mean() > 0.8
-    # what is backed has the body beyond it, what is merely visible has the background
-    backed = outline.backed[pose, number]
-    assert (beyond[backed] > 0).mean() > 0.9
-    assert (beyond[seen & ~backed] == 0).mean() > 0.97
-    assert not (outline.backed & ~outline.visible).any()
 
 
 def test_neighbours_of_a_stretched_arm_do_not_hide_each_other() -> None:
@@ -178,7 +175,6 @@ def test_neighbours_of_a_stretched_arm_do_not_hide_each_other() -> None:
     limbs = np.isin(outline.part, LIMBS[:2]) & sideways & clear
     assert limbs.sum() >= 10
     assert outline.visible[0, limbs].all()
-    assert not outline.backed[0, limbs].any()
     # but the round end of the forearm lies within the elbow
     cap = (outline.part == OUTLINE_PARTS.index("left_forearm")) & ~sideways
     assert cap.sum() >= 1
@@ -215,7 +211,7 @@ def test_foreshortening_moves_the_outline_without_jumps(seed: int) -> None:
 def test_a_hand_hides_a_face_or_the_face_hides_the_hand(depth: int) -> None:
     from rsmcm.models.body.inverse_kinematics import arm_at
 
-    poses = BodyPoses.resting(np.array([[280.0, 200.0]]))
+    poses = resting(np.array([[280.0, 200.0]]))
     joints = BODY.joints(poses)[0]
     place = joints[0] + [8, 20, depth * 0.8 * BODY.head_height] - joints[2]
     arms, reachable = arm_at(BODY, 0, place[None], np.array([2.5]))
@@ -227,7 +223,6 @@ def test_a_hand_hides_a_face_or_the_face_hides_the_hand(depth: int) -> None:
     if depth < 0:
         assert outline.visible[0, hand].all()
         assert not outline.visible[0, head & within].any()
-        assert outline.backed[0, hand].sum() >= 5
         assert BODY.masks(poses, SIZE)[0, 134, 288] == HANDS[0] + 1
     else:
         assert outline.visible[0, head].sum() >= 17
@@ -236,7 +231,7 @@ def test_a_hand_hides_a_face_or_the_face_hides_the_hand(depth: int) -> None:
 
 
 def test_torso_has_shoulders_sides_and_a_neck_that_goes_with_the_head() -> None:
-    poses = BodyPoses.resting(np.tile([280.0, 200.0], (3, 1)))
+    poses = resting(np.tile([280.0, 200.0], (3, 1)))
     poses.necks[1:, 2] = [0.6, -0.6]
     outline = BODY.silhouettes(poses)
     mine = outline.part == TORSO
@@ -259,7 +254,7 @@ def test_outlines_are_moved_with_the_body_and_alike_in_every_batch() -> None:
     np.testing.assert_allclose(there.points, here.points + np.array([13, -40]), atol=1e-3)
     assert (there.visible == here.visible).mean() > 0.995
     alone = BODY.silhouettes(poses.take([7]))
-    for name in ("points", "normals", "visible", "backed"):
+    for name in ("points", "normals", "visible"):
         np.testing.assert_array_equal(getattr(alone, name)[0], getattr(here, name)[7])
 
 
@@ -268,12 +263,12 @@ def test_outlines_keep_to_their_number_of_points() -> None:
     assert outline.points.shape == (2, 108, 2)
     assert 80 <= len(outline.part) <= 110
     assert set(outline.part) == set(range(len(OUTLINE_PARTS)))
-    empty = BODY.silhouettes(BodyPoses.resting(np.zeros((0, 2))))
+    empty = BODY.silhouettes(resting(np.zeros((0, 2))))
     assert empty.points.shape == (0, 108, 2)
 
 
 def test_bodies_out_of_the_picture_leave_it_empty() -> None:
-    far = BodyPoses.resting(np.array([[-5000.0, 100.0], [100.0, 1e5]]))
+    far = resting(np.array([[-5000.0, 100.0], [100.0, 1e5]]))
     assert not BODY.masks(far, (60, 80)).any()
     assert np.isfinite(BODY.silhouettes(far).points).all()
 
@@ -290,5 +285,5 @@ def test_outlines_do_not_depend_on_threads() -> None:
             found.append(BODY.silhouettes(poses))
     finally:
         set_threads(before)
-    for name in ("points", "normals", "visible", "backed"):
+    for name in ("points", "normals", "visible"):
         np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))

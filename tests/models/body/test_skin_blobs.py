@@ -1,11 +1,11 @@
-"""Places of a hand's size in a map of flesh."""
+"""Places of a hand's size in a map of skin."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.body.skin_blobs import MOST_BLOBS, FleshBlobs, flesh_blobs
+from rsmcm.models.body.skin_blobs import MOST_BLOBS, SkinBlobs, skin_blobs
 from scipy.ndimage import gaussian_filter
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ def odds(*ellipses: tuple[float, float, float, float], within: float = 3.0) -> M
     return gaussian_filter(np.where(covered, within, -3.0), 1.0).astype(np.float32)
 
 
-def nearest(blobs: FleshBlobs, x: float, y: float) -> tuple[int, float]:
+def nearest(blobs: SkinBlobs, x: float, y: float) -> tuple[int, float]:
     distance = np.hypot(*(blobs.means - (x, y)).T)
     return int(distance.argmin()), float(distance.min())
 
@@ -33,7 +33,7 @@ def nearest(blobs: FleshBlobs, x: float, y: float) -> tuple[int, float]:
 @given(st.floats(60, 260), st.floats(60, 180), st.floats(0.6, 1.0), st.floats(0.6, 1.3))
 def test_a_lone_hand(x: float, y: float, across: float, down: float) -> None:
     """Its middle is found to within a sixth of its radius, and nothing as strong elsewhere."""
-    blobs = flesh_blobs(odds((x, y, across * RADIUS, down * RADIUS)), RADIUS)
+    blobs = skin_blobs(odds((x, y, across * RADIUS, down * RADIUS)), RADIUS)
     assert nearest(blobs, x, y)[0] == 0
     assert nearest(blobs, x, y)[1] < RADIUS / 6
     assert (np.diff(blobs.log_weights) <= 0).all()
@@ -41,13 +41,13 @@ def test_a_lone_hand(x: float, y: float, across: float, down: float) -> None:
 
 
 def test_a_long_hand_is_less_sure_along_its_axis() -> None:
-    blobs = flesh_blobs(odds((160, 120, 12, 36)), RADIUS)
+    blobs = skin_blobs(odds((160, 120, 12, 36)), RADIUS)
     assert blobs.covariances[0, 1, 1] > 1.3 * blobs.covariances[0, 0, 0]
 
 
 def test_size_of_the_picture_does_not_matter() -> None:
-    small = flesh_blobs(odds((100, 90, 22, 26)), RADIUS)
-    large = flesh_blobs(odds((100, 90, 22, 26)).repeat(2, 0).repeat(2, 1), 2 * RADIUS)
+    small = skin_blobs(odds((100, 90, 22, 26)), RADIUS)
+    large = skin_blobs(odds((100, 90, 22, 26)).repeat(2, 0).repeat(2, 1), 2 * RADIUS)
     np.testing.assert_allclose(large.means[0], 2 * small.means[0] + 0.5, atol=1.5)
     np.testing.assert_allclose(large.log_weights[0], small.log_weights[0], atol=0.1)
     np.testing.assert_allclose(large.covariances[0], 4 * small.covariances[0], rtol=0.1)
@@ -56,7 +56,7 @@ def test_size_of_the_picture_does_not_matter() -> None:
 @pytest.mark.parametrize("apart", [1.0, 1.4, 1.8, 2.2])
 def test_two_hands_that_touch(apart: float) -> None:
     x = np.array([-0.5, 0.5]) * apart * RADIUS + 160
-    blobs = flesh_blobs(odds(*((each, 120.0, 0.75 * RADIUS, RADIUS) for each in x)), RADIUS)
+    blobs = skin_blobs(odds(*((each, 120.0, 0.75 * RADIUS, RADIUS) for each in x)), RADIUS)
     found = [nearest(blobs, each, 120.0) for each in x]
     assert found[0][0] != found[1][0]
     assert max(found)[1] < 0.5 * RADIUS
@@ -65,7 +65,7 @@ def test_two_hands_that_touch(apart: float) -> None:
 def test_hand_below_and_in_front_of_a_face() -> None:
     """A hand under the chin is found beside a known head; one in the face is listed, with less weight."""
     head, hand = (160.0, 90.0, 32.0, 42.0), (165.0, 145.0, 18.0, 20.0)
-    blobs = flesh_blobs(odds(head, hand), RADIUS, np.array([head]))
+    blobs = skin_blobs(odds(head, hand), RADIUS, np.array([head]))
     below, distance = nearest(blobs, 165, 148)
     assert distance < 0.5 * RADIUS
     within, _ = nearest(blobs, 160, 90)
@@ -74,26 +74,26 @@ def test_hand_below_and_in_front_of_a_face() -> None:
 
 
 def test_hand_on_cloth_of_nearly_its_colour() -> None:
-    flesh = odds((160, 200, 20, 20))
-    flesh[170:] = np.maximum(flesh[170:], 0.5)
-    blobs = flesh_blobs(flesh, RADIUS)
+    skin = odds((160, 200, 20, 20))
+    skin[170:] = np.maximum(skin[170:], 0.5)
+    blobs = skin_blobs(skin, RADIUS)
     place, distance = nearest(blobs, 160, 200)
     assert distance < 0.4 * RADIUS
     assert place == 0
 
 
-def test_no_flesh_no_blobs() -> None:
-    assert len(flesh_blobs(np.full(SHAPE, -3, np.float32), RADIUS).means) == 0
-    assert len(flesh_blobs(np.full(SHAPE, 3, np.float32), RADIUS).means) == 0
+def test_no_skin_no_blobs() -> None:
+    assert len(skin_blobs(np.full(SHAPE, -3, np.float32), RADIUS).means) == 0
+    assert len(skin_blobs(np.full(SHAPE, 3, np.float32), RADIUS).means) == 0
 
 
 def test_not_too_many() -> None:
     noise = gaussian_filter(np.random.default_rng(0).normal(0, 60, SHAPE), 8).astype(np.float32)
-    blobs = flesh_blobs(noise.clip(-4, 4), 12.0)
+    blobs = skin_blobs(noise.clip(-4, 4), 12.0)
     assert len(blobs.means) == MOST_BLOBS
 
 
 def test_tiny_hands() -> None:
     """Below the coarse radius the picture is searched as it is."""
-    blobs = flesh_blobs(odds((100.5, 80.5, 4, 4)), 5.0)
+    blobs = skin_blobs(odds((100.5, 80.5, 4, 4)), 5.0)
     np.testing.assert_allclose(blobs.means[0], (100.5, 80.5), atol=0.6)

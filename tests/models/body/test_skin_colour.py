@@ -1,9 +1,9 @@
-"""Flesh colour learned from faces."""
+"""Skin colour learned from faces."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.body.skin_colour import FleshColour, has_colour
+from rsmcm.models.body.skin_colour import SkinColour, has_colour
 
 Image = NDArray[np.uint8]
 
@@ -27,9 +27,9 @@ def picture(skin: NDArray[np.int64] = SKIN, seed: int = 0) -> Image:
 )
 def test_the_hand_has_the_colour_of_the_face(skin: NDArray[np.int64]) -> None:
     """No skin colour is built in: dark, pale and even green ones are learned."""
-    flesh = FleshColour.learned([picture(skin, seed) for seed in range(2)], np.array([BOX, BOX]))
-    assert flesh is not None
-    odds = flesh.log_odds(picture(skin, 5))
+    colour = SkinColour.learned([picture(skin, seed) for seed in range(2)], np.array([BOX, BOX]))
+    assert colour is not None
+    odds = colour.log_odds(picture(skin, 5))
     assert (odds.shape, odds.dtype) == ((200, 260), np.float32)
     assert np.median(odds[144:157, 44:57]) > 2.5
     assert np.median(odds[20:, :30]) < -3
@@ -38,9 +38,9 @@ def test_the_hand_has_the_colour_of_the_face(skin: NDArray[np.int64]) -> None:
 
 
 def test_colours_that_nobody_has_seen_say_nothing() -> None:
-    flesh = FleshColour.learned([picture()], BOX[None])
-    assert flesh is not None
-    odds = flesh.log_odds(np.full((20, 20, 3), (250, 10, 240), np.uint8))
+    skin = SkinColour.learned([picture()], BOX[None])
+    assert skin is not None
+    odds = skin.log_odds(np.full((20, 20, 3), (250, 10, 240), np.uint8))
     assert np.abs(odds).max() < 0.1
 
 
@@ -48,31 +48,31 @@ def test_the_ratio_is_that_of_the_counts() -> None:
     """Where a colour fills one bin of each region, its log ratio is that of the densities in closed form."""
     image = np.full((200, 260, 3), 128, np.uint8)
     image[60:] = (90, 130, 200)  # below all faces' middle: most of the face and of the rest
-    flesh = FleshColour.learned([image], BOX[None])
-    assert flesh is not None
+    skin = SkinColour.learned([image], BOX[None])
+    assert skin is not None
     rows, columns = np.mgrid[:200, :260]
     face = np.hypot((columns - 130) / 19.8, (rows - 71.2) / 25.2) < 1
     rest = np.hypot((columns - 130) / 48, (rows - 70) / 57) >= 1
     coloured = rows >= 60
     expected = np.log(coloured[face].mean() / coloured[rest].mean())
     # the blur at the boundary between the colours moves a few pixels to other bins
-    assert flesh.log_odds(image)[150, 20] == pytest.approx(expected, abs=0.05)
+    assert skin.log_odds(image)[150, 20] == pytest.approx(expected, abs=0.05)
 
 
-def test_grey_has_no_flesh() -> None:
+def test_grey_has_no_skin() -> None:
     grey = np.random.default_rng(0).integers(0, 255, (200, 260)).astype(np.uint8)
-    assert FleshColour.learned([grey], BOX[None]) is None
+    assert SkinColour.learned([grey], BOX[None]) is None
     compressed = grey[..., None] // 2 + np.random.default_rng(1).integers(0, 4, (200, 260, 3))
-    assert FleshColour.learned([compressed.astype(np.uint8)], BOX[None]) is None
+    assert SkinColour.learned([compressed.astype(np.uint8)], BOX[None]) is None
     assert has_colour(picture())
 
 
 def test_errors() -> None:
     with pytest.raises(ValueError, match=r"boxes: got \(2, 4\) for 1 images"):
-        FleshColour.learned([picture()], np.array([BOX, BOX]))
+        SkinColour.learned([picture()], np.array([BOX, BOX]))
     with pytest.raises(ValueError, match="boxes: got"):
-        FleshColour.learned([], np.zeros((0, 4)))
-    flesh = FleshColour.learned([picture()], BOX[None])
-    assert flesh is not None
+        SkinColour.learned([], np.zeros((0, 4)))
+    skin = SkinColour.learned([picture()], BOX[None])
+    assert skin is not None
     with pytest.raises(ValueError, match=r"image: got \(20, 20\), expected \(height, width, 3\)"):
-        flesh.log_odds(np.zeros((20, 20), np.uint8))
+        skin.log_odds(np.zeros((20, 20), np.uint8))

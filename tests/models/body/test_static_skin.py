@@ -1,10 +1,10 @@
-"""Flesh that is always there, on pictures in which it is known where and how often."""
+"""Skin that is always there, on pictures in which it is known where and how often."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.body.skin_colour import FleshColour
-from rsmcm.models.body.static_skin import FEWEST, LEVELS, SELDOM, still_flesh
+from rsmcm.models.body.skin_colour import SkinColour
+from rsmcm.models.body.static_skin import FEWEST, LEVELS, SELDOM, static_skin
 
 Image = NDArray[np.uint8]
 
@@ -14,7 +14,7 @@ FACE = np.array([[20.0, 10.0, 24.0, 24.0]])
 
 
 def picture(*patches: tuple[slice, slice]) -> Image:
-    """A wall with patches of flesh."""
+    """A wall with patches of skin."""
     image = np.full((*SIZE, 3), WALL, np.uint8)
     for patch in patches:
         image[patch] = SKIN
@@ -22,13 +22,13 @@ def picture(*patches: tuple[slice, slice]) -> Image:
 
 
 @pytest.fixture(scope="module")
-def colour() -> FleshColour:
-    learned = FleshColour.learned([picture((slice(10, 34), slice(20, 44)))], FACE)
+def colour() -> SkinColour:
+    learned = SkinColour.learned([picture((slice(10, 34), slice(20, 44)))], FACE)
     assert learned is not None
     return learned
 
 
-def test_flesh_is_still_where_it_is_seldom_away(colour: FleshColour) -> None:
+def test_skin_is_still_where_it_is_seldom_away(colour: SkinColour) -> None:
     """Each column of patches is there in one more of the frames than the one before."""
     n = 10
     columns = [slice(6 * step, 6 * step + 6) for step in range(n)]
@@ -36,7 +36,7 @@ def test_flesh_is_still_where_it_is_seldom_away(colour: FleshColour) -> None:
         picture(*((slice(0, 48), column) for step, column in enumerate(columns) if frame < step + 1))
         for frame in range(n)
     ]
-    still = still_flesh(colour, images)
+    still = static_skin(colour, images)
     assert still is not None
     assert still.dtype == np.float32
     assert still.shape == SIZE
@@ -49,32 +49,32 @@ def test_flesh_is_still_where_it_is_seldom_away(colour: FleshColour) -> None:
         np.testing.assert_allclose(middle, expected, atol=0.5 / LEVELS)
 
 
-def test_it_is_a_quantile_of_the_log_odds(colour: FleshColour) -> None:
-    """Over frames, but for rounding and where it would speak against flesh."""
+def test_it_is_a_quantile_of_the_log_odds(colour: SkinColour) -> None:
+    """Over frames, but for rounding and where it would speak against skin."""
     random = np.random.default_rng(0)
     images = [random.integers(0, 256, (*SIZE, 3)).astype(np.uint8) for _ in range(20)]
     odds = np.sort([colour.log_odds(image) for image in images], axis=0)
     expected = np.maximum(odds[int(SELDOM * 20)], 0)
-    still = still_flesh(colour, images)
+    still = static_skin(colour, images)
     assert still is not None
     np.testing.assert_allclose(still, expected, atol=0.501 / LEVELS)
 
 
-def test_the_order_of_frames_does_not_matter(colour: FleshColour) -> None:
+def test_the_order_of_frames_does_not_matter(colour: SkinColour) -> None:
     random = np.random.default_rng(1)
     images = [random.integers(0, 256, (*SIZE, 3)).astype(np.uint8) for _ in range(12)]
-    forwards, backwards = still_flesh(colour, images), still_flesh(colour, images[::-1])
+    forwards, backwards = static_skin(colour, images), static_skin(colour, images[::-1])
     assert forwards is not None
     assert backwards is not None
     np.testing.assert_array_equal(forwards, backwards)
 
 
-def test_a_few_frames_do_not_tell(colour: FleshColour) -> None:
-    assert still_flesh(colour, [picture()] * (FEWEST - 1)) is None
-    assert still_flesh(colour, [picture()] * FEWEST) is not None
+def test_a_few_frames_do_not_tell(colour: SkinColour) -> None:
+    assert static_skin(colour, [picture()] * (FEWEST - 1)) is None
+    assert static_skin(colour, [picture()] * FEWEST) is not None
 
 
-def test_frames_of_different_sizes_are_refused(colour: FleshColour) -> None:
+def test_frames_of_different_sizes_are_refused(colour: SkinColour) -> None:
     images = [picture()] * FEWEST + [np.zeros((10, 10, 3), np.uint8)]
     with pytest.raises(ValueError, match="images: got 2 different sizes, expected one"):
-        still_flesh(colour, images)
+        static_skin(colour, images)

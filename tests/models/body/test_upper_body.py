@@ -11,6 +11,8 @@ from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import JOINTS, PROPORTIONS, UpperBody
 from scipy.spatial.transform import Rotation
 
+from ...support.body_poses import from_angles, resting
+
 Array = NDArray[np.float64]
 Direction = tuple[float, float, float]
 
@@ -22,7 +24,7 @@ def posed(upper: Direction, forearm: Direction) -> BodyPoses:
     """Two bodies: one with its left arm like this, one with its right arm as in a mirror; the other hangs."""
     arm = np.array([upper, forearm], np.float64)
     arm /= np.linalg.norm(arm, axis=1, keepdims=True)
-    poses = BodyPoses.resting(np.full((2, 2), 200.0))
+    poses = resting(np.full((2, 2), 200.0))
     poses.arms[0, 0], poses.arms[1, 1] = arm, arm * [-1, 1, 1]
     return poses
 
@@ -30,7 +32,7 @@ def posed(upper: Direction, forearm: Direction) -> BodyPoses:
 @given(seeds)
 def test_joints_are_where_a_chain_of_rotations_leads(seed: int) -> None:
     angles = np.random.default_rng(seed).uniform(-1.5, 1.5, (1, 13))
-    joints = BODY.joints(BodyPoses.from_angles(angles))[0]
+    joints = BODY.joints(from_angles(angles))[0]
     root = np.array([*angles[0, :2], 0.0])
     head = root + Rotation.from_rotvec(angles[0, 2:5]).apply([0, -BODY.neck, 0])
     expected = [head, root]
@@ -45,12 +47,12 @@ def test_joints_are_where_a_chain_of_rotations_leads(seed: int) -> None:
 
 
 def test_a_head_without_any_turn_is_above_the_root() -> None:
-    joints = BODY.joints(BodyPoses.resting(np.array([[10.0, 20.0]])))
+    joints = BODY.joints(resting(np.array([[10.0, 20.0]])))
     np.testing.assert_array_equal(joints[0, 0], [10, 20 - BODY.neck, 0])
 
 
 def test_left_is_on_the_right_of_a_picture_of_somebody_who_faces_the_camera() -> None:
-    joints = BODY.joints(BodyPoses.resting(np.zeros((1, 2))))[0]
+    joints = BODY.joints(resting(np.zeros((1, 2))))[0]
     assert joints[JOINTS.index("left_hand"), 0] > 0 > joints[JOINTS.index("right_hand"), 0]
 
 
@@ -106,7 +108,7 @@ def test_what_nobody_does_is_not_allowed(upper: Direction, forearm: Direction) -
 
 
 def test_necks_turn_half_way_to_the_shoulder() -> None:
-    poses = BodyPoses.resting(np.zeros((3, 2)))
+    poses = resting(np.zeros((3, 2)))
     poses.necks[:, 1] = np.radians([49, -49, 51])
     np.testing.assert_array_equal(BODY.allowed(poses), [True, True, False])
 

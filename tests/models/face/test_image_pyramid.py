@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.face.image_pyramid import DARKEST, SMOOTHING, blurred, picture_levels
+from rsmcm.models.face.image_pyramid import DARKEST, SMOOTHING, blurred, image_pyramid
 
 from ...support.surfaces import smooth_picture
 
@@ -17,7 +17,7 @@ def uint8(picture: NDArray[np.float64]) -> NDArray[np.uint8]:
 def test_a_point_is_smeared_by_as_much_as_a_level_says(size: float) -> None:
     image = np.zeros((240, 320), np.uint8)
     image[116, 163] = 255
-    for number, level in enumerate(picture_levels(image, size, n_levels=3, local_mean=False)):
+    for number, level in enumerate(image_pyramid(image, size, n_levels=3, local_mean=False)):
         picture = level.image.astype(np.float64)
         y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
         share = picture / picture.sum()
@@ -33,7 +33,7 @@ def test_a_point_is_smeared_by_as_much_as_a_level_says(size: float) -> None:
 
 def test_levels_halve() -> None:
     image = uint8(smooth_picture(0, 121, 163))
-    levels = picture_levels(image, 24.0, n_levels=3, local_mean=False)
+    levels = image_pyramid(image, 24.0, n_levels=3, local_mean=False)
     assert [level.image.shape for level in levels] == [(121, 163), (60, 81), (30, 40)]
     assert [level.scale for level in levels] == [1, 0.5, 0.25]
     assert levels[-1].image.shape == (30, 40)
@@ -43,7 +43,7 @@ def test_levels_halve() -> None:
 
 def test_the_finest_level_is_the_smoothed_picture() -> None:
     image = uint8(smooth_picture(1))
-    (only,) = picture_levels(image, 60.0, n_levels=1, local_mean=False)
+    (only,) = image_pyramid(image, 60.0, n_levels=1, local_mean=False)
     wanted = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SMOOTHING[0] * 60.0)
     np.testing.assert_allclose(only.image, wanted, atol=1e-3)
 
@@ -52,11 +52,10 @@ def test_light_that_changes_slowly_is_taken_out() -> None:
     size, picture = 24.0, 40 + 0.6 * smooth_picture(2)
     lamp = 0.5 + 0.5 * np.linspace(0, 1, 160)
     even, lit = (
-        picture_levels(uint8(scene), size, n_levels=2, local_mean=True) for scene in (picture, picture * lamp)
+        image_pyramid(uint8(scene), size, n_levels=2, local_mean=True) for scene in (picture, picture * lamp)
     )
     raw, dim = (
-        picture_levels(uint8(scene), size, n_levels=2, local_mean=False)
-        for scene in (picture, picture * lamp)
+        image_pyramid(uint8(scene), size, n_levels=2, local_mean=False) for scene in (picture, picture * lamp)
     )
     for number in range(2):
         left = np.abs(even[number].image - lit[number].image).mean()
@@ -65,7 +64,7 @@ def test_light_that_changes_slowly_is_taken_out() -> None:
 
 def test_black_stays_black_and_an_even_picture_even() -> None:
     black, grey = (
-        picture_levels(np.full((60, 80), value, np.uint8), 24.0, n_levels=2, local_mean=True)
+        image_pyramid(np.full((60, 80), value, np.uint8), 24.0, n_levels=2, local_mean=True)
         for value in (0, 100)
     )
     assert not black[0].image.any()
@@ -75,8 +74,8 @@ def test_black_stays_black_and_an_even_picture_even() -> None:
 def test_colours_count_as_their_grey() -> None:
     random = np.random.default_rng(0)
     colour = random.integers(0, 256, (60, 80, 3), np.uint8)
-    found = picture_levels(colour, 24.0, n_levels=2, local_mean=True)
-    wanted = picture_levels(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY), 24.0, n_levels=2, local_mean=True)
+    found = image_pyramid(colour, 24.0, n_levels=2, local_mean=True)
+    wanted = image_pyramid(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY), 24.0, n_levels=2, local_mean=True)
     for one, other in zip(found, wanted, strict=True):
         np.testing.assert_array_equal(one.image, other.image)
 

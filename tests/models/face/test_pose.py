@@ -1,11 +1,11 @@
-"""Rotations, small changes of poses and their means against scipy and definitions."""
+"""Small changes of poses and their means against scipy and definitions."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.face.pose import Poses, cross_matrices, exponential, logarithm, nearest_rotation
+from rsmcm.models.face.pose import Poses
+from rsmcm.models.numerics.rotations import exponential
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
@@ -19,41 +19,6 @@ def random_poses(n: int, n_bases: int, seed: int) -> Poses:
     morphs = 40 * random.normal(size=(n, n_bases))
     morphs[:, 0] = random.uniform(20, 90, n)
     return Poses(rotations, 100 * random.normal(size=(n, 2)), morphs)
-
-
-@given(seeds, st.floats(-12, 1.5))
-def test_exponential_is_that_of_scipy_at_every_scale(seed: int, power: float) -> None:
-    vectors = 10**power * np.random.default_rng(seed).normal(size=(5, 3))
-    np.testing.assert_allclose(exponential(vectors), Rotation.from_rotvec(vectors).as_matrix(), atol=1e-14)
-
-
-def test_no_turn_is_exact() -> None:
-    np.testing.assert_array_equal(exponential(np.zeros((2, 3))), np.tile(np.eye(3), (2, 1, 1)))
-
-
-@given(seeds, st.floats(1e-9, np.pi - 1e-6))
-def test_logarithm_undoes_exponential(seed: int, angle: float) -> None:
-    vectors = np.random.default_rng(seed).normal(size=(5, 3))
-    vectors *= angle / np.linalg.norm(vectors, axis=1, keepdims=True)
-    np.testing.assert_allclose(logarithm(exponential(vectors)), vectors, rtol=1e-6, atol=1e-14)
-
-
-@given(seeds)
-def test_cross_matrices(seed: int) -> None:
-    first, second = np.random.default_rng(seed).normal(size=(2, 4, 3))
-    product = (cross_matrices(first) @ second[..., None])[..., 0]
-    np.testing.assert_allclose(product, np.cross(first, second), atol=1e-14)
-
-
-@given(seeds)
-def test_nearest_rotation_is_a_rotation_and_no_other_is_nearer(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    matrix = random.normal(size=(3, 3))
-    nearest = nearest_rotation(matrix)
-    np.testing.assert_allclose(nearest @ nearest.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(nearest) == pytest.approx(1)
-    others = exponential(random.normal(size=(200, 3)) * random.uniform(0.001, 1)) @ nearest
-    assert np.linalg.norm(others - matrix, axis=(1, 2)).min() >= np.linalg.norm(nearest - matrix) - 1e-12
 
 
 @given(seeds, st.integers(1, 4))

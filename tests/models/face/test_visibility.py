@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.face.built_in_model import face_model
-from rsmcm.models.face.pose import Poses, exponential
+from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.visibility import visible
+from rsmcm.models.numerics.rotations import exponential
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]

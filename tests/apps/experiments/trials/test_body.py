@@ -170,7 +170,7 @@ def test_the_sampler_hears_nothing_of_the_flesh(film: SignerFilm) -> None:
 
 def test_film_knows_the_true_head(film: SignerFilm) -> None:
     assert film.parts.head_height == film.scene.body.head_height
-    assert film.parts.flesh is not None
+    assert film.parts.skin is not None
     assert len(film.frames) == 5
     assert [JOINTS[place] for place in PLACES][1] == "left_hand"
 

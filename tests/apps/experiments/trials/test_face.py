@@ -1,4 +1,4 @@
-"""Trials of face trackers: measures on made-up errors, honest covariances, and a short film in earnest."""
+"""Trials of face trackers: measures on made-up errors, honest covariances, and a short clip in earnest."""
 
 import json
 from dataclasses import replace
@@ -10,10 +10,10 @@ import pytest
 from matplotlib.figure import Figure
 from rsmcm.apps.experiments.reproduce import experts, face_background, gain, recovery
 from rsmcm.apps.experiments.trials.face import (
-    Film,
+    Clip,
+    Evaluation,
     Measured,
     Tracker,
-    Trial,
     as_json,
     median,
     n_lost,
@@ -29,30 +29,30 @@ from ....conftest import names
 SIZE, DT = 40.0, 0.04
 
 
-def trial(errors: list[float]) -> Trial:
+def evaluation(errors: list[float]) -> Evaluation:
     values = np.array(errors, np.float64)
-    return Trial(values, 2 * values, np.full(len(values), np.nan), SIZE, DT)
+    return Evaluation(values, 2 * values, np.full(len(values), np.nan), SIZE, DT)
 
 
 def test_lost_at_the_end_or_for_more_than_a_second() -> None:
-    assert not trial([1.0] * 60).lost
-    assert trial([1.0] * 60 + [21.0]).lost, "half the size is 20 px"
-    assert not trial([1.0] * 20 + [30.0] * 25 + [1.0] * 20).lost, "a second is not more than one"
-    assert trial([1.0] * 20 + [30.0] * 26 + [1.0] * 20).lost
+    assert not evaluation([1.0] * 60).lost
+    assert evaluation([1.0] * 60 + [21.0]).lost, "half the size is 20 px"
+    assert not evaluation([1.0] * 20 + [30.0] * 25 + [1.0] * 20).lost, "a second is not more than one"
+    assert evaluation([1.0] * 20 + [30.0] * 26 + [1.0] * 20).lost
 
 
 def test_the_first_frame_was_given_and_does_not_count() -> None:
-    one = trial([100.0, 1.0, 3.0])
+    one = evaluation([100.0, 1.0, 3.0])
     assert one.error == pytest.approx(2.0)
     assert one.error_3d == pytest.approx(4.0)
 
 
 def test_words_and_counts() -> None:
-    trials = [trial([0.0, error]) for error in (1.0, 2.0, 3.0, 40.0, 5.0)]
-    assert median(trials) == 3.0
-    assert quartiles(trials) == "3 (2-5)"
-    assert n_lost(trials) == 1
-    assert as_json({"one": trials})["one"]["lost"] == [False, False, False, True, False]
+    evaluations = [evaluation([0.0, error]) for error in (1.0, 2.0, 3.0, 40.0, 5.0)]
+    assert median(evaluations) == 3.0
+    assert quartiles(evaluations) == "3 (2-5)"
+    assert n_lost(evaluations) == 1
+    assert as_json({"one": evaluations})["one"]["lost"] == [False, False, False, True, False]
 
 
 def test_depth_offset_is_no_error_and_shift_is() -> None:
@@ -80,44 +80,44 @@ def test_normalised_square_is_one_on_average_for_honest_covariances() -> None:
 
 
 @pytest.fixture(scope="module")
-def film() -> Film:
-    return Film.of(n_frames=12, seed=3, light=0.0, size=(160, 120))
+def clip() -> Clip:
+    return Clip.of(n_frames=12, seed=3, light=0.0, size=(160, 120))
 
 
-def test_oracle_is_a_floor(film: Film) -> None:
+def test_oracle_is_a_floor(clip: Clip) -> None:
     settings = {"gain": 0.05, "texels": 400, "experts": 2}
-    oracle = Tracker("oracle", settings, system="oracle").run(film)
-    own = Tracker("own", settings).run(film)
-    taught = Tracker("taught", settings, texturing="true").run(film)
+    oracle = Tracker("oracle", settings, system="oracle").run(clip)
+    own = Tracker("own", settings).run(clip)
+    taught = Tracker("taught", settings, texturing="true").run(clip)
     assert oracle.errors[0] == 0
     assert oracle.error < 0.5
     assert own.error > 0.7 * oracle.error
-    assert np.isfinite(taught.squared[1:]).all()
-    assert np.isnan(own.squared).all()
+    assert np.isfinite(taught.nees[1:]).all()
+    assert np.isnan(own.nees).all()
     assert not own.lost
 
 
-def test_scattered_experts_are_as_far_as_they_should_be(film: Film) -> None:
-    poses = recovery.scattered(film, np.random.default_rng(1))
-    off = film.scene.model.project(poses) - film.scene.vertices[0]
+def test_scattered_experts_are_as_far_as_they_should_be(clip: Clip) -> None:
+    poses = recovery.scattered(clip, np.random.default_rng(1))
+    off = clip.scene.model.project(poses) - clip.scene.vertices[0]
     assert np.linalg.norm(off, axis=2).mean() == pytest.approx(recovery.SCATTER, rel=1e-3)
     assert len(poses) == recovery.N_EXPERTS
 
 
 def made_up(errors: dict[str, float], usual: float, names: list[str]) -> Measured:
-    return {name: [trial([0.0] + [errors.get(name, usual)] * 5) for _ in range(4)] for name in names}
+    return {name: [evaluation([0.0] + [errors.get(name, usual)] * 5) for _ in range(4)] for name in names}
 
 
 def test_claims_of_experts() -> None:
     names = [tracker.name for tracker in experts.trackers()]
     good = made_up({experts.ONE: 5.0, experts.DENSE_FLOW: 2.0, experts.DENSE: 0.5}, 0.5, names)
-    good[experts.TAUGHT] = [replace(one, squared=np.ones(6)) for one in good[experts.TAUGHT]]
+    good[experts.TAUGHT] = [replace(one, nees=np.ones(6)) for one in good[experts.TAUGHT]]
     assert all(
         expectation.verdict == "pass"
         for expectation in experts.expectations_of(good)
         if expectation.bound is not None
     )
-    poor = {**good, experts.DENSE: [trial([0.0] + [25.0] * 5) for _ in range(4)]}
+    poor = {**good, experts.DENSE: [evaluation([0.0] + [25.0] * 5) for _ in range(4)]}
     assert sum(expectation.verdict == "short" for expectation in experts.expectations_of(poor)) == 4
     canvas = Figure()
     experts.draw(canvas, good)
@@ -153,8 +153,8 @@ def test_claims_of_recovery() -> None:
 
 def test_claims_of_face_and_background() -> None:
     good = {
-        setting.name: made_up({face_background.ALL: 3.0}, 1.0, list(methods))
-        for setting, methods in face_background.COMPARED
+        condition.name: made_up({face_background.ALL: 3.0}, 1.0, list(methods))
+        for condition, methods in face_background.COMPARED
     }
     weak = face_background.WEAK.name
     expectations = face_background.expectations_of(good)
@@ -176,7 +176,7 @@ def test_claims_of_face_and_background() -> None:
 def test_a_run_with_a_background(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(face_background, "N_FRAMES", 5)
     monkeypatch.setattr(face_background, "EXPERTS", 2)
-    one = face_background.run(face_background.SETTINGS[-1], method, 1)
+    one = face_background.run(face_background.CONDITIONS[-1], method, 1)
     assert len(one.errors) == 5
     assert one.error < 2
     assert one.time > 0
@@ -186,11 +186,15 @@ def test_a_run_with_a_background(method: str, monkeypatch: pytest.MonkeyPatch) -
 def test_page_of_face_and_background(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every trial stands at its setting, method and seed."""
-    order = [(setting.name, method) for setting, methods in face_background.COMPARED for method in methods]
+    """Every evaluation stands at its condition, method and seed."""
+    order = [
+        (condition.name, method) for condition, methods in face_background.COMPARED for method in methods
+    ]
 
-    def numbered(label: str, work: list[tuple[Any, tuple[Any, ...]]]) -> list[Trial]:
-        return [trial([0.0, 1.0 + order.index((at.name, how)) + seed / 10]) for _, (at, how, seed) in work]
+    def numbered(label: str, work: list[tuple[Any, tuple[Any, ...]]]) -> list[Evaluation]:
+        return [
+            evaluation([0.0, 1.0 + order.index((at.name, how)) + seed / 10]) for _, (at, how, seed) in work
+        ]
 
     monkeypatch.setattr(face_background, "in_processes", numbered)
     face_background.reproduce_face_background(tmp_path / "out")

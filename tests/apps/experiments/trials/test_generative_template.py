@@ -12,7 +12,7 @@ from rsmcm.apps.experiments.trials.generative_template import (
 from rsmcm.apps.scenes import face
 from rsmcm.inference.face.pose_dynamics import PoseDynamics, PosePrior
 from rsmcm.inference.face.texture_likelihood import TexturedObject
-from rsmcm.models.face.image_pyramid import picture_levels
+from rsmcm.models.face.image_pyramid import image_pyramid
 from rsmcm.models.face.pose import RIGID, Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
 
@@ -72,9 +72,9 @@ def test_every_round_raises_the_bound(fitted: ClipTemplate) -> None:
 def test_what_it_learned_is_of_this_clip(clip: Clip, fitted: ClipTemplate) -> None:
     n_levels, n_texels = fitted.template.shape
     assert (n_levels, n_texels) == (3, len(clip.surface.texels))
-    levels = picture_levels(clip.pictures[5], float(clip.truth.sizes[0]), n_levels=3, local_mean=True)
+    levels = image_pyramid(clip.pictures[5], float(clip.truth.sizes[0]), n_levels=3, local_mean=True)
     pose = clip.truth[5]
-    looks, seen = clip.surface.looks(levels, pose, clip.surface.visible(pose))
+    looks, seen = clip.surface.observe(levels, pose, clip.surface.visible(pose))
     off = (looks[0] - fitted.template)[:, seen[0]]
     assert np.sqrt((off**2).mean(axis=1)).max() < 0.3 * looks[0][:, seen[0]].std()
     assert np.median(off[0] ** 2 / fitted.noise[seen[0]]) < 2
@@ -101,7 +101,7 @@ def test_one_picture_again_and_again_is_its_own_template() -> None:
     pose = poses_near(1, 3, 2)
     tracker = GenerativeTemplate(surface, rounds=2, levels=1, local_mean=False)
     found = tracker.fit([picture] * 3, pose[[0, 0, 0]])
-    (level,) = picture_levels(picture, float(pose.sizes[0]), n_levels=1, local_mean=False)
+    (level,) = image_pyramid(picture, float(pose.sizes[0]), n_levels=1, local_mean=False)
     visible = surface.visible(pose)[0]
     group = surface.texels.group_of_texel
     places = model.project(pose)[0][surface.texels.groups[group, 0]] + surface.texels.offsets
@@ -119,7 +119,7 @@ def test_the_gaussian_of_the_coefficients_is_laplaces() -> None:
     picture, pose = np.rint(smooth_picture(2)).astype(np.uint8), poses_near(1, 3, 2)
     tracker = GenerativeTemplate(surface, rounds=1, levels=1, local_mean=False)
     found = tracker.fit([picture], pose)
-    (level,) = picture_levels(picture, float(pose.sizes[0]), n_levels=1, local_mean=False)
+    (level,) = image_pyramid(picture, float(pose.sizes[0]), n_levels=1, local_mean=False)
     visible, group = surface.visible(pose)[0], surface.texels.group_of_texel
     vertex = surface.texels.groups[group, 0]
     values, slopes = bilinear(level.image, model.project(pose)[0][vertex] + surface.texels.offsets)

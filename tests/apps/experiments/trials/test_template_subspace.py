@@ -11,7 +11,7 @@ from rsmcm.apps.experiments.trials.template_subspace import (
 )
 from rsmcm.inference.face.pose_dynamics import PoseDynamics, PosePrior
 from rsmcm.inference.face.texture_likelihood import TexturedObject, TextureLikelihood
-from rsmcm.models.face.image_pyramid import picture_levels
+from rsmcm.models.face.image_pyramid import image_pyramid
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
 
@@ -92,9 +92,9 @@ def test_no_modes_are_a_template() -> None:
 @pytest.mark.parametrize(
     ("looks", "seen", "n_modes", "message"),
     [
-        (np.zeros((3, 2, 5)), np.ones((3, 4)), 1, r"looks: got \(3, 2, 5\) with \(3, 4\) seen"),
-        (np.zeros((3, 5)), np.ones((3, 5)), 1, r"looks: got \(3, 5\)"),
-        (np.zeros((3, 2, 5)), np.ones((3, 5)), 3, "modes: got 3 for 3 looks, expected 0 to 2"),
+        (np.zeros((3, 2, 5)), np.ones((3, 4)), 1, r"observed: got \(3, 2, 5\) with \(3, 4\) seen"),
+        (np.zeros((3, 5)), np.ones((3, 5)), 1, r"observed: got \(3, 5\)"),
+        (np.zeros((3, 2, 5)), np.ones((3, 5)), 3, "modes: got 3 for 3 pictures, expected 0 to 2"),
     ],
 )
 def test_what_does_not_fit_is_refused(looks: Array, seen: Array, n_modes: int, message: str) -> None:
@@ -181,13 +181,13 @@ def test_changes_that_were_learned_do_not_mislead_it() -> None:
         ]
         noisy = moved.reshape(120, 160) + random.normal(0, 1, (120, 160))
         return list(
-            picture_levels(
+            image_pyramid(
                 np.clip(np.rint(noisy), 0, 255).astype(np.uint8), size, n_levels=3, local_mean=False
             )
         )
 
     looks, seen = zip(
-        *(surface.looks(levels(amount, np.zeros(2)), truth, visible) for amount in (-50, -25, 0, 25, 50)),
+        *(surface.observe(levels(amount, np.zeros(2)), truth, visible) for amount in (-50, -25, 0, 25, 50)),
         strict=True,
     )  # fmt: skip
     looks, seen = np.concatenate(looks), np.concatenate(seen)

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import signer
+from rsmcm.apps.scenes.rendering_kernels import draw_mesh
 from rsmcm.apps.scenes.signing.faults import BOX_NOISE, FACE_BELOW, FACE_BOX, MISSING, bursts
-from rsmcm.apps.scenes.signing.kernels import draw_solid
 from rsmcm.models.core.frame import Frame
 
 HANDS = (4, 7)  # of JOINTS
@@ -26,14 +26,14 @@ def hues(image):
 
 
 @cache
-def flesh_hue(scene):
+def skin_hue(scene):
     face = disc(scene.size, scene.joints[0, 0, :2], 0.25 * scene.body.head_height)
     return np.median(hues(scene.image(0))[face], axis=0)
 
 
-def flesh(scene, image):
+def skin(scene, image):
     """Pixels whose hue is near to that of the middle of the face."""
-    return np.linalg.norm(hues(image) - flesh_hue(scene), axis=-1) < 0.035
+    return np.linalg.norm(hues(image) - skin_hue(scene), axis=-1) < 0.035
 
 
 # Truth
@@ -193,7 +193,7 @@ def test_detector_of_another_scene_and_of_no_picture():
     assert detector(Frame(None, 0.0, 1)).shape == (0, 4)
 
 
-def test_false_flesh_comes_as_often_as_asked_for():
+def test_false_skin_comes_as_often_as_asked_for():
     assert signer(200, 1, clutter=0.0).distractors == ()
     for clutter in (0.5, 2.0):
         scene = signer(2000, 1, clutter=clutter)
@@ -209,26 +209,26 @@ def test_false_flesh_comes_as_often_as_asked_for():
 
 
 @pytest.mark.parametrize("seed", [3, 6])
-def test_hands_are_flesh_where_the_truth_says_unless_they_are_hidden(seed):
+def test_hands_are_skin_where_the_truth_says_unless_they_are_hidden(seed):
     scene = signer(120, seed, detector_dropout=0.4, clutter=0.0)
     body = scene.body
     shown, gone, off = [], [], []
     for index in range(0, 120, 6):
         image = scene.image(index)
-        like_flesh = flesh(scene, image)
+        like_skin = skin(scene, image)
         head, hands = scene.joints[index, 0], scene.joints[index, HANDS, :]
         for side in (0, 1):
             hand, other = hands[side], hands[1 - side]
             elbow = scene.joints[index, 3 + 3 * (1 - side)]
-            # parts that may be in front of this hand, or flesh beside it
+            # parts that may be in front of this hand, or skin beside it
             near = [np.linalg.norm((thing - hand)[:2]) for thing in (head, other, elbow, (other + elbow) / 2)]
             if min(near) < 1.2 * body.head_height:
                 continue
             around = disc(scene.size, hand, 1.3 * body.hand)
-            share = like_flesh[around].mean()
+            share = like_skin[around].mean()
             (gone if scene.hidden[index, 1 + side] else shown).append(share)
             if not scene.hidden[index, 1 + side]:
-                rows, columns = np.nonzero(like_flesh & around)
+                rows, columns = np.nonzero(like_skin & around)
                 off.append(np.array([columns.mean(), rows.mean()]) - hand[:2])
     assert min(len(shown), len(gone)) >= 2
     assert np.median(shown) > 0.25
@@ -236,15 +236,15 @@ def test_hands_are_flesh_where_the_truth_says_unless_they_are_hidden(seed):
     assert np.median(np.linalg.norm(off, axis=1)) < 0.09 * body.head_height
 
 
-def test_head_is_flesh_and_false_flesh_is_too():
+def test_head_is_skin_and_false_skin_is_too():
     scene = signer(200, 3, detector_dropout=0.0)
     thing = next(each for each in scene.distractors if each.in_front)
     index = (thing.first + thing.last) // 2
     image = scene.image(index)
     head = disc(scene.size, scene.joints[index, 0, :2], 0.25 * scene.body.head_height)
-    assert flesh(scene, image)[head].mean() > 0.5
+    assert skin(scene, image)[head].mean() > 0.5
     false = disc(scene.size, thing.place(index), 0.7 * thing.radius)
-    assert flesh(scene, image)[false].mean() > 0.5
+    assert skin(scene, image)[false].mean() > 0.5
 
 
 def test_clutter_and_noise_do_what_they_say():
@@ -263,7 +263,7 @@ def test_near_triangles_hide_far_ones():
     texture = np.full((4, 4, 3), 100, np.float32)
     attributes = np.column_stack([np.full((3, 2), 1.5), [1.0, 0.5, 0.5]])
     one = np.array([[0, 1, 2]])
-    draw_solid(colours, depths, corners, attributes, one, texture)
+    draw_mesh(colours, depths, corners, attributes, one, texture)
     columns, rows = np.meshgrid(np.arange(30), np.arange(20))
     # shares of the corners from the linear equations they obey
     system = np.vstack([corners[:, :2].T, np.ones(3)])
@@ -273,9 +273,9 @@ def test_near_triangles_hide_far_ones():
     light = (shares.T @ attributes[:, 2]).reshape(20, 30)
     np.testing.assert_allclose(colours[inside], 100 * light[inside][:, None].repeat(3, axis=1), rtol=1e-5)
     before = colours.copy()
-    draw_solid(colours, depths, corners - nearer, attributes, one, 2 * texture)
+    draw_mesh(colours, depths, corners - nearer, attributes, one, 2 * texture)
     np.testing.assert_array_equal(colours, before)
-    draw_solid(colours, depths, corners + nearer, attributes, one, 2 * texture)
+    draw_mesh(colours, depths, corners + nearer, attributes, one, 2 * texture)
     np.testing.assert_allclose(colours, 2 * before, rtol=1e-6)
 
 

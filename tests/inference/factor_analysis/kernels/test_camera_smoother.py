@@ -9,11 +9,11 @@ from rsmcm.inference.factor_analysis.kernels.camera_smoother import smooth_camer
 Numbers = NDArray[np.float64]
 
 MOVE = np.kron([[1, 1, 0.5], [0, 1, 1], [0, 0, 1]], np.eye(4))
-LOOK = np.eye(12)[:4]
+SEEN = np.eye(12)[:4]
 PRECISION = 2.3
 
 
-def looks(n_frames: int, seed: int = 0) -> tuple[Numbers, Numbers, Numbers, Numbers, Numbers]:
+def observed_frames(n_frames: int, seed: int = 0) -> tuple[Numbers, Numbers, Numbers, Numbers, Numbers]:
     """Information, vector, noise, start mean and variance; a frame shows nothing, another one point only."""
     generator = np.random.default_rng(seed)
     points = generator.normal(size=(n_frames, 6, 4))
@@ -54,7 +54,7 @@ def joint(
 def textbook(
     information: Numbers, vector: Numbers, noise: Numbers, mean: Numbers, variance: Numbers
 ) -> tuple[Numbers, Numbers]:
-    """Kalman filter and RTS smoother as in books, with every look as one of full rank at a time."""
+    """Kalman filter and RTS smoother as in books, with every observation as one of full rank at a time."""
     filtered, predicted = [], []
     spread = np.diag(variance)
     for t in range(len(information)):
@@ -63,7 +63,7 @@ def textbook(
         predicted.append((mean, spread))
         values, axes = np.linalg.eigh(PRECISION * information[t])
         for k in np.flatnonzero(values > 1e-9):
-            row = axes[:, k] @ LOOK
+            row = axes[:, k] @ SEEN
             seen = axes[:, k] @ (PRECISION * vector[t]) / values[k]
             gain = spread @ row / (row @ spread @ row + 1 / values[k])
             mean = mean + np.outer(gain, seen - row @ mean)
@@ -80,7 +80,7 @@ def textbook(
 
 
 def test_equals_the_joint_gaussian_and_the_textbook() -> None:
-    problem = looks(8)
+    problem = observed_frames(8)
     information, vector, *rest = problem
     cameras, covariance, evidence, _, _ = smooth_cameras(information, vector, PRECISION, *rest)
     means, covariances, expected = joint(*problem)
@@ -94,7 +94,7 @@ def test_equals_the_joint_gaussian_and_the_textbook() -> None:
 
 
 def test_derivative_of_the_evidence_by_the_noise() -> None:
-    information, vector, noise, mean, variance = looks(7, seed=1)
+    information, vector, noise, mean, variance = observed_frames(7, seed=1)
     *_, squares, counts = smooth_cameras(information, vector, PRECISION, noise, mean, variance)
     for j in range(12):
         step = np.zeros(12)
@@ -104,8 +104,8 @@ def test_derivative_of_the_evidence_by_the_noise() -> None:
         assert 0.5 * (squares - counts)[j] == pytest.approx((more - less) / 2e-5, rel=1e-5, abs=1e-6)
 
 
-def test_frames_before_the_first_look_are_foreseen_backwards() -> None:
-    information, vector, noise, mean, variance = looks(9, seed=2)
+def test_frames_before_the_first_observation_are_foreseen_backwards() -> None:
+    information, vector, noise, mean, variance = observed_frames(9, seed=2)
     information[:2] = vector[:2] = 0
     cameras, covariance, _, _, _ = smooth_cameras(information, vector, PRECISION, noise, mean, variance)
     later, spreads, _ = joint(information[2:], vector[2:], noise, mean, variance)
@@ -119,7 +119,7 @@ def test_frames_before_the_first_look_are_foreseen_backwards() -> None:
 
 @pytest.mark.parametrize("precision", [1e4, 1e8, 1e12])
 def test_covariances_stay_positive_definite(precision: float) -> None:
-    information, vector, _, _, _ = looks(40)
+    information, vector, _, _, _ = observed_frames(40)
     noise = np.repeat([1e-8, 1e-9, 1e-10], 4)
     start = np.repeat([1e2, 0.1, 0.01], 4)
     _, covariance, _, squares, counts = smooth_cameras(
@@ -133,7 +133,7 @@ def test_covariances_stay_positive_definite(precision: float) -> None:
 
 @pytest.mark.parametrize("coherent", [True, False])
 def test_learning_the_prior_never_lowers_the_evidence(coherent: bool) -> None:
-    information, vector, _, _, _ = looks(30, seed=3)
+    information, vector, _, _, _ = observed_frames(30, seed=3)
     prior = CameraPrior(np.full((3, 2), 1e-2) if coherent else np.ones((1, 2)), coherent)
     evidence = []
     for _ in range(30):

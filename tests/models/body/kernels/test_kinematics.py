@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 from rsmcm.inference.body.dynamics import around
 from rsmcm.models.body.inverse_kinematics import REFERENCE, arm_at, swivels
 from rsmcm.models.body.kernels.kinematics import lean
-from rsmcm.models.body.poses import BodyPoses, twists
+from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import LIMITS, UpperBody
+
+from ....support.body_poses import resting, twists
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -145,7 +147,7 @@ def test_arrays_need_not_be_contiguous() -> None:
 
 
 def test_no_poses_have_no_joints() -> None:
-    body = BodyPoses.resting(np.zeros((0, 2)))
+    body = resting(np.zeros((0, 2)))
     assert BODY.joints(body).shape == (0, 8, 3)
     assert BODY.parts(body).shape == (0, 3, 2)
     assert BODY.allowed(body).shape == (0,)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.inference.face.texture_likelihood import TexturedObject, TextureLikelihood
-from rsmcm.models.face.image_pyramid import picture_levels
+from rsmcm.models.face.image_pyramid import image_pyramid
 from rsmcm.models.face.kernels.warp import OFF_PICTURE
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
@@ -103,14 +103,14 @@ def test_normal_equations_equal_those_of_explicit_jacobians(kind: str, scale: fl
 @pytest.mark.parametrize("kind", ["dense", "patches"])
 def test_densities_are_the_sums_of_the_normal_equations(kind: str) -> None:
     one = case(kind, 4)
-    behind = smooth_picture(5)
-    sums = one.likelihood.sums(one.poses, one.owner, behind.astype(np.float32))
+    background = smooth_picture(5)
+    sums = one.likelihood.sums(one.poses, one.owner, background.astype(np.float32))
     np.testing.assert_allclose(sums[:, :3], one.likelihood.equations(0, one.poses, one.owner).sums, rtol=1e-5)
     swapped = one._replace(
-        picture=behind,
+        picture=background,
         likelihood=TextureLikelihood(
             one.surface,
-            [level(behind)],
+            [level(background)],
             np.zeros_like(one.likelihood.mean),
             np.ones_like(one.likelihood.temperature),
             one.likelihood.visible,
@@ -120,7 +120,7 @@ def test_densities_are_the_sums_of_the_normal_equations(kind: str) -> None:
     for number in range(3):
         squares = []
         for lift in (-1.0, 1.0):
-            shifted = swapped._replace(picture=behind + lift)
+            shifted = swapped._replace(picture=background + lift)
             squares.append(explicit(shifted, number).sums[0])
         assert sums[number, 3] == pytest.approx((squares[1] - squares[0]) / 4, rel=FLOAT32)
 
@@ -164,8 +164,8 @@ def test_a_ramp_is_the_same_on_every_level(height: int, width: int) -> None:
     surface = TexturedObject(model, SurfaceTexels.dense(model, 300))
     pose = Poses.upright(np.array([[79.3, 60.2]]), np.array([11.0]), 2)
     for image, axis in ((ramp, 0), (np.arange(height, dtype=np.uint8)[:, None].repeat(width, 1), 1)):
-        levels = picture_levels(image, 11.0, n_levels=3, local_mean=False)
-        looks, seen = surface.looks(levels, pose, np.ones((1, len(surface.texels)), np.bool_))
+        levels = image_pyramid(image, 11.0, n_levels=3, local_mean=False)
+        looks, seen = surface.observe(levels, pose, np.ones((1, len(surface.texels)), np.bool_))
         places = np.einsum(
             "nc,nca->na",
             surface.texels.weights,
@@ -203,7 +203,7 @@ def test_the_last_row_and_column_can_be_sampled() -> None:
     pose = Poses.upright(np.zeros((1, 2)), np.array([1.0]), 1)
     shift = np.array([39.0, 29.0]) - 1e-4 - model.project(pose)[0][7]
     pose = Poses(pose.rotations, shift[None], pose.morphs)
-    looks, seen = surface.looks([level(picture)], pose, np.ones((1, len(surface.texels)), np.bool_))
+    looks, seen = surface.observe([level(picture)], pose, np.ones((1, len(surface.texels)), np.bool_))
     own = slice(surface.texels.first[7], surface.texels.first[8])
     middle = np.flatnonzero((surface.texels.offsets[own] == 0).all(axis=1))
     assert seen[0, own][middle].all()

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rsmcm.models.background.gaussian import colour
+from rsmcm.models.background.kernels.layers import Sprite
 from rsmcm.models.objects.kernels import blobs as kernels
 
 F4 = np.float32
-HALF_PRECISION, LOG_RATIO, OUTLIERS = F4(0.5 / 300), F4(4.0), F4(0.1)
 
 
 def textured(rng, channels, height, width):
@@ -40,12 +40,12 @@ def test_gather_cuts_a_box_out_of_the_picture(channels, top, left, rows, columns
     planes, odds, free = (
         np.full(shape, 9, F4) for shape in ((channels, rows, columns), *[(rows, columns)] * 2)
     )
-    kernels.gather(image, log_odds, top, left, planes, odds, free)
+    kernels.gather(image, log_odds, top, left, kernels.Patch(planes, odds, free))
     wide = colour.to_planes(image if channels == 3 else image[:, :, 0]).reshape(channels, 17, 29)
-    wide, told = np.pad(wide, ((0, 0), (50, 50), (50, 50))), np.pad(log_odds / 20.0, 50)
+    wide, in_nats = np.pad(wide, ((0, 0), (50, 50), (50, 50))), np.pad(log_odds / 20.0, 50)
     box = (slice(50 + top, 50 + top + rows), slice(50 + left, 50 + left + columns))
     np.testing.assert_allclose(planes, wide[:, *box], atol=1e-3)
-    np.testing.assert_allclose(odds, told[box], atol=1e-6)
+    np.testing.assert_allclose(odds, in_nats[box], atol=1e-6)
     np.testing.assert_array_equal(free, np.pad(np.ones((17, 29)), 50)[box])
 
 
@@ -71,15 +71,18 @@ def registration(channels, down, right, reach=8, size=(40, 21)):
     mask = np.zeros(size, F4)
     mask[4:-4, 4:-4] = 0.9
     shape = planes.shape[1:]
-    return planes, rng.uniform(0.5, 2, shape).astype(F4), np.ones(shape, F4), mask, appearance
+    patch = kernels.Patch(planes, np.zeros(shape, F4), np.ones(shape, F4))
+    return patch, rng.uniform(0.5, 2, shape).astype(F4), sprite(mask, appearance)
+
+
+def sprite(mask, appearance):
+    return Sprite(mask, appearance, F4(0.5 / 300), F4(4.0), F4(0.1))
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-5, 6), (7, 7)])
 def test_search_finds_a_shifted_blob(channels, shift):
-    found = kernels.search(
-        8, 0.0, 0.0, 0.001, F4(0.15), 1, *registration(channels, *shift), HALF_PRECISION, LOG_RATIO, OUTLIERS
-    )
+    found = kernels.search(8, kernels.Expected(0.0, 0.0, 0.001), F4(0.15), 1, *registration(channels, *shift))
     assert found[:2] == pytest.approx(shift, abs=0.5)
     assert 0.1 <= found[2] <= 25
     assert 0.1 <= found[3] <= 25
@@ -90,12 +93,12 @@ def test_search_finds_a_shifted_blob(channels, shift):
 @pytest.mark.parametrize("step", [1, 3])
 def test_search_maximises_the_stated_sum(channels, size, step):
     """Its variances and sub-pixel place are those of the scores in plain float64."""
-    planes, rivals, free, mask, appearance = registration(channels, 2, -1, size=size)
+    patch, rivals, blob = registration(channels, 2, -1, size=size)
+    (planes, _, free), (mask, appearance, *_) = patch, blob
     free[:, :9] = 0.5
     y, x, variance_y, variance_x = kernels.search(
-        8, 0.0, 0.0, 1e-6, F4(0.15), step, planes, rivals, free, mask, appearance, HALF_PRECISION, LOG_RATIO,
-        OUTLIERS,
-    )  # fmt: skip
+        8, kernels.Expected(0.0, 0.0, 1e-6), F4(0.15), step, patch, rivals, blob
+    )
 
     def score(down, right):
         box = (slice(8 + down, 8 + down + size[0], step), slice(8 + right, 8 + right + size[1]))
@@ -118,11 +121,11 @@ def test_search_maximises_the_stated_sum(channels, size, step):
 
 
 def test_search_stays_at_the_prior_where_pixels_say_nothing():
-    planes, rivals, free, mask, appearance = registration(3, 0, 0)
+    patch, rivals, blob = registration(3, 0, 0)
+    patch.free[:] = 0
     y, x, variance_y, variance_x = kernels.search(
-        8, 0.0, 0.0, 1.0, F4(0.15), 1, planes, rivals, 0 * free, mask, appearance, HALF_PRECISION, LOG_RATIO,
-        OUTLIERS,
-    )  # fmt: skip
+        8, kernels.Expected(0.0, 0.0, 1.0), F4(0.15), 1, patch, rivals, blob
+    )
     assert (y, x) == (0, 0)
     assert (variance_y, variance_x) == (25, 25)
 
@@ -138,8 +141,8 @@ def test_learn(channels, columns):
     others, mask = rng.uniform(1, 40, shape).astype(F4), rng.uniform(0, 0.95, shape).astype(F4)
     new_mask, new_appearance = np.empty_like(mask), np.empty_like(appearance)
     total, visible, seen, variance = kernels.learn(
-        planes, odds, free, others, mask, appearance, HALF_PRECISION, LOG_RATIO, OUTLIERS, F4(10), F4(0.2),
-        F4(0.3), F4(0.45), new_mask, new_appearance,
+        kernels.Patch(planes, odds, free), others, sprite(mask, appearance), F4(10), F4(0.2), F4(0.3),
+        F4(0.45), new_mask, new_appearance,
     )  # fmt: skip
     share = np.minimum((10 * free * mask * density_of(planes, appearance) + 1) / others, 1)
     target = share / (1 + np.exp(odds))

@@ -73,7 +73,7 @@ def test_fade_beyond(mask, height, width):
     far = np.abs(rows - median(mask.sum(axis=1))) > 0.5 * height + 2
     far |= np.abs(columns - median(mask.sum(axis=0))) > 0.5 * width + 2
     faded = mask.copy()
-    fade_beyond(faded, height, width)
+    fade_beyond(faded, height, width, F4(0.5))
     np.testing.assert_array_equal(faded, np.where(far, 0.5 * mask, mask))
 
 

@@ -1,12 +1,25 @@
-"""Where a lost object may be: its remembered texture tried all over a coarse picture."""
+"""Where experts begin their search: apart about the last pose, or all over the picture."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...models.face.pose import Poses, exponential
+from ...models.face.pose import Poses
+from ...models.numerics.rotations import exponential
 from .texture_likelihood import TextureLikelihood
 
+Array = NDArray[np.float64]
+
+FARTHEST_AHEAD = 1.5
+"""Share of an expert's last motion, up to which experts begin their search ahead."""
+
+ASIDE = 0.5
+"""How far they begin it aside, in standard deviations of the motion."""
+
+STRAIGHT = 0.25
+"""Share of the experts that do not."""
+
 STEP = 0.3
-"""Distance between places that are tried, in sizes of the object."""
+"""Distance between places that are tried for a lost object, in its sizes."""
 
 SIZES = (0.8, 1.0, 1.25)
 TURNS = (-0.35, 0.0, 0.35)
@@ -14,6 +27,30 @@ TURNS = (-0.35, 0.0, 0.35)
 
 AT_ONCE = 2000
 """Poses that are tried at once, which bounds the memory."""
+
+
+def apart(poses: Poses, motion: Array, walk: Array, random: np.random.Generator) -> Poses:
+    """Poses from which experts begin, so that not all of them take a wrong mode for the right one.
+
+    They go on by different shares of their last motion, and most of them step aside, too. What they believe
+    is not touched by it: all climb on the same likelihood and prior, each from a place of its own.
+
+    Parameters
+    ----------
+    poses
+        of the experts in the picture before.
+    motion
+        `(n, dimension)`: how each would have moved until now, had it gone on.
+    walk
+        `(dimension,)` variances of the motion.
+    random
+        to draw from; it is moved on.
+    """
+    n, dimension = motion.shape
+    share = np.linspace(0.0, FARTHEST_AHEAD, n)[random.permutation(n)]
+    aside = ASIDE * np.sqrt(walk) * random.standard_normal((n, dimension))
+    aside[random.random(n) < STRAIGHT] = 0.0
+    return poses.moved(share[:, None] * motion + aside)
 
 
 def likely_places(likelihood: TextureLikelihood, last: Poses, n: int) -> Poses:

@@ -1,0 +1,29 @@
+"""Smooth random functions: of places, and of time."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Pixels = NDArray[np.float32]
+
+
+def mottle(shape: tuple[int, int], coarsest: float, finest: float, generator: np.random.Generator) -> Pixels:
+    """Noise of unit variance with as much in every octave, from spots of `coarsest` px down to `finest`."""
+    down, across = np.fft.fftfreq(shape[0]), np.fft.rfftfreq(shape[1])
+    # spots as large as 0.4 wavelengths
+    cycles = np.hypot(down[:, None], across[None, :]) / 0.4
+    amplitude = np.exp(-0.5 * (cycles * finest) ** 2) / (cycles**2 + coarsest**-2) ** 0.5
+    amplitude[0, 0] = 0
+    field = np.fft.irfft2(np.fft.rfft2(generator.standard_normal(shape)) * amplitude, shape)
+    unit: Pixels = np.asarray(field / field.std(), np.float32)
+    return unit
+
+
+def wander(times: Array, periods: tuple[float, float], generator: np.random.Generator) -> Array:
+    """A smooth random function of unit variance at `times` (s): sines of periods (s) in a range."""
+    n_sines = 8
+    lengths = np.exp(generator.uniform(np.log(periods[0]), np.log(periods[1]), n_sines))
+    phases = generator.uniform(0, 2 * np.pi, n_sines)
+    sines = np.sin(2 * np.pi * times[:, None] / lengths + phases)
+    wandered: Array = sines.sum(axis=1) * np.sqrt(2 / n_sines)
+    return wandered

@@ -1,0 +1,1 @@
+"""Tracking moving objects: blobs in the pixels, and the ground that they stand on."""

@@ -1,0 +1,150 @@
+"""Patches, masks and boxes of blobs: cutting, joining, and which are parts of one object."""
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from ...models.objects.kernels.blobs import UNKNOWN_COLOUR, cover
+from ...models.objects.kernels.masks import shape_of
+from .blobs import MARGIN, Blob, Map, Pair
+
+THINNEST = 0.08
+"""Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
+
+FRESH = 0.85
+"""s for which a blob was seen, below which it may still be a part of another."""
+
+
+def cover_by(free: Map, top: int, left: int, blobs: Sequence[Blob]) -> None:
+    """Take away from `free` `(height, width)`, placed at `(top, left)`, what blobs cover."""
+    rows, columns = free.shape
+    for blob in blobs:
+        down, right = blob.corner[0] - top, blob.corner[1] - left
+        if -blob.mask.shape[0] < down < rows and -blob.mask.shape[1] < right < columns:
+            cover(free, down, right, blob.mask)
+
+
+def is_hidden(blob: Blob, in_front: Sequence[Blob]) -> bool:
+    """Whether others cover most of a blob."""
+    free = np.ones(blob.mask.shape, np.float32)
+    cover_by(free, *blob.corner, in_front)
+    return float((free * blob.mask).sum()) < 0.5 * float(blob.mask.sum())
+
+
+def likely_size(mask: Map) -> Pair:
+    """Height and width px of what a mask likely covers, at least 1."""
+    shape = shape_of(mask)
+    return np.array([max(shape.bottom - shape.top, 1.0), max(shape.right - shape.left, 1.0)])
+
+
+def without_crumbs(mask: Map) -> Map:
+    """The mask without spots that are apart from its main part and small."""
+    found, labels, boxes, _ = cv2.connectedComponentsWithStats((mask > 0.3).astype(np.uint8), connectivity=8)
+    if found <= 2:
+        return mask
+    areas = boxes[:, cv2.CC_STAT_AREA]
+    crumb = areas < 0.1 * areas[1:].max()
+    crumb[0] = False
+    return np.where(crumb[labels], np.float32(0), mask)
+
+
+def paste(out: Map, top: int, left: int, source: Map, source_top: int, source_left: int) -> None:
+    """Copy the common part of two placed arrays `(..., height, width)`."""
+    first_row, first_column = max(top, source_top), max(left, source_left)
+    end_row = min(top + out.shape[-2], source_top + source.shape[-2])
+    end_column = min(left + out.shape[-1], source_left + source.shape[-1])
+    if first_row < end_row and first_column < end_column:
+        out[..., first_row - top : end_row - top, first_column - left : end_column - left] = source[
+            ...,
+            first_row - source_top : end_row - source_top,
+            first_column - source_left : end_column - source_left,
+        ]
+
+
+def fitted(blob: Blob) -> Blob:
+    """The blob with a patch that leaves its mask room to grow, and not much more."""
+    measured = blob.shape
+    begin = np.array([measured.faint_top, measured.faint_left])
+    end = np.array([measured.faint_bottom, measured.faint_right])
+    room = [*begin, *(np.array(blob.mask.shape) - end)]
+    if not end.all() or (min(room) >= MARGIN // 2 and max(room) <= 3 * MARGIN):
+        return blob
+    first, shape = begin - MARGIN, tuple(end - begin + 2 * MARGIN)
+    mask = np.zeros(shape, np.float32)
+    appearance = np.full((len(blob.appearance), *shape), UNKNOWN_COLOUR, np.float32)
+    top, left = first.tolist()
+    paste(mask, top, left, blob.mask, 0, 0)
+    paste(appearance, top, left, blob.appearance, 0, 0)
+    return blob.changed(position=blob.position + first, mask=mask, appearance=appearance)
+
+
+def are_pieces(one: Blob, other: Blob) -> bool:
+    """Whether two blobs, the second seen for no longer, are parts of one object.
+
+    What touches a blob right after it was born belongs to it if it is above, below or small, and the two
+    together are not much larger than the larger (or the first is as new); so do blobs that have stood still
+    above each other for a while, or that move alike above each other and make one upright body together.
+    """
+    x, y, width, height = one.box
+    other_x, other_y, other_width, other_height = other.box
+    gap_y = max(y, other_y) - min(y + height, other_y + other_height)
+    gap_x = max(x, other_x) - min(x + width, other_x + other_width)
+    if max(gap_x, gap_y) > 3:
+        return False
+    stacked = -gap_x > 0.7 * min(width, other_width)
+    tall = max(y + height, other_y + other_height) - min(y, other_y)
+    wide = max(x + width, other_x + other_width) - min(x, other_x)
+    if other.seen >= FRESH:
+        alike = math.hypot(*(one.velocity - other.velocity)) < 0.2 * tall
+        one_body = -gap_y < 0.2 * min(height, other_height) and tall < 3.2 * wide and alike
+        return stacked and (one_body or min(one.still, other.still) > 1.5)
+    modest = tall < 1.6 * max(height, other_height) and wide < 1.6 * max(width, other_width)
+    small = min(width * height, other_width * other_height) < 0.35 * max(
+        width * height, other_width * other_height
+    )
+    return (stacked or small) and (one.seen < FRESH or modest)
+
+
+def halves(blob: Blob) -> tuple[Map, Map]:
+    """The mask left and right of its waist, the larger one first."""
+    shape = blob.shape
+    masks = np.zeros((2, *blob.mask.shape), np.float32)
+    masks[0, :, : shape.waist] = blob.mask[:, : shape.waist]
+    masks[1, :, shape.waist :] = blob.mask[:, shape.waist :]
+    return (masks[0], masks[1]) if 2 * shape.mass_left >= shape.mass else (masks[1], masks[0])
+
+
+def merged(blobs: Sequence[Blob]) -> list[Blob]:
+    """Pieces of one object become one blob again (see `are_pieces`), the one seen for the longest."""
+    result: list[Blob] = []
+    for blob in sorted(blobs, key=lambda blob: (-blob.seen, blob.identity)):
+        other = next((k for k, kept in enumerate(result) if are_pieces(kept, blob)), None)
+        if other is None:
+            result.append(blob)
+        else:
+            result[other] = joined(result[other], blob)
+    return result
+
+
+def joined(one: Blob, other: Blob) -> Blob:
+    """One blob of two; it keeps the first one's identity and motion."""
+    corners = np.array([one.corner, other.corner])
+    ends = corners + np.array([one.mask.shape, other.mask.shape])
+    first, shape = corners.min(axis=0), tuple(ends.max(axis=0) - corners.min(axis=0))
+    mask = np.zeros(shape, np.float32)
+    appearance = np.full((len(one.appearance), *shape), UNKNOWN_COLOUR, np.float32)
+    for blob in (other, one):
+        top, left = np.array(blob.corner) - first
+        window = (slice(top, top + blob.mask.shape[0]), slice(left, left + blob.mask.shape[1]))
+        better = blob.mask > mask[window]
+        mask[window][better] = blob.mask[better]
+        appearance[:, *window][:, better] = blob.appearance[:, better]
+    return one.changed(
+        position=one.position + (first - corners[0]),
+        mask=mask,
+        appearance=appearance,
+        size=likely_size(mask),
+        seen=max(one.seen, other.seen),
+    )

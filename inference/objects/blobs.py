@@ -1,0 +1,211 @@
+"""Objects that move in front of a background, as soft masks with colours: what is known of them."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.background.kernels.layers import Sprite
+from ...models.background.layers import log_density_ratio
+from ...models.objects.kernels.blobs import UNKNOWN_COLOUR
+from ...models.objects.kernels.masks import MaskShape, shape_of
+
+Map = NDArray[np.float32]
+Pair = NDArray[np.float64]
+
+MARGIN = 6
+"""px of empty border in a blob's patch, into which its mask can grow."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """What is reported of an object in a frame.
+
+    Parameters
+    ----------
+    identity
+        from 1, never used twice.
+    box
+        x, y, width, height px; x, y is the top left corner, 0 at the picture's.
+    confidence
+        share of the object's visible part that was seen, 0 to 1; 0 while it is hidden or not found. A missing
+        frame leaves it as it was.
+    velocity
+        px/s to the right and down.
+    """
+
+    identity: int
+    box: tuple[float, float, float, float]
+    confidence: float
+    velocity: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Blob:
+    """State of one object.
+
+    Parameters
+    ----------
+    identity
+        from 1.
+    position, velocity
+        `(2,)` px and px/s, (down, right), of the patch's top left corner.
+    covariance
+        `(2, 2)` of position and velocity along either axis.
+    mask
+        `(height, width)` float32 probability of covering a pixel.
+    appearance
+        `(channels, height, width)` float32 planes.
+    spread
+        squared grey levels: variance of its colours about `appearance`.
+    seen
+        s for which it was seen.
+    unseen, still
+        s since it was last seen, and for which it has not moved.
+    confidence
+        share of its visible part that was seen in the last frame.
+    ghost_evidence
+        nats, how much more of its outline was found in the background's picture than in the image.
+    parting
+        s for which its mask has had a waist between two upright parts.
+    size
+        `(2,)` px, its usual height and width.
+    """
+
+    identity: int
+    position: Pair
+    velocity: Pair
+    covariance: Pair
+    mask: Map
+    appearance: Map
+    spread: float
+    seen: float
+    unseen: float
+    still: float
+    confidence: float
+    ghost_evidence: float
+    parting: float
+    size: Pair
+
+    @classmethod
+    def newborn(
+        cls, identity: int, corner: Pair, mask: Map, planes: Map, first_speed: float, spread: float
+    ) -> Self:
+        """An object that was never seen before.
+
+        Parameters
+        ----------
+        identity
+            from 1.
+        corner
+            `(2,)` px, top and left of its patch.
+        mask
+            `(height, width)`, with a border of `MARGIN`.
+        planes
+            `(channels, height, width)` of the image.
+        first_speed
+            of its own lengths in a second, standard deviation of its velocity.
+        spread
+            squared grey levels, of its colours.
+        """
+        size = np.array(mask.shape) - 2.0 * MARGIN
+        return cls(
+            identity=identity,
+            position=corner,
+            velocity=np.zeros(2),
+            covariance=np.diag([1.0, (first_speed * size.max()) ** 2]),
+            mask=mask,
+            appearance=np.where(mask > 0.2, planes, np.float32(UNKNOWN_COLOUR)),
+            spread=spread,
+            seen=0.0,
+            unseen=0.0,
+            still=0.0,
+            confidence=1.0,
+            ghost_evidence=0.0,
+            parting=0.0,
+            size=size,
+        )
+
+    @cached_property
+    def corner(self) -> tuple[int, int]:
+        """Top and left px of the patch, as it is rendered."""
+        return math.floor(self.position[0] + 0.5), math.floor(self.position[1] + 0.5)
+
+    @cached_property
+    def shape(self) -> MaskShape:
+        """Measures of the mask."""
+        return shape_of(self.mask)
+
+    @cached_property
+    def box(self) -> tuple[float, float, float, float]:
+        """x, y, width, height px of what the mask likely covers, or else of its patch."""
+        top, left, bottom, right = self.shape[1:5]
+        if bottom == 0 or right == 0:
+            (top, left), (bottom, right) = (0, 0), self.mask.shape
+        y, x = self.position.tolist()
+        return x + left, y + top, float(right - left), float(bottom - top)
+
+    @property
+    def foot(self) -> float:
+        """px, the lowest row: what stands lower in the picture is nearer."""
+        return self.box[1] + self.box[3]
+
+    @property
+    def length(self) -> float:
+        """px, the longer side of the box."""
+        return max(self.box[2:])
+
+    def sprite(self, outliers: float) -> Sprite:
+        """Mask and colours for loops over pixels, with the share of pixels that look otherwise."""
+        log_ratio = log_density_ratio(len(self.appearance), self.spread)
+        numbers = (np.float32(value) for value in (0.5 / self.spread, log_ratio, outliers))
+        return Sprite(self.mask, self.appearance, *numbers)
+
+    def changed(self, **values: Any) -> Self:
+        """Like `dataclasses.replace`, but what was measured of a mask that stays is kept."""
+        kept = {
+            name: value for name, value in self.__dict__.items() if name not in ("corner", "shape", "box")
+        }
+        blob = object.__new__(type(self))
+        blob.__dict__.update(kept | values)
+        if "mask" not in values and "shape" in self.__dict__:
+            blob.__dict__["shape"] = self.shape
+        return blob
+
+
+@dataclass(frozen=True, eq=False)
+class BlobState:
+    """All objects of a scene.
+
+    Parameters
+    ----------
+    blobs
+        in no particular order.
+    born
+        how many there have been.
+    size
+        `(height, width)` px of the picture.
+    elapsed
+        s since the last frame with an image.
+    confirmed_time
+        s for which an object must have been seen before it is reported.
+    """
+
+    blobs: tuple[Blob, ...]
+    born: int
+    size: tuple[int, int]
+    elapsed: float
+    confirmed_time: float
+
+    def tracks(self) -> list[Track]:
+        """Objects that are sure enough to be reported, by identity."""
+        found = [blob for blob in self.blobs if blob.seen >= self.confirmed_time]
+        return [
+            Track(
+                blob.identity, blob.box, blob.confidence, (float(blob.velocity[1]), float(blob.velocity[0]))
+            )
+            for blob in sorted(found, key=lambda blob: blob.identity)
+        ]
