@@ -14,14 +14,14 @@ from cyclopts import App, CycloptsError, Group, Parameter, Token
 
 from .background.job import BackgroundJob
 from .body.job import BodyJob
-from .complaints import about_options, convert_strictly, one_line
 from .experiments.reproduce import EXPERIMENTS, Experiment
 from .face.job import FaceJob
 from .io.sources.quiet import own_standard_error
 from .opencv_packages import opencv_hint
+from .options.complaints import about_options, convert_strictly, one_line
+from .options.job import Flag, Job
+from .options.settings import options_from_file
 from .runs.interruption import Outcome
-from .runs.job import Flag, Job
-from .settings import options_from_file
 from .structure.job import StructureJob
 
 STREAM_LOST = 1

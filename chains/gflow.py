@@ -17,6 +17,8 @@ from ..inference.face.texture_filter import Texture
 from ..inference.face.texture_likelihood import TexturedObject
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
+from ..models.core.pickling import PickledByFields
+from ..models.core.short_repr import short_repr
 from ..models.face.morphable_model import MorphableModel
 from ..models.face.pose import Poses
 from ..models.face.surface_points import SurfacePoints
@@ -32,8 +34,9 @@ N_LEVELS = 3
 ONE_AT_MODE: Mapping[str, Any] = {"experts": 1, "spread": 0.0, "recover": False}
 
 
+@short_repr
 @dataclass(frozen=True)
-class GFlow:
+class GFlow(PickledByFields):
     """Joint filter of pose, deformation and texture (G-flow paper, Table 2).
 
     Generative model, with pose u, texture v, background b and picture y, `dt` seconds after the last one:

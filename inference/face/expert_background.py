@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.grey import grey_of
+from ...models.core.short_repr import short_repr
 from ...models.face.outline import Box
 from ...models.numerics.threads import over_bands
 from .background_contrast import BackgroundContrast
@@ -31,6 +32,7 @@ LEAST_RATIO = -9.0
 """Nats: no pixel speaks louder against the background, whatever has come before it."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class ExpertBackground:
     """What each expert believes of the background, a Gaussian a pixel.

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
 from ...models.face.pose import RIGID, Poses
 
 Array = NDArray[np.float64]
@@ -13,6 +14,7 @@ SHORTEST = 1e-6
 """s: two pictures of one time are taken for this far apart, so that no variance is 0."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class PoseDynamics:
     """A random walk in continuous time, of which size and shape are drawn back to what is usual.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.background.pixel_labels import PixelMessage
+from ...models.core.short_repr import short_repr
 from ...models.face.image_pyramid import Level, image_pyramid
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.outline import MeshEdges
@@ -48,6 +49,7 @@ ROUNDING = 1e-6
 """s by which sums of frame times may be off."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class GFlowState:
     """Experts: each a history of poses, of which the last is kept, and the texture that follows from it.

@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
 from ...models.face.image_pyramid import MIDDLE_GREY
 from ...models.face.texel_noise import USUAL_RATE, TexelNoise
 from .pose_dynamics import SHORTEST
@@ -36,6 +37,7 @@ LEAST_INSIDE = 0.4
 """Share of the visible texels that has to lie in the picture, if a texture is to explain it."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class LearnedGain:
     """What is remembered of each texel's innovations, to learn its gain (§7.2.1).
@@ -98,6 +100,7 @@ class LearnedGain:
         )
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Texture:
     """Texture of every expert: independent Gaussians of its texels.

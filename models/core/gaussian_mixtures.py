@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from .kernels.gaussian_mixtures import products, sums_of_densities
+from .short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -23,6 +24,7 @@ NO_WEIGHT = -1e30
 """Log weight of a filler in kernels, where nothing is infinite."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class GaussianMixtures:
     """Per part p the function sum_k exp(log_weights[p, k]) g_pk(F_p) of its position F_p.

@@ -58,6 +58,14 @@ def heaviest(mixtures: GaussianMixtures, part: int) -> Array:
     return mixtures.means[part, weights.argmax()]
 
 
+def test_two_images_have_no_product() -> None:
+    node = learned(BOX)
+    seen = node.evidence(Frame(picture(), 0.0, 1), node.uniform())
+    assert (seen * node.uniform()).image is (node.uniform() * seen).image is seen.image
+    with pytest.raises(ValueError, match="part message: got two images, expected at most one"):
+        seen * seen
+
+
 def test_head_and_hands() -> None:
     node = learned(BOX)
     seen = node.evidence(Frame(picture(seed=1), 0.0, 1), node.uniform()).image
