@@ -273,12 +273,11 @@ class _Frame:
         surface, level = self.tracker.surface, self.levels[0]
         texels, n = surface.texels, len(surface.texels)
         positions, rows = surface.rows(pose)
-        places, area = np.empty((2, n), np.float32), np.empty(n, np.float32)
-        value, across, down = (np.empty(n, np.float32) for _ in range(3))
+        places, samples = np.empty((2, n), np.float32), np.empty((4, n), np.float32)
+        value, across, down, area = samples
         warp_kernels.texel_places(
             positions[0], surface.used_texels, 1, self.visible, level.scale, places, area
         )
-        samples = warp_kernels.Samples(value, across, down, area)
         warp_kernels.sample_with_slopes(level, places, n, samples)
         area = np.maximum(area, 0)  # off the picture
         corners = surface.used_texels.groups[texels.group_of_texel]

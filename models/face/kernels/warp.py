@@ -38,15 +38,6 @@ class Textures(NamedTuple):
     visible: NDArray[np.bool_]
 
 
-class Samples(NamedTuple):
-    """What is seen at texels, `(n,)` each: grey level, its slopes per px of the picture, and area."""
-
-    value: Map
-    across: Map
-    down: Map
-    area: Map
-
-
 class NormalSums(NamedTuple):
     """Sums over the texels of each pose.
 
@@ -105,7 +96,7 @@ def texel_places(positions, texels, share, visible, scale, places, area):
     and `area` `(n,)`, 0 where not `visible`; gives how many there are.
     """
     n = 0
-    groups, first, weights, offsets = texels.groups, texels.first, texels.weights, texels.offsets
+    groups, first, weights, offsets, areas = texels
     scale = _f4(scale)
     shift = _f4(0.5) * (scale - _f4(1))  # pixel centres are whole numbers on every level
     for g in range(len(groups)):
@@ -115,7 +106,7 @@ def texel_places(positions, texels, share, visible, scale, places, area):
         ax, ay = positions[a, 0] * scale + shift, positions[a, 1] * scale + shift
         bx, by = positions[b, 0] * scale + shift, positions[b, 1] * scale + shift
         cx, cy = positions[c, 0] * scale + shift, positions[c, 1] * scale + shift
-        each = texels.areas[g] * _f4(first[g + 1] - start)
+        each = areas[g] * _f4(first[g + 1] - start)
         if each == _f4(0):
             size = (positions[b, 0] - positions[a, 0]) * (positions[c, 1] - positions[a, 1])
             size -= (positions[b, 1] - positions[a, 1]) * (positions[c, 0] - positions[a, 0])
@@ -145,12 +136,13 @@ def _cell(x, y, right, bottom, width):
 def sample_with_slopes(level, places, n, samples):
     """Level (of at least 2 px either way) and slopes of its bilinear interpolant at `places`.
 
-    Outside there are no slopes, and the area, which is given, changes its sign.
+    The first rows of `samples`: value, slopes across and down per px of the picture, area. Outside there are
+    no slopes, and the area, which is given, changes its sign.
     """
     height, width = level.image.shape
     image, scale = level.image.reshape(-1), _f4(level.scale)
     right, bottom = _f4(width - 1), _f4(height - 1)
-    value, across, down, area = samples
+    value, across, down, area = samples[0], samples[1], samples[2], samples[3]
     for k in range(n):
         inside, at, fx, fy = _cell(places[0, k], places[1, k], right, bottom, width)
         p00, p01 = image[at], image[at + 1]
@@ -188,80 +180,85 @@ def normal_equations(level, share, texels, textures, owner, positions, rows, dim
     that 6 x 6 moments are summed first and turned into the pose's once. Visible texels off the picture count
     with `OFF_PICTURE` and have no slope.
     """
-    n_texels, width = len(texels.weights), rows.shape[3]
-    places = np.empty((2, n_texels), _f4)
-    value, area = np.empty(n_texels, _f4), np.empty(n_texels, _f4)
-    across, down = np.empty(n_texels, _f4), np.empty(n_texels, _f4)
-    samples = Samples(value, across, down, area)
+    # arrays are taken out of tuples before loops: each time costs as much as a few texels
+    groups, first, weights = texels.groups, texels.first, texels.weights
+    n_texels, width = len(weights), rows.shape[3]
+    places, samples = np.empty((2, n_texels), _f4), np.empty((6, n_texels), _f4)
     six, product = np.empty((6, width), _f4), np.empty(width, _f4)
     moments, right = np.empty((6, 6), _f4), np.empty(6, _f4)
     for m in range(len(positions)):
-        d = owner[m]
-        texture = Textures(
-            textures.mean[d], textures.precision[d], textures.log_temperature[d], textures.visible[d]
-        )
-        n = texel_places(positions[m], texels, share, texture.visible, level.scale, places, area)
+        visible = textures.visible[owner[m]]
+        n = texel_places(positions[m], texels, share, visible, level.scale, places, samples[3])
         sample_with_slopes(level, places, n, samples)
-        matrix, vector, total = sums.matrices[m], sums.vectors[m], sums.totals[m]
+        _compare(samples, texels, share, textures, owner[m])
+        matrix, vector, moves = sums.matrices[m], sums.vectors[m], rows[m]
         matrix[:] = _f4(0)
         vector[:] = _f4(0)
-        total[:] = 0.0
+        squares = logs = total = 0.0
         n = 0
-        for g in range(len(texels.groups)):
-            a, b, c = texels.groups[g, 0], texels.groups[g, 1], texels.groups[g, 2]
-            start = texels.first[g]
-            count = (texels.first[g + 1] - start + share - 1) // share
-            part = (start, n, count)
-            n += count
+        for g in range(len(groups)):
+            a, b, c = groups[g, 0], groups[g, 1], groups[g, 2]
+            start = first[g]
+            count = (first[g + 1] - start + share - 1) // share
             if count <= FEW:
-                corners = (rows[m, a], rows[m, b], rows[m, c])
-                _add_texels(
-                    part, samples, texels.weights, texture, corners, dimension, product, matrix, vector, total
-                )
-            elif _sum_moments(part, samples, texels.weights, texture, moments, right, total):
+                for k in range(n, n + count):
+                    size = abs(samples[3, k])
+                    if size == _f4(0):
+                        continue
+                    e, gx, gy, w = samples[0, k], samples[1, k], samples[2, k], samples[4, k]
+                    squares += w * e * e if samples[3, k] > _f4(0) else size * OFF_PICTURE
+                    logs += size * samples[5, k]
+                    total += size
+                    i = start + k - n
+                    b0, b1, b2 = weights[i, 0], weights[i, 1], weights[i, 2]
+                    one, other, third = moves[a], moves[b], moves[c]
+                    for j in range(width):
+                        product[j] = (
+                            b0 * (gx * one[0, j] + gy * one[1, j])
+                            + b1 * (gx * other[0, j] + gy * other[1, j])
+                            + b2 * (gx * third[0, j] + gy * third[1, j])
+                        )
+                    for j in range(width):
+                        vector[j] += w * e * product[j]
+                    for row in range(dimension):
+                        factor, target = w * product[row], matrix[row]
+                        for j in range(width):
+                            target[j] += factor * product[j]
+            else:
+                part = (start, n, count)
+                its_squares, its_logs, its_total = _sum_moments(part, samples, weights, moments, right)
+                squares += its_squares
+                logs += its_logs
+                total += its_total
                 for corner, vertex in enumerate((a, b, c)):
-                    six[corner], six[3 + corner] = rows[m, vertex, 0], rows[m, vertex, 1]
+                    six[corner], six[3 + corner] = moves[vertex, 0], moves[vertex, 1]
                 _add_moments(moments, right, six, dimension, product, matrix, vector)
+            n += count
+        sums.totals[m, 0], sums.totals[m, 1], sums.totals[m, 2] = squares, logs, total
+
+
+@compiled
+def _compare(samples, texels, share, textures, owner):
+    """Turn values of `samples` into errors e, and write what belongs to them below: a / tau, log tau."""
+    first, mean, precision = texels.first, textures.mean[owner], textures.precision[owner]
+    log_temperature = textures.log_temperature[owner]
+    n = 0
+    for g in range(len(first) - 1):
+        start = first[g]
+        count = (first[g + 1] - start + share - 1) // share
+        for k in range(count):
+            i, at = start + k, n + k
+            samples[0, at] -= mean[i]
+            samples[4, at] = abs(samples[3, at]) * precision[i]
+            samples[5, at] = log_temperature[i]
+        n += count
 
 
 @inlined
-def _add_texels(part, samples, weights, texture, corners, dimension, product, matrix, vector, total):
-    """Add the texels of a group one by one, by the rows of the group's three `corners`."""
-    start, first, count = part
-    one, other, third = corners
-    for k in range(count):
-        i, at = start + k, first + k
-        a = abs(samples.area[at])
-        if a == _f4(0):
-            continue
-        w = a * texture.precision[i]
-        e = samples.value[at] - texture.mean[i]
-        total[0] += w * e * e if samples.area[at] > _f4(0) else a * OFF_PICTURE
-        total[1] += a * texture.log_temperature[i]
-        total[2] += a
-        gx, gy = samples.across[at], samples.down[at]
-        b0, b1, b2 = weights[i, 0], weights[i, 1], weights[i, 2]
-        for j in range(len(product)):
-            product[j] = (
-                b0 * (gx * one[0, j] + gy * one[1, j])
-                + b1 * (gx * other[0, j] + gy * other[1, j])
-                + b2 * (gx * third[0, j] + gy * third[1, j])
-            )
-        for j in range(len(product)):
-            vector[j] += w * e * product[j]
-        for row in range(dimension):
-            factor = w * product[row]
-            target = matrix[row]
-            for j in range(len(product)):
-                target[j] += factor * product[j]
-
-
-@inlined
-def _sum_moments(part, samples, weights, texture, moments, right, total):
+def _sum_moments(part, samples, weights, moments, right):
     """Sum a group's texels: `moments` `(6, 6)` of slopes times weights, first across, then down, and `right`,
-    the same times e; gives whether any texel counts."""
+    the same times e; gives its sums of a e^2 / tau, a log tau and a."""
     start, first, count = part
-    value, across, down, areas = samples
     xx00 = xx01 = xx02 = xx11 = xx12 = xx22 = _f4(0)
     xy00 = xy01 = xy02 = xy11 = xy12 = xy22 = _f4(0)
     yy00 = yy01 = yy02 = yy11 = yy12 = yy22 = _f4(0)
@@ -269,13 +266,11 @@ def _sum_moments(part, samples, weights, texture, moments, right, total):
     squares = logs = area = _f4(0)
     for k in range(count):
         i, at = start + k, first + k
-        a = abs(areas[at])
-        w = a * texture.precision[i]
-        e = value[at] - texture.mean[i]
-        squares += w * e * e if areas[at] > _f4(0) else a * OFF_PICTURE
-        logs += a * texture.log_temperature[i]
+        a = abs(samples[3, at])
+        e, gx, gy, w = samples[0, at], samples[1, at], samples[2, at], samples[4, at]
+        squares += w * e * e if samples[3, at] > _f4(0) else a * OFF_PICTURE
+        logs += a * samples[5, at]
         area += a
-        gx, gy = across[at], down[at]
         b0, b1, b2 = weights[i, 0], weights[i, 1], weights[i, 2]
         b00, b01, b02, b11, b12, b22 = b0 * b0, b0 * b1, b0 * b2, b1 * b1, b1 * b2, b2 * b2
         wxx, wxy, wyy = w * gx * gx, w * gx * gy, w * gy * gy
@@ -304,9 +299,6 @@ def _sum_moments(part, samples, weights, texture, moments, right, total):
         y0 += wey * b0
         y1 += wey * b1
         y2 += wey * b2
-    total[0] += squares
-    total[1] += logs
-    total[2] += area
     moments[0, 0], moments[0, 1], moments[0, 2] = xx00, xx01, xx02
     moments[1, 1], moments[1, 2], moments[2, 2] = xx11, xx12, xx22
     moments[0, 3], moments[0, 4], moments[0, 5] = xy00, xy01, xy02
@@ -318,7 +310,7 @@ def _sum_moments(part, samples, weights, texture, moments, right, total):
         for q in range(p):
             moments[p, q] = moments[q, p]
     right[0], right[1], right[2], right[3], right[4], right[5] = x0, x1, x2, y0, y1, y2
-    return area > _f4(0)
+    return squares, logs, area
 
 
 @inlined
@@ -337,9 +329,8 @@ def _add_moments(moments, right, six, dimension, product, matrix, vector):
             )  # fmt: skip
         for row in range(dimension):
             factor = six[p, row]
-            target = matrix[row]
             for j in range(len(product)):
-                target[j] += factor * product[j]
+                matrix[row, j] += factor * product[j]
 
 
 @compiled
@@ -354,16 +345,16 @@ def texel_densities(level, share, texels, textures, owner, positions, extra, sum
     places = np.empty((2, n_texels), _f4)
     area, value = np.empty(n_texels, _f4), np.empty(n_texels, _f4)
     background = np.zeros(n_texels, _f4)
-    first, mean, precision = texels.first, textures.mean, textures.precision
+    first, (mean, precision, log_temperature, visible) = texels.first, textures
     for m in range(len(positions)):
         d = owner[m]
-        n = texel_places(positions[m], texels, share, textures.visible[d], level.scale, places, area)
+        n = texel_places(positions[m], texels, share, visible[d], level.scale, places, area)
         sample(level.image, places, n, value, area)
         if extra.size:
             sample(extra, places, n, background, area)
         squares = logs = total = other = 0.0
         n = 0
-        for g in range(len(texels.groups)):
+        for g in range(len(first) - 1):
             start = first[g]
             count = (first[g + 1] - start + share - 1) // share
             group_squares = group_logs = group_total = group_other = _f4(0)
@@ -372,7 +363,7 @@ def texel_densities(level, share, texels, textures, owner, positions, extra, sum
                 a = abs(area[at])
                 e = value[at] - mean[d, i]
                 group_squares += a * e * e * precision[d, i] if area[at] > _f4(0) else a * OFF_PICTURE
-                group_logs += a * textures.log_temperature[d, i]
+                group_logs += a * log_temperature[d, i]
                 group_total += a
                 group_other += a * background[at]
             n += count
