@@ -79,7 +79,7 @@ def test_z_points_away_from_the_viewer() -> None:
     nose = np.array([[0.0, 0.0, -0.3], [0.4, 0.0, 0.0], [0.0, 0.5, 0.0], [-0.4, 0.0, 0.0]])
     model = MorphableModel(nose[None], np.array([[0, 1, 2], [0, 2, 3]]))
     quarter, _ = cv2.Rodrigues(np.array([0.0, 0.3, 0.0]))
-    turned = Poses(quarter[None], np.array([[50.0, 40.0]]), np.array([[100.0]]))
+    turned = Poses(np.asarray(quarter, np.float64)[None], np.array([[50.0, 40.0]]), np.array([[100.0]]))
     places = model.project(turned)[0]
     # about the axis that points down, by the right-hand rule: what is near (z < 0) goes to the left
     assert places[0, 0] < 50
