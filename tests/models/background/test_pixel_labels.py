@@ -204,7 +204,7 @@ def test_labels_and_probabilities_agree(name, pooling):
     scene, image = background(pooling=pooling), image_of()
     message = PixelMessage(scene, LayerStack(SCENES[name]), image)
     clear, explained = weights(SCENES[name], image)
-    odds = scene.against(image).pooled.reshape(SIZE) / 20 + np.log(clear) - np.log(explained)
+    odds = scene.compare(image).smoothed.reshape(SIZE) / 20 + np.log(clear) - np.log(explained)
     probability = message.background_probability()
     np.testing.assert_allclose(probability, 1 / (1 + np.exp(-odds)), atol=1e-3)
     sure = np.abs(probability - 0.5) > 1e-4
@@ -232,8 +232,8 @@ def test_over_all_images_densities_sum_to_the_mass_without_one(strength, ghost):
         return np.full(1, value, np.float32)
 
     scene = background(
-        1, size=(1, 1), mean=one(130)[None], variance=one(10), noise=one(100),
-        candidate=np.zeros(1, np.uint8), seen=np.zeros(1, np.uint8),
+        1, size=(1, 1), pixels=gaussian_kernels.Gaussians(one(130)[None], one(10), one(100)),
+        second=gaussian_kernels.SecondColours(np.zeros(1, np.uint8), np.zeros(1, np.uint16)),
         light=LightField(np.ones((2, 2), np.float32), (1, 1)),
     )  # fmt: skip
     mask, appearance = one(0.7)[None], np.full((1, 1, 1), 90, np.float32)
