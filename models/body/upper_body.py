@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.short_repr import short_repr
 from .kernels.kinematics import place_joints, place_parts, within_limits
 from .poses import BodyPoses
 
@@ -64,6 +65,7 @@ class JointLimits:
 LIMITS = JointLimits()
 
 
+@short_repr
 @dataclass(frozen=True)
 class UpperBody:
     """Lengths and widths of an upper body that faces the camera, all in px.

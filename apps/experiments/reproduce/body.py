@@ -25,7 +25,7 @@ from ...body.measures import (
 )
 from ...body.overlay import BodyOverlay
 from ...drawing.mosaic import mosaic
-from ...io.results import write_image
+from ...io.files import write_image
 from ...reports import page
 from ...reports.expectations import Expectation, in_columns
 from ...reports.experiment import Plot, Table, publish
