@@ -100,7 +100,7 @@ def body(job: Fields[BodyJob]) -> int:
 
     Writes overlay.mp4, poses.npz, summary.json and report.html. The person should face the camera, best in
     long sleeves: hands are found by the colour of the face. It is one person's body with two hands; other
-    hands and flesh-coloured things compete with them. Parts that are hidden, and frames that are missing,
+    hands and skin-coloured things compete with them. Parts that are hidden, and frames that are missing,
     unreadable or blank, are predicted, and it is said which. Ctrl-C ends the run with complete results of
     what was processed.
     """
