@@ -27,6 +27,7 @@ from ..models.background.kernels.gaussian import (
 from ..models.background.kernels.layers import update_behind
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
+from ..models.core.short_repr import short_repr
 from ..models.numerics import array_pool
 
 Planes = NDArray[np.float32]
@@ -53,6 +54,7 @@ STEADY_LIGHT, LIGHT_TIME = 0.02, 0.3
 """Log of a change below which it may be noise, and s, the time constant with which it is followed then."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BackgroundState:
     """What is known of the empty scene.
@@ -101,6 +103,7 @@ class BackgroundState:
         return colour.to_image(self.mean * light.reshape(-1), (height, width))
 
 
+@short_repr
 @dataclass(frozen=True)
 class AdaptiveBackground:
     """Per-pixel adaptive background.

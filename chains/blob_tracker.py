@@ -33,6 +33,7 @@ from ..models.background.layers import Layer, LayerStack
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.short_repr import short_repr
 from ..models.objects.kernels.blobs import Patch, learn, outline_contrast
 from ..models.objects.kernels.masks import fade_beyond
 from ..models.objects.object_boxes import ObjectBoxes
@@ -59,6 +60,7 @@ OUTLINE_TIME = 0.2
 """s after which a comparison of outlines is worth a whole new one."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class BlobTracker:
     """Tracker of any number of blobs.

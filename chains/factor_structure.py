@@ -10,6 +10,7 @@ from ..inference.core.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ..inference.factor_analysis.factorisation import Factorisation, factorise, predicted
 from ..inference.structure.track_association import associate_tracks
 from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.short_repr import short_repr
 from ..models.points.point_tracks import PointMessage, PointTracks
 
 Numbers = NDArray[np.float64]
@@ -18,6 +19,7 @@ LEAST_SCATTER = 1e-6
 """Of the noise: keeps covariances positive where shape and cameras are known exactly."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class StructureTrajectory:
     """Shape, cameras, and which of the feature's points show which point of the shape.
@@ -48,13 +50,20 @@ class StructureTrajectory:
         return -0.5 * float((self.factorisation.shape**2).sum())
 
 
+@short_repr
 @dataclass(frozen=True)
 class FactorStructure:
     """Batch chain of shape and motion over `PointTracks`.
 
-    Observations are explained by F = M_t (S_i, 1) + noise, eq. (18), with per-observation variances in
-    proportion to those of what comes in, and a factor common to all of them that is learned. Its messages
-    carry the uncertainty of shape and cameras, and say by `same_as` which tracks it takes for one point.
+    The model, with cameras M_t, points S_i and features F_ti of RSMCM eq. (18) to (20):
+
+        p(S_i) = N(0, I),  p(M_t | M_t-1) by eq. (19) or p(M_t) = N(0, diag), its variances learned,
+        p(F_ti | M_t, S_i) = N(M_t (S_i, 1), s r_ti I),
+
+    r_ti the variance of what comes in and s a factor common to all that is learned. The message to a point is
+    N(M_t (S_i, 1), P_ti) with P_ti the covariance that shape and cameras leave and the features' own scatter;
+    it says by `same_as` which tracks it takes for one point. Frames are taken to be evenly spaced: a step of
+    eq. (19) is one from frame to frame, and its noise is learned from the film, whatever the rate of that.
 
     Parameters
     ----------
@@ -83,8 +92,8 @@ class FactorStructure:
         """
         identities, positions, weights = _observations(incoming_over_time)
         if self.associate:
-            linked = associate_tracks(positions, weights, coherence=self.coherence)
-            fit, point = linked.factorisation, linked.point_of_track
+            found = associate_tracks(positions, weights, coherence=self.coherence)
+            fit, point = found.factorisation, found.point_of_track
         else:
             fit = factorise(positions, weights, coherence=self.coherence)
             point = np.arange(len(identities))

@@ -5,7 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .short_repr import short_repr
 
+
+@short_repr
 @dataclass(frozen=True, eq=False)
 class GivenPoints:
     """Points that another detector or tracker has found in a frame.
@@ -38,6 +41,7 @@ class GivenPoints:
             raise ValueError("points: got identities that do not increase, expected each once, in order")
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One picture of a sequence.

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from rsmcm.chains import PointTracker
 from rsmcm.inference import (
     BatchIncoming,
-    Cavity,
     CoordinateAscent,
     Incoming,
     MultiChain,
@@ -177,9 +176,9 @@ class PlaneKnown:
 
     poses: tuple[Pose, ...]
     deviation: float = 0.7
-    name: str = "plane"
+    name: str = "world"  # after the tracker, which has to find points first
 
-    ports = (Port(PointTracks, Cavity.OTHERS),)
+    ports = (Port(PointTracks),)
 
     def _pose(self, time: float) -> Pose:
         return self.poses[round(time / DT)]
@@ -463,6 +462,22 @@ def test_time_counts_and_not_frames() -> None:
         known = last["tracker"].known
         speeds.append(np.median(known.states.mean[known.alive, 2]))
     np.testing.assert_allclose(speeds, 2.0 / DT, rtol=0.03)
+
+
+@pytest.mark.parametrize("steps", [(0.04,) * 10, (0.1, 0.3), (0.4, 0.0)])
+def test_some_steps_are_one_long_step(steps: tuple[float, ...]) -> None:
+    tracker = PointTracker(n_points=40)
+    *_, last = RecursiveBP(MultiChain().connect(tracker, PointTracks())).run(film(sliding(5)))
+    once = several = last[tracker]
+    once = tracker.predict(once, sum(steps))
+    for dt in steps:
+        several = tracker.predict(several, dt)
+    assert once.rested == pytest.approx(several.rested, rel=1e-12)
+    np.testing.assert_allclose(once.known.unseen, several.known.unseen, rtol=1e-12)
+    np.testing.assert_allclose(once.known.states.mean, several.known.states.mean, rtol=1e-9)
+    np.testing.assert_allclose(
+        once.known.states.covariance, several.known.states.covariance, rtol=1e-9, atol=1e-9
+    )
 
 
 def test_a_run_goes_on_from_a_file_as_if_nothing_had_been(

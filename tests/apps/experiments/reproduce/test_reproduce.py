@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rsmcm.apps.background.compare import COLUMNS, Gallery
 from rsmcm.apps.background.methods import Model, ModelSubtractor, Usual
 from rsmcm.apps.drawing.mosaic import mosaic
-from rsmcm.apps.evaluation.metrics import PixelScore, joined
+from rsmcm.apps.evaluation.masks import PixelScore, joined
 from rsmcm.apps.experiments.bench.__main__ import enumeration_error, in_turns, stages
 from rsmcm.apps.experiments.reproduce import sleeping_man as experiment
 from rsmcm.apps.experiments.trials.baselines import SETTINGS, CleanUp, OpenCVSubtractor
