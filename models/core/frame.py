@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+BoundingBox = tuple[float, float, float, float]
+"""x, y of the top left corner, width and height, px."""
+
 
 @dataclass(frozen=True, eq=False)
 class GivenPoints:

@@ -30,7 +30,7 @@ HEIGHT, WIDTH = 49, 63  # odd on purpose
 
 
 @dataclass(frozen=True)
-class Box:
+class TrackedBox:
     identity: int
     box: tuple[float, float, float, float]
     confidence: float
@@ -45,8 +45,8 @@ def frame(number: int) -> Frame:
     return Frame(image, (number - 1) / 10, number)
 
 
-def boxes(number: int) -> list[Box]:
-    return [Box(3, (number, 10.25, 8.5, 20), 0.75), Box(11, (30 - number, 5, 10, 12), 1.0)]
+def boxes(number: int) -> list[TrackedBox]:
+    return [TrackedBox(3, (number, 10.25, 8.5, 20), 0.75), TrackedBox(11, (30 - number, 5, 10, 12), 1.0)]
 
 
 def read_video(path: Path) -> tuple[list[NDArray[np.uint8]], list[float]]:
@@ -277,7 +277,7 @@ def test_overlay_marks_masks_boxes_and_trails() -> None:
     foreground[40:80, 40:80] = 255
     before = image.copy()
     trails = {4: np.array([[100.0, 100.0], [150.0, 100.0]])}
-    track = Box(4, (90.0, 50.0, 30.0, 40.0), 0.9)
+    track = TrackedBox(4, (90.0, 50.0, 30.0, 40.0), 0.9)
     picture = results.draw_overlay(image, foreground, [track], trails, "frame 1")
     colour = results.identity_colour(4)
     np.testing.assert_array_equal(image, before)
@@ -288,7 +288,7 @@ def test_overlay_marks_masks_boxes_and_trails() -> None:
     assert tuple(picture[70, 90].tolist()) == colour
     assert picture[110, 10].tolist() == [100, 100, 100]
     # An object that leaves the picture, or a box beyond it, is no reason to fail.
-    results.draw_overlay(image, None, [Box(1, (-500.0, -90.0, 9000.0, 3.0), 1.0)], {}, "")
+    results.draw_overlay(image, None, [TrackedBox(1, (-500.0, -90.0, 9000.0, 3.0), 1.0)], {}, "")
 
 
 def test_identity_colours_are_stable_and_differ() -> None:
@@ -312,7 +312,7 @@ def test_missing_frames_show_the_one_before(tmp_path: Path) -> None:
 def test_tracks_are_written_as_mot_has_them(tmp_path: Path) -> None:
     path = tmp_path / "tracks.txt"
     with TrackWriter(path) as writer:
-        writer.write(1, [Box(7, (0.0, 0.0, 10.0, 20.5), 0.25)])
+        writer.write(1, [TrackedBox(7, (0.0, 0.0, 10.0, 20.5), 0.25)])
         writer.write(2, [])
     assert path.read_text() == "1,7,1.00,1.00,10.00,20.50,0.2500,-1,-1,-1\n"
 
@@ -333,7 +333,7 @@ def test_tracks_come_back(tmp_path_factory: pytest.TempPathFactory, rows: list[t
     rows.sort(key=lambda row: row[0])
     with TrackWriter(path) as writer:
         for number, identity, *box in rows:
-            writer.write(int(number), [Box(int(identity), tuple(box), 0.5)])  # type: ignore[arg-type]
+            writer.write(int(number), [TrackedBox(int(identity), tuple(box), 0.5)])  # type: ignore[arg-type]
     read = results.read_tracks(path)
     assert read["frame"].tolist() == [row[0] for row in rows]
     assert read["id"].tolist() == [row[1] for row in rows]
@@ -349,7 +349,7 @@ def test_tracks_of_a_full_disk_are_whole_lines(tmp_path: Path) -> None:
     try:
         tracks = TrackWriter(path)
         for number in range(1, 100):
-            tracks.write(number, [Box(1, (number, 5.0, 10.0, 20.0), 1.0)])
+            tracks.write(number, [TrackedBox(1, (number, 5.0, 10.0, 20.0), 1.0)])
         with pytest.raises(OSError, match=r"tracks\.txt"):
             tracks.close()
     finally:
