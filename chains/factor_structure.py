@@ -62,7 +62,8 @@ class FactorStructure:
 
     r_ti the variance of what comes in and s a factor common to all that is learned. The message to a point is
     N(M_t (S_i, 1), P_ti) with P_ti the covariance that shape and cameras leave and the features' own scatter;
-    it says by `same_as` which tracks it takes for one point.
+    it says by `same_as` which tracks it takes for one point. Frames are taken to be evenly spaced: a step of
+    eq. (19) is one from frame to frame, and its noise is learned from the film, whatever the rate of that.
 
     Parameters
     ----------

@@ -136,7 +136,7 @@ class Incoming:
         of the time slice; a new one where it is left out.
     """
 
-    def __init__(self, messages: Mapping[Any, Message], scratch: Scratch | None = None) -> None:
+    def __init__(self, messages: Mapping[Named, Message], scratch: Scratch | None = None) -> None:
         self._messages = messages
         self._scratch = scratch or Scratch()
 
@@ -253,7 +253,7 @@ class Smoothed(Generic[TrajectoryType]):
     """
 
     trajectory: TrajectoryType
-    evidence: Mapping[Any, Sequence[Message]] = field(default_factory=dict)
+    evidence: Mapping[Named, Sequence[Message]] = field(default_factory=dict)
 
 
 class BatchIncoming(Incoming, ABC):

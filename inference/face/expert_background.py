@@ -25,12 +25,8 @@ UNKNOWN_VARIANCE = 60.0**2
 NOISE = 20.0
 """Squared grey levels of a picture at a pixel, sigma_w^2."""
 
-WANDERING = 1.0
-"""Squared grey levels per picture by which a pixel's background may change, Psi_b."""
-
-MAP_NOISE = background_map_kernels.MapNoise(
-    np.float32(NOISE), np.float32(WANDERING), np.float32(UNKNOWN_VARIANCE)
-)
+WANDERING = 25.0
+"""Squared grey levels per second by which a pixel's background may change, Psi_b."""
 
 LEAST_RATIO = -9.0
 """Nats: no pixel speaks louder against the background, whatever has come before it."""
@@ -46,7 +42,7 @@ class ExpertBackground:
     mean
         `(n_experts, height, width)` float32, raw grey levels.
     variance
-        `(n_experts, height, width)` float32, of the next picture's prediction without its noise.
+        `(n_experts, height, width)` float32, after the last picture.
     """
 
     mean: Map
@@ -62,8 +58,10 @@ class ExpertBackground:
         """Backgrounds of the children of `parents`."""
         return replace(self, mean=self.mean[parents], variance=self.variance[parents])
 
-    def contrast(self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map) -> BackgroundContrast:
-        """As poses within the box are judged by it.
+    def contrast(
+        self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map, elapsed: float
+    ) -> BackgroundContrast:
+        """As poses within the box are judged by it, `elapsed` s after the last picture.
 
         Trust in a pixel is the share of the first variance that is gone: what was never seen says nothing.
         """
@@ -73,17 +71,22 @@ class ExpertBackground:
 
         def work(a: int, b: int) -> None:
             background_map_kernels.compare_with_maps(
-                grey, self.mean[a:b], self.variance[a:b], box, MAP_NOISE, np.float32(LEAST_RATIO), ratio[a:b],
-                trust[a:b], everywhere[a:b],
+                grey, self.mean[a:b], self.variance[a:b], box, _noise(elapsed), np.float32(LEAST_RATIO),
+                ratio[a:b], trust[a:b], everywhere[a:b],
             )  # fmt: skip
 
         over_bands(work, n)
         return BackgroundContrast.of(box, ratio, trust, tones, unit, everywhere)
 
     def updated(
-        self, image: NDArray[np.uint8], parents: NDArray[np.int64], hidden: NDArray[np.uint8], box: Box
+        self,
+        image: NDArray[np.uint8],
+        parents: NDArray[np.int64],
+        hidden: NDArray[np.uint8],
+        box: Box,
+        elapsed: float,
     ) -> Self:
-        """Predicted background for the next picture, of the children of `parents`.
+        """Backgrounds after a picture, `elapsed` s after the last one, of the children of `parents`.
 
         Pixels that are `hidden` `(n_experts, height, width)` in the box keep their mean.
         """
@@ -98,10 +101,17 @@ class ExpertBackground:
                 parents[a:b],
                 hidden[a:b],
                 box,
-                MAP_NOISE,
+                _noise(elapsed),
                 mean[a:b],
                 variance[a:b],
             )
 
         over_bands(work, n)
         return replace(self, mean=mean, variance=variance)
+
+
+def _noise(elapsed: float) -> background_map_kernels.MapNoise:
+    change = WANDERING * elapsed
+    return background_map_kernels.MapNoise(
+        np.float32(NOISE), np.float32(change), np.float32(UNKNOWN_VARIANCE)
+    )

@@ -84,7 +84,7 @@ class PixelMessage:
         """The image read against the background, if both are there."""
         if self.image is None or self.background is None:
             return None
-        return self.background.against(self.image)
+        return self.background.compare(self.image)
 
     @property
     def regions(self) -> tuple[Region, ...]:
@@ -182,7 +182,7 @@ class PixelMessage:
         """`(height, width)` int8 log odds of background without the layers."""
         height, width = self.size
         if self.subtraction is not None:
-            return self.subtraction.pooled.reshape(height, width)
+            return self.subtraction.smoothed.reshape(height, width)
         prior = 0.5 if self.background is None else self.background.prior
         odds = float(np.clip(np.log(prior) - np.log1p(-prior), -6, 6))
         return np.full((height, width), round(odds * ODDS_STEPS), np.int8)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
-from . import silhouette
 from .kernels.kinematics import place_joints, place_parts, within_limits
 from .poses import BodyPoses
 
@@ -164,14 +163,6 @@ class UpperBody:
             self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, parts,
         )  # fmt: skip
         return parts
-
-    def silhouettes(self, poses: BodyPoses) -> silhouette.Silhouettes:
-        """Outlines of `poses` in the picture, and which of their points are seen."""
-        return silhouette.silhouettes(self, poses)
-
-    def masks(self, poses: BodyPoses, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """`(n, h, w)` pictures of the parts, of `size` (h, w), see `body_outline.masks`."""
-        return silhouette.masks(self, poses, size)
 
     def allowed(self, poses: BodyPoses) -> Mask:
         """`(n,)`: whether every joint is within its limits and no arm goes through or behind the torso."""

@@ -181,10 +181,6 @@ class GaussianMixtures:
         improper = (self.flat & np.isfinite(self.log_weights)).any(axis=1)
         return np.where(improper, np.inf, logsumexp(self.log_weights, axis=1))
 
-    def log_masses_within(self, area: float) -> Array:
-        """`(n_parts,)` logs of the integrals, those of flat components over a region of `area` px^2."""
-        return np.asarray(logsumexp(self.log_weights + np.where(self.flat, np.log(area), 0.0), axis=1))
-
     def log_values(self, points: Array) -> Array:
         """`(n, n_parts)` logs of the functions at `points`, `(n, n_parts, 2)` px."""
         peaks, sums = np.empty((2, len(points), self.n_parts))
