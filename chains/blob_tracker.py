@@ -239,13 +239,8 @@ class BlobTracker:
             fade_beyond(mask, *(GROWTH * scene.expected_size(blob)), kept)
         confidence = seen / max(visible, 1e-6)
         if visible <= 0.3 * total or confidence <= 0.35:
-            return blob.changed(
-                mask=mask,
-                appearance=appearance,
-                unseen=blob.unseen + scene.elapsed,
-                still=0.0,
-                confidence=0.0,
-            )
+            unseen = blob.unseen + scene.elapsed
+            return blob.changed(mask=mask, appearance=appearance, unseen=unseen, still=0.0, confidence=0.0)
         speed = math.hypot(*blob.velocity)
         follow = 1 - math.exp(-scene.elapsed / self.colour_time)
         spread = blob.spread + follow * (2 * variance - blob.spread)
@@ -297,9 +292,8 @@ class BlobTracker:
         parting = blob.parting + scene.elapsed if shape.waist_depth < 0.5 else 0.0
         left, right = shape.mass_left, shape.mass - shape.mass_left
         blob = blob.changed(parting=parting)
-        if parting < self.parting_time or min(left, right) < max(
-            self._least_area(scene), 0.25 * max(left, right)
-        ):
+        least = max(self._least_area(scene), 0.25 * max(left, right))
+        if parting < self.parting_time or min(left, right) < least:
             due = blob.seen // SWEEP > (blob.seen - scene.elapsed) // SWEEP
             return [blob.changed(mask=without_crumbs(blob.mask)) if due else blob]
         larger, smaller = halves(blob)

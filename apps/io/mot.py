@@ -9,8 +9,8 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.atomic_files import naming, write_text
-from ...models.core.limits import LAST_FRAME
+from ...models.files.atomic_files import naming, write_text
+from ...models.files.limits import LAST_FRAME
 from .point_files import FARTHEST
 
 LONGEST_LINE = 10_000  # of a file of boxes: beyond, it is none
