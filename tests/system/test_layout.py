@@ -1,4 +1,4 @@
-"""Imports run in one direction, nothing is too large, tests mirror the tree, the wheel holds four packages."""
+"""Imports run in one direction, nothing is too large, tests mirror the tree, the wheel has four packages."""
 
 import ast
 import shutil
