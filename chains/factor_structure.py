@@ -10,6 +10,7 @@ from ..inference.core.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ..inference.factor_analysis.factorisation import Factorisation, factorise, predicted
 from ..inference.structure.track_association import associate_tracks
 from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.short_repr import short_repr
 from ..models.points.point_tracks import PointMessage, PointTracks
 
 Numbers = NDArray[np.float64]
@@ -18,6 +19,7 @@ LEAST_SCATTER = 1e-6
 """Of the noise: keeps covariances positive where shape and cameras are known exactly."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class StructureTrajectory:
     """Shape, cameras, and which of the feature's points show which point of the shape.
@@ -48,6 +50,7 @@ class StructureTrajectory:
         return -0.5 * float((self.factorisation.shape**2).sum())
 
 
+@short_repr
 @dataclass(frozen=True)
 class FactorStructure:
     """Batch chain of shape and motion over `PointTracks`.

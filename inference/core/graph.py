@@ -129,6 +129,25 @@ class MultiChain:
             self.__dict__.pop(derived, None)
         return self
 
+    def __repr__(self) -> str:
+        edges = [
+            f"{chain} {'--' if chain in self.senders(feature) else '<-'} {feature}"
+            for chain in self.chains
+            for feature in self.features_of(chain)
+        ]
+        return f"MultiChain({', '.join(edges)})"
+
+    def _repr_svg_(self) -> str:
+        """The graph, for notebooks."""
+        from .graph_drawing import svg  # matplotlib is slow to import
+
+        return svg(self)
+
+    @property
+    def names(self) -> str:
+        """All chains, and the features on which they meet, to be read."""
+        return f"{', '.join(self.chains)} on {', '.join(self.features)}"
+
     @cached_property
     def chains(self) -> dict[str, Any]:
         """Chains by name, in the order in which they have their turn.
