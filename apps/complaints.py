@@ -2,12 +2,14 @@
 
 import inspect
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
 from cyclopts import (
+    UNSET,
     Argument,
     CoercionError,
     CycloptsError,
@@ -21,7 +23,11 @@ from cyclopts import (
     convert,
 )
 
-EXPECTED = {int: "a whole number", float: "a number"}
+TYPED = "cli"
+"""Where a token is from that was typed; others are from a file, and name it."""
+
+EXPECTED = {int: "a whole number", float: "a number", bool: "true or false"}
+EXPECTED_KEY = ", expected the name of an option, or a section"
 
 
 def convert_strictly(kind: Any, tokens: Sequence[Token]) -> Any:
@@ -34,9 +40,9 @@ def convert_strictly(kind: Any, tokens: Sequence[Token]) -> Any:
     ValueError
         if it is not what is expected.
     """
-    typed = tokens[0].value
-    if not typed or (int in _kinds(kind) and not re.fullmatch(r"[+-]?[0-9]+", typed)):
-        raise ValueError
+    for typed in (token.value for token in tokens if token.implicit_value is UNSET):
+        if not typed or (int in _kinds(kind) and not re.fullmatch(r"[+-]?[0-9]+", typed)):
+            raise ValueError
     return convert(kind, tokens)
 
 
@@ -66,24 +72,36 @@ def one_line(error: Exception) -> str:
 def about_options(error: ValueError, *commands: Callable[..., object]) -> ValueError:
     """The error of a command, where it is about a parameter, as one about the option of that name."""
     name, _, rest = str(error).partition(":")
-    for command in commands:
-        parameter = inspect.signature(command).parameters.get(name)
-        if rest.startswith(" got ") and parameter is not None and parameter.kind is parameter.KEYWORD_ONLY:
-            return ValueError(f"--{name.replace('_', '-')}:{rest}")
+    if rest.startswith(" got ") and any(name in _options(command) for command in commands):
+        return ValueError(f"--{name.replace('_', '-')}:{rest}")
     return error
+
+
+def _options(command: Callable[..., object]) -> Iterator[str]:
+    """Names of a command's parameters that are options, and of fields where one is a dataclass."""
+    for parameter in inspect.signature(command).parameters.values():
+        kind = next(iter(get_args(parameter.annotation)), None)
+        if is_dataclass(kind):
+            yield from (field.name for field in fields(kind) if field.kw_only)
+        elif parameter.kind is parameter.KEYWORD_ONLY:
+            yield parameter.name
 
 
 def _of_arguments(error: CycloptsError) -> str:
     match error:
         case UnknownOptionError(token=token, argument_collection=arguments):
-            typed = token.keyword or token.value
             names = [name for each in arguments for name in each.names]
-            return f"unknown option {typed}{_meant(typed, names)}"
+            if token.source != TYPED:
+                key = (token.keyword or "").strip("[]")
+                keys = [name.removeprefix("--").replace("-", "_") for name in names]
+                return f"{token.source}: unknown key {key!r}{meant(key, keys) or EXPECTED_KEY}"
+            typed = token.keyword or token.value
+            return f"unknown option {typed}{meant(typed, names)}"
         case UnknownCommandError(unused_tokens=[typed, *_]) if typed.startswith("-"):
             return f"unknown option {typed}"
         case UnknownCommandError(unused_tokens=[typed, *_], app=app):
             names = [name for name in app or () if not name.startswith("-")]
-            return f"unknown command {typed!r}{_meant(typed, names) or f', expected {_either(names)}'}"
+            return f"unknown command {typed!r}{meant(typed, names) or f', expected {_either(names)}'}"
         case UnusedCliTokensError(unused_tokens=[typed, *_]):
             return f"got {typed!r} as well, which belongs to no option"
         case RepeatArgumentError(token=token):
@@ -95,7 +113,9 @@ def _of_arguments(error: CycloptsError) -> str:
             return f"{name}: got no value, expected {expected}" if name in given else f"{name} is needed"
         case CoercionError(argument=Argument() as argument, token=Token() as token):
             name = token.keyword or _name(argument)
-            if argument.hint is bool:
+            if token.source != TYPED:
+                name = f"{token.source}: {name.strip('[]')}"
+            elif argument.hint is bool:
                 return f"{name}: got a value, expected none"
             got = repr(token.value) if token.value else "no value"
             return f"{name}: got {got}, expected {_expected(argument.hint)}"
@@ -130,6 +150,7 @@ def _either(names: Sequence[str]) -> str:
     return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def _meant(typed: str, names: Iterable[str]) -> str:
+def meant(typed: str, names: Iterable[str]) -> str:
+    """For instance ", did you mean --out?"; nothing where no name is near."""
     near = get_close_matches(typed, list(names), 1, 0.7)
     return f", did you mean {near[0]}?" if near else ""

@@ -45,12 +45,18 @@ GROUPS = 4
 class ArticulatedPose:
     """Likelihood sampling of an articulated body (RSMCM paper §4.1).
 
-    In every frame positions of head and hands are drawn from what reaches the feature node - face and skin
-    in the image, and the other chains' predictions - and completed to poses by inverse kinematics
-    (`LikelihoodSampler`). The posterior is the likelihood of the image (face, skin, edges) times the other
-    chains' messages times the temporal prior: the mixture of the dynamics around the poses of the frame
-    before, and around the same with their hands exchanged, in which unusual postures count less
-    (`BodyDynamics`).
+    X is a pose in 13 degrees of freedom, F the places of head and hands in the picture:
+
+        p(X_t | X_t-1) ~ sum_e p(e) K(X_t | e(X_t-1), dt) g(X_t)
+        p(F | X)       = delta(F - parts(X))
+        p(I | X)       = face(I, X) skin(I, X) edges(I, X)
+
+    e leaves the hands or exchanges them, K are the `BodyDynamics`, g is small for unusual postures and 0 for
+    impossible ones; the likelihood is `BodyLikelihood`'s. The message to F is the prediction of each part's
+    place, a mixture of a few Gaussians.
+
+    In every frame head and hands are drawn from what reaches F - face and skin in the image, and the other
+    chains' predictions - and completed to poses by inverse kinematics (`LikelihoodSampler`).
 
     The paper weighs its samples once, with the posterior over the density from which they were drawn. Here
     they are only made samples of the prior in this way; the likelihood then comes in by tempering, with
@@ -69,7 +75,7 @@ class ArticulatedPose:
     body
         lengths of the segments.
     samples
-        poses that are kept in every frame.
+        poses that are kept in every frame, 10 or more.
     start
         poses of which one is about that of the first frame; `None` if nothing is known of it.
     seed

@@ -29,8 +29,8 @@ class Dynamics(Protocol):
         """Move every pose by `dt` seconds at random."""
         ...
 
-    def log_posture(self, poses: BodyPoses, /) -> Array:
-        """`(n,)` nats: how usual poses are at any time."""
+    def log_posture(self, poses: BodyPoses, dt: float, /) -> Array:
+        """`(n,)` nats: how usual poses are, over `dt` seconds."""
         ...
 
     def draw_anywhere(self, n: int, size: tuple[int, int], random: np.random.Generator, /) -> BodyPoses:
@@ -42,8 +42,13 @@ class Dynamics(Protocol):
 class Condensation:
     """Samples that are moved by the dynamics alone and weighed by the likelihood: the usual way, a baseline.
 
-    The tracker that the RSMCM paper compares with (§4.1, Fig. 6). It is a chain like any other; alone at
-    its feature node it is the filter as published.
+    X is a pose, F the places of head and hands in the picture:
+
+        p(X_t | X_t-1) ~ K(X_t | X_t-1, dt) g(X_t),    p(F | X) = delta(F - parts(X)),    p(I | X)
+
+    with dynamics K and g and the likelihood as in `ArticulatedPose`. The message to F is the prediction of
+    each part's place, a mixture of a few Gaussians. The tracker that the RSMCM paper compares with (§4.1,
+    Fig. 6): a chain like any other, which alone at its feature node is the filter as published.
 
     Parameters
     ----------
@@ -98,6 +103,7 @@ class Condensation:
 
     def predict(self, state: BodySamples, dt: float) -> BodySamples:
         """As many draws of each pose as its weight says, each moved at random; none that joints forbid."""
+        state, dt = state.origin(dt)
         random = copied(state.random)
         chosen = systematic(state.log_weights, self.samples, random)
         poses = self._dynamics.draw(state.poses.take(chosen), dt, random)
@@ -106,8 +112,8 @@ class Condensation:
         log_weights = np.full(self.samples, -np.log(some))
         if some < self.samples:
             log_weights[~allowed] = -np.inf
-        log_weights = normalised(log_weights + self._dynamics.log_posture(poses))
-        return BodySamples(poses, log_weights, state.size, random)
+        log_weights = normalised(log_weights + self._dynamics.log_posture(poses, dt))
+        return BodySamples(poses, log_weights, state.size, random, before=state, elapsed=dt)
 
     def message(self, state: BodySamples, feature: BodyParts, incoming: Incoming) -> PartMessage:
         """What the predicted poses say of head and hands, as mixtures with the samples' moments."""
@@ -123,5 +129,5 @@ class Condensation:
             likelihood = self.likelihood or BodyLikelihood(self.body)
             log_factors += likelihood(message.image)(state.poses)
         if message.image is None and not log_factors.any():
-            return replace(state, log_evidence=0.0, stationary=True)
+            return replace(state, before=None, stationary=True)
         return state.reweighed(log_factors)

@@ -52,9 +52,14 @@ class StructureTrajectory:
 class FactorStructure:
     """Batch chain of shape and motion over `PointTracks`.
 
-    Observations are explained by F = M_t (S_i, 1) + noise, eq. (18), with per-observation variances in
-    proportion to those of what comes in, and a factor common to all of them that is learned. Its messages
-    carry the uncertainty of shape and cameras, and say by `same_as` which tracks it takes for one point.
+    The model, with cameras M_t, points S_i and features F_ti of RSMCM eq. (18) to (20):
+
+        p(S_i) = N(0, I),  p(M_t | M_t-1) by eq. (19) or p(M_t) = N(0, diag), its variances learned,
+        p(F_ti | M_t, S_i) = N(M_t (S_i, 1), s r_ti I),
+
+    r_ti the variance of what comes in and s a factor common to all that is learned. The message to a point is
+    N(M_t (S_i, 1), P_ti) with P_ti the covariance that shape and cameras leave and the features' own scatter;
+    it says by `same_as` which tracks it takes for one point.
 
     Parameters
     ----------
@@ -83,8 +88,8 @@ class FactorStructure:
         """
         identities, positions, weights = _observations(incoming_over_time)
         if self.associate:
-            linked = associate_tracks(positions, weights, coherence=self.coherence)
-            fit, point = linked.factorisation, linked.point_of_track
+            found = associate_tracks(positions, weights, coherence=self.coherence)
+            fit, point = found.factorisation, found.point_of_track
         else:
             fit = factorise(positions, weights, coherence=self.coherence)
             point = np.arange(len(identities))

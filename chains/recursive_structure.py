@@ -28,7 +28,7 @@ class StructureState:
     Parameters
     ----------
     time, elapsed
-        s, of the last frame, and from the one before to it.
+        s, of the state, and since the last frame that it was updated with.
     window
         frames that do not determine a shape yet.
     structure
@@ -44,6 +44,14 @@ class StructureState:
 @dataclass(frozen=True)
 class RecursiveStructure:
     """Rigid shape and camera motion, from the points that others track.
+
+    The model, with rows m of the camera M_t, points S_i and features F_ti of RSMCM eq. (18) to (20):
+
+        p(m_t, m_t', m_t'' | t - dt) = N(Taylor's polynomial over dt, Q(dt)),  p(S_i) = N(0, 3^2 I),
+        p(F_ti | M_t, S_i) = N(M_t (S_i, 1), sigma_i^2 I).
+
+    The message to a point is N(M_-i (S_i, 1), P_i) with M_-i the camera that the frame's other points show
+    and P_i the covariance that this camera and S_i leave.
 
     Until the points' motion determines a shape the chain says nothing, so before a static camera, a flat
     scene, or fewer than six points it never does. Then it predicts every point that it knows, seen or not:
@@ -81,7 +89,7 @@ class RecursiveStructure:
         if structure is not None:
             motion = camera_motion.predict(structure.motion, dt)
             structure = replace(structure, motion=motion, unseen=structure.unseen + dt)
-        return replace(state, time=state.time + dt, elapsed=dt, structure=structure)
+        return replace(state, time=state.time + dt, elapsed=state.elapsed + dt, structure=structure)
 
     def message(self, state: StructureState, feature: PointTracks, incoming: Incoming) -> PointMessage:
         """Where every known point should be (mu_{S -> F}); uniform as long as there is no shape.
@@ -99,7 +107,7 @@ class RecursiveStructure:
         )
 
     def update(self, state: StructureState, incoming: Incoming) -> StructureState:
-        """Camera and points after a look."""
+        """Camera and points updated with the points that the frame shows."""
         others = incoming[PointTracks]
         seen, structure = _seen(state, others), state.structure
         if structure is not None:
@@ -107,10 +115,11 @@ class RecursiveStructure:
             if len(seen) < LEAST_SEEN or not _lost(found.motion, structure.extent):
                 structure = recursive.update(structure, found, state.elapsed, state.time)
                 structure = self._remembered(recursive.add_points(structure, seen))
-                return replace(state, structure=structure)
+                return replace(state, elapsed=0.0, structure=structure)
         window = state.window.lengthened(seen, state.time, self.most_points)
         structure = first_structure(window) if window is not state.window and window.due else None
-        return replace(state, window=window if structure is None else Window.empty(), structure=structure)
+        window = window if structure is None else Window.empty()
+        return StructureState(state.time, 0.0, window, structure)
 
     def _remembered(self, structure: Structure) -> Structure:
         """Without the points that were not seen for too long."""
@@ -123,7 +132,7 @@ def _seen(state: StructureState, others: PointMessage) -> ObservedPoints:
     """The points that the frame shows: where they were found, as sure as the message is of them.
 
     What the tracker expects of a point comes from frames that the shape has been fitted to as well, and from
-    what this chain tells it of them. Counted as one more look it would be such errors' own confirmation, so
+    this chain's own messages. Counted as one more observation it would be such errors' own confirmation, so
     where the frame has a view, positions are those found in it.
     """
     identities, positions, covariances = others.positions.moments

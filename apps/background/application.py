@@ -3,39 +3,39 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models import Frame, ObjectBoxes, PixelLabels
+from ..drawing.boxes import OverlayWriter, draw_overlay
 from ..evaluation.scoring import Scoring, track_rows
+from ..io.files import write_image
 from ..io.ground_truth import MaskTruth, common_frames, read_ground_truth
-from ..io.results import (
-    MaskWriter,
-    OverlayWriter,
-    TrackedObject,
-    TrackWriter,
-    draw_overlay,
-    read_tracks,
-    segment_pattern,
-    write_image,
-)
+from ..io.masks import MaskWriter
+from ..io.mot import TrackedObject, TrackWriter, read_tracks
+from ..io.segments import segment_pattern
 from ..io.sources.open_source import Source
-from ..runs.film_run import FilmJob, FilmRun, Writer
+from ..runs.film_run import FilmRun, Writer
 from ..runs.interruption import Outcome
 from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
-from .parameters import SECTIONS, Parameters, build_chain, read_parameters, with_defaults
+from .job import BackgroundJob, Engine
+from .parameters import (
+    SECTIONS,
+    Parameters,
+    build_chain,
+    other_chains,
+    read_parameters,
+    with_defaults,
+)
 from .record import RunRecord
 from .report import write_report
 
-Engine = Literal["recursive-bp", "feed-forward", "stand-alone"]
-ENGINES: tuple[Engine, ...] = ("recursive-bp", "feed-forward", "stand-alone")
-
-APPLICATION = "background"
+ENGINES: tuple[Engine, ...] = get_args(Engine)
 
 COMPARISON = ("compare.json", "compare.csv", "compare-pictures.png", "compare-errors.png", "compare.html")
 """Files that a comparison writes beside the results."""
@@ -54,25 +54,31 @@ def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None =
         chains, but the background hears nothing of the blobs. `"stand-alone"`: the background by itself.
     parameters
         those of the chains that differ from their defaults, by section and name; a section's `model` says
-        which chain it is.
+        which chain it is. Chains of others are in the section `chains`, by the names under which they are
+        announced, and are connected to the features that they meet.
 
     Raises
     ------
     ValueError
-        if there is no such engine, or a parameter is out of range.
+        if there is no such engine or chain, a parameter is out of range, or a chain meets none of the
+        features.
     """
     if engine not in ENGINES:
         raise ValueError(f"engine: got {engine!r}, expected one of {', '.join(ENGINES)}")
-    chains = {section: build_chain(section, parameters or {}) for section in SECTIONS}
+    background, blobs, ground = (build_chain(section, parameters or {}) for section in SECTIONS)
     pixels, objects = PixelLabels(), ObjectBoxes()
-    model = MultiChain().connect(chains["background"], pixels)
+    model = MultiChain().connect(background, pixels)
     if engine == "stand-alone":
         return model
-    return (
-        model.connect(chains["blobs"], pixels, feedback=engine == "recursive-bp")
-        .connect(chains["blobs"], objects)
-        .connect(chains["ground"], objects)
-    )
+    feedback = engine == "recursive-bp"
+    model.connect(blobs, pixels, feedback=feedback).connect(blobs, objects).connect(ground, objects)
+    for name, chain in other_chains(parameters or {}).items():
+        met = [node for node in (pixels, objects) if any(isinstance(node, port.kind) for port in chain.ports)]
+        if not met:
+            raise ValueError(f"--chain: {name} meets none of {pixels.name}, {objects.name}")
+        for node in met:
+            model.connect(chain, node, feedback=feedback)
+    return model
 
 
 @dataclass(frozen=True)
@@ -112,44 +118,22 @@ def found_in(belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | 
     return Found(foreground, inside(region, tracks))
 
 
-@dataclass(frozen=True)
-class Job(FilmJob):
-    """What to do; `rsmcm background --help` explains each field."""
-
-    engine: Engine = "recursive-bp"
-    config: Path | None = None
-    roi: str | None = None
-    masks: Literal["none", "png", "video"] = "png"
-    ground_truth: Path | None = None
-    compare: bool = False
-
-    def settings_with(self, parameters: Parameters) -> dict[str, Any]:
-        """What the results depend on, parameters of the chains among them."""
-        return {
-            **self.settings(),
-            "engine": self.engine,
-            "roi": self.roi,
-            "masks": self.masks,
-            "ground_truth": None if self.ground_truth is None else str(self.ground_truth.resolve()),
-            **with_defaults(parameters),
-        }
-
-
-def run_background(job: Job) -> Outcome:
+def run_background(job: BackgroundJob) -> Outcome:
     """Run the background application; see `FilmRun.carry_out`."""
-    return BackgroundRun(job, read_parameters(job.config) if job.config else {}).carry_out()
+    return BackgroundRun(job).carry_out()
 
 
-class BackgroundRun(FilmRun):
+class BackgroundRun(FilmRun[BackgroundJob]):
     """One run: masks, tracks, and the record for the report."""
 
-    application = APPLICATION
+    application = "background"
     blank_is_missing = False
     kinds: ClassVar[dict[str, Any]] = {"record": Any, "scores": Any}
 
-    def __init__(self, job: Job, parameters: Parameters) -> None:
-        super().__init__(job, job.settings_with(parameters))
-        self._job = job
+    def __init__(self, job: BackgroundJob) -> None:
+        super().__init__(job)
+        parameters = read_parameters(job.config, job.chain)
+        self.settings |= with_defaults(parameters)
         self.engine = RecursiveBP(build_model(job.engine, parameters))
         self.record = RunRecord()
         self._region: NDArray[np.uint8] | None = None
@@ -163,8 +147,8 @@ class BackgroundRun(FilmRun):
             "png": ["foreground/bin[0-9]*.png"],
             "video": ["foreground.mkv", segment_pattern("foreground.mkv")],
         }
-        compared = COMPARISON if self._job.compare else ()
-        return ["tracks.txt", "background.png", *masks[self._job.masks], *compared]
+        compared = COMPARISON if self.job.compare else ()
+        return ["tracks.txt", "background.png", *masks[self.job.masks], *compared]
 
     @property
     def chains(self) -> Mapping[str, Any]:
@@ -183,7 +167,7 @@ class BackgroundRun(FilmRun):
 
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """Read region and ground truth."""
-        job = self._job
+        job = self.job
         self._region = read_region(job.roi, self.source.size) if job.roi else None
         self._scoring = read_truth(job, self.source, self._region)
         return frames
@@ -201,9 +185,9 @@ class BackgroundRun(FilmRun):
 
     def writers(self, rate: float, after: int) -> list[Writer]:
         """Tracks, masks and overlay."""
-        out = self._job.out
+        out = self.job.out
         self._tracks = TrackWriter(out / "tracks.txt", after)
-        self._masks = MaskWriter(out, self._job.masks, rate, after)
+        self._masks = MaskWriter(out, self.job.masks, rate, after)
         self._overlay = OverlayWriter(out / "overlay.mp4", rate, after)
         return [self._tracks, self._masks, self._overlay]
 
@@ -216,7 +200,7 @@ class BackgroundRun(FilmRun):
         frame = belief.frame
         self._tracks.write(frame.number, found.tracks)
         self._masks.write(found.foreground, frame.number, frame.time)
-        self._overlay.write(frame, found.foreground, found.tracks)
+        self._overlay.add(frame, found.foreground, found.tracks)
         if self._scoring is not None:
             self._scoring.add(frame.number, found.foreground)
 
@@ -239,14 +223,14 @@ class BackgroundRun(FilmRun):
         """Tracks, and measures against ground truth."""
         metrics = None
         if self._scoring is not None:
-            tracked = self._job.engine != "stand-alone"
-            rows = track_rows(read_tracks(self._job.out / "tracks.txt")) if tracked else None
+            tracked = self.job.engine != "stand-alone"
+            rows = track_rows(read_tracks(self.job.out / "tracks.txt")) if tracked else None
             metrics = self._scoring.measures(rows)
         return {"tracks": len(self.record.tracks), "metrics": metrics}
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the empty scene and the report."""
-        job = self._job
+        job = self.job
         if self.state.states:
             background = self.state.states["background"].picture()
             write_image(job.out / "background.png", background)
@@ -255,8 +239,27 @@ class BackgroundRun(FilmRun):
                 job.out / "report.html", self.record, background, self.settings, summary["metrics"], title
             )
 
+    def in_words(self, summary: Mapping[str, Any]) -> list[str]:
+        """Tracks, and measures against ground truth."""
+        frames, rate = summary["frames"], summary["frames_per_second"]
+        words = f"{frames} frames, {rate:.1f} a second, {summary['tracks']} tracks"
+        if summary["missing_frames"]:
+            words += f", {summary['missing_frames']} frames missing or unreadable"
+        if summary["truncated"]:
+            words += ", the source ends before its announced end"
+        return [words, *(f"{group}: {_listed(of)}" for group, of in (summary["metrics"] or {}).items())]
 
-def read_truth(job: Job, source: Source, region: NDArray[np.uint8] | None) -> Scoring | None:
+
+def _listed(measured: object) -> str:
+    if not isinstance(measured, Mapping):
+        return str(measured)
+    return ", ".join(
+        f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in measured.items()
+    )
+
+
+def read_truth(job: BackgroundJob, source: Source, region: NDArray[np.uint8] | None) -> Scoring | None:
     """Read the job's ground truth, if any, and make sure that it belongs to this source.
 
     Raises

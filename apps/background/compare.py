@@ -13,18 +13,21 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ...models.core.atomic_files import write_text
 from ...models.core.frame import Frame
 from ..drawing.mosaic import mosaic
 from ..evaluation.scoring import Scoring
 from ..experiments.trials.baselines import CleanUp, OpenCVSubtractor
-from ..io.results import write_image, write_json, write_text
+from ..io.files import write_image, write_json
 from ..io.sources.open_source import open_source
 from ..reports import page, plots, snapshots
+from ..reports.evenly_spaced import EvenlySpaced
 from ..runs.interruption import Interruption, Outcome
 from ..runs.output_folder import output_folder
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
-from .application import APPLICATION, COMPARISON, Found, Job, read_truth
+from .application import COMPARISON, BackgroundRun, Found, read_truth
+from .job import BackgroundJob
 from .methods import Method, Model, Usual
 from .parameters import Parameters, read_parameters
 
@@ -101,21 +104,18 @@ class Moment:
 class Gallery:
     """Evenly spaced moments of a source of unknown length: at most ten, of which five are shown."""
 
-    moments: list[Moment] = field(default_factory=list)
-    stride: int = 1
-    count: int = 0
+    moments: EvenlySpaced[Moment] = field(default_factory=lambda: EvenlySpaced(MOST_PICTURES))
 
     def add(self, number: int, image: Image, systems: Sequence[tuple[Model, Found]]) -> None:
         """Keep a frame and what each system makes of it, if it is one of those to keep."""
-        if self.count % self.stride == 0:
+
+        def moment() -> Moment:
             made = [picture for model, found in systems for picture in (model.background(), found.foreground)]
-            self.moments.append(
-                Moment(number, tuple(snapshots.small(picture, PICTURE_WIDTH) for picture in (image, *made)))
+            return Moment(
+                number, tuple(snapshots.small(picture, PICTURE_WIDTH) for picture in (image, *made))
             )
-            if len(self.moments) > MOST_PICTURES:
-                del self.moments[1::2]
-                self.stride *= 2
-        self.count += 1
+
+        self.moments.add(moment)
 
     def chosen(self) -> list[Moment]:
         """Up to five of them, evenly spaced, with the last."""
@@ -160,7 +160,7 @@ def methods_of_figure_8(size: tuple[int, int], parameters: Parameters) -> list[M
     ]
 
 
-def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
+def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
     """Run all methods over the job's source; writes `compare.*` and two figures into its folder.
 
     Ctrl-C ends it after the current frame with the comparison until there. Returned are how it ended, and
@@ -171,7 +171,7 @@ def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
     ValueError, OSError
         in one line, whatever is wrong with the job.
     """
-    parameters = read_parameters(job.config) if job.config else {}
+    parameters = read_parameters(job.config, job.chain)
     with (
         Interruption() as interruption,
         open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source,
@@ -199,7 +199,7 @@ def run_compare(job: Job) -> tuple[Outcome, list[dict[str, Any]]]:
                 progress.update()
     lines = [tally.values(n_frames) for tally in tallies.values()] if n_frames else []
     if lines:
-        with output_folder(job.out, APPLICATION, add=True) as folder:
+        with output_folder(job.out, BackgroundRun.application, add=True) as folder:
             folder.add(COMPARISON)
             write_comparison(job.out, source.name, lines, gallery)
     summary = {"source": source.name, "frames": n_frames, "stream": source.stream}

@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import JOINTS
+from ...models.core.atomic_files import write_atomically, write_text
 from ..body.joint_files import COLUMNS
-from ..io.results import write_atomically, write_image, write_text
+from ..io.files import write_image
 from ..reports.expectations import in_columns
 from ..runs.interruption import Outcome
 from ..runs.progress import Progress
 from ..scenes import FaceScene, Scene, SignerScene, cylinder, face, signer, sleeping_man
-from .application import Job, run_background
+from .application import run_background
 from .compare import run_compare
+from .job import BackgroundJob
 
 N_FRAMES = 400
 FACE_FRAMES = 100
@@ -60,7 +62,7 @@ def run_demo(out: Path) -> Outcome:
     write_cylinder(out / "cylinder.npz")
     write_face(face(FACE_FRAMES, light=0.5), out / "face")
     write_body(signer(BODY_FRAMES, SIGNER, detector_dropout=0.05, clutter=0.5), out / "body")
-    job = Job(str(scene / "input"), out, overwrite=True, ground_truth=scene, compare=True)
+    job = BackgroundJob(str(scene / "input"), out=out, overwrite=True, ground_truth=scene, compare=True)
     outcome = run_background(job)
     if outcome.signal is None:
         outcome, lines = run_compare(job)

@@ -10,7 +10,8 @@ from ...inference import RecursiveBP
 from ...inference.core.recursive_bp import RunState
 from ...models.core.frame import BoundingBox, Frame
 from ..experiments.trials.baselines import CleanUp, KalmanHungarian, Subtractor, component_boxes
-from .application import Engine, Found, build_model, found_in
+from .application import Found, build_model, found_in
+from .job import Engine
 from .parameters import Parameters
 
 Image = NDArray[np.uint8]

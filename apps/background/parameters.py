@@ -1,17 +1,16 @@
 """Parameters of the background application's chains: by section and name, from a TOML file or defaults."""
 
-import tomllib
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Iterable, Mapping
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 from ...chains import AdaptiveBackground, BlobTracker, GroundPlane, MixtureBackground
-from ...models.core.limits import MOST_SETTINGS
-from ...models.core.text_files import read_text
+from ..complaints import meant
+from ..settings import make, plain_fields, read_fields, read_settings, top_level
 
 Parameters = Mapping[str, Mapping[str, Any]]
-"""Values by section ("background", "blobs", "ground") and name."""
+"""Values by section ("background", "blobs", "ground") and name; below `OTHERS` by chain and name."""
 
 SECTIONS: dict[str, dict[str, type[Any]]] = {
     "background": {"gaussian": AdaptiveBackground, "mixture": MixtureBackground},
@@ -20,36 +19,53 @@ SECTIONS: dict[str, dict[str, type[Any]]] = {
 }
 """Kinds of chain by section and by the value of its key `model`, the default first."""
 
-NODES = ("name", "pixels")
-"""Fields of chains that name nodes of the graph, which is the application's own."""
+OTHERS = "chains"
+"""The section whose subsections hold parameters of chains of others."""
+
+GROUP = "rsmcm.chains"
+"""Entry points by which other distributions announce classes of chains."""
 
 
-def read_parameters(path: Path) -> Parameters:
-    """Read parameters from a TOML file with the sections of `SECTIONS`; what it leaves out keeps its default.
+def read_parameters(path: Path | None, chosen: Iterable[str] = ()) -> Parameters:
+    """Read the sections of a TOML file; what they leave out keeps its default.
+
+    Parameters
+    ----------
+    path
+        of the file, with the sections of `SECTIONS`, and `[chains.NAME]` for chains of others; `None` for
+        none. What stands outside of sections are options of the command line.
+    chosen
+        names of chains of others that are wanted, whether the file has parameters of them or not.
 
     Raises
     ------
     ValueError
-        if it is no TOML, names a section or parameter that does not exist, or a value is of another type or
-        out of range; in one line that says where.
+        if it is no TOML, names a section, chain or parameter that does not exist, or a value is of another
+        type or out of range; in one line that says where.
     OSError
         if the file cannot be read.
     """
-    text = read_text(path, "expected a TOML file of parameters", MOST_SETTINGS)
-    try:
-        content = tomllib.loads(text)
-    except RecursionError:
-        raise ValueError(f"{path}: not a TOML file (brackets in brackets without end)") from None
-    except ValueError as error:
-        raise ValueError(f"{path}: not a TOML file ({error})") from None
+    content = {} if path is None else read_settings(path)
+    known = [*SECTIONS, OTHERS]
+    sections: dict[str, Any] = {}
     for section, values in content.items():
-        if section not in SECTIONS or not isinstance(values, dict):
-            raise ValueError(f"{path}: unknown key {section!r}, expected sections {_listed(SECTIONS)}")
-        try:
-            _check(section, values)
-        except ValueError as error:
-            raise ValueError(f"{path}, [{section}]: {error}") from None
-    return content
+        if section in top_level(content):
+            continue
+        if section not in known:
+            raise ValueError(
+                f"{path}: unknown key {section!r}, expected sections {_listed(known)}{meant(section, known)}"
+            )
+        if section == OTHERS:
+            sections[OTHERS] = {
+                name: read_fields(f"{path}, [{OTHERS}.{name}]", _other(name), given)
+                for name, given in values.items()
+            }
+        else:
+            where = f"{path}, [{section}]"
+            sections[section] = read_fields(where, _kind(where, section, values), values, {"model": str})
+    for name in chosen:
+        sections.setdefault(OTHERS, {}).setdefault(name, {})
+    return sections
 
 
 def build_chain(section: str, parameters: Parameters) -> Any:
@@ -57,27 +73,51 @@ def build_chain(section: str, parameters: Parameters) -> Any:
     values = dict(parameters.get(section, {}))
     kind = SECTIONS[section][_model(section, values)]
     values.pop("model", None)
-    return kind(**values)
+    return make(kind, values)
 
 
-def with_defaults(parameters: Parameters) -> dict[str, dict[str, Any]]:
+def other_chains(parameters: Parameters) -> dict[str, Any]:
+    """Make the chains of others, by the names under which they are announced.
+
+    Raises
+    ------
+    ValueError
+        if there is no such chain, or a parameter is out of range.
+    """
+    made = {}
+    for name, values in parameters.get(OTHERS, {}).items():
+        try:
+            made[name] = make(_other(name), values)
+        except ValueError as error:
+            raise ValueError(f"chain {name}: {error}") from None
+    return made
+
+
+def with_defaults(parameters: Parameters) -> dict[str, Any]:
     """Every parameter of every chain: given ones as they are, the others at their defaults."""
-    complete = {}
+    complete: dict[str, Any] = {}
     for section in SECTIONS:
         made = build_chain(section, parameters)
-        values = {name: getattr(made, name) for name in _kinds(type(made))}
-        complete[section] = {"model": _model(section, parameters.get(section, {})), **values}
-    return complete
+        complete[section] = {"model": _model(section, parameters.get(section, {})), **plain_fields(made)}
+    others = {name: plain_fields(made) for name, made in other_chains(parameters).items()}
+    return {**complete, OTHERS: others} if others else complete
 
 
-def _check(section: str, values: Mapping[str, Any]) -> None:
-    kinds = {"model": str, **_kinds(SECTIONS[section][_model(section, values)])}
-    for name, value in values.items():
-        if name not in kinds:
-            raise ValueError(f"unknown key {name!r}, expected {_listed(kinds)}")
-        if not _is(value, kinds[name]):
-            raise ValueError(f"{name} = {value!r}, expected {kinds[name].__name__}")
-    build_chain(section, {section: values})
+def _other(name: str) -> type[Any]:
+    """The class of a chain that another distribution has announced."""
+    announced = {point.name: point for point in entry_points(group=GROUP)}
+    if name not in announced:
+        there = f"expected {_listed(announced)}" if announced else "expected one that is installed; none is"
+        raise ValueError(f"--chain: got {name!r}, {there}{meant(name, announced)}")
+    chain: type[Any] = announced[name].load()
+    return chain
+
+
+def _kind(where: str, section: str, values: Mapping[str, Any]) -> type[Any]:
+    try:
+        return SECTIONS[section][_model(section, values)]
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
 
 
 def _model(section: str, values: Mapping[str, Any]) -> str:
@@ -89,18 +129,5 @@ def _model(section: str, values: Mapping[str, Any]) -> str:
     return str(model)
 
 
-def _kinds(chain: type[Any]) -> dict[str, Any]:
-    """Types of a chain's parameters; names of nodes in the graph are none of them."""
-    hints = get_type_hints(chain)
-    return {each.name: hints[each.name] for each in fields(chain) if each.init and each.name not in NODES}
-
-
-def _is(value: object, kind: type[Any]) -> bool:
-    """Whether a TOML value is of a kind; whole numbers are numbers, and true and false are neither."""
-    if kind is float:
-        return isinstance(value, int | float) and not isinstance(value, bool)
-    return type(value) is kind
-
-
-def _listed(names: Mapping[str, object]) -> str:
+def _listed(names: Iterable[str]) -> str:
     return ", ".join(names)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
+from ..reports.evenly_spaced import EvenlySpaced
 from ..reports.snapshots import MOST_SNAPSHOTS, small
 
 Image = NDArray[np.uint8]
@@ -60,18 +61,13 @@ class TrackHistory:
     width: float = 0.0  # sums over frames, px
     height: float = 0.0
     foot: tuple[float, float] = (0.0, 0.0)  # where it was last
-    path: list[tuple[float, float]] = field(default_factory=list)
-    stride: int = 1
+    path: EvenlySpaced[tuple[float, float]] = field(default_factory=lambda: EvenlySpaced(MOST_POINTS))
 
     def add(self, number: int, box: tuple[float, float, float, float]) -> None:
         """The track has `box` in frame `number`."""
         x, y, width, height = map(float, box)
         self.foot = (x + width / 2, y + height)
-        if self.n_frames % self.stride == 0:
-            self.path.append(self.foot)
-            if len(self.path) > MOST_POINTS:
-                del self.path[1::2]
-                self.stride *= 2
+        self.path.add(lambda: self.foot)
         self.last = number
         self.n_frames += 1
         self.width += width
@@ -82,8 +78,8 @@ class TrackHistory:
 class RunRecord:
     """What a report needs of a run, gathered frame by frame.
 
-    Of a stream of any length it keeps at most eight evenly spaced snapshots (whenever there are more, every
-    second one goes and the distance doubles), five numbers a frame, and per track a path of bounded length.
+    Of a stream of any length it keeps at most eight evenly spaced snapshots, six numbers a frame, and per
+    track a path of bounded length.
     """
 
     numbers: "array[int]" = field(default_factory=lambda: array("q"))
@@ -93,10 +89,8 @@ class RunRecord:
     log_evidence: "array[float]" = field(default_factory=lambda: array("d"))
     seconds: "array[float]" = field(default_factory=lambda: array("d"))
     tracks: dict[int, TrackHistory] = field(default_factory=dict)
-    snapshots: list[Snapshot] = field(default_factory=list)
+    snapshots: EvenlySpaced[Snapshot] = field(default_factory=lambda: EvenlySpaced(MOST_SNAPSHOTS))
     missing: list[int] = field(default_factory=list)
-    stride: int = 1  # frames between snapshots
-    next_snapshot: int = 0  # after how many frames it is due
 
     def add(
         self,
@@ -125,8 +119,8 @@ class RunRecord:
         seconds
             that the frame's processing took.
         """
-        seen = frame.image is not None
-        count = len(self.numbers)
+        image = frame.image
+        seen = image is not None
         self.numbers.append(frame.number)
         self.times.append(frame.time)
         self.n_tracks.append(len(tracks))
@@ -138,40 +132,41 @@ class RunRecord:
         for track in tracks:
             history = self.tracks.setdefault(track.identity, TrackHistory(frame.number))
             history.add(frame.number, track.box)
-        if frame.image is None:
+        if image is None:
             self.missing.append(frame.number)
-        elif count >= self.next_snapshot:
-            pictures = (frame.image, background(), foreground, overlay())
-            self.snapshots.append(Snapshot(frame.number, frame.time, *map(small, pictures)))
-            if len(self.snapshots) > MOST_SNAPSHOTS:
-                del self.snapshots[1::2]
-                self.stride *= 2
-            self.next_snapshot = count + self.stride
+            self.snapshots.add(None)
+            return
+
+        def snapshot() -> Snapshot:
+            pictures = (image, background(), foreground, overlay())
+            return Snapshot(frame.number, frame.time, *map(small, pictures))
+
+        self.snapshots.add(snapshot)
 
     def saved(self) -> dict[str, Any]:
         """Everything as plain JSON; the snapshots' pictures in base 64."""
         return {
             "series": {name: base64.b64encode(getattr(self, name).tobytes()).decode() for name in SERIES},
             "tracks": [[identity, asdict(history)] for identity, history in self.tracks.items()],
-            "snapshots": [each.saved for each in self.snapshots],
+            "snapshots": {**vars(self.snapshots), "kept": [each.saved for each in self.snapshots]},
             "missing": self.missing,
-            "stride": self.stride,
-            "next_snapshot": self.next_snapshot,
         }
 
     @classmethod
     def restored(cls, data: Mapping[str, Any]) -> "RunRecord":
         """The record of which `saved` was kept."""
+        kept = [
+            Snapshot(number, time, *map(_decoded, pictures))
+            for number, time, *pictures in data["snapshots"]["kept"]
+        ]
         record = cls(
-            missing=list(data["missing"]), stride=data["stride"], next_snapshot=data["next_snapshot"]
+            missing=list(data["missing"]), snapshots=EvenlySpaced(**{**data["snapshots"], "kept": kept})
         )
         for name in SERIES:
             getattr(record, name).frombytes(base64.b64decode(data["series"][name]))
         for identity, history in data["tracks"]:
-            path = [(x, y) for x, y in history.pop("path")]
-            record.tracks[identity] = TrackHistory(path=path, **history)
-        for number, time, *pictures in data["snapshots"]:
-            record.snapshots.append(Snapshot(number, time, *map(_decoded, pictures)))
+            path = {**history["path"], "kept": [(x, y) for x, y in history["path"]["kept"]]}
+            record.tracks[identity] = TrackHistory(**{**history, "path": EvenlySpaced(**path)})
         return record
 
 

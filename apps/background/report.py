@@ -9,7 +9,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ..io.results import identity_colour
+from ..drawing.boxes import identity_colour
 from ..reports.page import Section, cards, flat, paragraph, picture, picture_grid, table, write_run_page
 from ..reports.plots import figure
 from .record import RunRecord, Snapshot, TrackHistory

@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,13 +14,14 @@ from ...chains.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.core.frame import Frame
-from ..io.results import segment_pattern
+from ..io.segments import segment_pattern
 from ..io.sources.open_source import open_source
 from ..runs.blank_frames import SeenFrames
-from ..runs.film_run import FilmJob, FilmRun, Writer
+from ..runs.film_run import FilmRun, Writer
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import BODY, SAMPLE
 from ..runs.saved_run import SavedRun
+from .job import BodyJob
 from .joint_files import ClickedJoints, read_joints
 from .report import BodyRecord, write_body_report
 from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
@@ -34,41 +34,6 @@ Image = NDArray[np.uint8]
 SPREAD_OVER = 1000
 """Frames of a video over which those are spread in which faces are looked for: all of these are decoded."""
 
-FEWEST_SAMPLES = 10
-
-
-@dataclass(frozen=True)
-class BodyJob(FilmJob):
-    """What to do; `rsmcm body --help` explains each field."""
-
-    detector: Path | None = None
-    head: str | None = None
-    joints: Path | None = None
-    samples: int = 1000
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.samples < FEWEST_SAMPLES:
-            raise ValueError(f"--samples: got {self.samples}, expected {FEWEST_SAMPLES} or more")
-        if self.head is not None:
-            if self.detector is not None:
-                raise ValueError("--head: got --detector as well, expected one of them")
-            read_head(self.head)
-        if self.learned is not None:
-            for name in ("head", "joints"):
-                if getattr(self, name) is not None:
-                    raise ValueError(f"--{name}: got it beside --from, which says what the person is like")
-
-    def settings(self) -> dict[str, Any]:
-        """What the results depend on, beside the source."""
-        files = {name: getattr(self, name) for name in ("detector", "joints")}
-        return {
-            **{name: None if path is None else str(path.resolve()) for name, path in files.items()},
-            "head": self.head,
-            "samples": self.samples,
-            **super().settings(),
-        }
-
 
 def run_body(job: BodyJob) -> Outcome:
     """Run the body application; see `FilmRun.carry_out`.
@@ -78,7 +43,7 @@ def run_body(job: BodyJob) -> Outcome:
     return BodyRun(job, None if job.joints is None else read_joints(job.joints)).carry_out()
 
 
-class BodyRun(FilmRun):
+class BodyRun(FilmRun[BodyJob]):
     """One run: who is tracked, the poses, and the record for the report."""
 
     application = "body"
@@ -86,36 +51,33 @@ class BodyRun(FilmRun):
     kinds: ClassVar[dict[str, Any]] = {
         "person": SavedPerson,
         "record": BodyRecord.kinds(),
-        "before": list[int],
         "draws": np.random.Generator,
     }
     chains: ClassVar[dict[str, Any]] = {"flesh": FleshTracker, "pose": ArticulatedPose}
 
     def __init__(self, job: BodyJob, clicked: ClickedJoints | None) -> None:
-        super().__init__(job, job.settings())
-        self._job = job
+        super().__init__(job)
+        self._head = None if job.head is None else read_head(job.head)
         self._clicked = clicked
-        self._before: list[int] = []  # frames before the one in which the track starts
         self._draws = np.random.default_rng(job.seed)  # of the poses that are shown
         self.record = BodyRecord()
 
     @property
     def bytes_needed(self) -> tuple[float, float]:
         """Depends on the number of samples."""
-        return BODY, self._job.samples * SAMPLE
+        return BODY, self.job.samples * SAMPLE
 
     def memory(self) -> dict[str, Any]:
         """Who is tracked, and the record."""
         return {
             "person": SavedPerson.of(self._start),
             "record": self.record.saved(),
-            "before": self._before,
             "draws": self._draws,
         }
 
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """Find the person in the first frame in which anything is to be seen, and in others."""
-        job, images = self._job, None
+        job, images = self.job, None
         if self.source.kind in ("camera", "stream"):  # cannot be read twice
             beginning = list(islice(frames, CALIBRATION_FRAMES))
             frames = chain(beginning, frames)
@@ -123,14 +85,14 @@ class BodyRun(FilmRun):
         for first in frames:
             if first.image is not None:
                 break
-            self._before.append(first.number)
+            self.before.append(first.number)
         else:
             raise self.no_frame("holds no frame in which anything is to be seen")
         if images is None:
             images = self._looked_at()
         images = images or [first.image]  # where nothing else is to be seen in what was looked at
-        if job.head is not None:
-            start = start_from_head(first, read_head(job.head), images, self._clicked)
+        if self._head is not None:
+            start = start_from_head(first, self._head, images, self._clicked)
         else:
             start = start_from_faces(self.source.name, images, job.detector, self._clicked)
         found = "the head as marked" if job.head else str(job.detector or "OpenCV's cascades of faces")
@@ -140,24 +102,24 @@ class BodyRun(FilmRun):
 
     def go_on(self, memory: Mapping[str, Any]) -> None:
         """Take up the person, and the record."""
-        self._before, self._draws = memory["before"], memory["draws"]
+        self._draws = memory["draws"]
         self.record = BodyRecord.restored(memory["record"])
-        self._begin_with(memory["person"].start(self._job.detector))
+        self._begin_with(memory["person"].start(self.job.detector))
 
     def learn_from(self, saved: SavedRun) -> None:
         """Take the person's lengths, colour and pose."""
-        self._begin_with(saved.memory["person"].elsewhere().start(self._job.detector))
+        self._begin_with(saved.memory["person"].elsewhere().start(self.job.detector))
 
     def _begin_with(self, start: BodyStart) -> None:
         self._start = start
         self._flesh = FleshTracker(start.body)
-        self._pose = ArticulatedPose(start.body, self._job.samples, seed=self._job.seed)
+        self._pose = ArticulatedPose(start.body, self.job.samples, seed=self.job.seed)
         model = MultiChain().connect(self._flesh, start.parts).connect(self._pose, start.parts)
         self.engine = RecursiveBP(model)
 
     def _looked_at(self) -> list[Image]:
         """Images from all over the source, which is read a second time for it."""
-        job, total = self._job, self.source.n_frames
+        job, total = self.job, self.source.n_frames
         if total is not None and self.source.kind == "video":
             total = min(total, SPREAD_OVER)
         stride = 1 if total is None else -(-total // CALIBRATION_FRAMES)
@@ -171,7 +133,7 @@ class BodyRun(FilmRun):
     def writers(self, rate: float, after: int) -> list[Writer]:
         """Poses and overlay."""
         self._writer = BodyWriter(
-            self._job.out, self.source.size, rate, after, self._start.body, self._draws, self.record
+            self.job.out, self.source.size, rate, after, self._start.body, self._draws, self.record
         )
         return [self._writer]
 
@@ -184,8 +146,6 @@ class BodyRun(FilmRun):
         """What was seen, and what is assumed of the person."""
         start = self._start
         return {
-            "before_the_start": self._before,
-            "blank": self.blank,
             "seen": self.record.shares_seen,
             "stationary": self.record.stationary_periods,
             "flesh_colour": start.parts.skin is not None,
@@ -196,4 +156,9 @@ class BodyRun(FilmRun):
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the report."""
         title = f"{Path(self.source.name).name}: upper body"
-        write_body_report(self._job.out / "report.html", self.record, summary, title)
+        write_body_report(self.job.out / "report.html", self.record, summary, title)
+
+    def in_words(self, summary: Mapping[str, Any]) -> list[str]:
+        """How much was seen."""
+        shares = ", ".join(f"{name.replace('_', ' ')} {100 * s:.0f} %" for name, s in summary["seen"].items())
+        return [f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, seen: {shares}"]

@@ -1,4 +1,4 @@
-"""How well a body was followed: errors, honesty of the posterior, mis-tracks and recovery from them."""
+"""How well a body was followed: errors, calibration of the posterior, mis-tracks and recovery from them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import JOINTS
-from ...models.core import mahalanobis
 from .overlay import REGION_90, TrackedBody
 
 Numbers = NDArray[np.float64]
@@ -26,7 +25,7 @@ SOON = 10
 """Frames after which a hand should be followed again, from the first in which it can be seen."""
 
 LEAST_VARIANCE = 0.01
-"""px^2: added to a hand's, since all samples may be one."""
+"""px^2: added to a hand's covariance, since all samples may be one."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ class BodyTrial:
         truth; NaN of joints that the tracker knows nothing of.
     errors_3d
         `(n_frames, 4)` px: the same in space.
-    squares
+    nees
         `(n_frames, 2)`: squared Mahalanobis distance of left and right hand in the picture, with the
         posterior's mean and covariance.
     effective
@@ -89,7 +88,7 @@ class BodyTrial:
 
     errors: Numbers
     errors_3d: Numbers
-    squares: Numbers
+    nees: Numbers
     effective: Numbers
     seconds: Numbers
     hidden: Mask
@@ -145,11 +144,6 @@ def _first(holds: Mask, start: int) -> int | None:
     return start + int(ahead[0]) if len(ahead) else None
 
 
-def squared_distances(errors: Numbers, covariances: Numbers) -> Numbers:
-    """Squared Mahalanobis distances `(n,)` of errors `(n, 2)` px with covariances `(n, 2, 2)` px^2."""
-    return mahalanobis.squared_distances(errors, covariances + LEAST_VARIANCE * np.eye(2))
-
-
 def pooled(trials: Sequence[BodyTrial], measure: str) -> Numbers:
     """A measure of every frame after the first, of all scenes: `(n, ...)`."""
     return np.concatenate([getattr(trial, measure)[1:] for trial in trials])
@@ -157,7 +151,7 @@ def pooled(trials: Sequence[BodyTrial], measure: str) -> Numbers:
 
 def coverage(trials: Sequence[BodyTrial]) -> float:
     """Share of the true hands that are within the posterior's 90 % region."""
-    return float((pooled(trials, "squares") < REGION_90).mean())
+    return float((pooled(trials, "nees") < REGION_90).mean())
 
 
 def recoveries(trials: Sequence[BodyTrial]) -> tuple[int, int]:

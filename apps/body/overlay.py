@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import JOINTS
+from ..drawing.boxes import draw_overlay
 from ..drawing.overlay_video import enlargement
-from ..io.results import draw_overlay
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -1,4 +1,4 @@
-"""Who is to be tracked: size, skin colour and lengths of a person, from a look at some frames."""
+"""Who is to be tracked: size, skin colour and lengths of a person, from some frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -71,7 +71,7 @@ class BodyStart:
 
 @dataclass(frozen=True, eq=False)
 class SavedPerson:
-    """A `BodyStart` as it is saved: detectors of faces are made anew from what they are told.
+    """A `BodyStart` as it is saved: detectors of faces are made anew from their settings.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class SavedPerson:
     skin, static_skin
         as of `BodyParts`.
     face_height
-        px, to which a detector of faces is told to look; `None` if it is not.
+        px, size for which a detector of faces searches; `None` for any.
     marked
         the face that somebody has marked in place of a detector.
     body, origin

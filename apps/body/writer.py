@@ -1,9 +1,7 @@
 """What a run of the body application leaves: arrays and a video that grow with the frames."""
 
-from contextlib import ExitStack
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +9,8 @@ from numpy.typing import NDArray
 from ...inference.body.samples import BodySamples, moments
 from ...models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...models.core.frame import Frame
-from ..drawing.overlay_video import OverlayVideo, caption
-from ..io.row_writer import RowWriter
+from ..drawing.overlay_video import caption
+from ..runs.pose_writer import PoseWriter
 from .overlay import BodyOverlay, TrackedBody
 from .report import PART_JOINTS, BodyRecord
 
@@ -35,7 +33,7 @@ FACE_AND_NECK = (0.45, 0.62)
 """Of the head's height: half axes of the ellipse about its centre in which flesh need not be a hand's."""
 
 
-class BodyWriter:
+class BodyWriter(PoseWriter):
     """What grows with the frames: `poses.npz`, `overlay.mp4` and the record for summary and report.
 
     `poses.npz` holds, a row a frame: `frames` (their numbers) and `times` s; posterior means and covariances:
@@ -75,10 +73,6 @@ class BodyWriter:
         random: np.random.Generator,
         record: BodyRecord,
     ) -> None:
-        self._body = body
-        self._random = random
-        self._record = record
-        self._overlay = BodyOverlay(body.upper_arm + body.forearm)
         known = lengths(body)
         constants = {
             "joint_names": np.array(JOINTS),
@@ -87,23 +81,11 @@ class BodyWriter:
             "length_names": np.array(list(known)),
             "lengths": np.array(list(known.values())),
         }
-        self._rows = RowWriter(folder / "poses.npz", constants, after)
-        self._video = OverlayVideo(folder / "overlay.mp4", rate, after)
-        self._open = ExitStack()
-        self._image: Image = np.zeros((size[1], size[0], 3), np.uint8)  # the last one
-
-    def __enter__(self) -> Self:
-        self._open.enter_context(self._rows)
-        self._open.enter_context(self._video)
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._open.__exit__(*error)
-
-    def checkpoint(self) -> None:
-        """Return when everything is on disk and readable."""
-        self._rows.checkpoint()
-        self._video.checkpoint()
+        super().__init__(folder, size, rate, after, constants)
+        self._body = body
+        self._random = random
+        self._record = record
+        self._overlay = BodyOverlay(body.upper_arm + body.forearm)
 
     def add(self, frame: Frame, samples: BodySamples, detected: Mask, seconds: float) -> None:
         """Take in a frame.
@@ -123,35 +105,25 @@ class BodyWriter:
         drawn = self._body.joints(samples.drawn(N_DRAWN, self._random))
         before_face = _before_face(found.joints[PART_JOINTS, :2], self._body.head_height)
         seen = detected & ~before_face
-        self._rows.append(
-            frame.number,
-            {
-                "frames": np.int64(frame.number),
-                "times": np.float64(frame.time),
-                "joints_2d": found.joints[:, :2],
-                "joints_2d_covariances": found.joint_covariances[:, :2, :2],
-                "joints_3d": found.joints,
-                "joints_3d_covariances": found.joint_covariances,
-                "angles": found.angles,
-                "angle_covariances": found.angle_covariances,
-                "samples": drawn.astype(np.float32),
-                "seen": seen,
-                "stationary": np.bool_(samples.stationary),
-                "missing": np.bool_(frame.missing),
-            },
-        )
-        if frame.image is not None:
-            self._image = frame.image
-        image = self._image
+        row = {
+            "frames": np.int64(frame.number),
+            "times": np.float64(frame.time),
+            "joints_2d": found.joints[:, :2],
+            "joints_2d_covariances": found.joint_covariances[:, :2, :2],
+            "joints_3d": found.joints,
+            "joints_3d_covariances": found.joint_covariances,
+            "angles": found.angles,
+            "angle_covariances": found.angle_covariances,
+            "samples": drawn.astype(np.float32),
+            "seen": seen,
+            "stationary": np.bool_(samples.stationary),
+            "missing": np.bool_(frame.missing),
+        }
         shown = TrackedBody(
             drawn, found.joints, found.joint_covariances, _state(frame, samples, detected, before_face)
         )
-
-        def draw() -> Image:
-            return self._overlay.draw(image, shown, caption(frame))
-
-        self._video.write(frame, draw)
-        self._record.add(frame, found, seen, samples, seconds, overlay=draw)
+        drawing = self.write(frame, row, lambda image: self._overlay.draw(image, shown, caption(frame)))
+        self._record.add(frame, found, seen, samples, seconds, overlay=drawing)
 
 
 def lengths(body: UpperBody) -> dict[str, float]:

@@ -1,16 +1,15 @@
 """`overlay.mp4` of a run: what was made of every frame, drawn and encoded in a thread."""
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ..io.results import PLAYABLE, SegmentedVideo
+from ..io.segmented_video import PLAYABLE, SegmentedVideo
+from ..io.worker import Worker
 
 Image = NDArray[np.uint8]
 
@@ -28,47 +27,42 @@ class OverlayVideo:
         pictures per second.
     resume_after
         number of the frame after which this run goes on; 0 for a new one.
+    ahead
+        frames that may wait to be drawn.
     """
 
-    def __init__(self, path: Path, rate: float, resume_after: int = 0) -> None:
+    def __init__(self, path: Path, rate: float, resume_after: int = 0, ahead: int = 1) -> None:
         self._video = SegmentedVideo(path, rate, PLAYABLE, resume_after)
-        self._thread = ThreadPoolExecutor(1, "overlay")
-        self._unfinished: Future[None] | None = None
+        self._worker = Worker("overlay", ahead)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
-            self._wait()
+            self._worker.stop()
         finally:
-            self._thread.shutdown()
             self._video.close(finished=kind is None)
 
     def checkpoint(self) -> None:
         """Return when everything is on disk and readable."""
-        self._wait()
+        self._worker.wait()
         self._video.checkpoint()
 
-    def write(self, frame: Frame, draw: Callable[[], Image]) -> None:
-        """Append the picture of a frame, which `draw` makes; what it uses must not change any more.
+    def write(self, frame: Frame, draw: Callable[[], Image | None]) -> None:
+        """Append the picture of a frame, which `draw` makes, if any; what it uses must not change any more.
 
         Raises
         ------
         OSError
-            if the video cannot be written; it is told at the next frame.
+            if the video cannot be written; it may come with a later frame.
         """
-        self._wait()  # one frame ahead is enough
-        self._unfinished = self._thread.submit(self._draw, frame, draw)
+        self._worker.submit(self._draw, frame, draw)
 
-    def _wait(self) -> None:
-        if self._unfinished is not None:
-            self._unfinished.result()
-
-    def _draw(self, frame: Frame, draw: Callable[[], Image]) -> None:
-        self._video.write(draw(), frame.number, frame.time)
+    def _draw(self, frame: Frame, draw: Callable[[], Image | None]) -> None:
+        picture = draw()
+        if picture is not None:
+            self._video.write(picture, frame.number, frame.time)
 
 
 def enlargement(image: Image, least: int) -> int:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from ...inference.validity.estimate import RecordedPredictions
 from ...models.core.array_files import read_arrays
+from ...models.core.atomic_files import write_atomically
 from ...models.core.gaussian_message import GaussianMessage
-from ..io.results import write_atomically
 
 FILE = "predictions.npz"
 FORMAT = "rsmcm predictions 1"

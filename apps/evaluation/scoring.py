@@ -108,5 +108,5 @@ class Scoring:
 
 
 def track_rows(boxes: NDArray[np.void]) -> NDArray[np.float64]:
-    """Turn boxes as `results.read_tracks` gives them into rows frame, identity, x, y, width, height."""
+    """Turn boxes as `read_tracks` gives them into rows frame, identity, x, y, width, height."""
     return np.column_stack([boxes["frame"], boxes["id"], boxes["box"].reshape(-1, 4)]).astype(np.float64)

@@ -2,11 +2,10 @@
 
 import logging
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +19,13 @@ from ...models.face.detectors import PartDetector, default_faces
 from ...models.face.model_files import read_correspondences, read_model
 from ...models.face.morphable_model import MorphableModel
 from ..io.point_files import read_points
-from ..io.results import segment_pattern
+from ..io.segments import segment_pattern
 from ..io.sources.open_source import open_source
-from ..runs.film_run import FilmJob, FilmRun, Writer
+from ..runs.film_run import FilmRun, Writer
 from ..runs.interruption import Outcome
 from ..runs.memory import EXPERT, FACE, FACE_EXPERT
 from ..runs.saved_run import SavedRun
+from .job import FaceJob
 from .landmark_files import GivenLandmarks
 from .report import FaceRecord, write_face_report
 from .start import FaceStart, find_face, start_from_box, start_from_landmarks
@@ -35,41 +35,6 @@ _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class FaceJob(FilmJob):
-    """What to do; `rsmcm face --help` explains each field."""
-
-    model: Path | None = None
-    landmarks: Path | None = None
-    correspondences: Path | None = None
-    detector: Path | None = None
-    experts: int = 20
-    gain: float | Literal["learned"] = 0.1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.experts < 1:
-            raise ValueError(f"--experts: got {self.experts}, expected 1 or more")
-        if self.gain != "learned" and not 0 <= self.gain <= 1:
-            raise ValueError(f"--gain: got {self.gain}, expected 0 to 1, or learned")
-        if self.learned is not None:
-            for name in ("model", "landmarks", "detector"):
-                if getattr(self, name) is not None:
-                    raise ValueError(f"--{name}: got it beside --from, which says what the face is like")
-        if self.landmarks is None and self.correspondences is not None:
-            raise ValueError("--correspondences: got them without landmarks, expected --landmarks as well")
-
-    def settings(self) -> dict[str, Any]:
-        """What the results depend on, beside the source."""
-        files = {name: getattr(self, name) for name in ("model", "landmarks", "correspondences", "detector")}
-        return {
-            **{name: None if path is None else str(path.resolve()) for name, path in files.items()},
-            "experts": self.experts,
-            "gain": self.gain,
-            **super().settings(),
-        }
 
 
 def run_face(job: FaceJob) -> Outcome:
@@ -100,7 +65,7 @@ def _given_landmarks(job: FaceJob) -> GivenLandmarks | None:
     return GivenLandmarks(rows, pairs, job.start, job.step)
 
 
-class FaceRun(FilmRun):
+class FaceRun(FilmRun[FaceJob]):
     """One run: where the face is in the first frame, its poses and texture, and the record for the report."""
 
     application = "face"
@@ -108,16 +73,13 @@ class FaceRun(FilmRun):
     kinds: ClassVar[dict[str, Any]] = {
         "start": FaceStart,
         "record": FaceRecord.kinds(),
-        "before": list[int],
     }
     chains: ClassVar[dict[str, Any]] = {"gflow": GFlow}
 
     def __init__(self, job: FaceJob, model: MorphableModel, given: GivenLandmarks | None) -> None:
-        super().__init__(job, job.settings())
-        self._job = job
+        super().__init__(job)
         self._model = model
         self._given = given
-        self._before: list[int] = []  # frames before the one in which the track starts
         self._textures: dict[str, Image] = {}
         self._restarts = 0  # relocations until the frame before
         self.record = FaceRecord()
@@ -125,11 +87,11 @@ class FaceRun(FilmRun):
     @property
     def bytes_needed(self) -> tuple[float, float]:
         """Depends on the number of experts."""
-        return FACE + self._job.experts * FACE_EXPERT, self._job.experts * EXPERT
+        return FACE + self.job.experts * FACE_EXPERT, self.job.experts * EXPERT
 
     def memory(self) -> dict[str, Any]:
         """Who is tracked, and the record."""
-        return {"start": self._start, "record": self.record.saved(), "before": self._before}
+        return {"start": self._start, "record": self.record.saved()}
 
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """Find the face in the first frame that shows one."""
@@ -137,33 +99,30 @@ class FaceRun(FilmRun):
             start = self._found_in(first)
             if start is not None:
                 break
-            self._before.append(first.number)
+            self.before.append(first.number)
         else:
-            if self._given is not None or len(self._before) == len(self.blank):
+            if self._given is not None or len(self.before) == len(self.blank):
                 raise self.no_frame("holds no frame in which anything is to be seen")
             raise self.no_frame("no face is found in it, expected one, or --landmarks")
-        found = "landmarks" if self._given else str(self._job.detector or "OpenCV's cascade of faces")
+        found = "landmarks" if self._given else str(self.job.detector or "OpenCV's cascade of faces")
         _log.info("start in frame %d, by %s", first.number, found)
         self._begin_with(start)
         return chain([first], frames)
 
     def go_on(self, memory: Mapping[str, Any]) -> None:
         """Take up the face, and the record."""
-        self._before = memory["before"]
         self.record = FaceRecord.restored(memory["record"])
         self._begin_with(memory["start"])
 
     def learn_from(self, saved: SavedRun) -> None:
         """Take the face and its texture."""
         experts = len(saved.state.states["gflow"].poses)
-        if experts != self._job.experts:
-            raise ValueError(
-                f"--experts: got {self._job.experts}, expected {experts} like {self._job.learned}"
-            )
+        if experts != self.job.experts:
+            raise ValueError(f"--experts: got {self.job.experts}, expected {experts} like {self.job.learned}")
         self._begin_with(saved.memory["start"])
 
     def _begin_with(self, start: FaceStart) -> None:
-        job = self._job
+        job = self.job
         self._start = start
         self._chain = GFlow(start.model, start.pose, experts=job.experts, gain=job.gain, seed=job.seed)
         self.engine = RecursiveBP(MultiChain().connect(self._chain, PixelLabels()))
@@ -173,7 +132,7 @@ class FaceRun(FilmRun):
     def writers(self, rate: float, after: int) -> list[Writer]:
         """Poses and overlay."""
         self._writer = FaceWriter(
-            self._job.out, self.source.size, rate, after, self._chain, self._start, self._given, self.record
+            self.job.out, self.source.size, rate, after, self._chain, self._start, self._given, self.record
         )
         return [self._writer]
 
@@ -186,8 +145,21 @@ class FaceRun(FilmRun):
     @cached_property
     def _faces(self) -> PartDetector:
         return default_faces(
-            self._job.detector, "--landmarks of the first frame, or a model file of YuNet as --detector"
+            self.job.detector, "--landmarks of the first frame, or a model file of YuNet as --detector"
         )
+
+    def in_words(self, summary: Mapping[str, Any]) -> list[str]:
+        """How much was lost, and the error."""
+        words = [
+            f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, "
+            f"{summary['lost_frames']} lost, {len(summary['reinitialised'])} re-initialisations"
+        ]
+        if error := summary["error"]:
+            words.append(
+                f"error in {error['frames']} frames: mean {error['mean_px']:.3g} px, "
+                f"worst {error['worst_px']:.3g} px in frame {error['worst_frame']}"
+            )
+        return words
 
     def _found_in(self, frame: Frame) -> FaceStart | None:
         """Where the face is in a frame; `None` if it is not found, or nothing is to be seen."""
@@ -206,19 +178,17 @@ class FaceRun(FilmRun):
             _check_inside(landmarks, frame.image)
             return start_from_landmarks(self._model, landmarks, self._given.pairs)
         except ValueError as error:
-            raise ValueError(f"{self._job.landmarks}: {error}") from None
+            raise ValueError(f"{self.job.landmarks}: {error}") from None
 
     def facts(self) -> dict[str, Any]:
         """How the track began, where it was lost, and errors against landmarks."""
         start, record = self._start, self.record
-        if self._job.learned is not None:
+        if self.job.learned is not None:
             origin = "another run"
         else:
             origin = "face detector" if start.fit_error is None else "landmarks"
-        white, self._textures = write_textures(self._job.out, self._chain, self.state.states["gflow"])
+        white, self._textures = write_textures(self.job.out, self._chain, self.state.states["gflow"])
         return {
-            "before_the_start": self._before,
-            "blank": self.blank,
             "start": origin,
             "start_fit_error_px": start.fit_error,
             "landmarks": len(start.present),
@@ -237,7 +207,7 @@ class FaceRun(FilmRun):
         """Write the report."""
         title = f"{Path(self.source.name).name}: face"
         names = self._start.model.names
-        write_face_report(self._job.out / "report.html", self.record, summary, names, self._textures, title)
+        write_face_report(self.job.out / "report.html", self.record, summary, names, self._textures, title)
 
 
 def _check_inside(landmarks: Array, image: Image) -> None:

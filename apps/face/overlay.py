@@ -13,8 +13,8 @@ from ...models.face.pose import Poses
 from ...models.face.surface_texels import SurfaceTexels
 from ...models.face.visibility import visible
 from ...models.numerics.rotations import exponential
+from ..drawing.boxes import draw_overlay
 from ..drawing.overlay_video import enlargement
-from ..io.results import draw_overlay
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

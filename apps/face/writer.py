@@ -1,17 +1,15 @@
 """What a face-tracking run leaves: arrays and a video that grow with the frames, pictures of the texture."""
 
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...chains.gflow import GFlow, GFlowState
 from ...models.core.frame import Frame
-from ..drawing.overlay_video import OverlayVideo, caption
-from ..io.results import write_image
-from ..io.row_writer import RowWriter
+from ..drawing.overlay_video import caption
+from ..io.files import write_image
+from ..runs.pose_writer import PoseWriter
 from .landmark_files import GivenLandmarks
 from .overlay import FaceOverlay, TrackedFace, texture_picture
 from .report import FaceRecord
@@ -24,7 +22,7 @@ SUREST = 0.01
 """Squared grey levels below which variances of texels are not told apart (of a template it is 0)."""
 
 
-class FaceWriter:
+class FaceWriter(PoseWriter):
     """What grows with the frames: `poses.npz`, `overlay.mp4` and the record for summary and report.
 
     `poses.npz` holds, a row a frame: `frame_numbers`, `times` s; of the experts `weights (n_experts,)`,
@@ -67,29 +65,13 @@ class FaceWriter:
         given: GivenLandmarks | None,
         record: FaceRecord,
     ) -> None:
+        constants = {"bases": start.model.bases, "triangles": start.model.triangles}
+        super().__init__(folder, size, rate, after, constants)
         self._chain = chain
         self._start = start
         self._given = given
         self._record = record
         self._overlay = FaceOverlay(start.model)
-        constants = {"bases": start.model.bases, "triangles": start.model.triangles}
-        self._rows = RowWriter(folder / "poses.npz", constants, after)
-        self._video = OverlayVideo(folder / "overlay.mp4", rate, after)
-        self._open = ExitStack()
-        self._image: Image = np.zeros((size[1], size[0], 3), np.uint8)  # the last one
-
-    def __enter__(self) -> Self:
-        self._open.enter_context(self._rows)
-        self._open.enter_context(self._video)
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._open.__exit__(*error)
-
-    def checkpoint(self) -> None:
-        """Return when everything is on disk and readable."""
-        self._rows.checkpoint()
-        self._video.checkpoint()
 
     def add(self, frame: Frame, state: GFlowState, seconds: float, *, restarted: bool) -> None:
         """Take in a frame, which took the tracker so long; it may have found the face again in it."""
@@ -102,38 +84,28 @@ class FaceWriter:
         # the first picture shows the texture, which nothing could predict
         unpredicted = frame.missing or state.frames_seen == 1
         evidence, fit = (np.nan, np.nan) if unpredicted else (state.log_evidence, state.fit)
-        self._rows.append(
-            frame.number,
-            {
-                "frame_numbers": np.int64(frame.number),
-                "times": np.float64(frame.time),
-                "weights": state.weights,
-                "rotations": state.poses.rotations,
-                "translations": state.poses.translations,
-                "morphs": state.poses.morphs,
-                "mean_rotation": mean.rotations[0],
-                "mean_translation": mean.translations[0],
-                "mean_morphs": mean.morphs[0],
-                "vertices_2d": vertices[:, :2].astype(np.float32),
-                "vertices_3d": vertices.astype(np.float32),
-                "covariance": covariance.astype(np.float32),
-                "landmarks": landmarks,
-                "log_evidence": np.float64(evidence),
-                "fit": np.float64(fit),
-                "lost": np.bool_(state.lost),
-                "reinitialised": np.bool_(restarted),
-                "missing": np.bool_(frame.missing),
-            },
-        )
-        if frame.image is not None:
-            self._image = frame.image
-        image = self._image
+        row = {
+            "frame_numbers": np.int64(frame.number),
+            "times": np.float64(frame.time),
+            "weights": state.weights,
+            "rotations": state.poses.rotations,
+            "translations": state.poses.translations,
+            "morphs": state.poses.morphs,
+            "mean_rotation": mean.rotations[0],
+            "mean_translation": mean.translations[0],
+            "mean_morphs": mean.morphs[0],
+            "vertices_2d": vertices[:, :2].astype(np.float32),
+            "vertices_3d": vertices.astype(np.float32),
+            "covariance": covariance.astype(np.float32),
+            "landmarks": landmarks,
+            "log_evidence": np.float64(evidence),
+            "fit": np.float64(fit),
+            "lost": np.bool_(state.lost),
+            "reinitialised": np.bool_(restarted),
+            "missing": np.bool_(frame.missing),
+        }
         face = TrackedFace(state.poses, mean, landmarks, state.lost)
-
-        def draw() -> Image:
-            return self._overlay.draw(image, face, caption(frame))
-
-        self._video.write(frame, draw)
+        drawn = self.write(frame, row, lambda image: self._overlay.draw(image, face, caption(frame)))
         self._record.add(
             frame,
             mean,
@@ -144,7 +116,7 @@ class FaceWriter:
             seconds,
             lost=state.lost,
             restarted=restarted,
-            overlay=draw,
+            overlay=drawn,
         )
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pooch
 
+from ...models.core.atomic_files import write_text
+
 VARIABLE = "RSMCM_DATA"
 """The environment variable that names the folder in which the sequences' folders lie."""
 
@@ -118,11 +120,8 @@ def _fetch_pets(folder: Path) -> Path:
     pooch.retrieve(VIDEO_ADDRESS, VIDEO_HASH, fname="vtest.avi", path=folder)
     # the annotation's own hash is not known to us: what it holds is checked instead
     source = Path(pooch.retrieve(BOXES_ADDRESS, None, fname="PETS2009-S2L1.xml", path=folder))
-    unfinished = folder / "gt.txt.part"
     annotation = source.read_text(encoding="utf-8")
-    truth = mot_from_cvml(annotation, frames=795, identities=19, boxes=4650)
-    unfinished.write_text(truth, encoding="utf-8", newline="\n")
-    unfinished.replace(folder / "gt.txt")
+    write_text(folder / "gt.txt", mot_from_cvml(annotation, frames=795, identities=19, boxes=4650))
     return folder
 
 

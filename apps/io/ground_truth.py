@@ -11,13 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.limits import LAST_FRAME, MOST_SETTINGS
+from ...models.core.limits import MOST_SETTINGS, MOST_TEXT
 from ...models.core.text_files import read_text
-from .point_files import FARTHEST
+from .mot import read_lines
 from .sources.images import read_grey
-
-LAST_IDENTITY = 1 << 53
-"""Whole numbers up to it are exact among those that are read."""
 
 SHADOW, OUTSIDE, UNKNOWN, FOREGROUND = 50, 85, 170, 255
 """CDnet's labels of a pixel; 0 is background."""
@@ -188,13 +185,16 @@ def common_frames(truth: BoxTruth | MaskTruth, processed: range) -> Sequence[int
 
 
 def _read_boxes(path: Path) -> BoxTruth:
+    if path.stat().st_size > MOST_TEXT:
+        raise ValueError(f"{path}: got more than {MOST_TEXT} bytes, expected MOT ground truth")
     rows: list[tuple[float, ...]] = []
-    for number, line in enumerate(read_text(path, "expected MOT ground truth").splitlines(), 1):
-        if line.strip():
-            try:
-                rows.append(_parse_line(line))
-            except ValueError as error:
-                raise ValueError(f"{path}, line {number}: {error}") from None
+    for number, values in read_lines(path):
+        width, height = values[4:6]
+        if min(width, height) <= 0:
+            raise ValueError(
+                f"{path}, line {number}: got a box of {width:g} x {height:g} pixels, expected a positive size"
+            )
+        rows.append((*values[:6], _kind_of(values)))
     if not rows:
         raise ValueError(f"{path}: holds no boxes")
     table = np.array(rows)
@@ -212,33 +212,14 @@ def _read_boxes(path: Path) -> BoxTruth:
     )
 
 
-def _parse_line(line: str) -> tuple[float, ...]:
-    """Return frame, identity, left, top, width, height, kind."""
-    expected = "expected frame,identity,left,top,width,height[,flag[,class,visibility]]"
-    try:
-        values = [float(field) for field in line.split(",")]
-    except ValueError:
-        raise ValueError(f"got {line[:60]!r}, {expected}") from None
-    if len(values) < 6 or not math.isfinite(sum(values[:6])):
-        raise ValueError(f"got {line[:60]!r}, {expected}")
-    frame, identity, left, top, width, height = values[:6]
-    if not 1 <= frame <= LAST_FRAME or frame % 1 or identity % 1 or abs(identity) > LAST_IDENTITY:
-        raise ValueError(
-            f"got frame {frame:g}, identity {identity:g}, expected whole numbers, frames from 1 to "
-            f"{LAST_FRAME}"
-        )
-    if width <= 0 or height <= 0 or max(map(abs, values[2:6])) > FARTHEST:
-        raise ValueError(
-            f"got a box of {width:g} x {height:g} pixels at {left:g}, {top:g}, expected a positive "
-            f"size and px up to {FARTHEST:g}"
-        )
-    kind = Kind.PEDESTRIAN
+def _kind_of(values: Sequence[float]) -> Kind:
+    """The kind of box that a line is of."""
+    if len(values) > 6 and values[6] == 0:
+        return Kind.IGNORED
     # Ten columns are MOT15's, where the eighth is a coordinate and no class.
     if len(values) in (8, 9) and values[7] != -1:
-        kind = _KIND_OF_CLASS.get(int(values[7]), Kind.IGNORED) if math.isfinite(values[7]) else Kind.IGNORED
-    if len(values) > 6 and values[6] == 0:
-        kind = Kind.IGNORED
-    return (*values[:6], kind)
+        return _KIND_OF_CLASS.get(int(values[7]), Kind.IGNORED) if math.isfinite(values[7]) else Kind.IGNORED
+    return Kind.PEDESTRIAN
 
 
 def _read_masks(folder: Path) -> MaskTruth:

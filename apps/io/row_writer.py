@@ -11,7 +11,8 @@ from typing import IO, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .results import naming, segment_name, segments_of, sync, write_atomically
+from ...models.core.atomic_files import naming, sync, write_atomically
+from .segments import segment_name, segments_of
 
 CHUNK = 1 << 24
 """Bytes that are copied at a time."""

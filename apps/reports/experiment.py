@@ -7,7 +7,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from ..io.results import write_json
+from ..io.files import write_json
 from .expectations import HEADER, Expectation, print_tables
 from .page import Section, table, write_page
 from .plots import figure, write_figure

@@ -15,7 +15,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from ..io.results import write_text
+from ...models.core.atomic_files import write_text
 
 Image = NDArray[np.uint8]
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from ..drawing.mosaic import fitting
+from .evenly_spaced import EvenlySpaced
 from .page import picture_grid
 
 Image = NDArray[np.uint8]
@@ -31,22 +32,24 @@ class Snapshot:
 class Snapshots:
     """At most eight evenly spaced pictures of a run.
 
-    Whenever there are more, every second one goes and the distance doubles.
-
     Parameters
     ----------
     width
         px: wider pictures are kept smaller.
     """
 
-    KINDS: ClassVar[dict[str, Any]] = {"kept": tuple[Snapshot, ...], "count": int, "stride": int}
+    KINDS: ClassVar[dict[str, Any]] = {
+        "most": int,
+        "kept": tuple[Snapshot, ...],
+        "places": int,
+        "stride": int,
+        "due": int,
+    }
     """What `saved` gives, for `rsmcm.inference.core.checkpoint`."""
 
     def __init__(self, width: int = SNAPSHOT_WIDTH) -> None:
         self._width = width
-        self._kept: list[Snapshot] = []
-        self._count = 0  # frames so far
-        self._stride = 1  # frames between snapshots
+        self._kept: EvenlySpaced[Snapshot] = EvenlySpaced(MOST_SNAPSHOTS)
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -56,20 +59,15 @@ class Snapshots:
 
     def add(self, frame: Frame, draw: Callable[[], Image]) -> None:
         """Take in a frame; `draw` is called for the few of which a picture is kept."""
-        if self._count % self._stride == 0:
-            self._kept.append(Snapshot(frame.number, frame.time, small(draw(), self._width)))
-            if len(self._kept) > MOST_SNAPSHOTS:
-                del self._kept[1::2]
-                self._stride *= 2
-        self._count += 1
+        self._kept.add(lambda: Snapshot(frame.number, frame.time, small(draw(), self._width)))
 
     def saved(self) -> dict[str, Any]:
         """Everything."""
-        return {"kept": tuple(self._kept), "count": self._count, "stride": self._stride}
+        return {**vars(self._kept), "kept": tuple(self._kept)}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Take over what `saved` was."""
-        self._kept, self._count, self._stride = list(saved["kept"]), saved["count"], saved["stride"]
+        self._kept = EvenlySpaced(**{**saved, "kept": list(saved["kept"])})
 
     def row(self, name: str) -> Markup:
         """All pictures beside each other in a row of that name."""

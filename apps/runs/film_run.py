@@ -6,72 +6,30 @@ known before the first frame, and in what they write.
 
 import logging
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import replace
 from itertools import chain
-from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from ...inference import Belief, RecursiveBP
 from ...inference.core.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
-from ..io.results import naming, segment_pattern, write_json
+from ..io.files import write_json
 from ..io.sources.open_source import Source, describe, open_source
 from .blank_frames import SeenFrames
-from .interruption import Interrupted, Interruption, Outcome
+from .interruption import Interrupted, Outcome
+from .job import FilmJob
 from .memory import check_memory
-from .output_folder import output_folder
 from .progress import Progress
-from .saved_run import STATE, SavedRun, check_source, saying_how_to_go_on
-from .versions import versions
+from .run import Run
+from .saved_run import STATE, SavedRun, check_source
 
 _log = logging.getLogger(__name__)
 
-ALWAYS = (STATE, "summary.json", "report.html", "overlay.mp4", segment_pattern("overlay.mp4"))
-"""Files that every such run leaves."""
-
-
-@dataclass(frozen=True)
-class FilmJob:
-    """What to do with a film; the command line's help explains each field.
-
-    Raises
-    ------
-    ValueError
-        if fields contradict each other.
-    """
-
-    source: str
-    out: Path
-    _: KW_ONLY
-    start: int = 1
-    stop: int | None = None
-    step: int = 1
-    resume: bool = False
-    overwrite: bool = False
-    every: int = 500
-    learned: Path | None = None
-    seed: int = 0
-    reconnect: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.every < 1:
-            raise ValueError(f"--every: got {self.every}, expected 1 or more frames")
-        if self.resume and self.overwrite:
-            raise ValueError("--resume and --overwrite: got both, expected one of them")
-
-    def settings(self) -> dict[str, Any]:
-        """What the results depend on, beside the source: a run is resumed only with the same."""
-        return {
-            "from": None if self.learned is None else str(self.learned.resolve()),
-            "start": self.start,
-            "stop": self.stop,
-            "step": self.step,
-            "seed": self.seed,
-        }
+F = TypeVar("F", bound=FilmJob)
 
 
 class Writer(AbstractContextManager[Any], Protocol):
@@ -85,8 +43,8 @@ class _EndedEarlyError(Exception):
     """Leaves the writers' blocks in a way that they keep what a resumed run needs."""
 
 
-class FilmRun(ABC):
-    """One run; an application says what is particular to it.
+class FilmRun(Run[F]):
+    """One run, frame after frame; an application says what is particular to it.
 
     Attributes
     ----------
@@ -94,13 +52,10 @@ class FilmRun(ABC):
         as they are while the run goes on; `state` is that after the last frame.
     record
         what report and summary need, with columns `numbers`, `missing` and `seconds` of the frames so far.
-    settings
-        of the run, beside the source.
-    notes
-        what is out of the ordinary, a sentence each.
+    before
+        numbers of the frames before the one in which the track starts.
     """
 
-    application: ClassVar[str]
     blank_is_missing: ClassVar[bool] = True
     """Whether frames that show nothing (black, saturated) count as missing."""
 
@@ -108,25 +63,13 @@ class FilmRun(ABC):
     engine: RecursiveBP
     record: Any
 
-    def __init__(self, job: FilmJob, settings: Mapping[str, Any]) -> None:
-        self.job = job
-        self.settings = settings
+    def __init__(self, job: F) -> None:
+        super().__init__(job)
         self.state = RunState()
-        self.notes: list[str] = []
-        self.interruption = Interruption()
+        self.before: list[int] = []
         self._frames = SeenFrames(iter(()))
-        self._fingerprint: dict[str, Any] = {}
-        self._earlier_seconds = 0.0  # of wall time, before the run was resumed
-        self._started = time.perf_counter()
-        self._ended_early = False
-        self._is_saved = False
 
     # --- what an application says ---
-
-    @property
-    @abstractmethod
-    def files(self) -> Sequence[str]:
-        """Names of the files that it writes beside `ALWAYS`, patterns of `glob` among them."""
 
     @property
     @abstractmethod
@@ -182,65 +125,45 @@ class FilmRun(ABC):
 
     # --- the run ---
 
-    def carry_out(self) -> Outcome:
-        """Run; all results are in the job's folder afterwards.
-
-        SIGINT (Ctrl-C) and SIGTERM end the run after the current frame, with complete results; a second one
-        ends it at once, with results up to the last saved state.
-
-        Raises
-        ------
-        ValueError, OSError
-            in one line, whatever is wrong with the job, its files, its source or its output. A source that
-            breaks in the middle leaves the results of the frames before.
-        Interrupted
-            if a signal came before there was any result, or a second one.
-        """
-        with saying_how_to_go_on(self._way_on):
-            return self._carried_out()
-
-    def _way_on(self) -> str | None:
-        if not self._is_saved:
-            return None
-        if not self.job.resume and self.source.live:
+    def way_on(self) -> str | None:
+        """How the run goes on when it is interrupted: a live source cannot be resumed."""
+        way = super().way_on()
+        if way is not None and not self.job.resume and self.source.live:
             return f"--from {self.job.out / STATE} begins with what was learned"
-        return f"--resume goes on with {self.job.out}"
+        return way
 
-    def _carried_out(self) -> Outcome:
+    def work(self) -> Outcome:
+        """Take in all frames, and write the results."""
         job = self.job
-        with (
-            self.interruption,
-            output_folder(job.out, self.application, overwrite=job.overwrite, resume=job.resume) as folder,
-        ):
-            saved = self._saved() if job.resume else None
-            self._is_saved = saved is not None
-            after = saved.state.number if saved else 0
-            with open_source(
-                job.source, job.start, job.stop, job.step, after=after, reconnect=job.reconnect
-            ) as source:
-                self.source = source
-                self._fingerprint = source.fingerprint()
-                if job.resume and source.live:
-                    raise ValueError(f"--resume: {source.name} is live and cannot be read again")
-                if saved is not None:
-                    check_source(saved.about, self._fingerprint)
-                    if saved.about["finished"]:
-                        return Outcome(saved.about["finished"], None)
-                check_memory(source.name, source.size, *self.bytes_needed)
-                frames = self._beginning(saved)
-                folder.begin([*ALWAYS, *self.files], resume=job.resume)
-                with suppress(_EndedEarlyError):
-                    self._process(frames)
-                if self.interruption.signal is not None and not self.record.numbers:
-                    raise Interrupted(self.interruption.signal)
-                summary = self._summary()
-                self.finish(summary)
-                write_json(job.out / "summary.json", summary)
-                if not self._ended_early:
-                    self._save(finished=summary)
+        saved = self._saved() if job.resume else None
+        self._is_saved = saved is not None
+        after = saved.state.number if saved else 0
+        with open_source(
+            job.source, job.start, job.stop, job.step, after=after, reconnect=job.reconnect
+        ) as source:
+            self.source = source
+            self.fingerprint = source.fingerprint()
+            if job.resume and source.live:
+                raise ValueError(f"--resume: {source.name} is live and cannot be read again")
+            if saved is not None:
+                check_source(saved.about, self.fingerprint)
+                if saved.about["finished"]:
+                    return self.outcome(saved.about["finished"])
+            check_memory(source.name, source.size, *self.bytes_needed)
+            frames = self._beginning(saved)
+            self.begin_results()
+            with suppress(_EndedEarlyError):
+                self._process(frames)
+            if self.interruption.signal is not None and not self.record.numbers:
+                raise Interrupted(self.interruption.signal)
+            summary = self._film_summary()
+            self.finish(summary)
+            write_json(job.out / "summary.json", summary)
+            if not self._ended_early:
+                self._save(finished=summary)
         if self._frames.error is not None:
             raise self._frames.error
-        return Outcome(summary, self.interruption.signal if self._ended_early else None)
+        return self.outcome(summary, signalled=self._ended_early)
 
     def no_frame(self, reason: str) -> Exception | Interrupted:
         """Why there is no frame to begin with: the source's own error, a signal, or `reason`."""
@@ -273,6 +196,7 @@ class FilmRun(ABC):
             self.state = saved.state
             self._earlier_seconds = saved.about["seconds"]
             self._frames.blank.extend(saved.about["blank"])
+            self.before = saved.about["before"]
             self.notes.extend(saved.about["notes"])
             if self.state.shape is not None:  # perhaps no frame is left to ask
                 self.source.size = (self.state.shape[1], self.state.shape[0])
@@ -348,39 +272,28 @@ class FilmRun(ABC):
         _log.info("state saved after frame %d", self.state.number)
 
     def _save(self, finished: dict[str, Any] | None = None) -> None:
-        source = self.source
         about = {
-            "application": self.application,
-            "settings": self.settings,
-            "source": self._fingerprint,
-            "live": source.live,
+            **self.about(finished),
+            "live": self.source.live,
             "clock": time.time(),
-            "seconds": self._seconds(),
+            "before": self.before,
             "blank": self.blank,
             "notes": self.notes,
-            "finished": finished,
         }
-        path = self.job.out / STATE
-        with naming(path):
-            SavedRun(about, self.state, self.memory()).save(path, self.chains, self.kinds)
+        SavedRun(about, self.state, self.memory()).save(self.job.out / STATE, self.chains, self.kinds)
         self._is_saved = True
 
-    def _summary(self) -> dict[str, Any]:
-        source, record, seconds = self.source, self.record, self._seconds()
+    def _film_summary(self) -> dict[str, Any]:
+        source, record, seconds = self.source, self.record, self.seconds()
         count = len(record.numbers)
         facts = self.facts()
-        return {
-            "source": source.name,
+        about_film = {
             "size": list(source.size),
             "rate": source.rate,
-            "frames": count,
-            "first_frame": record.numbers[0] if count else None,
-            "last_frame": record.numbers[-1] if count else None,
             "missing_frames": len(record.missing),
-            "missing": record.missing,
             "truncated": source.truncated,
             "stream": source.stream,
-            "ended_early": self._ended_early,
+            **({"before_the_start": self.before, "blank": self.blank} if self.blank_is_missing else {}),
             **facts,
             "seconds": seconds,
             "frames_per_second": count / seconds,
@@ -388,9 +301,5 @@ class FilmRun(ABC):
             "threads": thread_count(),
             "seed": self.job.seed,
             "notes": [*source.notes, *self.notes, *facts.get("notes", [])],
-            "parameters": self.settings,
-            "versions": versions(),
         }
-
-    def _seconds(self) -> float:
-        return self._earlier_seconds + time.perf_counter() - self._started
+        return self.summary(source.name, record.numbers, record.missing, about_film)

@@ -2,7 +2,7 @@
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Self, TypeVar
@@ -20,10 +20,13 @@ class Outcome:
         the content of `summary.json`.
     signal
         number of the signal that ended it early; `None` if it came to the end.
+    words
+        the summary in a few lines.
     """
 
     summary: dict[str, Any]
     signal: int | None
+    words: Sequence[str] = ()
 
     @property
     def lost(self) -> str | None:

@@ -13,7 +13,8 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from ..io.results import UNFINISHED, naming, write_json
+from ...models.core.atomic_files import UNFINISHED, naming
+from ..io.files import write_json
 from .saved_run import STATE
 
 MANIFEST = "manifest.json"
@@ -24,9 +25,6 @@ LOCK = ".lock"
 
 HOLDER = ".running.json"
 """Which run that is."""
-
-PARTIAL = f".{STATE}.*.partial"
-"""What a kill leaves of a state that was being written."""
 
 
 class OutputFolder:
@@ -70,7 +68,7 @@ class OutputFolder:
         with naming(self.path), tempfile.TemporaryFile(dir=self.path):
             pass
         unfinished = {str(PurePosixPath(name).with_name(f"{UNFINISHED}*")) for name in [*earlier, *names]}
-        for path in self.found([*unfinished, PARTIAL]):
+        for path in self.found(sorted(unfinished)):
             path.unlink()
         if not resume:
             # the state first: what is left by a kill in between is not gone on with

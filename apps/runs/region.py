@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..io.results import TrackedObject
+from ..io.mot import TrackedObject
 from ..io.sources.images import read_grey
 
 Mask = NDArray[np.uint8]

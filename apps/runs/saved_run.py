@@ -22,6 +22,7 @@ ABOUT = {
     "live": bool,
     "clock": float,
     "seconds": float,
+    "before": list[int],
     "blank": list[int],
     "notes": list[str],
     "finished": dict[str, Any] | None,
@@ -37,8 +38,8 @@ class SavedRun:
     ----------
     about
         plain JSON: `application`, `settings`, `source` (its fingerprint), whether that was `live`, the
-        `clock` (s since 1970) when it was saved, `seconds` of work, numbers of `blank` frames, `notes`, and
-        the summary if it is `finished`.
+        `clock` (s since 1970) when it was saved, `seconds` of work, numbers of the frames `before`
+        the track starts and of `blank` ones, `notes`, and the summary if it is `finished`.
     state
         of the engine.
     memory
@@ -89,8 +90,9 @@ class SavedRun:
         OSError
             if it cannot be read.
         """
-        read_about(path, application, settings)
-        values = checkpoint.load(path, _kinds(chains, kinds))
+        contents = checkpoint.read(path)
+        about_of(contents, application, settings)
+        values = checkpoint.load(contents, _kinds(chains, kinds))
         return cls(values["about"], RunState.restored(values["run"]), values["memory"])
 
 
@@ -98,17 +100,17 @@ def _kinds(chains: Mapping[str, Any], kinds: Mapping[str, Any]) -> dict[str, Any
     return {"about": ABOUT, "run": RunState.kinds(chains), "memory": kinds}
 
 
-def read_about(path: Path, application: str, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Read what a saved run is about; parameters as of `SavedRun.load`.
+def about_of(
+    contents: checkpoint.Contents, application: str, settings: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """What a saved run is about; parameters as of `SavedRun.load`.
 
     Raises
     ------
     ValueError
-        if the file is broken, or of another application or other settings.
-    OSError
-        if it cannot be read.
+        if it is of another application or other settings.
     """
-    about = checkpoint.load_plain(path, "about")
+    about, path = contents.plain("about"), contents.path
     option = "--from" if settings is None else "--resume"
     if not isinstance(about, dict) or not all(
         isinstance(about.get(key), kind) for key, kind in OF_ALL.items()

@@ -2,8 +2,7 @@
 
 import hashlib
 import math
-import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,23 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference import Solution
+from ...inference.core import checkpoint
 from ...models.core.frame import Frame
 from ..evaluation.predictions import write_predictions
-from ..io.results import naming, write_json
+from ..io.files import write_json
 from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
 from ..io.track_files import frames_of_tracks, read_track_file
-from ..runs.interruption import Interrupted, Interruption, Outcome
+from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, check_memory
-from ..runs.output_folder import OutputFolder, output_folder
 from ..runs.progress import Progress
-from ..runs.saved_run import STATE, check_source, read_about, saying_how_to_go_on
-from ..runs.versions import versions
+from ..runs.run import Run
+from ..runs.saved_run import STATE, about_of, check_source
 from .files import point_colours, write_cameras, write_ply, write_tracks
+from .job import StructureJob
 from .reconstruction import (
     FEWEST_POINTS,
     MOST_ROUNDS,
-    Association,
-    Coherence,
     Reconstruction,
     engine_for,
     reconstruction_of,
@@ -36,50 +34,8 @@ from .reconstruction import (
 from .report import write_structure_report
 from .track_overlay import write_overlay
 
-APPLICATION = "structure"
-FILES = (
-    STATE,
-    "structure.ply",
-    "cameras.json",
-    "tracks.npz",
-    "predictions.npz",
-    "summary.json",
-    "report.html",
-    "overlay.mp4",
-)
 FEWEST_FRAMES = 3
 TRACK_FILES = (".npy", ".npz")
-
-
-@dataclass(frozen=True)
-class StructureJob:
-    """What to do; `rsmcm structure --help` explains each field."""
-
-    source: str
-    out: Path
-    coherence: Coherence = "second-order"
-    association: Association = "dual-chain"
-    start: int = 1
-    stop: int | None = None
-    step: int = 1
-    resume: bool = False
-    overwrite: bool = False
-    reconnect: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.resume and self.overwrite:
-            raise ValueError("--resume and --overwrite: got both, expected one of them")
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What the results depend on, beside the source."""
-        return {
-            "coherence": self.coherence,
-            "association": self.association,
-            "start": self.start,
-            "stop": self.stop,
-            "step": self.step,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,59 +70,41 @@ class Film:
 
 
 def run_structure(job: StructureJob) -> Outcome:
-    """Run the structure application; all results are in `job.out` afterwards.
+    """Run the structure application; see `Run.carry_out`.
 
-    The state is saved after every round of the ascent. SIGINT (Ctrl-C) and SIGTERM end it with the results of
-    the last whole round.
-
-    Raises
-    ------
-    ValueError, OSError
-        in one line, whatever is wrong with the job, its source or its output.
-    Interrupted
-        if a signal came before there was any result.
+    The state is saved after every round of the ascent. A source that breaks in the middle leaves no results.
     """
-    with (
-        Interruption() as interruption,
-        output_folder(job.out, APPLICATION, overwrite=job.overwrite, resume=job.resume) as folder,
-    ):
-        run = StructureRun(job, folder, interruption)
-        with saying_how_to_go_on(run.way_on):
-            return run.carry_out()
+    return StructureRun(job).carry_out()
 
 
-class StructureRun:
+class StructureRun(Run[StructureJob]):
     """One run: the film, and how far the ascent has come."""
 
-    def __init__(self, job: StructureJob, folder: OutputFolder, interruption: Interruption) -> None:
-        self._job = job
-        self._folder = folder
-        self._interruption = interruption
+    application = "structure"
+    files = ("structure.ply", "cameras.json", "tracks.npz", "predictions.npz")
+
+    def __init__(self, job: StructureJob) -> None:
+        super().__init__(job)
         self._state = job.out / STATE
-        self._earlier_seconds = 0.0  # of wall time, before the run was resumed
-        self._started = time.perf_counter()
-        self._is_saved = False
         self._begun = False
 
-    def way_on(self) -> str | None:
-        """How an interrupted run goes on; `None` if nothing of it is saved."""
-        return f"--resume goes on with {self._job.out}" if self._is_saved else None
-
-    def carry_out(self) -> Outcome:
+    def work(self) -> Outcome:
         """Read, ascend, write."""
-        job = self._job
-        about = None
+        job = self.job
+        saved = about = None
         if job.resume and self._state.exists():
-            about = read_about(self._state, APPLICATION, job.settings)
+            saved = checkpoint.read(self._state)
+            about = about_of(saved, self.application, self.settings)
             self._earlier_seconds = about["seconds"]
             self._is_saved = True
         self._film = film = read_film(job)
+        self.fingerprint = film.fingerprint
         if about is not None:
             check_source(about, film.fingerprint)
             if about["finished"]:
-                return Outcome(about["finished"], None)
+                return self.outcome(about["finished"])
         self._engine = engine_for(film.frames, job.coherence, job.association)
-        after = None if about is None else self._engine.load(self._state, film.frames)[0]
+        after = None if saved is None else self._engine.load(saved, film.frames)[0]
         solution = self._ascended(after)
         found = reconstruction_of(solution, film.n_tracks)
         try:
@@ -174,10 +112,12 @@ class StructureRun:
         except ValueError:
             self._state.unlink()  # there is nothing to go on with
             raise
-        summary = _write(job, film, found, self._interruption, self._seconds())
-        if not summary["ended_early"]:
+        lost = film.stream is not None and film.stream["lost"] is not None
+        self._ended_early = lost or self.interruption.signal is not None
+        summary = self._written(found)
+        if not self._ended_early:
             self._save(solution, finished=summary)
-        return Outcome(summary, self._interruption.signal if summary["ended_early"] else None)
+        return self.outcome(summary, signalled=self._ended_early)
 
     def _ascended(self, after: Solution | None) -> Solution:
         """The best solution, when the ascent ends or a signal arrives; saved after every round."""
@@ -185,9 +125,9 @@ class StructureRun:
         done = 0 if after is None else len(after.rounds)
         rounds = self._engine.rounds(self._film.frames, after=after)
         try:
-            with Progress(APPLICATION, MOST_ROUNDS, done, unit="rounds") as progress:
-                for solution in self._interruption.items(rounds):
-                    self._begin()
+            with Progress(self.application, MOST_ROUNDS, done, unit="rounds") as progress:
+                for solution in self.interruption.items(rounds):
+                    self._begin_once()
                     best = solution
                     self._save(best)
                     progress.update()
@@ -197,31 +137,62 @@ class StructureRun:
                 f"{self._film.name}: no shape can be found in what is followed: {reason}"
             ) from None
         if best is None:
-            assert self._interruption.signal is not None  # or there would be a first round
-            raise Interrupted(self._interruption.signal)
-        self._begin()
+            assert self.interruption.signal is not None  # or there would be a first round
+            raise Interrupted(self.interruption.signal)
+        self._begin_once()
         return best
 
-    def _begin(self) -> None:
-        """Make the folder ready, once: not before there is something to write."""
+    def _begin_once(self) -> None:
         if not self._begun:
-            self._folder.begin(FILES, resume=self._job.resume)
+            self.begin_results()
             self._begun = True
 
     def _save(self, solution: Solution, finished: dict[str, Any] | None = None) -> None:
-        about = {
-            "application": APPLICATION,
-            "settings": self._job.settings,
-            "source": self._film.fingerprint,
-            "seconds": self._seconds(),
-            "finished": finished,
-        }
-        with naming(self._state):
-            self._engine.save(self._state, solution, about)
+        self._engine.save(self._state, solution, self.about(finished))
         self._is_saved = True
 
-    def _seconds(self) -> float:
-        return self._earlier_seconds + time.perf_counter() - self._started
+    def _written(self, found: Reconstruction) -> dict[str, Any]:
+        """Write all results; return the content of `summary.json`."""
+        folder, film, frames = self.job.out, self._film, self._film.frames
+        notes = [*film.notes, *_notes(found, film.n_tracks is not None)]
+        colours: NDArray[np.uint8] = point_colours(frames, found)
+        if found.geometry != "none":
+            write_ply(folder / "structure.ply", found, colours)
+        write_cameras(folder / "cameras.json", found, frames)
+        write_tracks(folder / "tracks.npz", found, frames)
+        write_predictions(folder, found.predictions)
+        if film.n_tracks is None:
+            write_overlay(folder / "overlay.mp4", frames, found, film.rate)
+        facts = {
+            "tracks": len(found.point_of_track),
+            "rejected_tracks": int(np.count_nonzero(found.point_of_track < 0)),
+            "points": found.n_points,
+            "observations": found.n_observations,
+            "reprojection_rmse_px": found.reprojection_error,
+            "reprojection_rmse_px_per_coordinate": found.reprojection_error / math.sqrt(2),
+            "noise_px": float(np.sqrt(found.noise_variance)),
+            "shape": found.geometry,
+            "shape_reason": found.reason or None,
+            "rounds": len(found.objective),
+            "converged": found.converged,
+            "stream": film.stream,
+            "objective": list(found.objective),
+            "notes": notes,
+            "seconds": self.seconds(),
+        }
+        missing = [frame.number for frame in frames if frame.missing]
+        summary = self.summary(film.name, [frame.number for frame in frames], missing, facts)
+        title = f"{Path(film.name).name}: structure from motion"
+        write_structure_report(folder / "report.html", frames, found, colours, notes, self.settings, title)
+        write_json(folder / "summary.json", summary)
+        return summary
+
+    def in_words(self, summary: Mapping[str, Any]) -> list[str]:
+        """Points, and how well they fit."""
+        return [
+            f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks, "
+            f"reprojection error {summary['reprojection_rmse_px']:.3g} px, shape: {summary['shape']}"
+        ]
 
 
 def read_film(job: StructureJob) -> Film:
@@ -291,52 +262,6 @@ def _check_found(name: str, found: Reconstruction) -> None:
         )
     if not found.n_points:
         raise ValueError(f"{name}: got {n_tracks} tracks that belong to no point, expected points")
-
-
-def _write(
-    job: StructureJob, film: Film, found: Reconstruction, interruption: Interruption, seconds: float
-) -> dict[str, Any]:
-    """Write all results; return the content of `summary.json`."""
-    folder, frames = job.out, film.frames
-    notes = [*film.notes, *_notes(found, film.n_tracks is not None)]
-    colours: NDArray[np.uint8] = point_colours(frames, found)
-    if found.geometry != "none":
-        write_ply(folder / "structure.ply", found, colours)
-    write_cameras(folder / "cameras.json", found, frames)
-    write_tracks(folder / "tracks.npz", found, frames)
-    write_predictions(folder, found.predictions)
-    if film.n_tracks is None:
-        write_overlay(folder / "overlay.mp4", frames, found, film.rate)
-    summary = {
-        "source": film.name,
-        "frames": len(frames),
-        "first_frame": frames[0].number,
-        "last_frame": frames[-1].number,
-        "missing": [frame.number for frame in frames if frame.missing],
-        "tracks": len(found.point_of_track),
-        "rejected_tracks": int(np.count_nonzero(found.point_of_track < 0)),
-        "points": found.n_points,
-        "observations": found.n_observations,
-        "reprojection_rmse_px": found.reprojection_error,
-        "reprojection_rmse_px_per_coordinate": found.reprojection_error / math.sqrt(2),
-        "noise_px": float(np.sqrt(found.noise_variance)),
-        "shape": found.geometry,
-        "shape_reason": found.reason or None,
-        "rounds": len(found.objective),
-        "converged": found.converged,
-        "ended_early": interruption.signal is not None
-        or (film.stream is not None and film.stream["lost"] is not None),
-        "stream": film.stream,
-        "objective": list(found.objective),
-        "notes": notes,
-        "seconds": seconds,
-        "parameters": job.settings,
-        "versions": versions(),
-    }
-    title = f"{Path(film.name).name}: structure from motion"
-    write_structure_report(folder / "report.html", frames, found, colours, notes, job.settings, title)
-    write_json(folder / "summary.json", summary)
-    return summary
 
 
 def _notes(found: Reconstruction, given: bool) -> list[str]:

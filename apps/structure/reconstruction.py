@@ -18,11 +18,10 @@ from ...models.core.frame import Frame
 from ...models.points.affine_camera import euclidean
 from ...models.points.point_tracks import PointTracks, noise_of_tracks
 from ..evaluation.predictions import PairRecord
+from .job import Association, Coherence
 from .predictions import recorded_predictions
 
 Numbers = NDArray[np.float64]
-Coherence = Literal["second-order", "none"]
-Association = Literal["dual-chain", "none"]
 Geometry = Literal["euclidean", "affine", "none"]
 
 MOST_ROUNDS = 20

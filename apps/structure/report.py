@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ..io.results import identity_colour
+from ..drawing.boxes import identity_colour
 from ..reports.page import Section, cards, paragraph, picture_grid, write_run_page
 from ..reports.plots import figure
 from ..reports.snapshots import MOST_SNAPSHOTS, small

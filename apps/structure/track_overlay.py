@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ..io.results import PLAYABLE, SegmentedVideo, identity_colour
+from ..drawing.boxes import identity_colour
+from ..io.segmented_video import PLAYABLE, SegmentedVideo
 from ..runs.progress import Progress
 from .reconstruction import Reconstruction
 

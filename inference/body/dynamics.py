@@ -20,11 +20,15 @@ USUAL_UPPER_ARMS /= np.linalg.norm(USUAL_UPPER_ARMS, axis=1, keepdims=True)
 USUAL = 2.0
 """Middle and concentration of a person's upper arms: mostly they hang down."""
 
-CROSSED = 1.5
-"""Nats by which it is less probable in a frame that hands are on the other's side by a head's height."""
+CROSSED, CROSSED_TIME = 37.5, 0.1
+"""Nats a second by which it grows less probable that hands are on the other's side by a head's height, and s
+after which it does no more: hands change places seldom and not for long."""
 
 LEAST_FLOOR = 1e-15
 """Of an arm's density by its peak: the product of two is still a number of single precision."""
+
+LEAST_COSINE = 1e-3
+"""Mean cosine to where a direction was, below which it is as good as anywhere."""
 
 MOST_JUMPS = 1 - 1e-6
 """Chance of a jump in however long a time: densities are relative to those of arms that have not jumped."""
@@ -51,11 +55,18 @@ class Ancestors:
 class BodyDynamics:
     """A random walk of the place and of the direction of every segment, in which an arm may also jump.
 
-    The place moves like a Gaussian, the neck's rotations like a Gaussian that returns to rest. An arm with
-    its four rotations is a pair of directions, of upper arm and forearm; each moves like von Mises and
-    Fisher's density on the sphere, so that there is no pole at which a rotation's angles jump, and samples
-    are drawn from exactly the density that is evaluated. Now and then an arm goes anywhere, more often than
-    arms do: that is how often one has to be found again of which the tracker was mistaken.
+    With the root r, the neck's rotation n and the directions u of upper arms and forearms, after dt seconds
+
+        p(r | r') = N(r; r', place^2 dt)
+        p(n | n') = N(n; k n', neck^2 (1 - k^2)),    k = exp(-dt / neck_time)
+        p(arm | arm') = (1 - j) vMF(upper; upper', K) vMF(fore; fore', K') + j usual(arm),
+                        j = 1 - exp(-jumps dt)
+
+    A direction's mean is that of a Brownian motion on the sphere, in any number of steps: von Mises and
+    Fisher's density, of the concentration K that has it, is taken for that motion's, so that there is no pole
+    at which a rotation's angles jump, and samples are drawn from exactly the density that is evaluated. Now
+    and then an arm goes anywhere, more often than arms do: that is how often one has to be found again of
+    which the tracker was mistaken.
 
     Densities count unusual postures for less (`log_posture`), which draws do not. What the joints do not
     allow is drawn and has a density all the same: who asks has to leave it out (`UpperBody.allowed`). What is
@@ -138,16 +149,16 @@ class BodyDynamics:
         )  # fmt: skip
         gaussian = -np.log(2 * np.pi * place**2) - 1.5 * np.log(2 * np.pi * neck**2)
         walk = gaussian + 2 * np.log(peak) + np.log(values.astype(np.float64)) - 0.5 * least
-        return np.asarray(walk + self.log_posture(poses))
+        return np.asarray(walk + self.log_posture(poses, ancestors.elapsed))
 
-    def log_posture(self, poses: BodyPoses) -> Array:
+    def log_posture(self, poses: BodyPoses, dt: float = CROSSED_TIME) -> Array:
         """`(n,)` nats, at most 0: how much less usual a posture is than one with each hand on its own side.
 
-        Hands change places seldom and not for long; where they cannot be told apart, this decides.
+        It counts once for `dt` seconds. Where hands cannot be told apart, this decides.
         """
         hands = self.body.parts(poses)[:, 1:, 0]
         across = (hands[:, 1] - hands[:, 0]) / self.body.head_height
-        return np.asarray(-CROSSED * np.clip(across, 0, 1))
+        return np.asarray(-CROSSED * min(dt, CROSSED_TIME) * np.clip(across, 0, 1))
 
     def with_exchanged(self, ancestors: Ancestors, random: np.random.Generator) -> Ancestors:
         """Weighted poses, and the same with each hand where the other one was, as far as that is possible.
@@ -170,7 +181,7 @@ class BodyDynamics:
         exchanged = BodyPoses(poses.roots, poses.necks, arms)
         chosen = np.flatnonzero(within)
         chosen = chosen[self.body.allowed(exchanged.take(chosen))]
-        share = float(-np.expm1(-self.exchanges * ancestors.elapsed))
+        share = float(-0.5 * np.expm1(-2 * self.exchanges * ancestors.elapsed))  # or exchanged back
         own = weights.copy()
         own[chosen] *= 1 - share
         return Ancestors(
@@ -211,9 +222,23 @@ class BodyDynamics:
         """Standard deviations of place (px) and neck, share of the neck kept, concentrations, jumps."""
         kept, neck = self.neck_step(dt)
         place = self.place * self.body.head_height * float(np.sqrt(dt))
-        concentrations = 1 / (np.array([self.upper_arm, self.forearm]) ** 2 * dt)
+        concentrations = concentration(np.array([self.upper_arm, self.forearm]) ** 2 * dt)
         jump = min(float(-np.expm1(-self.jumps * dt)), MOST_JUMPS)
         return place, neck, kept, concentrations, jump
+
+
+def concentration(elapsed: Array) -> Array:
+    """Of von Mises and Fisher's density whose mean cosine is exp(-elapsed), by Newton's method.
+
+    That is the mean of a Brownian motion on the unit sphere, `elapsed` being its variance about each axis.
+    """
+    gap = -np.expm1(-np.minimum(elapsed, -np.log(LEAST_COSINE)))
+    mean = 1 - gap
+    kappa = mean * (3 - mean**2) / (gap * (1 + mean))
+    for _ in range(6):
+        rest = 2 / np.expm1(np.minimum(2 * kappa, 700.0))  # the mean cosine is 1 + rest - 1 / kappa
+        kappa += (1 / kappa - rest - gap) / (1 / kappa**2 - rest * (rest + 2))
+    return np.asarray(kappa)
 
 
 def around(directions: Array, concentration: float, random: np.random.Generator) -> Array:

@@ -51,6 +51,8 @@ class BodySamples:
     ancestors
         of a prediction, poses of the frame before, and some of them with exchanged hands; `poses` are draws
         of their mixture. `None` in a posterior, before the first frame, and where they are not kept.
+    before, elapsed
+        of a prediction, the samples from which it was made, and s since then.
     log_evidence
         nats: log of the mean likelihood of the frame, up to a constant; 0 without an image.
     stationary
@@ -62,6 +64,8 @@ class BodySamples:
     size: tuple[int, int]
     random: np.random.Generator
     ancestors: Ancestors | None = None
+    before: "BodySamples | None" = None
+    elapsed: float = 0.0
     log_evidence: float = 0.0
     stationary: bool = False
 
@@ -76,6 +80,14 @@ class BodySamples:
         """`(n,)`, with sum 1."""
         return np.exp(normalised(self.log_weights))
 
+    def origin(self, dt: float) -> tuple["BodySamples", float]:
+        """Samples to predict from, and s from then to `dt` s after these; at most `LONGEST`.
+
+        The prediction of a prediction starts anew from what that one was made of, so that it is a function of
+        the seconds and not of the number of steps.
+        """
+        return self.before or self, min(self.elapsed + dt, LONGEST)
+
     @property
     def effective(self) -> float:
         """Number of equally weighted samples that would say as much."""
@@ -85,19 +97,13 @@ class BodySamples:
         """`n` poses of equal weight, drawn systematically."""
         return self.poses.take(systematic(self.log_weights, n, random))
 
-    def reweighed(self, log_factors: Array) -> Self:
-        """With weights multiplied by factors, whose mean is the evidence."""
+    def reweighed(self, log_factors: Array) -> "BodySamples":
+        """A posterior: weights are multiplied by factors, whose mean is the evidence."""
         log_weights = self.log_weights + log_factors
         evidence = log_sum(log_weights)
         if not np.isfinite(evidence):  # nothing fits: the prediction is kept
-            return self
-        return replace(
-            self,
-            log_weights=log_weights - evidence,
-            ancestors=None,
-            log_evidence=evidence,
-            stationary=False,
-        )
+            log_weights, evidence = self.log_weights, 0.0
+        return BodySamples(self.poses, log_weights - evidence, self.size, self.random, log_evidence=evidence)
 
 
 def first(
@@ -121,22 +127,22 @@ def predicted(dynamics: BodyDynamics, state: BodySamples, n: int, dt: float) -> 
     """`n` draws of the dynamics around the poses of `state`, `dt` seconds on (mu_{X(t-1) -> X(t)}).
 
     Hands may be exchanged before (`with_exchanged`). What joints do not allow has no weight, and unusual
-    postures have little.
+    postures have little. A prediction of a prediction starts where the first one did.
     """
-    dt = min(dt, LONGEST)
+    state, dt = state.origin(dt)
     random = copied(state.random)
     chosen, counts = np.unique(systematic(state.log_weights, MOST_ANCESTORS, random), return_counts=True)
     ancestors = Ancestors(state.poses.take(chosen), counts / MOST_ANCESTORS, dt)
     ancestors = dynamics.with_exchanged(ancestors, random)
     drawn = systematic(np.log(ancestors.weights), n, random)
     poses = dynamics.draw(ancestors.poses.take(drawn), dt, random)
-    possible = np.where(dynamics.body.allowed(poses), dynamics.log_posture(poses), -np.inf)
-    return replace(state, poses=poses, log_weights=normalised(possible), random=random, ancestors=ancestors)
+    possible = np.where(dynamics.body.allowed(poses), dynamics.log_posture(poses, dt), -np.inf)
+    return BodySamples(poses, normalised(possible), state.size, random, ancestors, state, dt)
 
 
 def stationary(state: BodySamples, log_factors: Array) -> BodySamples:
     """The prediction as the posterior of a frame that says nothing, weighted by what others tell."""
-    return replace(state.reweighed(log_factors), ancestors=None, log_evidence=0.0, stationary=True)
+    return replace(state.reweighed(log_factors), log_evidence=0.0, stationary=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from types import GenericAlias, NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.array_files import read_arrays
+from ...models.core.atomic_files import write_atomically
 
 FORMAT = "rsmcm state 2"
 EXPECTED = "expected a state that was saved here"
@@ -54,39 +55,28 @@ def save(path: str | Path, values: Mapping[str, Any], kinds: Mapping[str, Any]) 
     arrays: Arrays = {}
     skeleton = json.dumps({"format": FORMAT, "values": _encode(values, arrays, "")})
     _restore(json.loads(skeleton)["values"], kinds, arrays)
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with open(partial, "wb") as stream:
-            whole = {SKELETON: np.array(skeleton), **arrays}
-            np.savez(stream, allow_pickle=False, **whole, **{DIGEST: np.array(_digest(whole))})
-            stream.flush()
-            os.fsync(stream.fileno())  # a power cut right after the new name leaves no empty file
-        os.replace(partial, path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+    whole = {SKELETON: np.array(skeleton), **arrays}
+    with write_atomically(Path(path)) as unfinished, unfinished.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **whole, **{DIGEST: np.array(_digest(whole))})
+        stream.flush()
+        os.fsync(stream.fileno())  # a power cut right after the new name leaves no empty file
 
 
-def load(path: str | Path, kinds: Mapping[str, Any]) -> dict[str, Any]:
-    """Read what `save` wrote with the same `kinds`.
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """What a file holds, read and checked once: `values` are JSON that refers to the `arrays`."""
 
-    Raises
-    ------
-    ValueError
-        in one line that names the file, if it is broken, of another format, or holds other things.
-    OSError
-        if the file cannot be opened.
-    """
-    values, arrays = _read(path)
-    try:
-        return _restore(values, kinds, arrays)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    path: Path
+    values: dict[str, Any]
+    arrays: Arrays
+
+    def plain(self, name: str) -> Any:
+        """A value that is plain JSON, whatever the others are; `None` if there is none of that name."""
+        return self.values.get(name)
 
 
-def load_plain(path: str | Path, name: str) -> Any:
-    """Read one value that is plain JSON, whatever the others are; `None` if there is none of that name.
+def read(path: str | Path) -> Contents:
+    """Read what `save` wrote; of which kinds it is, `load` is told.
 
     Raises
     ------
@@ -95,11 +85,6 @@ def load_plain(path: str | Path, name: str) -> Any:
     OSError
         if the file cannot be opened.
     """
-    return _read(path)[0].get(name)
-
-
-def _read(path: str | Path) -> tuple[dict[str, Any], Arrays]:
-    """The JSON of the values, and the arrays that it refers to."""
     path = Path(path)
     size = path.stat().st_size  # nothing is packed, so that a number takes a byte or more
     arrays = read_arrays(path, EXPECTED, most=size)
@@ -114,7 +99,24 @@ def _read(path: str | Path) -> tuple[dict[str, Any], Arrays]:
         raise ValueError(f"{path}: got format {str(form)[:60]!r}, expected {FORMAT!r}")
     if found != digest:
         raise ValueError(f"{path}: got a state that was changed since it was saved, {EXPECTED}")
-    return values, arrays
+    return Contents(path, values, arrays)
+
+
+def load(file: str | Path | Contents, kinds: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that `save` wrote with the same `kinds`.
+
+    Raises
+    ------
+    ValueError
+        in one line that names the file, if it is broken, of another format, or holds other things.
+    OSError
+        if the file cannot be opened.
+    """
+    contents = file if isinstance(file, Contents) else read(file)
+    try:
+        return _restore(contents.values, kinds, contents.arrays)
+    except ValueError as error:
+        raise ValueError(f"{contents.path}: {error}") from error
 
 
 def _digest(arrays: Arrays) -> str:

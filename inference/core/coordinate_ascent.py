@@ -238,7 +238,10 @@ class CoordinateAscent:
         checkpoint.save(path, values, self._kinds())
 
     def load(
-        self, path: str | Path, frames: Iterable[Frame | NDArray[np.uint8] | None], dt: float = 1 / 25
+        self,
+        file: str | Path | checkpoint.Contents,
+        frames: Iterable[Frame | NDArray[np.uint8] | None],
+        dt: float = 1 / 25,
     ) -> tuple[Solution, dict[str, Any]]:
         """Read back what `save` wrote, of the same frames: the solution, and `about`.
 
@@ -249,7 +252,7 @@ class CoordinateAscent:
         OSError
             if the file cannot be opened.
         """
-        values = checkpoint.load(path, self._kinds())
+        values = checkpoint.load(file, self._kinds())
         slices = _as_frames(frames, dt)
         best = _Slices.restored(self.model, slices, values["best"])
         latest = values["latest"]

@@ -93,8 +93,7 @@ def associate_tracks(
     where = np.where(weight[..., None] > 0, where, 0.0)
     association = _Association(where, weight, coherence)
     association.unite()
-    association.soft_assignment()
-    return association.result()
+    return association.soft_assignment()
 
 
 class _Association:
@@ -168,10 +167,9 @@ class _Association:
 
     # --- assignment given cameras ---
 
-    def _assigned(self, membership: Numbers, *, hard: bool) -> Numbers:
+    def _assigned(self, membership: Numbers, noise: CorrelatedNoise, *, hard: bool) -> Numbers:
         """Membership after one turn of all tracks, short ones first."""
         tracks = self._tracks
-        noise = self._noise_now
         information, vector, _, _ = noise.moments(tracks, self._cameras)
         mean, covariance = self._population()
         prior = np.linalg.inv(covariance)
@@ -179,25 +177,15 @@ class _Association:
         busy = membership.T @ self._seen
         order = np.argsort(self._counts, kind="stable")
         assign_tracks(
-            order,
-            tracks,
-            information,
-            vector,
-            prior,
-            prior @ mean,
-            self._log_new,
-            hard,
-            membership,
-            busy,
+            order, tracks, information, vector, prior, prior @ mean, self._log_new, hard, membership, busy
         )
         return membership
 
     def _reassign(self) -> None:
         """Move tracks to the points that they fit best."""
-        self._noise_now = self._noise()
-        membership = self._membership
+        membership, noise = self._membership, self._noise()
         for _ in range(3):
-            membership = self._assigned(membership.copy(), hard=True)
+            membership = self._assigned(membership.copy(), noise, hard=True)
         point = membership.argmax(axis=1)
         alone = membership.max(axis=1) == 0
         point[alone] = membership.shape[1] + np.arange(np.count_nonzero(alone))
@@ -231,20 +219,22 @@ class _Association:
 
     # --- the end ---
 
-    def soft_assignment(self) -> None:
-        """Let tracks belong to points in part, and leave out points that they do not determine."""
-        self._noise_now = self._noise()
-        membership = self._membership
-        for _ in range(SOFT_ROUNDS):
-            membership = membership[:, self._determined(membership)]
-            membership = self._without_duplicates(membership)
-            membership = self._assigned(membership, hard=False)
-            self._refit(membership[:, membership.sum(axis=0) > 0.5])
-            membership = self._membership
+    def soft_assignment(self) -> TrackAssociation:
+        """Let tracks belong to points in part, and leave out points that they do not determine.
 
-    def _without_duplicates(self, membership: Numbers) -> Numbers:
+        Returns those points, and the tracks that surely show them; the surest one of each at least.
+        """
+        noise = self._noise()
+        for _ in range(SOFT_ROUNDS):
+            membership = self._membership[:, self._determined(self._membership, noise)]
+            membership = self._without_duplicates(membership, noise)
+            membership = self._assigned(membership, noise, hard=False)
+            self._refit(membership[:, membership.sum(axis=0) > 0.5])
+        return self._result(noise)
+
+    def _without_duplicates(self, membership: Numbers, noise: CorrelatedNoise) -> Numbers:
         """Memberships after points between which the same tracks are torn have become one."""
-        information, vector, _, _ = self._noise_now.moments(self._tracks, self._cameras)
+        information, vector, _, _ = noise.moments(self._tracks, self._cameras)
         mean, covariance = self._population()
         prior = np.asarray(np.linalg.inv(covariance), np.float64)
         pull: Numbers = prior @ mean
@@ -264,9 +254,9 @@ class _Association:
             membership[:, one] += membership[:, other]
             membership = np.delete(membership, other, axis=1)
 
-    def _determined(self, membership: Numbers) -> NDArray[np.bool_]:
+    def _determined(self, membership: Numbers, noise: CorrelatedNoise) -> NDArray[np.bool_]:
         """Whether tracks say where each point is, in every frame."""
-        information, _, _, _ = self._noise_now.moments(self._tracks, self._cameras)
+        information, _, _, _ = noise.moments(self._tracks, self._cameras)
         _, covariance = self._population()
         whole = np.linalg.inv(covariance) + np.einsum("kp,kij->pij", membership, information)
         rows = self._cameras[..., :3]
@@ -275,8 +265,7 @@ class _Association:
         known: NDArray[np.bool_] = (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
         return known
 
-    def result(self) -> TrackAssociation:
-        """Points that are determined, and the tracks that surely show them; the surest one at least."""
+    def _result(self, noise: CorrelatedNoise) -> TrackAssociation:
         membership = self._membership
         sure = membership > SURE
         columns = np.arange(membership.shape[1])
@@ -284,13 +273,13 @@ class _Association:
         anchors = (membership * self._counts[:, None]).argmax(axis=0)
         own = membership[anchors].argmax(axis=1) == columns
         sure[anchors[own], columns[own]] = True
-        own &= self._determined(np.where(sure, 1.0, 0.0))
+        own &= self._determined(np.where(sure, 1.0, 0.0), noise)
         sure &= own
         point = np.where(sure.any(axis=1), sure.argmax(axis=1), -1)
         point[point >= 0] = np.cumsum(own)[point[point >= 0]] - 1
         fit = replace(self._fit, shape=self._fit.shape[own], shape_covariance=self._fit.shape_covariance[own])
         unit = self._observations.scale**2 * self._observations.weight_unit
-        return TrackAssociation(fit, point, membership[:, own], self._noise_now.scaled(unit))
+        return TrackAssociation(fit, point, membership[:, own], noise.scaled(unit))
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:

@@ -11,27 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...models.core.mahalanobis import squared_distances
 from .theory import (
-    Costs,
     PredictionErrors,
-    cost,
     log_determinant,
     product_of,
-    scalar_condition,
     symmetric,
     transposed,
 )
-
-__all__ = [
-    "Comparison",
-    "Costs",
-    "Interval",
-    "PredictionErrors",
-    "RecordedPredictions",
-    "StatedComparison",
-    "compare",
-    "cost",
-    "scalar_condition",
-]
 
 Numbers = NDArray[np.float64]
 Bounded = TypeVar("Bounded", float, Numbers)
@@ -358,9 +343,8 @@ def _measures_as_stated(
         predicted = stated + noise
         square = squared_distances(off, predicted)
         log_size = log_determinant(predicted)
-        of_feature = squared_distances(off, stated) - np.trace(
-            np.linalg.solve(stated, noise), axis1=1, axis2=2
-        )
+        of_feature = squared_distances(off, stated)
+        of_feature -= np.trace(np.linalg.solve(stated, noise), axis1=1, axis2=2)
         squares.append(square / d)
         scores.append(-0.5 * (d * np.log(2 * np.pi) + log_size + square))
         costs.append(0.5 * (log_determinant(stated) - log_size + of_feature - square))

@@ -205,11 +205,6 @@ def cost(stated: Numbers, error: Numbers, process: Numbers, observation: Numbers
     return half
 
 
-def scalar_condition(first: float, second: float, cross: float, process: float) -> bool:
-    """Theorem 2 in one dimension, eq. (17): both P_i >= 2 P_12 + Sigma_0. Enough for benefit, not needed."""
-    return min(first, second) >= 2 * cross + process
-
-
 def product_of(first: Numbers, second: Numbers) -> tuple[Numbers, Numbers, Numbers]:
     """Covariance of the product of two Gaussians, and the weights of their means in its mean.
 

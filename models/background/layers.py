@@ -13,6 +13,9 @@ from .kernels.layers import Sprite, compose_layer, shift_of
 Map = NDArray[np.float32]
 PixelBox = tuple[int, int, int, int]
 
+HIGHEST = 1 + 1e-6
+"""Of a mask's values: a probability with the rounding of float32."""
+
 
 @dataclass(frozen=True, eq=False)
 class Layer:
@@ -44,6 +47,20 @@ class Layer:
     outliers: float = 0.1
     strength: float = 10.0
     ghost: bool = False
+
+    def __post_init__(self) -> None:
+        mask, appearance = self.mask, self.appearance
+        if mask.ndim != 2 or (appearance is not None and appearance.shape[1:] != mask.shape):
+            shapes = mask.shape if appearance is None else f"{mask.shape} and {appearance.shape}"
+            raise ValueError(
+                f"layer: got shapes {shapes}, expected a mask of (height, width) and an appearance of "
+                "(channels, height, width)"
+            )
+        lowest, highest = mask.min(initial=0.0), mask.max(initial=0.0)
+        if not (lowest >= 0 and highest <= HIGHEST):  # also where it is NaN
+            raise ValueError(
+                f"layer: got a mask from {lowest} to {highest}, expected probabilities from 0 to 1"
+            )
 
     @property
     def box(self) -> PixelBox:

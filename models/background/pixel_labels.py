@@ -19,6 +19,8 @@ from .kernels.gaussian import ODDS_STEPS
 from .layers import NO_LAYERS, LayerStack, Region
 
 Map = NDArray[np.float32]
+Box = tuple[int, int, int, int]
+Window = tuple[slice, slice]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +98,55 @@ class PixelMessage:
 
     def background_probability(self) -> Map:
         """`(height, width)` float32: P(B=1) of every pixel."""
+        probability: Map = np.float32(1) / (np.float32(1) + np.exp(-self.log_odds()))
+        return probability
+
+    def log_odds(self, box: Box | None = None) -> Map:
+        """Log of P(B=1) over P(B=0), background against anything else, with all that is said of the pixels.
+
+        Parameters
+        ----------
+        box
+            top, left, height and width px; it may reach over the picture's edge, where odds are even. The
+            whole picture where it is left out.
+
+        Returns
+        -------
+        log_odds
+            `(height, width)` float32 nats; pixels have a share in what their neighbours show, and without the
+            layers they are within +-6.
+        """
         odds = self._log_odds() * np.float32(1 / ODDS_STEPS)
         for region in self.regions:
             odds[region.window] += region.shift
-        probability: Map = np.float32(1) / (np.float32(1) + np.exp(-odds))
-        return probability
+        if box is None:
+            return odds
+        window, place = _inside(box, self.size)
+        out = np.zeros(box[2:], np.float32)
+        out[place] = odds[window]
+        return out
+
+    def log_likelihood_ratio(self, box: Box | None = None) -> Map:
+        """Log of p(image | background is seen) over p(image | something of any colour is), pixel by pixel.
+
+        This is what the image says of labels, without anybody's prior and without layers.
+
+        Parameters
+        ----------
+        box
+            as of `log_odds`.
+
+        Returns
+        -------
+        log_ratio
+            `(height, width)` float32 nats; 0 where there is no image or no background to compare it with.
+        """
+        out = np.zeros(self.size if box is None else box[2:], np.float32)
+        if self.subtraction is not None and self.background is not None:
+            window, place = _inside(box or (0, 0, *self.size), self.size)
+            prior = np.log(self.background.prior) - np.log1p(-self.background.prior)
+            out[place] = self._log_odds()[window] * np.float32(1 / ODDS_STEPS) - np.float32(prior)
+        return out
 
     @property
     def log_mass(self) -> float:
@@ -155,3 +201,13 @@ class PixelLabels:
     def evidence(self, frame: Frame, prior: PixelMessage) -> PixelMessage:
         """The image: L is what was seen."""
         return PixelMessage(image=frame.image)
+
+
+def _inside(box: Box, size: tuple[int, int]) -> tuple[Window, Window]:
+    """Where in the picture the part of a box lies that is inside, and where in the box."""
+    spans = [
+        (start, min(start + length, end)) for start, length, end in zip(box[:2], box[2:], size, strict=True)
+    ]
+    rows, columns = (slice(max(start, 0), max(stop, 0)) for start, stop in spans)
+    top, left = (slice(max(-start, 0), max(stop - start, max(-start, 0))) for start, stop in spans)
+    return (rows, columns), (top, left)

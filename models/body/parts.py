@@ -104,7 +104,7 @@ class BodyParts:
     detector
         of faces; without it, the head is where a head's size of skin is.
     static_skin
-        `(height, width)` nats: `static_skin` of the clip, which hands are told from.
+        `(height, width)` nats: `static_skin` of the clip, from which hands are distinguished.
     """
 
     head_height: float
@@ -163,7 +163,7 @@ class BodyParts:
         frame
             of a missing one, nothing is said.
         prior
-            shows where the head is when no face is detected, so that hands are told from its skin.
+            shows where the head is when no face is detected, so that hands are distinguished from its skin.
         """
         image = frame.image
         if image is None:

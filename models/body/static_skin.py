@@ -9,11 +9,11 @@ from .skin_colour import SkinColour
 
 Map = NDArray[np.float32]
 
-SELDOM = 0.2
-"""Share of a clip in which a pixel has to be without skin, so that skin there is news."""
+AWAY = 0.2
+"""Share of a clip in which a pixel has to be without skin, so that skin there says anything."""
 
-FEWEST = 8
-"""Frames, spread over a clip, of which this can be told."""
+LEAST_FRAMES = 8
+"""Frames, spread over a clip, from which this can be learned."""
 
 LEVELS = 16
 """Steps of the log odds per nat, so that many frames fit into memory."""
@@ -27,19 +27,19 @@ def static_skin(colour: SkinColour, images: Sequence[NDArray[np.uint8]]) -> Map 
     Parameters
     ----------
     images
-        of one clip with a camera at rest, spread over its length; of fewer than `FEWEST`, `None` is said.
+        of one clip with a camera at rest, spread over its length; `None` of fewer than `LEAST_FRAMES`.
 
     Raises
     ------
     ValueError
         if they are of different sizes.
     """
-    if len(images) < FEWEST:
+    if len(images) < LEAST_FRAMES:
         return None
     sizes = {image.shape for image in images}
     if len(sizes) > 1:
         raise ValueError(f"images: got {len(sizes)} different sizes, expected one")
-    looks = np.stack([np.rint(LEVELS * colour.log_odds(image)).astype(np.int8) for image in images])
-    rank = int(SELDOM * len(images))
-    looks.partition(rank, axis=0)
-    return np.asarray(np.maximum(looks[rank], 0) / LEVELS, np.float32)
+    odds = np.stack([np.rint(LEVELS * colour.log_odds(image)).astype(np.int8) for image in images])
+    rank = int(AWAY * len(images))
+    odds.partition(rank, axis=0)
+    return np.asarray(np.maximum(odds[rank], 0) / LEVELS, np.float32)

@@ -5,9 +5,7 @@ Our own is a numpy `.npz` archive of the fields of `MorphableModel`: `bases (n_b
 `landmarks (n_landmarks,)`. In the other formats y points up and z to the viewer; they are turned round.
 """
 
-import os
 import re
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.array_files import read_arrays
+from ..core.atomic_files import write_atomically
 from ..core.limits import MOST_NUMBERS, MOST_SETTINGS
 from ..core.text_files import read_text
 from .morphable_model import MorphableModel, spread
@@ -92,14 +91,8 @@ def write_model(model: MorphableModel, path: str | Path) -> None:
     }
     if model.landmarks is not None:
         fields["landmarks"] = model.landmarks
-    try:
-        with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=path.parent) as folder:
-            unfinished = Path(folder) / path.name
-            with unfinished.open("wb") as file:
-                np.savez_compressed(file, **fields)
-            os.replace(unfinished, path)
-    except OSError as error:  # of a file that nobody knows, or without a name
-        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+    with write_atomically(path) as unfinished, unfinished.open("wb") as file:
+        np.savez_compressed(file, **fields)
 
 
 def read_correspondences(path: str | Path) -> NDArray[np.int64]:

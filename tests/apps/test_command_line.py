@@ -20,7 +20,7 @@ from cyclopts import App
 from rsmcm.apps import command_line
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.command_line import main
-from rsmcm.apps.io.results import PLAYABLE, SegmentedVideo
+from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.scenes import sleeping_man
 
 from ..conftest import modified
@@ -169,7 +169,7 @@ def test_every_option_is_named_in_what_is_wrong_with_it(
 def test_whole_numbers_keep_their_sign_and_zeros() -> None:
     for typed, number in (("7", 7), ("007", 7), ("+7", 7), ("-7", -7), ("0", 0)):
         _, bound, _ = command_line.app.parse_args(["face", "film", "--out", "x", "--start", typed])
-        assert bound.arguments["start"] == number
+        assert bound.arguments["job"].start == number
 
 
 def say(capfd: pytest.CaptureFixture[str], *arguments: object) -> tuple[str, str]:
@@ -267,7 +267,12 @@ def test_a_truncated_video(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("prior = 0.5", "unknown key 'prior', expected sections background, blobs"),
+        ("prior = 0.5", "settings.toml: unknown key 'prior', expected the name of an option, or a section"),
+        ("mask = 'none'", "settings.toml: unknown key 'mask', did you mean masks?"),
+        ("masks = 'gif'", "settings.toml: masks: got 'gif', expected none, png or video"),
+        ("start = 1.5", "settings.toml: start: got '1.5', expected a whole number"),
+        ("compare = 'perhaps'", "settings.toml: compare: got 'perhaps', expected true or false"),
+        ("stop = [1, 2]", "settings.toml: stop: got '[1, 2]', expected a whole number"),
         ("[sky]\ncolour = 1", "unknown key 'sky', expected sections background, blobs"),
         ("[background]\nprioor = 0.5", "[background]: unknown key 'prioor', expected model, prior, noise"),
         ("[background]\nprior = 'much'", "[background]: prior = 'much', expected float"),

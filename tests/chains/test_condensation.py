@@ -110,6 +110,16 @@ def test_a_missing_image_changes_no_weight() -> None:
     assert not condensation.update(after, told(START.roots[0])).stationary
 
 
+def test_predicting_in_steps_is_predicting_at_once() -> None:
+    condensation = chain()
+    state = condensation.initial(FIRST)
+    whole, steps = condensation.predict(state, 0.4), state
+    for _ in range(10):
+        steps = condensation.predict(steps, DT)
+    np.testing.assert_allclose(steps.poses.angles, whole.poses.angles, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(steps.weights, whole.weights, rtol=1e-9)
+
+
 def test_states_are_values_and_seeds_decide() -> None:
     def run(seed: int) -> tuple[BodySamples, Array]:
         condensation = chain(seed=seed)

@@ -383,9 +383,7 @@ def test_no_shape_where_motion_does_not_determine_it(kind: str) -> None:
     run, _, points = engine()
     for belief in run.run(scene.frames()):
         assert belief["structure"].structure is None
-    message = RecursiveStructure().message(
-        belief["structure"], points, Incoming({PointTracks(): points.uniform()})
-    )
+    message = RecursiveStructure().message(belief["structure"], points, Incoming({points: points.uniform()}))
     assert not len(message.positions)
 
 
@@ -406,7 +404,7 @@ class Followed:
 
 def follow(scene: Scene, begin: int = 25, **options: float) -> tuple[Followed, StructureState]:
     run, chain, points = engine(**options)
-    nothing = Incoming({PointTracks(): points.uniform()})
+    nothing = Incoming({points: points.uniform()})
     parts: dict[str, list[Numbers]] = {field.name: [] for field in fields(Followed)}
     unseen = np.zeros(scene.visible.shape[1], int)
     state = RunState()
@@ -421,7 +419,7 @@ def follow(scene: Scene, begin: int = 25, **options: float) -> tuple[Followed, S
         if t < begin or guess is None:
             continue
         evidence = points.evidence(frame, points.uniform())
-        given = chain.message(ahead, points, Incoming({PointTracks(): evidence})).positions
+        given = chain.message(ahead, points, Incoming({points: evidence})).positions
         for name, message in (("before", guess), ("given_others", given)):
             identities, means, covariances = message.moments
             off = means - scene.positions[t, identities]
@@ -526,14 +524,12 @@ def test_what_is_said_of_a_point_never_comes_back() -> None:
     ahead = chain.predict(last.state.states["structure"], DT)
     identities = np.arange(40)
     cavity = at(identities, scene.observed[60])
-    message = chain.message(ahead, points, Incoming({PointTracks(): cavity})).positions
+    message = chain.message(ahead, points, Incoming({points: cavity})).positions
     for point in (0, 17):
         for shift in (1.5, 400.0):
             positions = scene.observed[60].copy()
             positions[point] += shift
-            other = chain.message(
-                ahead, points, Incoming({PointTracks(): at(identities, positions)})
-            ).positions
+            other = chain.message(ahead, points, Incoming({points: at(identities, positions)})).positions
             np.testing.assert_allclose(other.marginal(point)[0], message.marginal(point)[0], atol=1e-6)
             # its neighbours hear of it, if it is not too far off
             heard = np.abs(other.marginal(5)[0] - message.marginal(5)[0]).max()
@@ -553,7 +549,7 @@ def test_chain_that_knows_nothing_is_uniform() -> None:
     frame = next(cylinder(0).frames())
     state = chain.initial(frame)
     cavity = points.evidence(frame, points.uniform())
-    message = chain.message(state, points, Incoming({PointTracks(): cavity}))
+    message = chain.message(state, points, Incoming({points: cavity}))
     assert not len(message.positions)
     assert message.log_mass == 0
     assert [port.cavity for port in chain.ports] == [Cavity.OTHERS]
@@ -564,7 +560,7 @@ def test_message_integrates_to_one_and_belief_is_sharper_than_evidence() -> None
     run, chain, points = engine()
     *_, last = run.run(scene.frames())
     ahead = chain.predict(last.state.states["structure"], DT)
-    message = chain.message(ahead, points, Incoming({PointTracks(): points.uniform()}))
+    message = chain.message(ahead, points, Incoming({points: points.uniform()}))
     assert message.log_mass == pytest.approx(0, abs=1e-6)
     assert np.isfinite(last.log_evidence)
     _, means, covariances = last[points].positions.only(scene.visible[-1]).moments
@@ -583,24 +579,16 @@ def test_only_what_the_frame_shows_is_taken_in() -> None:
     frame = Frame(None, DT * 40, 41, GivenPoints(scene.observed[40, :20], np.arange(20)))
     found = points.evidence(frame, points.uniform())
     guesses = at(np.arange(40), scene.positions[40] + 1.0)
-    after = chain.update(ahead, Incoming({PointTracks(): found * guesses})).structure
+    after = chain.update(ahead, Incoming({points: found * guesses})).structure
     assert after is not None
     assert (after.unseen[20:] > 0).all()
     assert (after.unseen[:20] == 0).mean() > 0.8
-    alone = chain.update(
-        ahead,
-        Incoming(
-            {
-                "points": replace(
-                    found, positions=at(np.arange(20), scene.positions[40, :20], 0.5**0.5).positions
-                )
-            }
-        ),
-    ).structure
+    places = at(np.arange(20), scene.positions[40, :20], 0.5**0.5).positions
+    alone = chain.update(ahead, Incoming({points: replace(found, positions=places)})).structure
     assert alone is not None
     np.testing.assert_allclose(after.shape, alone.shape, atol=1e-9)
     earlier = replace(at(np.arange(40), scene.positions[40]), view=replace(found.view, time=DT * 39))
-    waiting = chain.update(ahead, Incoming({PointTracks(): earlier})).structure
+    waiting = chain.update(ahead, Incoming({points: earlier})).structure
     assert waiting is not None
     assert (waiting.unseen > 0).all()
 
@@ -711,15 +699,35 @@ def test_saved_run_goes_on_as_if_it_had_not_stopped(tmp_path: Path) -> None:
         assert one.noise_scale == two.noise_scale
 
 
+@given(st.floats(0, 2), st.floats(0, 2))
+@settings(max_examples=10)
+def test_a_prediction_in_two_steps_is_one_of_their_length(first: float, second: float) -> None:
+    run, chain, _ = engine()
+    for until in (4, 30):
+        *_, last = run.run(list(cylinder(16).frames())[:until])
+        state = last.state.states["structure"]
+        assert (state.structure is None) == (until == 4)
+        twice = chain.predict(chain.predict(state, first), second)
+        once = chain.predict(state, first + second)
+        np.testing.assert_allclose((twice.time, twice.elapsed), (once.time, once.elapsed), rtol=1e-9)
+        if once.structure is not None:
+            for one, two in (
+                (once.structure.unseen, twice.structure.unseen),
+                (once.structure.motion.mean, twice.structure.motion.mean),
+                (once.structure.motion.covariance, twice.structure.motion.covariance),
+            ):
+                np.testing.assert_allclose(two, one, rtol=1e-9, atol=1e-9 * np.abs(one).max())
+
+
 def test_states_are_values() -> None:
     scene = cylinder(16)
-    run, chain, _ = engine()
+    run, chain, points = engine()
     *_, last = run.run(list(scene.frames())[:40])
     before = last.state.states["structure"]
     copies = {
         name: getattr(before.structure, name).copy() for name in ("shape", "shape_covariance", "unseen")
     }
-    chain.update(chain.predict(before, DT), Incoming({PointTracks(): at(np.arange(40), scene.observed[40])}))
+    chain.update(chain.predict(before, DT), Incoming({points: at(np.arange(40), scene.observed[40])}))
     for name, array in copies.items():
         np.testing.assert_array_equal(getattr(before.structure, name), array)
 

@@ -12,11 +12,12 @@ from rsmcm.apps.body.start import start_from_head
 from rsmcm.apps.evaluation.scoring import Scoring, track_rows
 from rsmcm.apps.evaluation.validity import report_validity
 from rsmcm.apps.io.ground_truth import BoxTruth, read_ground_truth
+from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.point_files import read_points
-from rsmcm.apps.io.results import read_tracks
 from rsmcm.apps.io.sources.open_source import IMAGE_SUFFIXES, open_source
 from rsmcm.apps.runs.region import read_region
-from rsmcm.apps.structure.application import StructureJob, read_film
+from rsmcm.apps.structure.application import read_film
+from rsmcm.apps.structure.job import StructureJob
 from rsmcm.inference import RecursiveBP
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.detectors import default_faces
@@ -93,7 +94,7 @@ def parameters(folder: Path) -> None:
 
 def tracks(folder: Path) -> None:
     """Tracks for structure from motion."""
-    read_film(StructureJob(str(_file(folder)), folder / "out"))
+    read_film(StructureJob(str(_file(folder)), out=folder / "out"))
 
 
 def landmarks(folder: Path) -> None:

@@ -20,7 +20,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps import command_line
 from rsmcm.apps.background.application import build_model
-from rsmcm.apps.io.results import read_tracks
+from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.scenes import cylinder, face, signer, sleeping_man
 from rsmcm.apps.scenes.signing.signer import SignerScene
@@ -210,7 +210,8 @@ def test_two_signals(
     application, out = applications[name], tmp_path / "out"
     with signals_after(after, [signal.SIGINT, signal.SIGINT], monkeypatch):
         assert application.run(out) == 128 + signal.SIGINT
-    assert capfd.readouterr().err == f"rsmcm: interrupted: --resume goes on with {out}\n"
+    *_, line = capfd.readouterr().err.splitlines()  # after progress, where the machine is slow
+    assert line == f"rsmcm: interrupted: --resume goes on with {out}"
     assert application.run(out, "--resume") == 0
     assert_same(out, whole[name])
     assert application.run(out, "--overwrite") == 0

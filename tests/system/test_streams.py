@@ -22,7 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.apps.background.application import build_model
-from rsmcm.apps.io.results import read_tracks
+from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.sources import live_reader, video_reader
 from rsmcm.apps.io.sources import open_source as sources
 from rsmcm.apps.io.sources.live_reader import FILLED_SECONDS, LiveReader

@@ -23,7 +23,8 @@ from ....inference import Incoming, MultiChain, Port, RecursiveBP, RunState
 from ....models import Categorical, Frame
 from ....models.core.categorical import CategoricalMessage
 from ....models.numerics.threads import set_threads
-from ...background.application import Engine, build_model
+from ...background.application import build_model
+from ...background.job import Engine
 from ...background.methods import Model
 from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source

@@ -81,7 +81,7 @@ class _Walk:
         steps += vectors.values
         return _Vectors(steps)
 
-    def log_posture(self, vectors: _Vectors) -> float:
+    def log_posture(self, vectors: _Vectors, dt: float) -> float:
         return 0.0
 
 

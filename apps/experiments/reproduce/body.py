@@ -25,7 +25,7 @@ from ...body.measures import (
 )
 from ...body.overlay import BodyOverlay
 from ...drawing.mosaic import mosaic
-from ...io.results import write_image
+from ...io.files import write_image
 from ...reports import page
 from ...reports.expectations import Expectation, in_columns
 from ...reports.experiment import Plot, Table, publish
@@ -76,7 +76,7 @@ BEHAVIOUR = (
 )  # fmt: skip
 FAIR = (
     "All trackers see the same pictures through the same features and the same likelihood, know the true "
-    "lengths of the body, assume the same dynamics, and are told the true pose of the first frame, which "
+    "lengths of the body, assume the same dynamics, and are given the true pose of the first frame, which "
     "CONDENSATION cannot find by itself. The first frame does not count."
 )
 NOTE = (

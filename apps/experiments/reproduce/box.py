@@ -7,13 +7,14 @@ import numpy as np
 from markupsafe import Markup
 
 from ...io.datasets import data_folder
-from ...io.results import write_image
+from ...io.files import write_image
 from ...reports.expectations import Expectation
 from ...reports.experiment import Table, publish
 from ...runs.progress import Progress
-from ...structure.application import Film, StructureJob, read_film
+from ...structure.application import Film, read_film
 from ...structure.files import point_colours, write_ply
-from ...structure.reconstruction import MOST_ROUNDS, Association, Reconstruction, reconstruct
+from ...structure.job import Association, StructureJob
+from ...structure.reconstruction import MOST_ROUNDS, Reconstruction, reconstruct
 from ...structure.report import shape_pictures, track_pictures
 from ...structure.track_overlay import draw_points
 
@@ -61,7 +62,7 @@ def reproduce_box(out: Path) -> None:
     expectations: list[Expectation] = []
     sections: list[tuple[str, list[Markup]]] = []
     for name, folder in folders.items():
-        film = read_film(StructureJob(str(folder), out))
+        film = read_film(StructureJob(str(folder), out=out))
         results = [_result(name, method, film) for method in METHODS]
         alone, dual = results
         lines += [result.cells for result in results]

@@ -17,8 +17,9 @@ from ...reports.expectations import Expectation
 from ...reports.experiment import Plot, Table, publish
 from ...runs.parallel import in_processes
 from ...scenes import Cylinder, cylinder
+from ...structure.job import Coherence
 from ...structure.metrics import REJECTED, StructureScores, score_structure
-from ...structure.reconstruction import Coherence, reconstruct
+from ...structure.reconstruction import reconstruct
 
 Numbers = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from ...background.compare import SHOWN_PRIOR
 from ...background.methods import CHAINS, Model
 from ...drawing.mosaic import mosaic
 from ...evaluation.metrics import PixelScore, joined, total
-from ...io.results import write_image
+from ...io.files import write_image
 from ...reports import page
 from ...reports.expectations import Expectation
 from ...reports.experiment import Table, publish

@@ -19,7 +19,8 @@ from ....inference.core.recursive_bp import RunState
 from ....models.body.parts import BodyParts
 from ....models.body.upper_body import JOINTS, PARTS
 from ....models.core.frame import Frame
-from ...body.measures import HANDS, PLACES, BodyTrial, squared_distances
+from ....models.core.mahalanobis import squared_distances
+from ...body.measures import HANDS, LEAST_VARIANCE, PLACES, BodyTrial
 from ...body.overlay import TrackedBody
 from ...scenes import SignerScene, signer
 
@@ -63,7 +64,7 @@ class BodyTracker:
     system
         `"rsmcm"`: likelihood sampling and the tracker of flesh correct each other. `"sampler"`: the same
         without the message of the tracker of flesh. `"condensation"`: the bootstrap filter. `"flesh"`: the
-        tracker of flesh alone, which knows the hands only.
+        tracker of flesh alone, which finds the hands only.
     samples
         number of poses; 0 where there are none.
     """
@@ -90,7 +91,7 @@ class BodyTracker:
 class _Run:
     """A tracker on its way through a film, and what was measured so far.
 
-    After the first frame it is told the true pose, which CONDENSATION cannot find by itself. A tracker of
+    After the first frame it is given the true pose, which CONDENSATION cannot find by itself. A tracker of
     flesh keeps what it has found.
     """
 
@@ -110,13 +111,14 @@ class _Run:
         state = self._engine.step(self._state, self._film.frames[index]).state
         seconds = time.perf_counter() - started
         if index == 0:
-            state = self._told(state)
+            state = self._with_truth(state)
         self._state = state
         found = self._belief(index, state.states[self._chain])
         apart = found.joints - self._film.scene.joints[index]
-        squares = squared_distances(apart[PLACES[HANDS], :2], found.covariances[PLACES[HANDS], :2, :2])
+        covariances = found.covariances[PLACES[HANDS], :2, :2] + LEAST_VARIANCE * np.eye(2)
+        nees = squared_distances(apart[PLACES[HANDS], :2], covariances)
         flat, deep = (np.linalg.norm(apart[PLACES, :axes], axis=1) for axes in (2, 3))
-        self._rows.append((flat, deep, squares, self._effective(state), seconds))
+        self._rows.append((flat, deep, nees, self._effective(state), seconds))
 
     def _belief(self, index: int, after: Any) -> TrackedBody:
         """Means and covariances of the joints, NaN where they are not known, and poses if they are shown."""
@@ -133,8 +135,8 @@ class _Run:
         covariances[HEAD_AND_HANDS, :2, :2] = after.position_covariances
         return TrackedBody(np.empty(0), means, covariances)
 
-    def _told(self, state: RunState) -> RunState:
-        """The state of those who know the true pose of the first frame."""
+    def _with_truth(self, state: RunState) -> RunState:
+        """The state of a tracker that is given the true pose of the first frame."""
         poses = state.states[self._chain]
         if not isinstance(poses, BodySamples):
             return state
@@ -149,11 +151,11 @@ class _Run:
 
     def trial(self) -> BodyTrial:
         """What was measured."""
-        flat, deep, squares, effective, seconds = (np.array(row) for row in zip(*self._rows, strict=True))
+        flat, deep, nees, effective, seconds = (np.array(row) for row in zip(*self._rows, strict=True))
         scene = self._film.scene
         hidden = scene.hidden[: len(flat), 1:]
         size = scene.body.head_height
-        return BodyTrial(flat, deep, squares, effective, seconds, hidden, size, self._pictures)
+        return BodyTrial(flat, deep, nees, effective, seconds, hidden, size, self._pictures)
 
 
 def in_turns(film: SignerFilm, trackers: Sequence[BodyTracker], shown: Sequence[int] = ()) -> list[BodyTrial]:

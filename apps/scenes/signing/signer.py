@@ -14,8 +14,8 @@ from ....models.body.poses import BodyPoses
 from ....models.body.upper_body import PARTS, UpperBody
 from ....models.core.frame import Frame
 from ..random_fields import wander
+from .appearance import Appearance
 from .faults import MISSING, Distractor, ListedFaces, bursts, face_boxes, false_skin
-from .look import Look
 from .motion import signing
 from .shape import HandShape, Solid, blob, surface
 
@@ -155,8 +155,8 @@ class SignerScene:
         return self.dt * np.arange(self.n_frames + 1, dtype=np.float64)
 
     @cached_property
-    def _look(self) -> Look:
-        return Look(self.seed, self.size, self.body.head_height, self.clutter)
+    def _appearance(self) -> Appearance:
+        return Appearance(self.seed, self.size, self.body.head_height, self.clutter)
 
     @cached_property
     def _light(self) -> Array:
@@ -200,9 +200,9 @@ class SignerScene:
         step = float(np.linalg.norm(np.diff(hands, axis=0), axis=2).max())
         pictures = int(np.clip(np.ceil(SHUTTER * step / BLUR_STEP), 1, MOST_PICTURES))
         moments = index + SHUTTER * ((np.arange(pictures) + 0.5) / pictures - 0.5)
-        exposed = self._look.draw(self._solids(index, float(moments[0])))
+        exposed = self._appearance.draw(self._solids(index, float(moments[0])))
         for moment in moments[1:]:
-            exposed += self._look.draw(self._solids(index, float(moment)))
+            exposed += self._appearance.draw(self._solids(index, float(moment)))
         exposed /= np.float32(pictures)
         return exposed
 
@@ -213,7 +213,7 @@ class SignerScene:
         for part, name in ((1, "left hand"), (2, "right hand")):
             burst = int(self._bursts[index, part])
             shown[name] = "skin" if not burst else "glare" if (burst + self.seed) % 3 == 0 else "glove"
-        for solid in surface(self.body, self._look.palette, pose, hands):
+        for solid in surface(self.body, self._appearance.palette, pose, hands):
             yield solid, shown.get(solid.material, solid.material)
         for thing in self.distractors:
             if thing.first <= index <= thing.last:

@@ -14,12 +14,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.background.application import ENGINES, Job, build_model, run_background
+from rsmcm.apps.background.application import ENGINES, build_model, run_background
 from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.parameters import SECTIONS, read_parameters, with_defaults
 from rsmcm.apps.evaluation.scoring import Scoring, track_rows
 from rsmcm.apps.io.ground_truth import MaskTruth, read_ground_truth
-from rsmcm.apps.io.results import read_tracks
+from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.sources.open_source import open_source
 from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.runs.region import read_region, stands_inside
@@ -65,7 +66,7 @@ def count_frames(video: Path) -> int:
 def whole(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of a run that nothing interrupts."""
     out = tmp_path_factory.mktemp("whole")
-    outcome = run_background(Job(str(scene / "input"), out, ground_truth=scene, every=25))
+    outcome = run_background(BackgroundJob(str(scene / "input"), out=out, ground_truth=scene, every=25))
     assert outcome.signal is None
     return out
 
@@ -103,7 +104,7 @@ def test_all_results_are_there_and_readable(whole: Path, scene: Path) -> None:
 def test_interrupted_and_resumed_is_as_if_never_interrupted(
     stop_after: int, scene: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    job = Job(str(scene / "input"), tmp_path, ground_truth=scene, every=10)
+    job = BackgroundJob(str(scene / "input"), out=tmp_path, ground_truth=scene, every=10)
     items = Interruption.items
 
     def interrupted(self: Interruption, source: Iterator[Frame]) -> Iterator[Frame]:
@@ -136,7 +137,7 @@ def test_a_finished_run_is_resumed_by_doing_nothing(scene: Path, whole: Path, tm
     out = tmp_path / "copy"
     shutil.copytree(whole, out)
     before = modified(out)
-    outcome = run_background(Job(str(scene / "input"), out, ground_truth=scene, resume=True))
+    outcome = run_background(BackgroundJob(str(scene / "input"), out=out, ground_truth=scene, resume=True))
     assert outcome.summary["frames"] == N_FRAMES
     assert modified(out) == before
 
@@ -162,7 +163,7 @@ def test_killed_in_the_middle(scene: Path, tmp_path: Path) -> None:
     process.kill()
     assert process.wait() == -signal.SIGKILL
     assert len(masks_of(tmp_path / "out")) < N_FRAMES
-    job = Job(str(scene / "input"), tmp_path / "out", every=5)
+    job = BackgroundJob(str(scene / "input"), out=tmp_path / "out", every=5)
     run_background(replace(job, resume=True))
     run_background(replace(job, out=tmp_path / "whole"))
     assert_same(tmp_path / "out", tmp_path / "whole")
@@ -170,7 +171,7 @@ def test_killed_in_the_middle(scene: Path, tmp_path: Path) -> None:
 
 
 def test_resume_where_nothing_is_starts_a_run(scene: Path, tmp_path: Path) -> None:
-    run_background(Job(str(scene / "input"), tmp_path / "new", stop=3, resume=True))
+    run_background(BackgroundJob(str(scene / "input"), out=tmp_path / "new", stop=3, resume=True))
     assert summary_of(tmp_path / "new")["frames"] == 3
 
 
@@ -180,7 +181,7 @@ def test_damaged_images_are_missing_frames(scene: Path, tmp_path: Path) -> None:
     for number in (1, 30, 31):
         path = source / f"in{number:06d}.png"
         path.write_bytes(path.read_bytes()[:100])
-    run_background(Job(str(source), tmp_path / "out"))
+    run_background(BackgroundJob(str(source), out=tmp_path / "out"))
     summary = summary_of(tmp_path / "out")
     assert summary["missing"] == [1, 30, 31]
     assert summary["missing_frames"] == 3
@@ -193,7 +194,7 @@ def test_frames_of_another_size_end_the_run_with_results_until_there(scene: Path
     shutil.copytree(scene / "input", source)
     cv2.imwrite(str(source / "in000012.png"), np.zeros((50, 60, 3), np.uint8))
     with pytest.raises(ValueError, match="frame 12 is 60x50 colour, expected 128x96"):
-        run_background(Job(str(source), tmp_path / "out"))
+        run_background(BackgroundJob(str(source), out=tmp_path / "out"))
     assert summary_of(tmp_path / "out")["frames"] == 11
     assert count_frames(tmp_path / "out" / "overlay.mp4") == 11
 
@@ -201,7 +202,9 @@ def test_frames_of_another_size_end_the_run_with_results_until_there(scene: Path
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("masks", ["none", "video"])
 def test_other_engines_and_forms_of_masks(engine: Any, masks: Any, scene: Path, tmp_path: Path) -> None:
-    run_background(Job(str(scene / "input"), tmp_path, engine, stop=25, step=2, masks=masks))
+    run_background(
+        BackgroundJob(str(scene / "input"), out=tmp_path, engine=engine, stop=25, step=2, masks=masks)
+    )
     assert summary_of(tmp_path)["frames"] == 13
     assert summary_of(tmp_path)["last_frame"] == 25
     assert (tmp_path / "foreground.mkv").exists() == (masks == "video")
@@ -211,13 +214,13 @@ def test_other_engines_and_forms_of_masks(engine: Any, masks: Any, scene: Path, 
 
 
 def test_one_frame_is_enough(scene: Path, tmp_path: Path) -> None:
-    run_background(Job(str(scene / "input" / "in000001.png"), tmp_path))
+    run_background(BackgroundJob(str(scene / "input" / "in000001.png"), out=tmp_path))
     assert summary_of(tmp_path)["frames"] == 1
     assert count_frames(tmp_path / "overlay.mp4") == 1
 
 
 def test_region_of_interest(scene: Path, whole: Path, tmp_path: Path) -> None:
-    run_background(Job(str(scene / "input"), tmp_path, roi="0,0,64,96"))
+    run_background(BackgroundJob(str(scene / "input"), out=tmp_path, roi="0,0,64,96"))
     for name, data in masks_of(tmp_path).items():
         inside = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         everywhere = cv2.imread(str(whole / "foreground" / name), cv2.IMREAD_UNCHANGED)

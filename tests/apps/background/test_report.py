@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rsmcm.apps.background.record import RunRecord, TrackHistory
 from rsmcm.apps.background.report import draw_tracks, write_report
-from rsmcm.apps.io.results import identity_colour
+from rsmcm.apps.drawing.boxes import identity_colour
 from rsmcm.apps.reports.plots import INK
 
 from ...support.records import PICTURE, recorded

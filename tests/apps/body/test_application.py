@@ -16,7 +16,7 @@ from rsmcm.apps.body import start as body_start
 from rsmcm.apps.body.report import BodyRecord
 from rsmcm.apps.body.start import read_head, start_from_head
 from rsmcm.apps.body.writer import ANGLE_NAMES, N_DRAWN
-from rsmcm.apps.io.results import PLAYABLE, SegmentedVideo
+from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.reports import time_plots
 from rsmcm.apps.runs import blank_frames

@@ -20,12 +20,10 @@ from rsmcm.apps.evaluation.predictions import (
 from rsmcm.inference.validity.estimate import (
     FEWEST_GROUPS,
     Comparison,
-    PredictionErrors,
     RecordedPredictions,
     compare,
-    cost,
-    scalar_condition,
 )
+from rsmcm.inference.validity.theory import PredictionErrors, cost
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from scipy.optimize import minimize
 
@@ -202,13 +200,15 @@ def test_theorem_2_needs_optimal_noises() -> None:
     assert errors.costs(sure).gain < 0
 
 
-def test_scalar_condition_is_theorem_2_in_one_dimension() -> None:
+def test_theorem_2_in_one_dimension_is_equation_17() -> None:
+    """Both P_i >= 2 P_12 + Sigma_0."""
     random = np.random.default_rng(7)
     for _ in range(300):
         errors = random_errors(1, random)
-        values = [part.item() for part in (errors.first, errors.second, errors.cross, errors.process)]
-        assert scalar_condition(*values) == errors.theorem_holds
-    assert scalar_condition(1.0, 1.0, 0.5, 0.0)  # so the correlation need not be less than 0.5
+        first, second, cross, process = (
+            part.item() for part in (errors.first, errors.second, errors.cross, errors.process)
+        )
+        assert (min(first, second) >= 2 * cross + process) == errors.theorem_holds
 
 
 def test_correlation_that_can_be_borne_in_one_dimension() -> None:

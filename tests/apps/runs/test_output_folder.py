@@ -65,7 +65,7 @@ def test_an_empty_folder_of_results_goes_with_them(tmp_path: Path) -> None:
 def test_what_a_kill_left_over_goes(tmp_path: Path) -> None:
     for folder in ("masks", "other"):
         (tmp_path / folder).mkdir()
-    left = (".unfinished-a.txt", "masks/.unfinished-bin000001.png", ".state.npz.123.partial")
+    left = (".unfinished-9-a.txt", "masks/.unfinished-9-bin000001.png", ".unfinished-9-state.npz")
     for name in (*left, "other/.unfinished-x"):
         (tmp_path / name).write_text("half")
     run(tmp_path)

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.io.results import identity_colour
+from rsmcm.apps.drawing.boxes import identity_colour
 from rsmcm.apps.structure.files import point_colours
 from rsmcm.apps.structure.report import write_structure_report
 from rsmcm.apps.structure.track_overlay import draw_points, write_overlay

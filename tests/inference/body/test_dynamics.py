@@ -1,8 +1,16 @@
 import numpy as np
 import pytest
-from rsmcm.inference.body.dynamics import USUAL_UPPER_ARMS, Ancestors, BodyDynamics, anywhere, around
+from rsmcm.inference.body.dynamics import (
+    USUAL_UPPER_ARMS,
+    Ancestors,
+    BodyDynamics,
+    anywhere,
+    around,
+    concentration,
+)
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import UpperBody
+from scipy.optimize import brentq
 
 BODY = UpperBody.from_head(90.0)
 DT = 0.04
@@ -26,7 +34,7 @@ def plain_log_density(dynamics, poses, ancestors, weights, dt):
     for side in (0, 1):
         smooth = 0.0
         for part, rate in enumerate((dynamics.upper_arm, dynamics.forearm)):
-            kappa = 1 / (rate**2 * dt)
+            kappa = brentq(lambda k, r=rate: 1 / np.tanh(k) - 1 / k - np.exp(-(r**2) * dt), 1e-3, 300.0)
             cosine = poses.arms[:, side, part] @ ancestors.arms[:, side, part].T
             smooth = (
                 smooth
@@ -48,7 +56,9 @@ def test_mixture_is_that_of_the_plain_formula():
     near = dynamics.draw(ancestors.take(random.integers(60, size=150)), DT, random)
     far = some_poses(50, random)
     for poses in (near, far):
-        found = dynamics.log_density(poses, Ancestors(ancestors, weights, DT)) - dynamics.log_posture(poses)
+        found = dynamics.log_density(poses, Ancestors(ancestors, weights, DT)) - dynamics.log_posture(
+            poses, DT
+        )
         assert found == pytest.approx(plain_log_density(dynamics, poses, ancestors, weights, DT), abs=2e-3)
 
 
@@ -87,6 +97,38 @@ def test_directions_around_another_have_the_known_mean_cosine(concentration):
     assert np.linalg.norm(drawn, axis=1) == pytest.approx(1.0, abs=1e-12)
     across = drawn - cosine[:, None] * middle
     assert np.abs(across.mean(axis=0)).max() < 5 * across.std() / np.sqrt(len(drawn))
+
+
+@pytest.mark.parametrize("elapsed", [1e-9, 1e-3, 0.04, 1.0, 6.0])
+def test_concentrations_have_the_mean_of_a_brownian_motion(elapsed):
+    """Whose mean cosine is exp(-elapsed); beyond any memory a direction is anywhere."""
+    kappa = concentration(np.array([elapsed]))[0]
+    assert 1 / np.tanh(kappa) - 1 / kappa == pytest.approx(np.exp(-elapsed), abs=1e-9)
+    assert concentration(np.array([1e3]))[0] < 0.01
+
+
+def test_ten_steps_have_the_moments_of_one():
+    """Places, necks and directions of arms that do not jump: means, and covariances of the Gaussian ones.
+
+    A direction's second moments are nearly the same: von Mises and Fisher's densities, folded, are not one.
+    """
+    random = np.random.default_rng(11)
+    dynamics = BodyDynamics(BODY, jumps=0.0)
+    n, start = 40_000, some_poses(1, random)
+    start.necks[0] = 0.2, -0.3, 0.1
+    once = stepwise = start.take(np.zeros(n, np.int64))
+    once = dynamics.draw(once, 0.4, random)
+    for _ in range(10):
+        stepwise = dynamics.draw(stepwise, DT, random)
+    directions = start.arms[0] * np.exp(-0.4 * np.array([0.6, 1.0]) ** 2)[:, None]
+    for name, tolerance in (("roots", 0.03), ("necks", 0.03), ("arms", 0.06)):
+        one, ten = (getattr(each, name).reshape(n, -1) for each in (once, stepwise))
+        bar = 5 * np.hypot(one.std(axis=0), ten.std(axis=0)) / np.sqrt(n)
+        assert (np.abs(one.mean(axis=0) - ten.mean(axis=0)) < bar).all()
+        covariance = np.cov(one.T)
+        assert np.cov(ten.T) == pytest.approx(covariance, abs=tolerance * covariance.max())
+    for each in (once, stepwise):
+        assert each.arms.mean(axis=0) == pytest.approx(directions, abs=5 * 0.6 / np.sqrt(n))
 
 
 def test_anywhere_is_within_the_limits_and_the_picture():

@@ -38,7 +38,7 @@ def test_weighted_proposals_are_draws_of_the_temporal_prior(seed):
     )
     chosen = random.choice(40, 40_000, p=past.weights)
     direct = dynamics.draw(past.poses.take(chosen), DT, random)
-    usual = random.random(len(direct)) < np.exp(dynamics.log_posture(direct))
+    usual = random.random(len(direct)) < np.exp(dynamics.log_posture(direct, DT))
     direct = direct.take(np.flatnonzero(BODY.allowed(direct) & usual))
     mixtures = mixtures_about(BODY.parts(direct), 10.0)
     # broader than usual, since few draws of the tails would have most of the weight
@@ -46,7 +46,6 @@ def test_weighted_proposals_are_draws_of_the_temporal_prior(seed):
     proposal = sampler.draw(mixtures, past, 60_000, random)
     assert BODY.allowed(proposal.poses).all()
     prior = dynamics.log_density(proposal.poses, past)
-    prior -= dynamics.log_posture(proposal.poses)
     joints = BODY.joints(proposal.poses).reshape(len(proposal.poses), -1)
     mean, error, effective = weighted(joints, prior - proposal.log_density)
 
@@ -66,7 +65,7 @@ def test_without_a_past_the_static_prior_is_met():
     direct = direct.take(random.random(20_000) < np.exp(dynamics.log_posture(direct)))
     mixtures = mixtures_about(BODY.parts(direct), 60.0)
     proposal = sampler.draw(mixtures, None, 60_000, random)
-    prior = dynamics.log_density_anywhere(proposal.poses, size) - dynamics.log_posture(proposal.poses)
+    prior = dynamics.log_density_anywhere(proposal.poses, size)
     inside = ((proposal.poses.roots >= 0) & (proposal.poses.roots <= 400)).all(axis=1)
     hands = (BODY.joints(proposal.poses)[:, [4, 7]] - BODY.joints(proposal.poses)[:, [1]]).reshape(-1, 6)
     mean, error, effective = weighted(hands[inside], (prior - proposal.log_density)[inside])

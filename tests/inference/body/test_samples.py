@@ -176,7 +176,7 @@ def test_predictions_are_draws_of_the_mixture_around_their_ancestors() -> None:
     assert past is not None
     assert past.elapsed == DT
     assert past.weights.sum() == pytest.approx(1.0, abs=1e-12)
-    usual = np.where(BODY.allowed(after.poses), np.exp(DYNAMICS.log_posture(after.poses)), 0.0)
+    usual = np.where(BODY.allowed(after.poses), np.exp(DYNAMICS.log_posture(after.poses, DT)), 0.0)
     np.testing.assert_allclose(after.weights, usual / usual.sum(), atol=1e-12)
     spread = DYNAMICS.place * BODY.head_height * np.sqrt(DT)
     mean = past.weights @ past.poses.roots
@@ -207,6 +207,20 @@ def test_predicting_twice_gives_the_same() -> None:
     assert one.random.random() != state.random.random()
 
 
+def test_predicting_in_steps_is_predicting_at_once() -> None:
+    """The prediction of a prediction is made of the same samples; after an update it is not."""
+    state = samples(some(40))
+    whole, steps = predicted(DYNAMICS, state, 50, 0.4), state
+    for _ in range(10):
+        steps = predicted(DYNAMICS, steps, 50, DT)
+    np.testing.assert_allclose(steps.poses.angles, whole.poses.angles, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(steps.log_weights, whole.log_weights, rtol=1e-9)
+    assert steps.elapsed == pytest.approx(0.4)
+    after = whole.reweighed(np.zeros(50))
+    assert after.before is None
+    assert predicted(DYNAMICS, after, 50, DT).elapsed == DT
+
+
 # --- hands that were taken for each other ---
 
 
@@ -232,7 +246,7 @@ def test_exchanged_ancestors_have_each_hand_where_the_other_was(seed: int) -> No
     before, after = BODY.joints(poses)[origin], BODY.joints(exchanged)
     np.testing.assert_allclose(after[:, HANDS], before[:, HANDS[::-1]], atol=1e-6)
     np.testing.assert_allclose(BODY.parts(exchanged), BODY.parts(poses)[origin][:, [0, 2, 1]], atol=1e-6)
-    chance = 1 - np.exp(-DYNAMICS.exchanges * DT)
+    chance = 0.5 * (1 - np.exp(-2 * DYNAMICS.exchanges * DT))
     np.testing.assert_allclose(shares[n:], chance * weights[origin])
     np.testing.assert_allclose(shares[:n][origin], (1 - chance) * weights[origin])
     stays = np.setdiff1d(np.arange(n), origin)

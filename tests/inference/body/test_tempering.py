@@ -39,7 +39,7 @@ class Past:
         while sum(map(len, found)) < n:
             ancestors = self.poses.take(random.choice(5, n, p=self.weights))
             poses = self.dynamics.draw(ancestors, self.elapsed, random)
-            usual = random.random(n) < np.exp(self.dynamics.log_posture(poses))
+            usual = random.random(n) < np.exp(self.dynamics.log_posture(poses, self.elapsed))
             found.append(poses.take(BODY.allowed(poses) & usual))
         return BodyPoses.concatenated(found).take(slice(n))
 

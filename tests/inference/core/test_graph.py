@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.inference import MultiChain
+from rsmcm.chains import AdaptiveBackground, BlobTracker, MixtureBackground, PointTracker
+from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.core.graph import IMAGE
+from rsmcm.models import ObjectBoxes, PixelLabels, PointTracks
 
 from ...support.discrete import CavityChain, random_model
 
@@ -68,6 +70,73 @@ def test_other_objects_are_refused() -> None:
     feature = SimpleNamespace(name="g", searches=False, evidence=None)
     with pytest.raises(TypeError, match=r"feature: got SimpleNamespace, .* \(it lacks uniform\)$"):
         model.connect(model.chains["a"], feature)  # type: ignore[arg-type]
+
+
+def test_a_class_in_place_of_an_instance_is_refused() -> None:
+    with pytest.raises(
+        TypeError, match=r"^chain: got the class BlobTracker, expected .*: BlobTracker\(...\)$"
+    ):
+        MultiChain().connect(BlobTracker, PixelLabels())  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"^feature: got the class PixelLabels, expected an instance"):
+        MultiChain().connect(BlobTracker(), PixelLabels)  # type: ignore[arg-type]
+
+
+def test_a_feature_of_another_kind_is_refused() -> None:
+    expected = (
+        "got 'points', a PointTracks, for 'blobs', expected .* BlobTracker meets: PixelLabels or ObjectBoxes"
+    )
+    with pytest.raises(TypeError, match=expected):
+        MultiChain().connect(BlobTracker(), PointTracks())  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="PointTracker meets: PointTracks"):
+        MultiChain().connect(PointTracker(), PixelLabels())  # type: ignore[arg-type]
+
+
+def test_any_name_of_a_feature_will_do() -> None:
+    pixels, boxes = PixelLabels(name="x"), ObjectBoxes(name="y")
+    model = MultiChain().connect(BlobTracker(), boxes).connect(BlobTracker(name="more"), pixels)
+    assert model.features == {"x": pixels, "y": boxes}
+
+
+def test_a_chain_meets_one_feature_of_a_kind_unless_it_says_otherwise() -> None:
+    tracker = BlobTracker()
+    model = MultiChain().connect(tracker, PixelLabels())
+    with pytest.raises(
+        ValueError, match="got 'other' for 'blobs', which meets 'pixels' already, expected one"
+    ):
+        model.connect(tracker, PixelLabels(name="other"))
+    assert list(model.features) == ["pixels"]
+    random_model(random(), [("a", "f"), ("a", "g")])
+
+
+def test_one_chain_says_what_only_one_can() -> None:
+    pixels, points = PixelLabels(), PointTracks()
+    model = MultiChain().connect(AdaptiveBackground(), pixels).connect(PointTracker(), points)
+    second = "got 'mixture' for the background of 'pixels', which 'background' says already"
+    with pytest.raises(ValueError, match=second):
+        model.connect(MixtureBackground(name="mixture"), pixels)
+    with pytest.raises(ValueError, match="for the appearance of 'points', which 'tracker' says already"):
+        model.connect(PointTracker(name="second"), points)
+    model.connect(MixtureBackground(name="mixture"), pixels, feedback=False)  # it only reads
+
+
+def test_a_chain_gets_what_it_cannot_do_without() -> None:
+    model = MultiChain().connect(BlobTracker(), ObjectBoxes())
+    expected = "'blobs' is connected to objects, expected a PixelLabels too, which it needs"
+    with pytest.raises(ValueError, match=expected):
+        RecursiveBP(model)
+
+
+@given(st.permutations([("a", "f"), ("b", "f"), ("b", "g"), ("c", "g"), ("c", "h")]))
+def test_a_model_looks_the_same_however_it_was_connected(links: list[tuple[str, str]]) -> None:
+    whole = random_model(random(), sorted(links), {"a": CavityChain})
+    model = MultiChain()
+    for chain, feature in links:
+        model.connect(whole.chains[chain], whole.features[feature], feedback=chain != "c")
+    assert list(model.chains) == ["b", "a", "c"]
+    assert list(model.features) == ["f", "g", "h"]
+    assert model.senders("f") == ("b", "a")
+    assert model.senders("g") == ("b",)
+    assert model.components() == [["f", "g"]]
 
 
 def test_a_loop_is_named_with_its_remedy() -> None:

@@ -1,5 +1,7 @@
 """Recursive belief propagation against the sum over all states of small graphs."""
 
+import gc
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -60,20 +62,42 @@ def test_every_frame_equals_enumeration(links: list[tuple[str, str]], cavity: st
             predictions = {n: belief[n].probabilities @ c.transition for n, c in model.chains.items()}
 
 
-@given(st.permutations(GRAPHS["three chains"]), st.sets(st.sampled_from("abc")))
-@settings(max_examples=30)
-def test_order_of_connection_does_not_matter(links: list[tuple[str, str]], cavity: set[str]) -> None:
-    kinds = dict.fromkeys(cavity, CavityChain)
-    usual = list(RecursiveBP(random_model(rng(), GRAPHS["three chains"], kinds)).run(FRAMES))
-    tables = random_model(rng(), GRAPHS["three chains"], kinds)
-    model = MultiChain()
-    for chain, feature in links:
-        model.connect(tables.chains[chain], tables.features[feature])
-    permuted = list(RecursiveBP(model).run(FRAMES))
-    for one, other in zip(usual, permuted, strict=True):
+@st.composite
+def trees(draw: st.DrawFn) -> list[tuple[str, str]]:
+    """Links of random trees of chains a, b, ... and features f, g, ..., in any order."""
+    chains, features = ["a"], ["f"]
+    links = [("a", "f")]
+    for _ in range(draw(st.integers(0, 4))):
+        if draw(st.booleans()):
+            chains.append("abcdef"[len(chains)])
+            links.append((chains[-1], draw(st.sampled_from(features))))
+        else:
+            features.append("fghijk"[len(features)])
+            links.append((draw(st.sampled_from(chains)), features[-1]))
+    return list(draw(st.permutations(links)))
+
+
+@given(trees(), st.sets(st.sampled_from("abcdef")), st.integers(1, 2))
+@settings(max_examples=40)
+def test_order_of_connection_changes_no_byte(
+    links: list[tuple[str, str]], cavity: set[str], sweeps: int
+) -> None:
+    whole = random_model(rng(), sorted(links), dict.fromkeys(cavity, CavityChain))
+    frames = [None if picture is None else image(*range(5), 0) for picture in FRAMES]
+
+    def run(order: Sequence[tuple[str, str]]) -> list[Belief]:
+        model = MultiChain()
+        for chain, feature in order:
+            model.connect(whole.chains[chain], whole.features[feature])
+        return list(RecursiveBP(model, sweeps).run(frames))
+
+    for one, other in zip(run(links), run(sorted(links)), strict=True):
+        assert list(one.states) == list(other.states)
         for name in one.states:
-            np.testing.assert_allclose(one[name].probabilities, other[name].probabilities, rtol=0, atol=EXACT)
-    assert log_evidences(usual) == pytest.approx(log_evidences(permuted), rel=0, abs=EXACT)
+            np.testing.assert_array_equal(one[name].probabilities, other[name].probabilities)
+        for name in whole.features:
+            np.testing.assert_array_equal(one[name].log_weights, other[name].log_weights)
+        assert one.log_evidence == other.log_evidence
 
 
 def test_a_chain_that_knows_nothing_sends_the_uniform_message() -> None:
@@ -256,6 +280,64 @@ def test_evidence_is_asked_once_a_frame_with_what_the_quick_chains_say() -> None
     assert len(looking.asked) == 2  # the third frame is missing
     expected = [np.log(tables.chains[name].prior @ tables.chains[name].tables["f"]) for name in "ac"]
     np.testing.assert_array_equal(looking.asked[0].log_weights, sum(expected))
+
+
+def test_what_nobody_hears_is_not_worked_out() -> None:
+    model = random_model(rng(), [("a", "f")], {"a": Listener})
+    *_, last = RecursiveBP(model).run(FRAMES)
+    heard = model.chains["a"].heard
+    assert {what for what, _ in heard} == {"update"}
+    last["f"].probabilities()
+    assert [what for what, _ in heard].count("message") == 1
+
+
+@pytest.mark.parametrize("message", [None, 3.0])
+def test_a_message_that_is_none_of_its_feature_is_refused(message: object) -> None:
+    class Mute(DiscreteChain):
+        def message(self, state: DiscreteState, feature: Categorical, incoming: Incoming) -> Any:
+            return message
+
+    model = random_model(rng(), [("a", "f"), ("b", "f")], {"b": Mute})
+    expected = f"from 'b' to 'f': got {type(message).__name__}, expected CategoricalMessage"
+    with pytest.raises(TypeError, match=expected):
+        list(RecursiveBP(model).run(FRAMES))
+
+
+def test_a_chain_without_a_cavity_finds_nothing_there() -> None:
+    class Curious(Listener):
+        ports = (Port(Categorical, many=True),)
+
+    class Dazzled(Listener):
+        ports = (Port(Categorical, Cavity.IMAGE, many=True),)
+
+    model = random_model(rng(), [("a", "f"), ("b", "f"), ("c", "f")], {"b": Curious, "c": Dazzled})
+    frame = Frame(image(1), 0.0, 1)
+    RecursiveBP(model).step(RunState(), frame)["f"].probabilities()
+    found = {name: dict(model.chains[name].heard)["message"].log_weights for name in "bc"}
+    np.testing.assert_array_equal(found["b"], 0)
+    np.testing.assert_array_equal(found["c"], model.features["f"].log_likelihood(frame))
+
+
+def test_a_time_slice_is_gone_when_nobody_needs_it() -> None:
+    engine = RecursiveBP(random_model(rng(), GRAPHS["three chains"]))
+    frame = Frame(image(1, 2), 0.0, 1)
+    belief = engine.step(RunState(), frame)
+    message = weakref.ref(belief["f"])
+    assert np.isfinite(belief.log_evidence)
+    gc.disable()
+    del belief
+    try:
+        assert message() is None
+    finally:
+        gc.enable()
+
+
+def test_an_empty_state_is_the_beginning() -> None:
+    engine = RecursiveBP(random_model(rng(), GRAPHS["two chains"]))
+    usual, empty = engine.run(FRAMES), engine.run(FRAMES, state=RunState())
+    for one, other in zip(usual, empty, strict=True):
+        assert one.log_evidence == other.log_evidence
+        assert (one.state.time, one.state.number) == (other.state.time, other.state.number)
 
 
 def test_leading_missing_frames_believe_nothing() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.models.body.skin_colour import SkinColour
-from rsmcm.models.body.static_skin import FEWEST, LEVELS, SELDOM, static_skin
+from rsmcm.models.body.static_skin import AWAY, LEAST_FRAMES, LEVELS, static_skin
 
 Image = NDArray[np.uint8]
 
@@ -45,7 +45,7 @@ def test_skin_is_still_where_it_is_seldom_away(colour: SkinColour) -> None:
     for step, column in enumerate(columns):
         middle = still[24, column.start + 2 : column.start + 4]  # colours are smoothed at the borders
         away = n - (step + 1)
-        expected = known if away <= int(SELDOM * n) else 0.0
+        expected = known if away <= int(AWAY * n) else 0.0
         np.testing.assert_allclose(middle, expected, atol=0.5 / LEVELS)
 
 
@@ -54,7 +54,7 @@ def test_it_is_a_quantile_of_the_log_odds(colour: SkinColour) -> None:
     random = np.random.default_rng(0)
     images = [random.integers(0, 256, (*SIZE, 3)).astype(np.uint8) for _ in range(20)]
     odds = np.sort([colour.log_odds(image) for image in images], axis=0)
-    expected = np.maximum(odds[int(SELDOM * 20)], 0)
+    expected = np.maximum(odds[int(AWAY * 20)], 0)
     still = static_skin(colour, images)
     assert still is not None
     np.testing.assert_allclose(still, expected, atol=0.501 / LEVELS)
@@ -70,11 +70,11 @@ def test_the_order_of_frames_does_not_matter(colour: SkinColour) -> None:
 
 
 def test_a_few_frames_do_not_tell(colour: SkinColour) -> None:
-    assert static_skin(colour, [picture()] * (FEWEST - 1)) is None
-    assert static_skin(colour, [picture()] * FEWEST) is not None
+    assert static_skin(colour, [picture()] * (LEAST_FRAMES - 1)) is None
+    assert static_skin(colour, [picture()] * LEAST_FRAMES) is not None
 
 
 def test_frames_of_different_sizes_are_refused(colour: SkinColour) -> None:
-    images = [picture()] * FEWEST + [np.zeros((10, 10, 3), np.uint8)]
+    images = [picture()] * LEAST_FRAMES + [np.zeros((10, 10, 3), np.uint8)]
     with pytest.raises(ValueError, match="images: got 2 different sizes, expected one"):
         static_skin(colour, images)

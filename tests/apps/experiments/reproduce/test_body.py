@@ -32,9 +32,9 @@ def trial(error: float, seconds: float = 0.05, square: float = 1.0) -> BodyTrial
 
 
 def half_in_region(one: BodyTrial, share: float) -> BodyTrial:
-    squares = np.ones((N_FRAMES, 2))
-    squares[: round((1 - share) * N_FRAMES)] = 9.0
-    return replace(one, squares=squares)
+    nees = np.ones((N_FRAMES, 2))
+    nees[: round((1 - share) * N_FRAMES)] = 9.0
+    return replace(one, nees=nees)
 
 
 def made_up(rsmcm: float, sampler: float, clouds: tuple[float, ...]) -> body.Found:

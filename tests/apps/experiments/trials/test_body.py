@@ -14,7 +14,6 @@ from rsmcm.apps.body.measures import (
     mis_tracks,
     pooled,
     recoveries,
-    squared_distances,
 )
 from rsmcm.apps.experiments.bench import body_tracker as bench_body_tracker
 from rsmcm.apps.experiments.trials.body import BodyTracker, SignerFilm, in_turns
@@ -101,17 +100,7 @@ def test_recoveries_and_coverage_over_scenes() -> None:
     trials = [trial("xx..."), trial("." + "x" * 20 + "."), trial("...xx")]
     assert recoveries(trials) == (1, 2)
     assert coverage(trials) == 1.0
-    assert coverage([replace(trials[0], squares=np.full((6, 2), 5.0)), trials[0]]) == 0.5
-
-
-def test_squared_distances_hold_ninety_percent_of_honest_errors() -> None:
-    random = np.random.default_rng(0)
-    half = 8 * random.normal(size=(2, 2))
-    n = 20_000
-    errors = random.normal(size=(n, 2)) @ half.T
-    squares = squared_distances(errors, np.broadcast_to(half @ half.T, (n, 2, 2)))
-    # a share of n draws: four standard deviations
-    assert (squares < 4.605).mean() == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / n))
+    assert coverage([replace(trials[0], nees=np.full((6, 2), 5.0)), trials[0]]) == 0.5
 
 
 @pytest.fixture(scope="module")
@@ -180,9 +169,9 @@ def test_stages_of_the_benchmark_add_up(film: SignerFilm, monkeypatch: pytest.Mo
     one = bench_body_tracker.BodyFilm("generated", film.frames, film.scene.body, film.parts)
     whole, within = bench_body_tracker.seconds_a_frame(one, 50)
     assert whole.shape == within["poses"].shape == (4,)
-    assert (within["poses"] >= within["prior"] + within["likelihood"]).all()
-    assert (within["features"] >= within["detector"] + within["colour"]).all()
-    stages = bench_body_tracker.stages_of(whole, within)
-    assert stages[-1][0] == "total"
-    assert sum(share for _, _, share in stages[:-1]) == pytest.approx(100)
+    stages = {name: times for name, times in within.items() if name not in ("blobs", "edges")}
+    assert (sum(stages.values()) <= whole).all()  # blobs and edges are worked out once more, apart
+    rows = bench_body_tracker.stages_of(whole, within)
+    assert rows[-1][0] == "total"
+    assert sum(share for _, _, share in rows[:-1]) == pytest.approx(100)
     assert bench_body_tracker.rate_claim(one, whole).measured == pytest.approx(1 / whole.mean())

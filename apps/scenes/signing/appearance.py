@@ -1,4 +1,4 @@
-"""How a signer and the room look: colours, textures and the lamp, and surfaces drawn with them."""
+"""Appearance of a signer and the room: colours, textures and the lamp, and surfaces drawn with them."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ GLARE = np.array([236.0, 240.0, 242.0])  # BGR of blown-out skin
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class Appearance:
     """Everything that a scene is painted with.
 
     Parameters

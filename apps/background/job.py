@@ -1,0 +1,59 @@
+"""What the background application is asked for."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from ..runs.job import FilmJob, Flag, resolved
+
+Engine = Literal["recursive-bp", "feed-forward", "stand-alone"]
+Masks = Literal["none", "png", "video"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackgroundJob(FilmJob):
+    """What to separate from the background.
+
+    Parameters
+    ----------
+    engine
+        recursive-bp: background and objects correct each other. feed-forward: the background hears nothing of
+        the objects. stand-alone: the background only, no tracks.
+    config
+        TOML file with options under their names, and with parameters of the chains, in sections [background],
+        [blobs], [ground], and [chains.NAME] for those of other packages; what is typed goes first.
+    chain
+        Connect a chain of another package as well, by the name under which it is announced (entry points
+        rsmcm.chains); several times for several.
+    roi
+        Region of interest: x,y,width,height in px from 0, or a picture that is not black inside. Foreground
+        outside is 0, and objects that stand outside are not reported.
+    learned
+        Begin with what a run over another film of the scene has learned, its background, tracks and
+        identities: the state.npz of its results. A recording is taken to go on where that one ended.
+    masks
+        Foreground masks as foreground/bin000001.png and so on, as one lossless foreground.mkv, or none.
+    ground_truth
+        A MOT gt.txt or a folder that holds one, or a CDnet folder with groundtruth/.
+    compare
+        Also run the background by itself, feed-forward, MOG2 and KNN on the source, and draw the comparison.
+    """
+
+    engine: Engine = "recursive-bp"
+    roi: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    masks: Masks = "png"
+    ground_truth: Path | None = None
+    compare: Flag = False
+    chain: tuple[str, ...] = ()
+
+    def settings(self) -> dict[str, Any]:
+        """What the results depend on, beside the source and the chains' parameters."""
+        return {
+            **super().settings(),
+            "engine": self.engine,
+            "roi": self.roi,
+            "masks": self.masks,
+            "ground_truth": resolved(self.ground_truth),
+        }

@@ -1,0 +1,61 @@
+"""What the body application is asked for."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from ..runs.job import FilmJob, resolved
+
+FEWEST_SAMPLES = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyJob(FilmJob):
+    """Whom to track, and how.
+
+    Parameters
+    ----------
+    detector
+        The face is found by a detector: OpenCV's YuNet with this model file (.onnx), or the Haar cascade that
+        OpenCV 4 brings along.
+    head
+        Instead of a detector: x,y,width,height in px of the head in the first frame, from chin to the top of
+        the skull. It is then followed by its colour and edges.
+    joints
+        CSV file with the columns frame,joint,x,y: joints that were clicked in a few frames, from which the
+        lengths of the person's arms are taken. Without it, proportions are usual ones. Joints: head, neck
+        (between the shoulders), left_shoulder, left_elbow, left_hand, and right; left is the person's own.
+    samples
+        How many poses are drawn a frame.
+    learned
+        Begin with what a run over another film of the person has learned, lengths, colour and pose: the
+        state.npz of its results. A recording is taken to go on where that one ended.
+    """
+
+    detector: Path | None = None
+    head: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    joints: Path | None = None
+    samples: int = 1000
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.samples < FEWEST_SAMPLES:
+            raise ValueError(f"--samples: got {self.samples}, expected {FEWEST_SAMPLES} or more")
+        if self.head is not None and self.detector is not None:
+            raise ValueError("--head: got --detector as well, expected one of them")
+        if self.learned is not None:
+            for name in ("head", "joints"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"--{name}: got it beside --from, which says what the person is like")
+
+    def settings(self) -> dict[str, Any]:
+        """What the results depend on, beside the source."""
+        return {
+            "detector": resolved(self.detector),
+            "joints": resolved(self.joints),
+            "head": self.head,
+            "samples": self.samples,
+            **super().settings(),
+        }

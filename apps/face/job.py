@@ -1,0 +1,67 @@
+"""What the face application is asked for."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from ..runs.job import FilmJob, resolved
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceJob(FilmJob):
+    """Which face to track, and how.
+
+    Parameters
+    ----------
+    model
+        Morphable model: an .npz (of rsmcm shape, say), Candide-3 (.wfm), the Surrey model's folder or .bin,
+        or an .obj. A small built-in face if not given.
+    landmarks
+        An .npy with landmarks (n_frames, n_landmarks, 2) in px, NaN where one is missing. Those of the first
+        frame start the track. The others do not help it; it is measured by them. The first row belongs to the
+        first frame that is processed, unless there are as many rows as the source has frames.
+    correspondences
+        Text that says which landmark is which of the model's: a line per pair, index from 0 = number from 1.
+        Not needed where the landmarks are in the order of the model's landmarks or vertices.
+    detector
+        Without landmarks, the face is found by a detector: OpenCV's YuNet with this model file (.onnx), or
+        the Haar cascade that OpenCV 4 brings along.
+    experts
+        How many hypotheses are tracked.
+    gain
+        How fast the texture follows the picture, from 0 (a template) to 1 (optic flow); learned: by
+        each texel for itself.
+    learned
+        Begin with what a run over another film of the face has learned, its shape and texture: the
+        state.npz of its results. A recording is taken to go on where that one ended.
+    """
+
+    model: Path | None = None
+    landmarks: Path | None = None
+    correspondences: Path | None = None
+    detector: Path | None = None
+    experts: int = 20
+    gain: float | Literal["learned"] = 0.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.experts < 1:
+            raise ValueError(f"--experts: got {self.experts}, expected 1 or more")
+        if self.gain != "learned" and not 0 <= self.gain <= 1:
+            raise ValueError(f"--gain: got {self.gain}, expected 0 to 1, or learned")
+        if self.learned is not None:
+            for name in ("model", "landmarks", "detector"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"--{name}: got it beside --from, which says what the face is like")
+        if self.landmarks is None and self.correspondences is not None:
+            raise ValueError("--correspondences: got them without landmarks, expected --landmarks as well")
+
+    def settings(self) -> dict[str, Any]:
+        """What the results depend on, beside the source."""
+        files = ("model", "landmarks", "correspondences", "detector")
+        return {
+            **{name: resolved(getattr(self, name)) for name in files},
+            "experts": self.experts,
+            "gain": self.gain,
+            **super().settings(),
+        }

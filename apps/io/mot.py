@@ -1,0 +1,170 @@
+"""Boxes in MOT format: tracks as they are found, and tracks, detections and ground truth that are read."""
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.atomic_files import naming, write_text
+from ...models.core.limits import LAST_FRAME
+from .point_files import FARTHEST
+
+LONGEST_LINE = 10_000  # of a file of boxes: beyond, it is none
+
+LAST_IDENTITY = 1 << 53
+"""Whole numbers up to it are exact among those that are read."""
+
+TRACK_FIELDS = np.dtype(
+    [("frame", np.int64), ("id", np.int64), ("box", np.float64, (4,)), ("confidence", np.float64)]
+)
+
+
+class TrackedObject(Protocol):
+    """What is written of a track."""
+
+    @property
+    def identity(self) -> int:
+        """The number that stays with the object."""
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """X and y of the upper left corner (0-based), width and height, px."""
+
+    @property
+    def confidence(self) -> float:
+        """How sure the tracker is of it, 0 to 1."""
+
+
+class TrackWriter:
+    """`tracks.txt` in MOT format: frame, id, x, y, width, height, confidence, -1, -1, -1.
+
+    Frames count from 1, and so do pixels, as MOT has it: the upper left corner of a box at (0, 0) is written
+    as 1, 1.
+    """
+
+    def __init__(self, path: Path, resume_after: int = 0) -> None:
+        self._path = path
+        kept = _lines_until(path, resume_after) if resume_after and path.exists() else ""
+        write_text(path, kept)
+        with naming(path):
+            self._file = path.open("a", encoding="utf-8", newline="\n")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def write(self, number: int, tracks: Sequence[TrackedObject]) -> None:
+        """Append the boxes (0-based px) of a frame."""
+        lines = []
+        for track in tracks:
+            x, y, w, h = track.box
+            box = f"{x + 1:.2f},{y + 1:.2f},{w:.2f},{h:.2f}"
+            lines.append(f"{number},{track.identity},{box},{track.confidence:.4f},-1,-1,-1\n")
+        with naming(self._path):
+            self._file.write("".join(lines))
+
+    def checkpoint(self) -> None:
+        """Return when everything is on disk."""
+        with naming(self._path):
+            self._file.flush()
+            os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Complete the file; when the disk is full, up to the last whole line."""
+        try:
+            with naming(self._path):
+                self._file.close()
+        except OSError:
+            os.truncate(self._path, self._path.read_bytes().rfind(b"\n") + 1)
+            raise
+
+
+def _lines_until(path: Path, number: int) -> str:
+    """Return the whole lines up to a frame; frames ascend, and a last line may be cut off."""
+    kept = []
+    with path.open(encoding="utf-8", newline="\n") as file:
+        for line in file:
+            frame = line.partition(",")[0]
+            if not line.endswith("\n") or not frame.isdecimal() or int(frame) > number:
+                break
+            kept.append(line)
+    return "".join(kept)
+
+
+def read_tracks(path: Path) -> NDArray[np.void]:
+    """Read boxes in MOT format: results, detections or ground truth.
+
+    Returns
+    -------
+    NDArray[np.void]
+        one element a line, in the file's order, with the fields of `TRACK_FIELDS`: `frame` (1-based), `id`,
+        `box` (x, y, width, height in px with 0-based x and y, so MOT's minus 1) and `confidence` (1 where the
+        line ends before it; ground truth has 0 for boxes not to be judged).
+
+    Raises
+    ------
+    ValueError
+        naming file and line, if a line is no such box.
+    """
+    rows = []
+    for _, (frame, identity, x, y, w, h, *others) in read_lines(path):
+        rows.append((int(frame), int(identity), (x - 1, y - 1, w, h), others[0] if others else 1.0))
+    return np.array(rows, dtype=TRACK_FIELDS)
+
+
+def read_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
+    """Read what the lines of a file in MOT format say, separated by commas or blanks.
+
+    Yields
+    ------
+    tuple
+        number of the line, and its values: frame, identity, x, y, width and height as they are there (px
+        from 1), and whatever follows. Lines that are blank are left out.
+
+    Raises
+    ------
+    ValueError
+        naming file and line, if a line is no such box.
+    OSError
+        if the file cannot be read.
+    """
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=1):
+            if "\0" in line:
+                raise ValueError(f"{path}: got binary data, expected MOT boxes")
+            if line.strip():
+                try:
+                    yield number, _parse_line(line)
+                except ValueError as error:
+                    raise ValueError(f"{path}, line {number}: {error}") from None
+
+
+def _parse_line(line: str) -> list[float]:
+    fields = line.replace(",", " ").split()
+    try:
+        values = [float(field) for field in fields]
+    except ValueError:
+        values = []
+    if len(values) < 6 or not math.isfinite(sum(values[:6])):
+        raise ValueError(
+            f"got {line.strip()[:60]!r}, expected frame,identity,left,top,width,height[,flag or confidence "
+            "[,class,visibility]]"
+        )
+    frame, identity, left, top, width, height = values[:6]
+    if not 1 <= frame <= LAST_FRAME or frame % 1 or identity % 1 or abs(identity) > LAST_IDENTITY:
+        raise ValueError(
+            f"got frame {frame:g}, identity {identity:g}, expected whole numbers, frames from 1 to "
+            f"{LAST_FRAME}"
+        )
+    if min(width, height) < 0 or max(map(abs, values[2:6])) > FARTHEST:
+        raise ValueError(
+            f"got a box of {width:g} x {height:g} pixels at {left:g}, {top:g}, expected a size that is not "
+            f"negative and px up to {FARTHEST:g}"
+        )
+    return values

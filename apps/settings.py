@@ -1,0 +1,150 @@
+"""TOML files of settings: options of the command at the top, parameters of chains in sections."""
+
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import fields
+from inspect import signature
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+from cyclopts import App, ArgumentCollection
+from cyclopts.config import Dict
+
+from ..models.core.limits import MOST_SETTINGS
+from ..models.core.text_files import read_text
+from .complaints import meant
+
+T = TypeVar("T")
+
+OPTION = "--config"
+"""Which names the file on the command line."""
+
+SCALARS = (bool, int, float, str)
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises
+    ------
+    ValueError
+        naming the file, if it is none.
+    OSError
+        if it cannot be read.
+    """
+    text = read_text(path, "expected a TOML file of parameters", MOST_SETTINGS)
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(f"{path}: not a TOML file (brackets in brackets without end)") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: not a TOML file ({error})") from None
+
+
+def options_from_file(app: App, commands: tuple[str, ...], arguments: ArgumentCollection) -> None:
+    """Take options that were not typed from the file that was, as `cyclopts.App.config` has it.
+
+    Raises
+    ------
+    CycloptsError
+        if there is no option of a name in the file; values are judged like those that are typed.
+    ValueError, OSError
+        as of `read_settings`.
+    """
+    path = next((each.tokens[0].value for each in arguments if OPTION in each.names and each.tokens), "")
+    if path:
+        Dict(top_level(read_settings(Path(path))), source=path, use_commands_as_keys=False)(
+            app, commands, arguments
+        )
+
+
+def top_level(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What stands outside of sections."""
+    return {name: value for name, value in settings.items() if not isinstance(value, dict)}
+
+
+def make(kind: type[T], values: Mapping[str, Any]) -> T:
+    """A dataclass with these values; fields that are left out are at their defaults.
+
+    Raises
+    ------
+    ValueError
+        if one has no default, or a value is out of range.
+    """
+    try:
+        signature(kind).bind(**values)
+    except TypeError as error:
+        raise ValueError(str(error)) from None
+    return kind(**values)
+
+
+def read_fields(
+    where: str, kind: type[Any], values: object, also: Mapping[str, type[Any]] | None = None
+) -> dict[str, Any]:
+    """Read the values of a section as the fields of a dataclass; the keys `also` are none of them.
+
+    Raises
+    ------
+    ValueError
+        beginning with `where`, if there is no such field, or a value is of another type or out of range.
+    """
+    if not isinstance(values, dict):
+        raise ValueError(f"{where}: got {values!r}, expected a section")
+    kinds = {**(also or {}), **_kinds(kind)}
+    found = {}
+    for name, value in values.items():
+        if name not in kinds:
+            raise ValueError(
+                f"{where}: unknown key {name!r}, expected {', '.join(kinds)}{meant(name, kinds)}"
+            )
+        try:
+            found[name] = _read(value, kinds[name])
+        except TypeError:
+            expected = kinds[name].__name__ if kinds[name] in SCALARS else kinds[name]
+            raise ValueError(f"{where}: {name} = {value!r}, expected {expected}") from None
+    try:
+        make(kind, {name: value for name, value in found.items() if name not in (also or {})})
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+    return found
+
+
+def plain_fields(made: Any) -> dict[str, Any]:
+    """Those fields of a dataclass that a file can say, as JSON gives them back."""
+    values: dict[str, Any] = json.loads(
+        json.dumps({name: getattr(made, name) for name in _kinds(type(made))})
+    )
+    return values
+
+
+def _kinds(kind: type[Any]) -> dict[str, Any]:
+    """Types of the fields that a file can say; the name of a chain is the graph's."""
+    hints = get_type_hints(kind)
+    named = [each.name for each in fields(kind) if each.init and each.name != "name"]
+    return {name: hints[name] for name in named if _readable(hints[name])}
+
+
+def _readable(kind: Any) -> bool:
+    """Whether a file can say a value of a kind."""
+    parts = get_args(kind) if get_origin(kind) is tuple else ()
+    return kind in SCALARS or (bool(parts) and all(part is Ellipsis or _readable(part) for part in parts))
+
+
+def _read(value: Any, kind: Any) -> Any:
+    """A TOML value of a kind; whole numbers are numbers, true and false are neither, arrays are tuples.
+
+    Raises
+    ------
+    TypeError
+        if it is of another kind.
+    """
+    if get_origin(kind) is tuple and isinstance(value, list):
+        parts = get_args(kind)
+        if parts[-1] is Ellipsis:
+            parts = parts[:1] * len(value)
+        if len(parts) == len(value):
+            return tuple(map(_read, value, parts))
+    elif type(value) is kind or (kind is float and type(value) is int):
+        return value
+    raise TypeError

@@ -1,0 +1,46 @@
+"""What is said on the way."""
+
+import io
+import sys
+import time
+
+import pytest
+from rsmcm.apps.runs import progress
+
+
+def test_progress_without_a_terminal_is_sparse(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    with progress.Progress("background", 400, done=100) as bar:
+        for _ in range(250):
+            now += 0.1
+            bar.update()
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith("background: 201 of 400 frames, 10.0 frames/s, 00:19 left")
+    with progress.Progress("background", None) as bar:
+        now += 11
+        bar.update(11)
+    assert capsys.readouterr().err == "background: 11 frames, 1.0 frames/s\n"
+    with progress.Progress("structure", 20, unit="rounds") as bar:
+        now += 12.5
+        bar.update()
+    assert capsys.readouterr().err == "structure: 1 of 20 rounds, 12.5 s each, 03:57 left\n"
+
+
+@pytest.mark.parametrize("total", [None, 3])
+def test_progress_in_a_terminal(monkeypatch: pytest.MonkeyPatch, total: int | None) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with progress.Progress("background", total) as bar:
+        for _ in range(3):
+            bar.update()
+    assert "background" in terminal.getvalue()
+    assert "frames/s" in terminal.getvalue()
+    assert terminal.getvalue().endswith("\n")

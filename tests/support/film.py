@@ -1,0 +1,52 @@
+"""A film of a few frames with masks and boxes, and what is read of its results."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+from rsmcm.apps.drawing.boxes import OverlayWriter
+from rsmcm.models.core.frame import Frame
+
+HEIGHT, WIDTH = 49, 63  # odd on purpose
+
+
+@dataclass(frozen=True)
+class Box:
+    identity: int
+    box: tuple[float, float, float, float]
+    confidence: float
+
+
+def mask(number: int) -> NDArray[np.uint8]:
+    return np.where(np.random.default_rng(number).random((HEIGHT, WIDTH)) < 0.3, 255, 0).astype(np.uint8)
+
+
+def frame(number: int) -> Frame:
+    image = np.full((HEIGHT, WIDTH, 3), 20 + 5 * number, np.uint8)
+    return Frame(image, (number - 1) / 10, number)
+
+
+def boxes(number: int) -> list[Box]:
+    return [Box(3, (number, 10.25, 8.5, 20), 0.75), Box(11, (30 - number, 5, 10, 12), 1.0)]
+
+
+def read_video(path: Path) -> tuple[list[NDArray[np.uint8]], list[float]]:
+    with av.open(str(path)) as file:
+        form = "gray" if path.suffix == ".mkv" else "bgr24"
+        frames = list(file.decode(video=0))
+        pictures = [np.asarray(one.to_ndarray(format=form), dtype=np.uint8) for one in frames]
+        return pictures, [one.time for one in frames]
+
+
+def names(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def write_overlay(path: Path, first: int, last: int, every: int, resume_after: int = 0) -> None:
+    with OverlayWriter(path, 10, resume_after) as writer:
+        for number in range(first, last + 1):
+            writer.add(frame(number), mask(number), boxes(number))
+            if number % every == 0:
+                writer.checkpoint()
