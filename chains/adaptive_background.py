@@ -34,7 +34,6 @@ from ..models.background.kernels.layers import update_behind
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
-from ..models.numerics import array_pool
 
 Planes = NDArray[np.float32]
 
@@ -201,15 +200,14 @@ class AdaptiveBackground:
             return state
         prediction = self._predicted(state, incoming)
         subtraction, after = prediction.compare(image), prediction.update(image)
-        covered = array_pool.empty(subtraction.log_odds.shape, np.uint8)
-        covered[:] = 0
+        covered = np.zeros(subtraction.log_odds.shape, np.uint8)
         light = prediction.light.along_rows
         for region in others.regions:
             update_behind(
                 region.top, region.left, region.shift, colour.patch(image, *region.box), subtraction.smoothed,
                 prediction.pixels, light, prediction.model, after, covered,
             )  # fmt: skip
-        second = SecondColours(array_pool.copy(state.candidate), array_pool.copy(state.seen))
+        second = SecondColours(state.candidate.copy(), state.seen.copy())
         if state.elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
             scale = SETTLED / self.settle_time

@@ -26,6 +26,7 @@ from ..inference.filters.linear_motion import kinematic
 from ..inference.objects.blob_geometry import (
     FRESH,
     THINNEST,
+    box_densities,
     fitted,
     halves,
     is_hidden,
@@ -172,15 +173,7 @@ class BlobTracker:
         shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.seen >= FRESH]
         if pixels.image is None or not shown:
             return feature.uniform()
-        x, y, width, height = np.array([blob.box for blob in shown]).T
-        deviations = np.stack(
-            [0.05 * width + 1, 0.03 * height + 1, 0.15 * width + 1, 0.08 * height + 1], axis=1
-        )
-        return GaussianMessage.from_moments(
-            [blob.identity for blob in shown],
-            np.stack([x + 0.5 * width, y + height, width, height], axis=1),
-            deviations[:, :, None] ** 2 * np.eye(4),
-        )
+        return box_densities(shown)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Objects after the frame: registered, learned from, born and ended."""

@@ -22,7 +22,6 @@ from ..models.background.mixture import MixturePrediction
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
-from ..models.numerics import array_pool
 
 REVEALED = 3.0
 """Nats from which on others are so sure of background that foreground is taken for it as it is seen."""
@@ -136,8 +135,7 @@ class MixtureBackground:
         prediction = incoming.once(self._prediction, state)
         height, width = state.size
         rate = float(-np.expm1(-self.rate * state.elapsed))
-        rates = array_pool.empty((height, width), np.float32)
-        rates[:] = rate
+        rates = np.full((height, width), rate, np.float32)
         log_odds = prediction.compare(image).smoothed.reshape(height, width)
         for region in others.regions:
             relative = 1 / (self.prior + (1 - self.prior) * np.exp(-region.shift))

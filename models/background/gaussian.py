@@ -12,7 +12,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics import array_pool
 from ..numerics.threads import over_bands
 from . import colour
 from .kernels.gaussian import (
@@ -208,8 +207,8 @@ class BackgroundPrediction:
 
     def _subtract(self, image: NDArray[np.uint8]) -> tuple[Subtraction, Gaussians]:
         height, width = self.size
-        after = Gaussians(*(array_pool.empty(before.shape, np.float32) for before in self.pixels))
-        log_odds = array_pool.empty((height * width,), np.int8)
+        after = Gaussians(*(np.empty(before.shape, np.float32) for before in self.pixels))
+        log_odds = np.empty((height * width,), np.int8)
         flat = np.ascontiguousarray(image).reshape(-1)
         kernel = subtract_colour if self.channels == 3 else subtract_grey
         light, model, tolerance = self.light.along_rows, self.model, np.float32(self.tolerance)
@@ -237,7 +236,7 @@ def log_prior_odds(prior: float, channels: int) -> float:
 def smooth(log_odds: NDArray[np.int8], size: tuple[int, int], prior: float, share: float) -> NDArray[np.int8]:
     """Give log odds with `share` of what the 5 x 5 pixels around show, both `(n_pixels,)` int8."""
     height, width = size
-    smoothed: NDArray[np.int8] = array_pool.empty(log_odds.shape, np.int8)
+    smoothed: NDArray[np.int8] = np.empty(log_odds.shape, np.int8)
     prior_steps = np.int16(round(ODDS_STEPS * float(np.log(prior) - np.log1p(-prior))))
     over_bands(
         lambda first, end: smooth_log_odds(

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
-from ..numerics import array_pool
 from ..numerics.threads import over_bands
 from . import colour
 from .gaussian import Subtraction, log_prior_odds, smooth
@@ -96,7 +95,7 @@ class MixturePrediction:
         """
         height, width = self.size
         planes = self._comparison(image)[1]
-        after = Mixture(*(array_pool.empty(before.shape, np.float32) for before in self.mixture))
+        after = Mixture(*(np.empty(before.shape, np.float32) for before in self.mixture))
         reach = np.float32(REACH[len(planes)])
 
         def learn(first: int, end: int) -> None:
@@ -118,7 +117,7 @@ class MixturePrediction:
     def _subtract(self, planes: Planes) -> Subtraction:
         height, width = self.size
         log_prior = np.float32(log_prior_odds(self.prior, len(planes)))
-        log_odds = array_pool.empty((height * width,), np.int8)
+        log_odds = np.empty((height * width,), np.int8)
 
         def subtract(first: int, end: int) -> None:
             subtract_mixture(

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ..core.frame import Frame
 from ..core.short_repr import short_repr
-from ..numerics import array_pool
 from .gaussian import BackgroundFactor, Subtraction
 from .kernels.gaussian import ODDS_STEPS
 from .layers import NO_LAYERS, LayerStack, Region
@@ -94,7 +93,7 @@ class PixelMessage:
     def foreground(self) -> NDArray[np.uint8]:
         """`(height, width)` uint8: 255 where P(B=0) is over one half, else 0."""
         out = self._log_odds()
-        mask: NDArray[np.uint8] = array_pool.empty(out.shape, np.uint8)
+        mask: NDArray[np.uint8] = np.empty(out.shape, np.uint8)
         np.right_shift(out, 7, out=mask.view(np.int8))  # all bits are the sign's
         for region in self.regions:
             window = region.window
