@@ -1,5 +1,12 @@
 """Blob tracker as a chain: moving objects with their place, velocity, soft mask and colours.
 
+Of objects j, front to back, with place and velocity x_j, mask M_j and colours A_j:
+
+    p(x_t | x_t-1) = N(x_t; F(dt) x_t-1, Q(dt)), constant velocity but for white acceleration; M_j, A_j stay
+    mu_{S -> F_k}(B_k = 1) = prod_j (1 - M_jk)
+    mu_{S -> F_k}(B_k = 0, L_k) = 1 + sum_j strength M_jk p(L_k | A_jk) prod_{i<j} (1 - M_ik), in units of U
+    mu_{S -> boxes}(b_j) = N(b_j; box of M_j at x_j, a share of its size)
+
 The RSMCM paper's high-level chain (§4.2): first-order linear dynamics, appearance, and a rendering of every
 object into the pixels. It is registered with what the background's chain and the image say of the pixels,
 then speaks to them at its registered place: a place shared by all its pixels is what one pixel cannot know.
@@ -33,6 +40,7 @@ from ..models.background.layers import Layer, LayerStack
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.short_repr import short_repr
 from ..models.objects.kernels.blobs import Patch, learn, outline_contrast
 from ..models.objects.kernels.masks import fade_beyond
 from ..models.objects.object_boxes import ObjectBoxes
@@ -59,6 +67,7 @@ OUTLINE_TIME = 0.2
 """s after which a comparison of outlines is worth a whole new one."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class BlobTracker:
     """Tracker of any number of blobs.
@@ -78,7 +87,7 @@ class BlobTracker:
     strength
         how much likelier a known object is in front of the background than an unknown one.
     temper
-        how many independent looks one pixel of a registration is worth.
+        how many independent observations one pixel of a registration is worth.
     acceleration
         blob lengths/s^2, standard deviation of what moves a blob out of its straight way; it lasts half a
         second.

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.mahalanobis import squared_distances
+from ...models.core.short_repr import short_repr
 from ...models.points.patches import Patches, ncc, with_light_of
 from ...models.points.point_tracks import PointMessage, View
 from ..filters import kalman
@@ -60,6 +61,7 @@ LIKE_FIRST, LIKE_EXPECTED = 0.7, 0.95
 from which on there is nothing to learn."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class TrackerState:
     """Points, and the picture that they were found in last.

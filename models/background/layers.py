@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.short_repr import short_repr
 from . import colour
 from .kernels.layers import Sprite, compose_layer, shift_of
 
@@ -114,6 +115,7 @@ class Region:
         return slice(self.top, self.top + height), slice(self.left, self.left + width)
 
 
+@short_repr
 class LayerStack:
     """Layers of one chain, front to back, and what they say together of an image.
 

@@ -13,16 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.frame import Frame
+from ..core.short_repr import short_repr
 from ..numerics import array_pool
 from .gaussian import BackgroundFactor, Subtraction
 from .kernels.gaussian import ODDS_STEPS
 from .layers import NO_LAYERS, LayerStack, Region
 
 Map = NDArray[np.float32]
+
+TINT = 0.6
+TINT_COLOUR = (60, 60, 255)
+"""What is drawn over the foreground: its share, and BGR."""
 Box = tuple[int, int, int, int]
 Window = tuple[slice, slice]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class PixelMessage:
     """A product of factors over all pixels: a background prediction, layers of objects, an image.
@@ -78,7 +84,7 @@ class PixelMessage:
         """The image read against the background, if both are there."""
         if self.image is None or self.background is None:
             return None
-        return self.background.against(self.image)
+        return self.background.compare(self.image)
 
     @property
     def regions(self) -> tuple[Region, ...]:
@@ -176,12 +182,13 @@ class PixelMessage:
         """`(height, width)` int8 log odds of background without the layers."""
         height, width = self.size
         if self.subtraction is not None:
-            return self.subtraction.pooled.reshape(height, width)
+            return self.subtraction.smoothed.reshape(height, width)
         prior = 0.5 if self.background is None else self.background.prior
         odds = float(np.clip(np.log(prior) - np.log1p(-prior), -6, 6))
         return np.full((height, width), round(odds * ODDS_STEPS), np.int8)
 
 
+@short_repr
 @dataclass(frozen=True)
 class PixelLabels:
     """Feature node of per-pixel labels and colours, shared by background, blobs, and whatever covers pixels.
@@ -201,6 +208,11 @@ class PixelLabels:
     def evidence(self, frame: Frame, prior: PixelMessage) -> PixelMessage:
         """The image: L is what was seen."""
         return PixelMessage(image=frame.image)
+
+    def draw(self, picture: NDArray[np.uint8], belief: PixelMessage) -> None:
+        """Tint a BGR picture by P(B=0)."""
+        share = TINT * (1 - belief.background_probability()[..., None])
+        picture[...] = np.rint(picture + share * (np.array(TINT_COLOUR) - picture))
 
 
 def _inside(box: Box, size: tuple[int, int]) -> tuple[Window, Window]:

@@ -204,7 +204,7 @@ def test_labels_and_probabilities_agree(name, pooling):
     scene, image = background(pooling=pooling), image_of()
     message = PixelMessage(scene, LayerStack(SCENES[name]), image)
     clear, explained = weights(SCENES[name], image)
-    odds = scene.against(image).pooled.reshape(SIZE) / 20 + np.log(clear) - np.log(explained)
+    odds = scene.compare(image).smoothed.reshape(SIZE) / 20 + np.log(clear) - np.log(explained)
     probability = message.background_probability()
     np.testing.assert_allclose(probability, 1 / (1 + np.exp(-odds)), atol=1e-3)
     sure = np.abs(probability - 0.5) > 1e-4
@@ -232,8 +232,8 @@ def test_over_all_images_densities_sum_to_the_mass_without_one(strength, ghost):
         return np.full(1, value, np.float32)
 
     scene = background(
-        1, size=(1, 1), mean=one(130)[None], variance=one(10), noise=one(100),
-        candidate=np.zeros(1, np.uint8), seen=np.zeros(1, np.uint8),
+        1, size=(1, 1), pixels=gaussian_kernels.Gaussians(one(130)[None], one(10), one(100)),
+        second=gaussian_kernels.SecondColours(np.zeros(1, np.uint8), np.zeros(1, np.uint16)),
         light=LightField(np.ones((2, 2), np.float32), (1, 1)),
     )  # fmt: skip
     mask, appearance = one(0.7)[None], np.full((1, 1, 1), 90, np.float32)
@@ -242,6 +242,48 @@ def test_over_all_images_densities_sum_to_the_mass_without_one(strength, ghost):
         PixelMessage(scene, layers, np.full((1, 1), value, np.uint8)).log_mass for value in range(256)
     ]
     assert logsumexp(densities) == pytest.approx(PixelMessage(scene, layers).log_mass, abs=0.01)
+
+
+BOXES = [(0, 0, *SIZE), (4, 7, 9, 11), (-3, -2, 8, 9), (25, 33, 20, 20), (50, 50, 3, 4), (-9, 3, 4, 4)]
+
+
+@pytest.mark.parametrize("box", BOXES)
+def test_odds_in_a_box_are_those_of_the_picture(box):
+    message = PixelMessage(background(), LayerStack(SCENES["two that overlap"]), image_of())
+    picture = np.zeros((120, 120), np.float32)
+    inside = slice(40, 40 + SIZE[0]), slice(40, 40 + SIZE[1])
+    top, left, height, width = box
+    there = slice(40 + top, 40 + top + height), slice(40 + left, 40 + left + width)
+    for ask in (message.log_odds, message.log_likelihood_ratio):
+        picture[inside] = ask()
+        assert ask(box).dtype == np.float32
+        np.testing.assert_array_equal(ask(box), picture[there])
+
+
+def test_odds_are_in_nats():
+    image = image_of()
+    message = PixelMessage(background(), LayerStack(SCENES["two that overlap"]), image)
+    np.testing.assert_allclose(
+        message.background_probability(), 1 / (1 + np.exp(-message.log_odds())), rtol=1e-5
+    )
+    prior = np.log(0.8 / 0.2)
+    without_layers = PixelMessage(background(), image=image)
+    np.testing.assert_allclose(message.log_likelihood_ratio() + prior, without_layers.log_odds(), atol=1e-5)
+    assert not PixelMessage(image=image).log_likelihood_ratio().any()
+    assert PixelMessage().log_likelihood_ratio((3, 4, 5, 6)).shape == (5, 6)
+
+
+@pytest.mark.parametrize("value", [np.nan, -0.1, 1.1, 255.0, -np.inf])
+def test_a_mask_that_is_no_probability_is_refused(value):
+    mask = np.full((4, 5), 0.5, np.float32)
+    mask[2, 3] = value
+    with pytest.raises(ValueError, match=r"layer: got a mask from .* expected probabilities from 0 to 1"):
+        Layer(0, 0, mask, None)
+
+
+def test_an_appearance_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match=r"layer: got shapes \(4, 5\) and \(3, 5, 4\), expected a mask of"):
+        Layer(0, 0, np.zeros((4, 5), np.float32), np.zeros((3, 5, 4), np.float32))
 
 
 def test_without_a_background_labels_are_even():
