@@ -36,7 +36,7 @@ def test_every_command_is_of_a_known_program() -> None:
 def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     """In order, in a folder of their own, with a short scene in place of the demo's."""
     monkeypatch.chdir(tmp_path)
-    write_scene(sleeping_man(12, enter=0), Path("results/demo/scene"))
+    write_scene(sleeping_man(24, enter=0), Path("results/demo/scene"))
     write_cylinder(Path("results/demo/cylinder.npz"))
     write_face(face(24), Path("results/demo/face"))
     write_body(signer(8, SIGNER), Path("results/demo/body"))
