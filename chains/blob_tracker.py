@@ -63,7 +63,7 @@ SWEEP = 0.8
 FADING = 0.15
 """s, time constant with which a mask fades where it reaches too far."""
 
-OUTLINE_TIME = 0.2
+OUTLINE_TIME = 0.1
 """s after which a comparison of outlines is worth a whole new one."""
 
 
@@ -98,7 +98,7 @@ class BlobTracker:
         s for which an object must have been seen before it is reported, in every frame.
     ghost_evidence
         nats from which on a blob is taken for a ghost: log ratio of the contrast across its outline in the
-        background's picture and in the image, less 0.25, summed over comparisons every 0.2 s and never
+        background's picture and in the image, less 0.25, summed over comparisons every 0.1 s and never
         below 0.
     parting_time
         s for which a blob's mask must have had a waist before it becomes two.
@@ -230,13 +230,8 @@ class BlobTracker:
             fade_beyond(mask, *(GROWTH * scene.expected_size(blob)), kept)
         confidence = seen / max(visible, 1e-6)
         if visible <= 0.3 * total or confidence <= 0.35:
-            return blob.changed(
-                mask=mask,
-                appearance=appearance,
-                unseen=blob.unseen + scene.elapsed,
-                still=0.0,
-                confidence=0.0,
-            )
+            unseen = blob.unseen + scene.elapsed
+            return blob.changed(mask=mask, appearance=appearance, unseen=unseen, still=0.0, confidence=0.0)
         speed = math.hypot(*blob.velocity)
         follow = 1 - math.exp(-scene.elapsed / self.colour_time)
         spread = blob.spread + follow * (2 * variance - blob.spread)
@@ -288,9 +283,8 @@ class BlobTracker:
         parting = blob.parting + scene.elapsed if shape.waist_depth < 0.5 else 0.0
         left, right = shape.mass_left, shape.mass - shape.mass_left
         blob = blob.changed(parting=parting)
-        if parting < self.parting_time or min(left, right) < max(
-            self._least_area(scene), 0.25 * max(left, right)
-        ):
+        least = max(self._least_area(scene), 0.25 * max(left, right))
+        if parting < self.parting_time or min(left, right) < least:
             due = blob.seen // SWEEP > (blob.seen - scene.elapsed) // SWEEP
             return [blob.changed(mask=without_crumbs(blob.mask)) if due else blob]
         larger, smaller = halves(blob)
