@@ -33,6 +33,7 @@ from ..models.background.kernels.gaussian import (
 from ..models.background.kernels.layers import update_behind
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
+from ..models.core.short_repr import short_repr
 
 Planes = NDArray[np.float32]
 
@@ -58,6 +59,7 @@ STEADY_LIGHT, LIGHT_TIME = 0.02, 0.2
 """Log of a change below which it may be noise, and s, the time constant with which it is followed then."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BackgroundState:
     """What is known of the empty scene.
@@ -106,6 +108,7 @@ class BackgroundState:
         return colour.to_image(self.mean * light.reshape(-1), (height, width))
 
 
+@short_repr
 @dataclass(frozen=True)
 class AdaptiveBackground:
     """Per-pixel adaptive background.

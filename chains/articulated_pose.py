@@ -25,6 +25,7 @@ from ..models.body.poses import BodyPoses
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
 from ..models.core.gaussian_mixtures import GaussianMixtures
+from ..models.core.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,7 @@ GROUPS = 4
 """Gaussians by which each part is predicted."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class ArticulatedPose:
     """Likelihood sampling of an articulated body (RSMCM paper §4.1).

@@ -41,6 +41,7 @@ from ..models.background.layers import Layer, LayerStack
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.short_repr import short_repr
 from ..models.objects.kernels.blobs import Patch, learn, outline_contrast
 from ..models.objects.kernels.masks import fade_beyond
 from ..models.objects.object_boxes import ObjectBoxes
@@ -67,6 +68,7 @@ OUTLINE_TIME = 0.1
 """s after which a comparison of outlines is worth a whole new one."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class BlobTracker:
     """Tracker of any number of blobs.
@@ -136,8 +138,7 @@ class BlobTracker:
         """No objects: what is there from the first frame on is background until it moves."""
         if frame.image is None:
             raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
-        height, width = frame.image.shape[:2]
-        return BlobState((), 0, (height, width), 0.0, self.confirmed_time)
+        return BlobState((), 0, frame.image.shape[:2], 0.0, self.confirmed_time)
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
         """First-order dynamics: velocity stays, but for a random force."""
@@ -191,10 +192,9 @@ class BlobTracker:
 
     def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[list[Blob], LayerStack]:
         """Blobs front to back at the place where this frame shows them, and their layers."""
-        if pixels.subtraction is None:
-            blobs = front_to_back(state.blobs)
-        else:
-            blobs = registered(state.blobs, pixels, self.outliers, self.temper)
+        blobs = front_to_back(state.blobs)
+        if pixels.subtraction is not None:
+            blobs = registered(blobs, pixels, self.outliers, self.temper)
         return blobs, LayerStack([self._layer(blob) for blob in blobs])
 
     def _layer(self, blob: Blob) -> Layer:
@@ -266,9 +266,8 @@ class BlobTracker:
     def _lives(self, blob: Blob, in_front: Sequence[Blob], scene: BlobScene) -> bool:
         mass = blob.shape.mass
         thin = mass < THINNEST * blob.length**2 * (1.0 if blob.seen < FRESH else 0.5)
-        if thin or mass < self._least_area(scene):
-            return False
-        if float(blob.mask[scene.inside(blob)].sum()) < 0.1 * mass:
+        outside = float(blob.mask[scene.inside(blob)].sum()) < 0.1 * mass
+        if thin or outside or mass < self._least_area(scene):
             return False
         if blob.seen < self.confirmed_time:
             return blob.unseen == 0.0
@@ -279,9 +278,8 @@ class BlobTracker:
         """A blob that has had a waist between two heads for a while is two; crumbs are swept away."""
         if blob.unseen > 0:
             return [blob]
-        shape = blob.shape
-        parting = blob.parting + scene.elapsed if shape.waist_depth < 0.5 else 0.0
-        left, right = shape.mass_left, shape.mass - shape.mass_left
+        parting = blob.parting + scene.elapsed if blob.shape.waist_depth < 0.5 else 0.0
+        left, right = blob.shape.mass_left, blob.shape.mass - blob.shape.mass_left
         blob = blob.changed(parting=parting)
         least = max(self._least_area(scene), 0.25 * max(left, right))
         if parting < self.parting_time or min(left, right) < least:

@@ -15,6 +15,7 @@ from ..models.body.parts import BodyParts, PartMessage
 from ..models.body.poses import BodyPoses
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
+from ..models.core.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,7 @@ class Dynamics(Protocol):
         ...
 
 
+@short_repr
 @dataclass(frozen=True)
 class Condensation:
     """Samples that are moved by the dynamics alone and weighed by the likelihood: the usual way, a baseline.

@@ -10,6 +10,7 @@ from ..inference.core.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ..inference.factor_analysis.factorisation import Factorisation, factorise, predicted
 from ..inference.structure.track_association import associate_tracks
 from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.short_repr import short_repr
 from ..models.points.point_tracks import PointMessage, PointTracks
 
 Numbers = NDArray[np.float64]
@@ -18,6 +19,7 @@ LEAST_SCATTER = 1e-6
 """Of the noise: keeps covariances positive where shape and cameras are known exactly."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class StructureTrajectory:
     """Shape, cameras, and which of the feature's points show which point of the shape.
@@ -48,6 +50,7 @@ class StructureTrajectory:
         return -0.5 * float((self.factorisation.shape**2).sum())
 
 
+@short_repr
 @dataclass(frozen=True)
 class FactorStructure:
     """Batch chain of shape and motion over `PointTracks`.
@@ -59,7 +62,8 @@ class FactorStructure:
 
     r_ti the variance of what comes in and s a factor common to all that is learned. The message to a point is
     N(M_t (S_i, 1), P_ti) with P_ti the covariance that shape and cameras leave and the features' own scatter;
-    it says by `same_as` which tracks it takes for one point.
+    it says by `same_as` which tracks it takes for one point. Frames are taken to be evenly spaced: a step of
+    eq. (19) is one from frame to frame, and its noise is learned from the film, whatever the rate of that.
 
     Parameters
     ----------

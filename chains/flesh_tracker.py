@@ -20,6 +20,7 @@ from ..models.body.parts import BodyParts, PartMessage
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
 from ..models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
+from ..models.core.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -36,6 +37,7 @@ LEAST_PROBABILITY = 1e-6
 """That a part is where it should be, or that it is not."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class FleshTracker:
     """Low-level chain over head and hands.

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from ..inference.core.protocols import Cavity, Incoming, Port
 from ..inference.face.coverage import Coverage
 from ..inference.face.pose_dynamics import PoseDynamics
-from ..inference.face.pose_filter import GFlowState, PoseFilter
+from ..inference.face.pose_filter import GFlowState, PoseFilter, vertex_moments
 from ..inference.face.pose_terms import predicted_points
 from ..inference.face.texture_filter import Texture
 from ..inference.face.texture_likelihood import TexturedObject
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
+from ..models.core.pickling import PickledByFields
+from ..models.core.short_repr import short_repr
 from ..models.face.morphable_model import MorphableModel
-from ..models.face.outline import MeshEdges
 from ..models.face.pose import Poses
 from ..models.face.surface_points import SurfacePoints
 from ..models.face.surface_texels import SurfaceTexels
@@ -32,22 +33,29 @@ Array = NDArray[np.float64]
 N_LEVELS = 3
 ONE_AT_MODE: Mapping[str, Any] = {"experts": 1, "spread": 0.0, "recover": False}
 
-COVERING_TEXELS = 1500
-"""Of the mesh where it is integrated over what it hides."""
 
-
+@short_repr
 @dataclass(frozen=True)
-class GFlow:
+class GFlow(PickledByFields):
     """Joint filter of pose, deformation and texture (G-flow paper, Table 2).
 
-    Each expert looks ahead: Gauss-Newton finds the peak of its belief on coarse to fine levels. On
-    resampling frames samples about the modes, weighed by the full predictive distribution, become the next
-    experts; on the others every expert goes on at its peak. Every expert has its own texture, a Kalman filter
-    a texel.
+    Generative model, with pose u, texture v, background b and picture y, `dt` seconds after the last one:
+
+        p(u_t | u_s) = N(f(u_s), Q(dt)), `PoseDynamics`
+        p(v_t | v_s) = N(v_s, Psi_v dt), p(b_t | b_s) = N(b_s, Psi_b dt), texel by texel, pixel by pixel
+        p(y_t | u_t, v_t, b_t) = prod_i N(y_t(x_i(u_t)); v_t,i, sigma^2) prod_j N(y_t,j; b_t,j, sigma^2)
+
+    over texels i that are seen at x_i(u_t) and pixels j that the object does not cover. Its message to
+    `PixelLabels` is the probability that it covers a pixel, to `PointTracks` Gaussians of its vertices.
+
+    Given a history of poses, an expert, texture and background are Kalman filters. Gauss-Newton finds the
+    mode of each expert's belief of the pose on coarse to fine levels. On resampling frames samples about the
+    modes, weighed by the full predictive distribution, become the next experts; on the others every expert
+    goes on at its mode.
 
     Departures: the picture is divided by its local mean, which takes light out; sums over pixels are tempered
     to an effective number of independent ones; only the finest level's texture is filtered (see `Texture`);
-    experts begin their search apart; the object may be lost, and is then looked for all over the picture. A
+    experts begin their search apart; the object may be lost, and is then searched for all over the picture. A
     missing picture changes nothing but the time that has passed: points alone are not heard.
 
     Parameters
@@ -65,8 +73,9 @@ class GFlow:
     radius
         px, of patches.
     gain
-        Kalman gain of the texels in their steady state, from 0 (template) to 1 (optic flow), or `"learned"`
-        for each texel.
+        Kalman gain of the texels in their steady state at 25 frames a second, from 0 (template) to 1 (optic
+        flow), or `"learned"` for each texel. It stands for a noise per second: at another rate the filter has
+        another gain.
     temperature
         squared grey levels: noise of a texel's prediction in the steady state, tau.
     effective_pixels
@@ -75,8 +84,8 @@ class GFlow:
         an expert on resampling frames, lambda.
     spread
         of the samples against Laplace's covariance, alpha; 0 for no resampling frames.
-    resample_every
-        looks from one resampling frame to the next.
+    resample_interval
+        s from one resampling frame to the next.
     levels
         of the picture, from the finest; 1 for no coarse search.
     local_mean
@@ -89,7 +98,7 @@ class GFlow:
         starts off the object learns a wrong texture there and never comes back (Table 2, I, wants a common
         texture for this reason).
     recover
-        doubt what does not fit, and look for the object all over the picture when it is lost.
+        doubt what does not fit, and search for the object all over the picture when it is lost.
     background
         `"experts"`: each expert has a map of the background, eq. (2), and no other chain's is used. With
         `"shared"` the background is the one that another chain predicts at the same feature node, or none.
@@ -113,7 +122,7 @@ class GFlow:
     effective_pixels: float = 150.0
     samples: int = 10
     spread: float = 0.2
-    resample_every: int = 5
+    resample_interval: float = 0.2
     levels: int = N_LEVELS
     local_mean: bool = True
     dynamics: PoseDynamics = field(default_factory=PoseDynamics)
@@ -128,29 +137,28 @@ class GFlow:
     ports = (Port(PixelLabels, Cavity.OTHERS), Port(PointTracks, optional=True))
 
     def __post_init__(self) -> None:
-        for name in ("experts", "texels", "samples", "resample_every", "radius"):
-            if not getattr(self, name) >= 1:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected 1 or more")
-        for name in ("temperature", "effective_pixels"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
-        if self.surface not in ("dense", "patches"):
-            raise ValueError(f"surface: got {self.surface!r}, expected 'dense' or 'patches'")
-        if self.gain != "learned" and not (isinstance(self.gain, int | float) and 0 <= self.gain <= 1):
-            raise ValueError(f"gain: got {self.gain!r}, expected 0 to 1 or 'learned'")
-        if not self.spread >= 0:
-            raise ValueError(f"spread: got {self.spread}, expected 0 or more")
-        if not 1 <= self.levels <= N_LEVELS:
-            raise ValueError(f"levels: got {self.levels}, expected 1 to {N_LEVELS}")
+        gain = self.gain
+        for names, right, expected in (
+            ("experts texels samples radius", lambda value: value >= 1, "1 or more"),
+            ("temperature effective_pixels resample_interval", lambda value: value > 0, "more than 0"),
+            ("spread", lambda value: value >= 0, "0 or more"),
+            ("levels", lambda value: 1 <= value <= N_LEVELS, f"1 to {N_LEVELS}"),
+            ("surface", lambda value: value in ("dense", "patches"), "'dense' or 'patches'"),
+        ):
+            for name in names.split():
+                if not right(getattr(self, name)):
+                    raise ValueError(f"{name}: got {getattr(self, name)!r}, expected {expected}")
+        if gain != "learned" and not (isinstance(gain, int | float) and 0 <= gain <= 1):
+            raise ValueError(f"gain: got {gain!r}, expected 0 to 1 or 'learned'")
         numbers, n_vertices = np.array(self.tracked, np.int64), self.model.n_vertices
         if (np.diff(numbers) <= 0).any() or not ((numbers >= 0) & (numbers < n_vertices)).all():
             raise ValueError(
                 f"tracked: got {self.tracked}, expected increasing numbers from 0 to {n_vertices - 1}"
             )
-        expected = (self.levels, len(self.object.texels)) if self.texture is not None else None
-        if self.texture is not None and self.texture.mean.shape[1:] != expected:
-            got = self.texture.mean.shape[1:]
-            raise ValueError(f"texture: got {got} levels and texels, expected {expected}")
+        if self.texture is not None:
+            got, wanted = self.texture.mean.shape[1:], (self.levels, len(self.object.texels))
+            if got != wanted:
+                raise ValueError(f"texture: got {got} levels and texels, expected {wanted}")
         if not callable(self.start):
             self._check_start(self.start)
 
@@ -179,16 +187,8 @@ class GFlow:
 
     @cached_property
     def _filter(self) -> PoseFilter:
-        model = self.model
-        whole = (
-            TexturedObject(model, SurfaceTexels.dense(model, COVERING_TEXELS))
-            if len(model.triangles)
-            else None
-        )
         return PoseFilter(
             surface=self.object,
-            whole=whole,
-            edges=MeshEdges.of(model.triangles),
             noise=self.noise,
             dynamics=self.dynamics,
             levels=self.levels,
@@ -196,7 +196,7 @@ class GFlow:
             effective_pixels=self.effective_pixels,
             samples=self.samples,
             spread=self.spread,
-            resample_every=self.resample_every,
+            resample_interval=self.resample_interval,
             recover=self.recover,
             occlusion=self.occlusion,
             own_background=self.background == "experts",
@@ -235,7 +235,8 @@ class GFlow:
             frames_seen=0,
             log_evidence=0.0,
             fit=1.0,
-            doubts=0,
+            doubt=0.0,
+            since_resampling=0.0,
             relocations=0,
             random=np.random.default_rng(self.seed),
             covariance=np.zeros((self.experts, start.dimension, start.dimension)),
@@ -260,16 +261,13 @@ class GFlow:
         if isinstance(feature, PointTracks):
             return self._vertices_predicted(state) or feature.uniform()
         others = incoming[feature]
-        if (
-            state.lost
-            or not len(self.model.triangles)
-            or (others.image is None and others.background is None)
-        ):
+        nothing_there = others.image is None and others.background is None
+        if state.lost or not len(self.model.triangles) or nothing_there:
             return feature.uniform()
         seen = state
         if others.background is not None and others.image is not None:
             seen = self.update(state, incoming)
-            if seen.doubts and self.recover:
+            if seen.doubt and self.recover:
                 return feature.uniform()
         coverage = Coverage.of(self.model, seen.poses, seen.weights, others.size)
         return PixelMessage(layers=coverage.layers(state.trust))
@@ -279,7 +277,7 @@ class GFlow:
         return incoming.once(self._filter.updated, state, incoming[PixelLabels], incoming.get(PointTracks))
 
     def _vertices_predicted(self, state: GFlowState) -> PointMessage | None:
-        if (state.doubts and self.recover) or not self.tracked or not state.elapsed:
+        if (state.doubt and self.recover) or not self.tracked or not state.elapsed:
             return None
         chosen = np.array(self.tracked, np.int64)
         return PointMessage(predicted_points(self.model, self._filter.prior(state), state.weights, chosen))
@@ -293,12 +291,7 @@ class GFlow:
 
         The covariance is the experts' spread and what each of them leaves open (nothing in the first one).
         """
-        positions, rows = self.model.positions(state.poses), self.model.jacobian_with_depth(state.poses)
-        mean = np.einsum("n,nva->va", state.weights, positions)
-        off = positions - mean
-        spread = np.einsum("n,nva,nvb->vab", state.weights, off, off)
-        weighted = rows @ (state.weights[:, None, None] * state.covariance)[:, None]
-        return mean, spread + (weighted @ np.swapaxes(rows, -1, -2)).sum(axis=0)
+        return vertex_moments(self.model, state)
 
     def points(self, state: GFlowState, points: SurfacePoints) -> Array:
         """`(n, 2)` px: where points of the surface are in the mean pose."""

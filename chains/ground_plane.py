@@ -31,12 +31,14 @@ from ..inference.objects.ground_plane import (
 )
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.short_repr import short_repr
 from ..models.objects.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH, ObjectBoxes
 
 FIRST_TRUST, MOST_TRUST = 1.4, 4.0
 """Log odds that an object stands on the plane: before its first observation, and as sure as one can get."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class GroundPlane:
     """Scene-level chain over the boxes of objects.

@@ -21,11 +21,13 @@ from ..models.background.kernels.mixture import Mixture
 from ..models.background.mixture import MixturePrediction
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
+from ..models.core.short_repr import short_repr
 
 REVEALED = 3.0
 """Nats from which on others are so sure of background that foreground is taken for it as it is seen."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class MixtureState:
     """What was seen at every pixel.
@@ -49,6 +51,7 @@ class MixtureState:
         return colour.to_image(self.mixture.means[0], self.size)
 
 
+@short_repr
 @dataclass(frozen=True)
 class MixtureBackground:
     """Per-pixel mixture of Gaussians, for scenes in which pixels show several colours in turns.

@@ -33,6 +33,7 @@ from ..inference.points.tracker import (
 )
 from ..inference.points.trajectory import Appearances, PointTrajectory, StackedMessages, smoothed_trajectory
 from ..models.core.frame import Frame
+from ..models.core.short_repr import short_repr
 from ..models.points.point_tracks import PointMessage, PointTracks
 
 ACCELERATION_TIME = 0.5
@@ -45,6 +46,7 @@ REMEMBERED = 4
 """Lost points that are remembered in filtering, in units of the points that are followed."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class PointTracker:
     """Low-level chain over points: each one moves on at its velocity, but for random pushes.

@@ -15,12 +15,14 @@ from ..inference.structure.recursive import ObservedPoints, Registration, Struct
 from ..inference.structure.recursive_start import LEAST_SEEN, Window, first_structure
 from ..models.core.frame import Frame
 from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.short_repr import short_repr
 from ..models.points.point_tracks import NOWHERE, PointMessage, PointTracks
 
 LOST = 0.5
 """Standard deviation of the camera, in extents of the shape's picture, from which on it is lost."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class StructureState:
     """A shape and its camera, or what was seen until there is one.
@@ -41,6 +43,7 @@ class StructureState:
     structure: Structure | None
 
 
+@short_repr
 @dataclass(frozen=True)
 class RecursiveStructure:
     """Rigid shape and camera motion, from the points that others track.

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models import Frame, ObjectBoxes, PixelLabels
 from ..drawing.boxes import OverlayWriter, draw_overlay
-from ..evaluation.scoring import Scoring, track_rows
+from ..evaluation.scoring import Scoring
+from ..evaluation.tracks import track_rows
 from ..io.files import write_image
 from ..io.ground_truth import MaskTruth, common_frames, read_ground_truth
 from ..io.masks import MaskWriter

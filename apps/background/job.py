@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from ..runs.job import FilmJob, Flag, resolved
+from ..options.job import FilmJob, Flag, resolved
 
 Engine = Literal["recursive-bp", "feed-forward", "stand-alone"]
 Masks = Literal["none", "png", "video"]

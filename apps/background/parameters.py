@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from ...chains import AdaptiveBackground, BlobTracker, GroundPlane, MixtureBackground
-from ..complaints import meant
-from ..settings import make, plain_fields, read_fields, read_settings, top_level
+from ..options.complaints import meant
+from ..options.settings import make, plain_fields, read_fields, read_settings, top_level
 
 Parameters = Mapping[str, Mapping[str, Any]]
 """Values by section ("background", "blobs", "ground") and name; below `OTHERS` by chain and name."""

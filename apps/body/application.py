@@ -15,8 +15,8 @@ from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.core.frame import Frame
 from ..io.segments import segment_pattern
+from ..io.sources.blank_frames import SeenFrames
 from ..io.sources.open_source import open_source
-from ..runs.blank_frames import SeenFrames
 from ..runs.film_run import FilmRun, Writer
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import BODY, SAMPLE

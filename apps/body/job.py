@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from ..runs.job import FilmJob, resolved
+from ..options.job import FilmJob, resolved
 
 FEWEST_SAMPLES = 10
 

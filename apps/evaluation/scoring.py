@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ..io.ground_truth import OUTSIDE, BoxTruth, Kind, MaskTruth
 from ..runs.region import stands_inside
-from .metrics import ErrorClasses, PixelScore, error_classes, evaluate_tracks, mask_error_classes
+from .masks import ErrorClasses, PixelScore, error_classes, mask_error_classes
+from .tracks import evaluate_tracks
 
 Mask = NDArray[np.uint8]
 
@@ -79,7 +80,7 @@ class Scoring:
             del found["errors"][name]
         if isinstance(self.truth, BoxTruth):
             if tracks is not None:
-                found["tracks"] = asdict(evaluate_tracks(self.truth, tracks, self.frames))
+                found["tracks"] = asdict(evaluate_tracks(tracks, self.truth, self.frames))
         else:
             total = self.pixels.total()
             found["pixels"] = {
@@ -105,8 +106,3 @@ class Scoring:
         numbers, counts = data["pixels"]
         self.pixels = PixelScore(list(numbers), [(tp, fp, fn, tn) for tp, fp, fn, tn in counts])
         self.errors = ErrorClasses(**data["errors"])
-
-
-def track_rows(boxes: NDArray[np.void]) -> NDArray[np.float64]:
-    """Turn boxes as `read_tracks` gives them into rows frame, identity, x, y, width, height."""
-    return np.column_stack([boxes["frame"], boxes["id"], boxes["box"].reshape(-1, 4)]).astype(np.float64)

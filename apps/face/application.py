@@ -142,12 +142,6 @@ class FaceRun(FilmRun[FaceJob]):
         self._writer.add(belief.frame, state, seconds, restarted=state.relocations > self._restarts)
         self._restarts = state.relocations
 
-    @cached_property
-    def _faces(self) -> PartDetector:
-        return default_faces(
-            self.job.detector, "--landmarks of the first frame, or a model file of YuNet as --detector"
-        )
-
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """How much was lost, and the error."""
         words = [
@@ -160,6 +154,12 @@ class FaceRun(FilmRun[FaceJob]):
                 f"worst {error['worst_px']:.3g} px in frame {error['worst_frame']}"
             )
         return words
+
+    @cached_property
+    def _faces(self) -> PartDetector:
+        return default_faces(
+            self.job.detector, "--landmarks of the first frame, or a model file of YuNet as --detector"
+        )
 
     def _found_in(self, frame: Frame) -> FaceStart | None:
         """Where the face is in a frame; `None` if it is not found, or nothing is to be seen."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from ..runs.job import FilmJob, resolved
+from ..options.job import FilmJob, resolved
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.array_files import SINGLE, read_arrays
+from ...models.core.point_arrays import FARTHEST, check_points
+from ...models.files.array_files import SINGLE, read_arrays
+
+__all__ = ["FARTHEST", "read_points"]
 
 KEY = "tracks"
 EXPECTED = "expected (n_frames, n_points, 2) px, NaN where missing"
-FARTHEST = 1e7
-"""px: coordinates beyond are taken for damage; their squares would drown everything else."""
 
 
 def read_points(path: Path) -> NDArray[np.float64]:
@@ -46,12 +47,5 @@ def read_points(path: Path) -> NDArray[np.float64]:
         raise ValueError(f"{path}: got {named[:60]}{array.shape} {array.dtype}, {EXPECTED}")
     with np.errstate(invalid="ignore", over="ignore"):  # damage, which the next lines find
         points = array.astype(np.float64).reshape(-1, *array.shape[-2:])
-    for wrong, what in (
-        (np.abs(points) > FARTHEST, f"expected finite px up to {FARTHEST:g}, NaN where missing"),
-        (np.isnan(points[..., :1]) != np.isnan(points), "expected both coordinates or none"),
-    ):
-        if wrong.any():
-            frame, point = np.argwhere(wrong.any(axis=2))[0]
-            place = f"point {point} of frame {frame} (both from 0)"
-            raise ValueError(f"{path}: got {points[frame, point].tolist()} at {place}, {what}")
+    check_points(str(path), points)
     return points

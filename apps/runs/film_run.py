@@ -18,10 +18,10 @@ from ...inference.core.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
 from ..io.files import write_json
+from ..io.sources.blank_frames import SeenFrames
 from ..io.sources.open_source import Source, describe, open_source
-from .blank_frames import SeenFrames
+from ..options.job import FilmJob
 from .interruption import Interrupted, Outcome
-from .job import FilmJob
 from .memory import check_memory
 from .progress import Progress
 from .run import Run

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Generic, TypeVar
 
 from ..io.segments import segment_pattern
+from ..options.job import Job
 from .interruption import Interruption, Outcome
-from .job import Job
 from .output_folder import OutputFolder, output_folder
 from .saved_run import STATE, saying_how_to_go_on
 from .versions import versions

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from ..runs.job import Job
+from ..options.job import Job
 
 Coherence = Literal["second-order", "none"]
 Association = Literal["dual-chain", "none"]

@@ -9,6 +9,7 @@ from ...models.body.inverse_kinematics import arm_at
 from ...models.body.kernels.kinematics import lean
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import UpperBody
+from ...models.core.short_repr import short_repr
 from .kernels.dynamics import least_squares_to_rows, mixture_values
 
 Array = NDArray[np.float64]
@@ -34,6 +35,7 @@ MOST_JUMPS = 1 - 1e-6
 """Chance of a jump in however long a time: densities are relative to those of arms that have not jumped."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Ancestors:
     """Weighted poses of the frame before.
@@ -51,6 +53,7 @@ class Ancestors:
     elapsed: float
 
 
+@short_repr
 @dataclass(frozen=True)
 class BodyDynamics:
     """A random walk of the place and of the direction of every segment, in which an arm may also jump.

@@ -6,6 +6,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
+
 Array = NDArray[np.float64]
 
 HEAD, LEFT, RIGHT = range(3)
@@ -13,6 +15,7 @@ HANDS = [LEFT, RIGHT]
 EXCHANGED = [HEAD, RIGHT, LEFT]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class FleshTracks:
     """Head, left hand and right hand: where they are and how they move, each on its own.

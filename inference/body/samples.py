@@ -12,6 +12,7 @@ from ...models.body.parts import PartMessage
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import PARTS, UpperBody
 from ...models.core.gaussian_mixtures import GaussianMixtures
+from ...models.core.short_repr import short_repr
 from ..filters.resampling import log_sum, normalised, systematic
 from .dynamics import Ancestors, BodyDynamics
 
@@ -34,6 +35,7 @@ LEAST_SPREAD = 1.0
 """px: standard deviation that is added to a part's, since samples may coincide."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BodySamples:
     """Weighted poses.

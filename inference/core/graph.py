@@ -129,18 +129,37 @@ class MultiChain:
             self.__dict__.pop(derived, None)
         return self
 
+    def __repr__(self) -> str:
+        edges = [
+            f"{chain} {'--' if chain in self.senders(feature) else '<-'} {feature}"
+            for chain in self.chains
+            for feature in self.features_of(chain)
+        ]
+        return f"MultiChain({', '.join(edges)})"
+
+    def _repr_svg_(self) -> str:
+        """The graph, for notebooks."""
+        from .graph_drawing import svg  # matplotlib is slow to import
+
+        return svg(self)
+
+    @property
+    def names(self) -> str:
+        """All chains, and the features on which they meet, to be read."""
+        return f"{', '.join(self.chains)} on {', '.join(self.features)}"
+
     @cached_property
     def chains(self) -> dict[str, Any]:
         """Chains by name, in the order in which they have their turn.
 
-        That is the order of what they want to find in their cavities; those with a cut message come last, and
-        ties go by name.
+        That is the order of what they want to find in their cavities; of those that want the same, the ones
+        with a cut message come last, and ties go by name.
         """
         chains = self._nodes("chain")
 
-        def turn(name: str) -> tuple[bool, Cavity, str]:
+        def turn(name: str) -> tuple[Cavity, bool, str]:
             cut = not all(edge["feedback"] for edge in self.graph[name].values())
-            return cut, max(self.cavity(name, feature) for feature in self.graph[name]), name
+            return max(self.cavity(name, feature) for feature in self.graph[name]), cut, name
 
         return {name: chains[name] for name in sorted(chains, key=turn)}
 

@@ -1,6 +1,7 @@
 """Drawing of a time slice's graph: chains above, the features on which they meet, the image below."""
 
 from collections.abc import Sequence
+from io import StringIO
 from pathlib import Path
 from statistics import mean
 
@@ -37,6 +38,17 @@ def draw(model: MultiChain, path: str | Path) -> None:
     path = Path(path)
     if path.suffix.lower() not in (".svg", ".png"):
         raise ValueError(f"path: got {path.name!r}, expected a name that ends in .svg or .png")
+    _figure(model).savefig(path, dpi=150)
+
+
+def svg(model: MultiChain) -> str:
+    """The same drawing as SVG text."""
+    out = StringIO()
+    _figure(model).savefig(out, format="svg")
+    return out.getvalue()
+
+
+def _figure(model: MultiChain) -> Figure:
     places = _layout(model)
     width = max(x for x, _ in places.values()) + SPACING
     height = HEIGHT["chain"] + 2.0
@@ -57,7 +69,7 @@ def draw(model: MultiChain, path: str | Path) -> None:
             )
     for feature in model.features:
         _edge(axes, nodes[feature], nodes[IMAGE], places[feature], places[IMAGE], True)
-    figure.savefig(path, dpi=150)
+    return figure
 
 
 def _layout(model: MultiChain) -> dict[str, Point]:

@@ -7,6 +7,7 @@ from enum import IntEnum
 from typing import Any, Generic, Never, Protocol, Self, TypeVar, cast, overload
 
 from ...models.core.frame import Frame
+from ...models.core.short_repr import short_repr
 
 State = TypeVar("State")
 TrajectoryType = TypeVar("TrajectoryType", bound="Trajectory")
@@ -77,6 +78,7 @@ class Cavity(IntEnum):
     """The evidence times the messages of those that have spoken before."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Port:
     """A kind of feature node that a chain meets.
@@ -134,7 +136,7 @@ class Incoming:
         of the time slice; a new one where it is left out.
     """
 
-    def __init__(self, messages: Mapping[Any, Message], scratch: Scratch | None = None) -> None:
+    def __init__(self, messages: Mapping[Named, Message], scratch: Scratch | None = None) -> None:
         self._messages = messages
         self._scratch = scratch or Scratch()
 
@@ -236,6 +238,7 @@ class Trajectory(Protocol):
         ...
 
 
+@short_repr
 @dataclass(frozen=True)
 class Smoothed(Generic[TrajectoryType]):
     """What a batch chain makes of a sequence.
@@ -250,7 +253,7 @@ class Smoothed(Generic[TrajectoryType]):
     """
 
     trajectory: TrajectoryType
-    evidence: Mapping[Any, Sequence[Message]] = field(default_factory=dict)
+    evidence: Mapping[Named, Sequence[Message]] = field(default_factory=dict)
 
 
 class BatchIncoming(Incoming, ABC):

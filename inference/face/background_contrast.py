@@ -28,8 +28,8 @@ from .texture_likelihood import TexturedObject, TextureLikelihood
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 
-TRUST_RATE = 0.125
-"""Share by which the trust in a pixel's background follows whether its prediction came true."""
+TRUST_TIME = 0.3
+"""s in which the trust in a pixel's background follows whether its prediction came true."""
 
 UNSEEN = -1.0
 """Trust in the background of a pixel that the object has hidden from the beginning; as good as none."""
@@ -191,15 +191,16 @@ class SharedBackground:
         its_trust = np.maximum(trust[box.window], 0)[None]
         return BackgroundContrast.of(box, self.ratio[box.window][None], its_trust, tones, unit, np.zeros(1))
 
-    def trust_after(self, trust: Map, hidden: NDArray[np.bool_], box: Box) -> Map:
-        """Trust in each pixel after the picture: up where what was predicted came true, down where not.
+    def trust_after(self, trust: Map, hidden: NDArray[np.bool_], box: Box, elapsed: float) -> Map:
+        """Trust in each pixel after a picture, `elapsed` s after the last one.
 
+        It goes up where what was predicted came true, and down where not.
         In pixels that may be `hidden` by the object, of the box, nothing is learned. What was behind it at
         first, `UNSEEN`, stays unknown until a pixel is found to differ from what the background remembers
         there: as long as it does not, both may be the object.
         """
         came_true = self.ratio > 0
-        after: Map = trust + np.float32(TRUST_RATE) * (came_true - trust)
+        after: Map = trust - np.float32(np.expm1(-elapsed / TRUST_TIME)) * (came_true - trust)
         after = np.where(trust < 0, np.where(came_true, trust, np.float32(0)), after)
         after[box.window][hidden] = trust[box.window][hidden]
         return after

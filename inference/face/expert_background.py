@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.grey import grey_of
+from ...models.core.short_repr import short_repr
 from ...models.face.outline import Box
 from ...models.numerics.threads import over_bands
 from .background_contrast import BackgroundContrast
@@ -24,17 +25,14 @@ UNKNOWN_VARIANCE = 60.0**2
 NOISE = 20.0
 """Squared grey levels of a picture at a pixel, sigma_w^2."""
 
-WANDERING = 1.0
-"""Squared grey levels per picture by which a pixel's background may change, Psi_b."""
-
-MAP_NOISE = background_map_kernels.MapNoise(
-    np.float32(NOISE), np.float32(WANDERING), np.float32(UNKNOWN_VARIANCE)
-)
+WANDERING = 25.0
+"""Squared grey levels per second by which a pixel's background may change, Psi_b."""
 
 LEAST_RATIO = -9.0
 """Nats: no pixel speaks louder against the background, whatever has come before it."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class ExpertBackground:
     """What each expert believes of the background, a Gaussian a pixel.
@@ -44,7 +42,7 @@ class ExpertBackground:
     mean
         `(n_experts, height, width)` float32, raw grey levels.
     variance
-        `(n_experts, height, width)` float32, of the next picture's prediction without its noise.
+        `(n_experts, height, width)` float32, after the last picture.
     """
 
     mean: Map
@@ -60,8 +58,10 @@ class ExpertBackground:
         """Backgrounds of the children of `parents`."""
         return replace(self, mean=self.mean[parents], variance=self.variance[parents])
 
-    def contrast(self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map) -> BackgroundContrast:
-        """As poses within the box are judged by it.
+    def contrast(
+        self, image: NDArray[np.uint8], box: Box, tones: Map, unit: Map, elapsed: float
+    ) -> BackgroundContrast:
+        """As poses within the box are judged by it, `elapsed` s after the last picture.
 
         Trust in a pixel is the share of the first variance that is gone: what was never seen says nothing.
         """
@@ -71,17 +71,22 @@ class ExpertBackground:
 
         def work(a: int, b: int) -> None:
             background_map_kernels.compare_with_maps(
-                grey, self.mean[a:b], self.variance[a:b], box, MAP_NOISE, np.float32(LEAST_RATIO), ratio[a:b],
-                trust[a:b], everywhere[a:b],
+                grey, self.mean[a:b], self.variance[a:b], box, _noise(elapsed), np.float32(LEAST_RATIO),
+                ratio[a:b], trust[a:b], everywhere[a:b],
             )  # fmt: skip
 
         over_bands(work, n)
         return BackgroundContrast.of(box, ratio, trust, tones, unit, everywhere)
 
     def updated(
-        self, image: NDArray[np.uint8], parents: NDArray[np.int64], hidden: NDArray[np.uint8], box: Box
+        self,
+        image: NDArray[np.uint8],
+        parents: NDArray[np.int64],
+        hidden: NDArray[np.uint8],
+        box: Box,
+        elapsed: float,
     ) -> Self:
-        """Predicted background for the next picture, of the children of `parents`.
+        """Backgrounds after a picture, `elapsed` s after the last one, of the children of `parents`.
 
         Pixels that are `hidden` `(n_experts, height, width)` in the box keep their mean.
         """
@@ -96,10 +101,17 @@ class ExpertBackground:
                 parents[a:b],
                 hidden[a:b],
                 box,
-                MAP_NOISE,
+                _noise(elapsed),
                 mean[a:b],
                 variance[a:b],
             )
 
         over_bands(work, n)
         return replace(self, mean=mean, variance=variance)
+
+
+def _noise(elapsed: float) -> background_map_kernels.MapNoise:
+    change = WANDERING * elapsed
+    return background_map_kernels.MapNoise(
+        np.float32(NOISE), np.float32(change), np.float32(UNKNOWN_VARIANCE)
+    )

@@ -86,13 +86,13 @@ def measured_points(model: MorphableModel, message: GaussianMessage, chosen: NDA
 def predicted_points(
     model: MorphableModel, prior: PosePrior, weights: Array, chosen: NDArray[np.int64]
 ) -> GaussianMessage:
-    """Where the vertices `chosen` should be, by the experts' poses of the time before and how poses change.
+    """Where the vertices `chosen` should be, as experts expect their poses before the picture.
 
     Moments of the mixture over experts, with x_i linear in the change of the pose.
     """
     model = model.of_points(SurfacePoints.of_vertices(chosen))
-    places, rows = model.project(prior.previous), model.jacobian(prior.previous)
-    moved = np.einsum("n,nvap,p,nvbp->vab", weights, rows, prior.walk, rows)
+    places, rows = model.project(prior.mean), model.jacobian(prior.mean)
+    moved = np.einsum("n,nvap,p,nvbp->vab", weights, rows, prior.variance, rows)
     mean = np.einsum("n,nva->va", weights, places)
     off = places - mean
     return GaussianMessage.from_moments(chosen, mean, moved + np.einsum("n,nva,nvb->vab", weights, off, off))

@@ -6,19 +6,21 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
 from ...models.face.image_pyramid import MIDDLE_GREY
-from ...models.face.texel_noise import TexelNoise
+from ...models.face.texel_noise import USUAL_RATE, TexelNoise
+from .pose_dynamics import SHORTEST
 
 Map = NDArray[np.float32]
 
 UNKNOWN_VARIANCE = 60.0**2
 """Squared grey levels: of a texel that has never been seen."""
 
-MEMORY = 25.0
-"""Looks over which the square of innovations is averaged, where gains are learned."""
+MEMORY = 1.0
+"""s over which the square of innovations is averaged, where gains are learned."""
 
-PACE = 0.6
-"""Change of a gain's log odds per picture, at full correlation of large innovations."""
+PACE = 15.0
+"""Change of a gain's log odds in that time, at full correlation of large innovations."""
 
 SMALL = 36.0
 """Squared grey levels: innovations whose square is well below it say little of the gain."""
@@ -35,6 +37,7 @@ LEAST_INSIDE = 0.4
 """Share of the visible texels that has to lie in the picture, if a texture is to explain it."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class LearnedGain:
     """What is remembered of each texel's innovations, to learn its gain (§7.2.1).
@@ -81,13 +84,14 @@ class LearnedGain:
             power=self.power[parents],
         )
 
-    def updated(self, innovation: Map, seen: NDArray[np.bool_]) -> Self:
-        """With one more picture; `innovation` counts where `seen`."""
+    def updated(self, innovation: Map, seen: NDArray[np.bool_], elapsed: float) -> Self:
+        """With a picture `elapsed` s after the last one; `innovation` counts where `seen`."""
+        share = -np.expm1(-elapsed / MEMORY)
         both = seen & (self.last != 0)
         square = innovation**2
-        power = np.where(seen, self.power + np.float32(1 / MEMORY) * (square - self.power), self.power)
+        power = np.where(seen, self.power + np.float32(share) * (square - self.power), self.power)
         scale = np.maximum(power, square) + np.float32(SMALL)
-        step = np.float32(PACE) * (innovation * self.last - np.float32(MISPLACED)) / scale
+        step = np.float32(PACE * share) * (innovation * self.last - np.float32(MISPLACED)) / scale
         return replace(
             self,
             log_odds=np.clip(self.log_odds + np.where(both, step, 0), *GAIN_LIMITS).astype(np.float32),
@@ -96,9 +100,10 @@ class LearnedGain:
         )
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """Predicted texture of every expert: independent Gaussians of its texels.
+    """Texture of every expert: independent Gaussians of its texels.
 
     Parameters
     ----------
@@ -133,14 +138,19 @@ class Texture:
         )
 
     def temperature(self, noise: TexelNoise) -> Map:
-        """tau = V + sigma_w^2 `(n_experts, n_texels)`, squared grey levels (§4.1)."""
+        """tau = V + sigma_w^2 `(n_experts, n_texels)` of a predicted texture, squared grey levels (§4.1)."""
         return self.variance + self._noises(noise)[0]
 
-    def updated(self, observed: Map, seen: NDArray[np.bool_], noise: TexelNoise) -> Self:
-        """Predicted texture for the next frame, eq. (10)-(12).
+    def predicted(self, noise: TexelNoise, elapsed: float) -> Self:
+        """The texture `elapsed` s later, eq. (12)."""
+        variance = self.variance + self._noises(noise)[1] * np.float32(max(elapsed, SHORTEST))
+        return replace(self, variance=np.minimum(variance, np.float32(UNKNOWN_VARIANCE)))
+
+    def updated(self, observed: Map, seen: NDArray[np.bool_], noise: TexelNoise, elapsed: float) -> Self:
+        """This prediction, made `elapsed` s after the last picture, with a picture: eq. (10), (11).
 
         `observed` `(n_experts, n_levels, n_texels)` are the texels as this frame shows them; where they are
-        not `seen` `(n_experts, n_texels)` the mean stays and the variance grows. Departures: only the finest
+        not `seen` `(n_experts, n_texels)` both stay. Departures: only the finest
         level is filtered. The coarse ones, which say where the search begins and nothing of the belief, hold
         the texel as last seen: blurred texture is blurred light as well, which changes. And where nothing is
         said to change (gain 0) the first picture is the template.
@@ -149,21 +159,20 @@ class Texture:
         unknown = self.variance >= np.float32(0.5 * UNKNOWN_VARIANCE)
         gain = np.where(unknown, np.float32(1), self.variance / (self.variance + rendering))
         gain = np.where(seen, gain, np.float32(0)).astype(np.float32)
-        first = np.where(process > 0, rendering + process, np.float32(0))
-        variance = np.where(seen & unknown, first, (1 - gain) * self.variance + process).astype(np.float32)
-        variance = np.minimum(variance, np.float32(UNKNOWN_VARIANCE))
+        first = np.where(process > 0, rendering, np.float32(0))
+        variance = np.where(seen & unknown, first, (1 - gain) * self.variance).astype(np.float32)
         mean = np.where(seen[:, None], observed, self.mean)
         innovation = observed[:, 0] - self.mean[:, 0]
         mean[:, 0] = self.mean[:, 0] + gain * innovation
-        learned = None if self.learned is None else self.learned.updated(innovation, seen & ~unknown)
+        learned = None if self.learned is None else self.learned.updated(innovation, seen & ~unknown, elapsed)
         return replace(self, mean=mean, variance=variance, learned=learned)
 
     def _noises(self, noise: TexelNoise) -> tuple[Map | np.float32, Map | np.float32]:
-        """Rendering and process noise; with a learned gain those of its steady state at the temperature."""
+        """Rendering noise, and process noise per second; with a learned gain those of its steady state."""
         if self.learned is None:
             return np.float32(noise.rendering), np.float32(noise.process)
         gain, temperature = self.learned.gain, np.float32(noise.temperature)
-        return (1 - gain) * temperature, gain**2 * temperature
+        return (1 - gain) * temperature, gain**2 * temperature * np.float32(USUAL_RATE)
 
 
 def explained(observed: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArray[np.bool_]) -> Map:

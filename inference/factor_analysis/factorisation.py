@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...models.core.short_repr import short_repr
 from .connectivity import determined
 from .em import CameraPrior, Posterior, expectation_maximisation, first_prior
 from .initialisation import RANK, Mask, grown, mean_filled
@@ -22,6 +23,7 @@ from .variable_projection import FAR, NEAR, least_squares
 Start = Literal["grow", "svd"]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Factorisation:
     """Cameras and shape that explain positions of points, up to an affine change of the shape.

@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...models.core.short_repr import short_repr
 from .kernels import kalman as kalman_kernels
 
 Numbers = NDArray[np.float64]
@@ -18,6 +19,7 @@ Numbers = NDArray[np.float64]
 STATE = 4
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class PointStates:
     """Gaussians over position and velocity of points, each on its own; perhaps in many frames.

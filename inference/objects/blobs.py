@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...models.background.kernels.layers import Sprite
 from ...models.background.layers import log_density_ratio
+from ...models.core.short_repr import short_repr
 from ...models.objects.kernels.blobs import UNKNOWN_COLOUR
 from ...models.objects.kernels.masks import MaskShape, shape_of
 
@@ -43,6 +44,7 @@ class Track:
     velocity: tuple[float, float]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Blob:
     """State of one object.
@@ -176,6 +178,7 @@ class Blob:
         return blob
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BlobState:
     """All objects of a scene.

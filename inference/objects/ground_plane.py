@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...models.core.gaussian_message import GaussianMessage
+from ...models.core.short_repr import short_repr
 from ...models.objects.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH
 
 Numbers = NDArray[np.float64]
@@ -17,6 +18,7 @@ HALF_HIDDEN = 0.5
 """Heights: standard deviation of what an observation is off by that does not show an object wholly."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class GroundState:
     """Perspective of the scene and the objects in it.

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
 from ..filters.kalman import STATE, PointStates
 
 Numbers = NDArray[np.float64]
@@ -14,6 +15,7 @@ Identities = NDArray[np.int64]
 Pixels = NDArray[np.float32]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class KnownPoints:
     """Points by identity.

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.mahalanobis import squared_distances
+from ...models.core.short_repr import short_repr
 from ...models.points.patches import Patches, ncc, with_light_of
 from ...models.points.point_tracks import PointMessage, View
 from ..filters import kalman
@@ -42,9 +43,9 @@ CORNER_INTERVAL = 0.1
 LEAST_POINTS = 8
 """Points that show how all of them move."""
 
-LEARNING, MOST_SURPRISE = 0.2, 3.0
-"""Share by which the log of the acceleration follows that of one picture's finds, and the most one picture
-says."""
+ADAPTATION_TIME, MOST_SURPRISE = 0.18, 3.0
+"""s in which the log of the acceleration follows that of the finds, to 1/e; and the most that one picture's
+finds say."""
 
 SAME_PLACE = 1.5
 """px: points that are found nearer to each other are on one spot."""
@@ -52,14 +53,15 @@ SAME_PLACE = 1.5
 NEW_DEVIATION = 0.3
 """px, standard deviation of a new point's position: it is its patch that says where it is."""
 
-BLENDED = 0.1
-"""Share of what a point looks like that a find replaces."""
+PATCH_TIME = 0.38
+"""s in which a patch follows what finds of it look like, to 1/e."""
 
 LIKE_FIRST, LIKE_EXPECTED = 0.7, 0.95
 """Normalised correlation with the first patch, down to which a find is trusted to teach, and with the last,
 from which on there is nothing to learn."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class TrackerState:
     """Points, and the picture that they were found in last.
@@ -116,10 +118,11 @@ def updated(state: TrackerState, message: PointMessage, *, learns: bool) -> Trac
     learns
         whether the acceleration is learned.
     """
-    state = _measured(state, message, learns=learns)
-    state = replace(state, view=message.view or state.view)
-    state = _without_ended(state)
-    return state if message.view is None or message.view.grey is None else _with_patches(state, message.view)
+    view = message.view
+    elapsed = 0.0 if view is None or state.view is None else view.time - state.view.time
+    state = _measured(state, message, elapsed, learns=learns)
+    state = _without_ended(replace(state, view=view or state.view))
+    return state if view is None or view.grey is None else _with_patches(state, view, elapsed)
 
 
 def with_given(state: TrackerState, message: PointMessage) -> TrackerState:
@@ -184,8 +187,11 @@ def initial_states(state: TrackerState, view: View, mean: Numbers, covariance: N
     return states
 
 
-def _measured(state: TrackerState, message: PointMessage, *, learns: bool) -> TrackerState:
-    """With all that is said of points that are followed, and with those back that are found again."""
+def _measured(state: TrackerState, message: PointMessage, elapsed: float, *, learns: bool) -> TrackerState:
+    """With all that is said of points that are followed, and with those back that are found again.
+
+    `elapsed`: s since the picture before.
+    """
     known, view = state.known, message.view
     if view is not None and view.grey is None and not len(known):
         state = _in_unit_of(state, view, learns=learns)
@@ -201,7 +207,7 @@ def _measured(state: TrackerState, message: PointMessage, *, learns: bool) -> Tr
         seen = np.isin(known.identities, view.found.identities)
         if learns:
             least = 0.0 if view.grey is None else LEAST_ACCELERATION
-            acceleration = _adapted_acceleration(state, positions, seen & known.alive)
+            acceleration = _adapted_acceleration(state, positions, seen & known.alive, elapsed)
             state = replace(state, acceleration=max(acceleration, least))
     known = replace(known, states=states, unseen=np.where(seen, 0.0, known.unseen))
     again = np.flatnonzero(seen & ~known.alive)
@@ -217,7 +223,9 @@ def _in_unit_of(state: TrackerState, view: View, *, learns: bool) -> TrackerStat
     return replace(state, acceleration=acceleration, limit=GIVEN_LIMIT * view.noise)
 
 
-def _adapted_acceleration(state: TrackerState, positions: GaussianMessage, seen: Mask) -> float:
+def _adapted_acceleration(
+    state: TrackerState, positions: GaussianMessage, seen: Mask, elapsed: float
+) -> float:
     """Acceleration, px^2/s^3, after points were found so far from where they were expected.
 
     The median of the squared distances, in units of their covariances, is moved towards what it should be.
@@ -228,7 +236,8 @@ def _adapted_acceleration(state: TrackerState, positions: GaussianMessage, seen:
     off = (noise @ positions.vector[seen][:, :, None])[:, :, 0] - state.known.states.position[seen]
     spread = noise + state.known.states.position_covariance[seen]
     surprise = np.log(np.median(squared_distances(off, spread)) / MEDIAN + 1e-9)
-    return float(state.acceleration * np.exp(LEARNING * np.clip(surprise, -MOST_SURPRISE, MOST_SURPRISE)))
+    share = -np.expm1(-elapsed / ADAPTATION_TIME)
+    return float(state.acceleration * np.exp(share * np.clip(surprise, -MOST_SURPRISE, MOST_SURPRISE)))
 
 
 def _without_ended(state: TrackerState) -> TrackerState:
@@ -246,7 +255,7 @@ def _without_ended(state: TrackerState) -> TrackerState:
     return replace(state, known=replace(known, alive=alive))
 
 
-def _with_patches(state: TrackerState, view: View) -> TrackerState:
+def _with_patches(state: TrackerState, view: View, elapsed: float) -> TrackerState:
     """With what points look like now, where they were found.
 
     Brightness and contrast are the find's. A patch that took over the rest as well would slide off its point
@@ -262,7 +271,6 @@ def _with_patches(state: TrackerState, view: View) -> TrackerState:
     expected = with_light_of(known.patches[seen], now)
     teaches = (ncc(now, expected) < LIKE_EXPECTED) & (ncc(now, known.first[seen]) > LIKE_FIRST)
     patches = known.patches.copy()
-    patches[seen] = expected + np.where(teaches, np.float32(BLENDED), np.float32(0))[:, None, None] * (
-        now - expected
-    )
+    share = np.where(teaches, -np.expm1(-elapsed / PATCH_TIME), 0.0).astype(np.float32)
+    patches[seen] = expected + share[:, None, None] * (now - expected)
     return replace(state, known=replace(known, patches=patches))

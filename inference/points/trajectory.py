@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.mahalanobis import squared_distances
+from ...models.core.short_repr import short_repr
 from ..filters.kalman import PointStates, cavity, filter_tracks, smooth
 from .motion_noise import Measurements, MotionModel, one_frame_ahead
 
@@ -19,6 +20,7 @@ AT_ONCE = 128
 """Points that are smoothed in one go: states of all points in all frames need not fit into memory."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Appearances:
     """What points look like.
@@ -40,6 +42,7 @@ class Appearances:
         return np.searchsorted(self.identities, identities)
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class PointTrajectory:
     """Where points are in all frames, and what a tracker says of that.

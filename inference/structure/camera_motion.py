@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
 from ..factor_analysis.em import CameraPrior, estimate_cameras
 from ..filters.linear_motion import kinematic
 
@@ -25,6 +26,7 @@ UNSTEADY = 1e-2
 """Noise of a motion of which nothing is known, in extents a frame."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class CameraMotion:
     """What is known of the camera at one time.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..factor_analysis.observations import Listed
-from .kernels.track_association import track_moments
+from .kernels.track_association import track_information
 
 Numbers = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class CorrelatedNoise:
         """The same with variances times a factor."""
         return CorrelatedNoise(factor * self.white, factor * self.drift, self.memory)
 
-    def moments(self, tracks: Listed, cameras: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+    def information(self, tracks: Listed, cameras: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers]:
         """What tracks say of their points where cameras are known.
 
         -2 log p(track | its point S) = quadratic - 2 vector . S + S . information S + determinant + constant.
@@ -64,10 +64,10 @@ class CorrelatedNoise:
         information, vector, quadratic, determinant
             `(n_tracks, 3, 3)`, `(n_tracks, 3)`, `(n_tracks,)`, `(n_tracks,)`.
         """
-        moments: tuple[Numbers, Numbers, Numbers, Numbers] = track_moments(
+        terms: tuple[Numbers, Numbers, Numbers, Numbers] = track_information(
             tracks, np.ascontiguousarray(cameras), self.white, self.drift, self.decay
         )
-        return moments
+        return terms
 
 
 def estimate_correlated_noise(
@@ -94,7 +94,7 @@ def estimate_correlated_noise(
     for share in SHARES:
         for memory in MEMORIES if share else MEMORIES[:1]:
             shape = CorrelatedNoise(1 - share, share, memory)
-            information, vector, quadratic, determinant = shape.moments(tracks, cameras)
+            information, vector, quadratic, determinant = shape.information(tracks, cameras)
             whole, sums = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3))
             np.add.at(whole, point_of_track, information)
             np.add.at(sums, point_of_track, vector)

@@ -52,7 +52,7 @@ def covariance_of_points(
         noise.decay,
         LEAST_CORRELATION,
     )
-    information, _, _, _ = noise.moments(tracks, cameras)
+    information, _, _, _ = noise.information(tracks, cameras)
     whole = np.tile(np.eye(3), (n_points, 1, 1))
     np.add.at(whole, point_of_track, information)
     inverse = np.linalg.inv(whole)

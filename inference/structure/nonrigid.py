@@ -6,19 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...models.core.point_arrays import check_points
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.numerics.rotations import nearest_rotation
-from .nonrigid_em import Numbers, State, Tracks, Weights, climb, moments, weights
+from .nonrigid_em import Numbers, State, Tracks, WeightPosterior, e_step, point_sums, run_em
 from .nonrigid_start import start
 
 LEAST_FRAMES = 3
 """That a point is seen in, and that there are; two views leave depth open."""
 LEAST_POINTS = 4
 """Of a frame, for its pose to be known."""
-
-FARTHEST = 1e7
-"""px: coordinates beyond are taken for damage; their squares would drown everything else."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +126,7 @@ def learn_shape(
     centred /= unit
     observed = Tracks.of(centred)
     beginning = start(observed, centred, bases, on_iteration)
-    state, history = climb(observed, beginning, iterations, tolerance, on_iteration)
+    state, history = run_em(observed, beginning, iterations, tolerance, on_iteration)
     return _in_pixels(observed, state, history, unit, middles, determined)
 
 
@@ -136,16 +134,8 @@ def _check(positions: Numbers, bases: int) -> NDArray[np.bool_]:
     """Refuse what cannot be learned from; `(n_frames,)` which frames can be."""
     if positions.ndim != 3 or positions.shape[2] != 2:
         raise ValueError(f"tracks: got {positions.shape}, expected (n_frames, n_points, 2) px")
-    missing = np.isnan(positions)
-    for wrong, what in (
-        (~missing & ~(np.abs(positions) <= FARTHEST), f"finite px up to {FARTHEST:g}, NaN where missing"),
-        (missing[..., :1] != missing, "both coordinates or none"),
-    ):
-        if wrong.any():
-            frame, point = np.argwhere(wrong.any(axis=2))[0]
-            place = f"frame {frame}, point {point}"
-            raise ValueError(f"tracks: got {positions[frame, point].tolist()} at {place}, expected {what}")
-    seen = ~missing[..., 0]
+    check_points("tracks", positions)
+    seen = ~np.isnan(positions[..., 0])
     determined: NDArray[np.bool_] = seen.sum(axis=1) >= LEAST_POINTS
     n_frames, n_points = int(determined.sum()), positions.shape[1]
     if n_frames < LEAST_FRAMES:
@@ -175,7 +165,7 @@ def _in_pixels(
     determined: NDArray[np.bool_],
 ) -> NonrigidShape:
     """The result in px and in the axes and order that `NonrigidShape` promises."""
-    found = weights(state, moments(tracks, state.bases))
+    found = e_step(state, point_sums(tracks, state.bases))
     turn = nearest_rotation(state.rotations.mean(axis=0))
     bases, rotations = state.bases @ turn.T, state.rotations @ turn.T
     centroids = bases.mean(axis=1)
@@ -209,7 +199,7 @@ def _in_pixels(
     )
 
 
-def _squared_error(tracks: Tracks, state: State, found: Weights) -> float:
+def _squared_error(tracks: Tracks, state: State, found: WeightPosterior) -> float:
     """What the mean shapes leave of the positions."""
     shapes = np.tensordot(found.extended, state.bases, 1)
     predicted = shapes @ state.seen_axes.transpose(0, 2, 1) + state.translations[:, None]

@@ -111,7 +111,7 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Weights:
+class WeightPosterior:
     """Posterior of the weights of modes in each frame, and the log likelihood without them.
 
     Parameters
@@ -144,7 +144,7 @@ class Weights:
 
 
 @dataclass(frozen=True, eq=False)
-class Moments:
+class PointSums:
     """Sums over the points that a frame shows.
 
     Parameters
@@ -162,7 +162,7 @@ class Moments:
     squares: Numbers
 
 
-def moments(tracks: Tracks, bases: Numbers) -> Moments:
+def point_sums(tracks: Tracks, bases: Numbers) -> PointSums:
     """The sums for these bases."""
     n_bases, n_points = bases.shape[:2]
     flat = np.ones((n_points, 1 + 3 * n_bases))
@@ -173,10 +173,10 @@ def moments(tracks: Tracks, bases: Numbers) -> Moments:
     if len(points) > 1:
         points = points[tracks.pattern_of_frame]
     positions = np.matmul(tracks.positions.transpose(0, 2, 1), flat)
-    return Moments(points, positions, np.sum(tracks.positions**2, axis=(1, 2)))
+    return PointSums(points, positions, np.sum(tracks.positions**2, axis=(1, 2)))
 
 
-def weights(state: State, sums: Moments) -> Weights:
+def e_step(state: State, sums: PointSums) -> WeightPosterior:
     """E-step: z_t | y_t ~ N((A'A + sigma^2 I)^-1 A'y, sigma^2 (A'A + sigma^2 I)^-1), A = c R V."""
     n, n_bases, noise = len(state.scales), len(state.bases), state.noise
     axes, shift = state.seen_axes, state.translations
@@ -199,10 +199,10 @@ def weights(state: State, sums: Moments) -> Weights:
     squares = rigid - np.sum(residual[:, 1:] * mean, axis=1)
     log_volume = -np.linalg.slogdet(inverse)[1] - (n_bases - 1) * np.log(noise)
     log_likelihood = -0.5 * (2 * count * np.log(2 * np.pi * noise) + log_volume + squares / noise)
-    return Weights(mean, noise * inverse, log_likelihood, gram, middle)
+    return WeightPosterior(mean, noise * inverse, log_likelihood, gram, middle)
 
 
-def pose_step(state: State, sums: Moments, found: Weights) -> tuple[State, Weights]:
+def pose_step(state: State, sums: PointSums, found: WeightPosterior) -> tuple[State, WeightPosterior]:
     """One damped Gauss-Newton step of every pose, taken where the likelihood gains by it.
 
     Rotations move on SO(3), R <- exp([w]x) R; scales by their logarithm. The gradient is that of the
@@ -250,13 +250,13 @@ def pose_step(state: State, sums: Moments, found: Weights) -> tuple[State, Weigh
         translations=state.translations + step[:, 4:],
         damping=np.maximum(state.damping / 10, LEAST_DAMPING),
     )
-    reached = weights(moved, sums)
+    reached = e_step(moved, sums)
     better = reached.log_likelihood >= found.log_likelihood
     stay = replace(state, damping=np.minimum(state.damping * 10, MOST_DAMPING))
     return chosen_poses(better, moved, stay), found.replaced(better, reached)
 
 
-def _uncertain_shape(sums: Moments, found: Weights, n_bases: int) -> Numbers:
+def _uncertain_shape(sums: PointSums, found: WeightPosterior, n_bases: int) -> Numbers:
     """`(n_frames, 3, 3)`: the part of sum_j E[s_j s_j'] that comes from the covariance of the weights."""
     n, n_modes = found.mean.shape
     if not n_modes:
@@ -302,7 +302,9 @@ def log_prior(bases: Numbers, covariance: Numbers) -> float:
     return -0.5 * ALIKE * float(np.sum(np.linalg.inv(covariance) * squares))
 
 
-def shape_step(state: State, tracks: Tracks, found: Weights, covariance: Numbers) -> tuple[State, Numbers]:
+def shape_step(
+    state: State, tracks: Tracks, found: WeightPosterior, covariance: Numbers
+) -> tuple[State, Numbers]:
     """M-step: bases by the normal equations of each point, then the noise; weights back to N(0, I).
 
     Returns the state and the prior's covariance in terms of the new modes.
@@ -337,7 +339,7 @@ def shape_step(state: State, tracks: Tracks, found: Weights, covariance: Numbers
     return replace(state, bases=bases, noise=noise), covariance
 
 
-def climb(
+def run_em(
     tracks: Tracks, state: State, iterations: int, tolerance: float, on_iteration: Callable[[], None]
 ) -> tuple[State, list[float]]:
     """EM until it gains less than `tolerance` nats a coordinate, or for so many iterations.
@@ -347,8 +349,8 @@ def climb(
     covariance = basis_covariance(state)
     history: list[float] = []
     for _ in range(iterations):
-        sums = moments(tracks, state.bases)
-        found = weights(state, sums)
+        sums = point_sums(tracks, state.bases)
+        found = e_step(state, sums)
         history.append(float(found.log_likelihood.sum()) + log_prior(state.bases, covariance))
         if len(history) > 1 and history[-1] - history[-2] < tolerance * tracks.count:
             break
@@ -360,4 +362,4 @@ def climb(
 
 def log_likelihood(tracks: Tracks, state: State) -> float:
     """Nats, in the unit of the tracks, weights integrated out."""
-    return float(weights(state, moments(tracks, state.bases)).log_likelihood.sum())
+    return float(e_step(state, point_sums(tracks, state.bases)).log_likelihood.sum())

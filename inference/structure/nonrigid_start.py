@@ -15,10 +15,10 @@ from .nonrigid_em import (
     State,
     Tracks,
     chosen_poses,
-    climb,
+    e_step,
     log_likelihood,
-    moments,
-    weights,
+    point_sums,
+    run_em,
 )
 
 USUAL_DEPTH = 0.7
@@ -51,11 +51,11 @@ def start(tracks: Tracks, positions: Numbers, bases: int, on_iteration: Callable
     tracks, positions
         the same, `positions` `(n_frames, n_points, 2)` with NaN where not seen.
     """
-    rigid, _ = climb(tracks, rigid_start(positions), RIGID_ITERATIONS, TOLERANCE, on_iteration)
+    rigid, _ = run_em(tracks, rigid_start(positions), RIGID_ITERATIONS, TOLERANCE, on_iteration)
     beginnings = [rigid]
     smooth = smoothed(tracks, rigid)
     if smooth is not None:
-        beginnings.append(climb(tracks, smooth, RIGID_ITERATIONS, TOLERANCE, on_iteration)[0])
+        beginnings.append(run_em(tracks, smooth, RIGID_ITERATIONS, TOLERANCE, on_iteration)[0])
     best, best_likelihood = rigid, -np.inf
     for beginning in beginnings:
         for stride in sorted({1, bases - 1}):
@@ -64,7 +64,7 @@ def start(tracks: Tracks, positions: Numbers, bases: int, on_iteration: Callable
                 state = with_modes(tracks, state, stride)
                 enough = len(state.bases) == bases
                 rounds = TRIAL_ITERATIONS if enough else MODE_ITERATIONS
-                state, _ = climb(tracks, state, rounds, TOLERANCE, on_iteration)
+                state, _ = run_em(tracks, state, rounds, TOLERANCE, on_iteration)
             likelihood = log_likelihood(tracks, state)
             if likelihood > best_likelihood:
                 best, best_likelihood = state, likelihood
@@ -104,7 +104,7 @@ def with_modes(tracks: Tracks, state: State, count: int) -> State:
 
     Depth follows from the other frames as soon as EM goes on.
     """
-    found = weights(state, moments(tracks, state.bases))
+    found = e_step(state, point_sums(tracks, state.bases))
     axes = state.seen_axes
     shapes = np.tensordot(found.extended, state.bases, 1)
     left = tracks.positions - state.translations[:, None] - np.matmul(shapes, axes.transpose(0, 2, 1))
@@ -132,8 +132,8 @@ def smoothed(tracks: Tracks, state: State) -> State | None:
     normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
     mirror = np.eye(3) - 2 * np.outer(normal, normal)
     mirrored = replace(state, rotations=np.diag([1.0, 1.0, -1.0]) @ state.rotations @ mirror)
-    sums = moments(tracks, state.bases)
-    likelihoods = np.stack([weights(each, sums).log_likelihood for each in (state, mirrored)], axis=1)
+    sums = point_sums(tracks, state.bases)
+    likelihoods = np.stack([e_step(each, sums).log_likelihood for each in (state, mirrored)], axis=1)
     rotations = np.stack([state.rotations, mirrored.rotations], axis=1)
     turned_over = _smoothest(likelihoods / DOUBT, rotations) == 1
     if turned_over.all() or not (_angles(*rotations[turned_over].swapaxes(0, 1)) > TURNED_OVER).any():

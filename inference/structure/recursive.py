@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.mahalanobis import squared_distances
+from ...models.core.short_repr import short_repr
 from ..factor_analysis.moments import homogeneous
 from . import camera_motion
 from .camera_motion import CameraMotion
@@ -75,6 +76,7 @@ class ObservedPoints:
         return len(self.identities)
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class CameraEvidence:
     """What the last frames said of the camera, in information form.
@@ -92,6 +94,7 @@ class CameraEvidence:
     times: Numbers
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Structure:
     """Shape and camera; they are determined up to an affine change of both.

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
 from ..factor_analysis.factorisation import Factorisation, factorise, projected
 from ..factor_analysis.moments import homogeneous
 from . import camera_motion
@@ -44,6 +45,7 @@ ROUNDS = 100
 """Of learning the noise of the camera's motion."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Window:
     """Frames and what they show; when there are too many, every other one is dropped.

@@ -170,7 +170,7 @@ class _Association:
     def _assigned(self, membership: Numbers, noise: CorrelatedNoise, *, hard: bool) -> Numbers:
         """Membership after one turn of all tracks, short ones first."""
         tracks = self._tracks
-        information, vector, _, _ = noise.moments(tracks, self._cameras)
+        information, vector, _, _ = noise.information(tracks, self._cameras)
         mean, covariance = self._population()
         prior = np.linalg.inv(covariance)
         membership = np.ascontiguousarray(membership)
@@ -212,7 +212,7 @@ class _Association:
 
     def _points_given_cameras(self, membership: Numbers) -> tuple[Numbers, Numbers]:
         noise = CorrelatedNoise(self._fit.noise_variance / self._observations.scale**2, 0.0, 1.0)
-        information, vector, _, _ = noise.moments(self._tracks, self._cameras)
+        information, vector, _, _ = noise.information(self._tracks, self._cameras)
         whole = np.eye(3) + np.einsum("kp,kij->pij", membership, information)
         inverse = np.linalg.inv(whole)
         return np.einsum("pij,kp,kj->pi", inverse, membership, vector, optimize=True), inverse
@@ -234,7 +234,7 @@ class _Association:
 
     def _without_duplicates(self, membership: Numbers, noise: CorrelatedNoise) -> Numbers:
         """Memberships after points between which the same tracks are torn have become one."""
-        information, vector, _, _ = noise.moments(self._tracks, self._cameras)
+        information, vector, _, _ = noise.information(self._tracks, self._cameras)
         mean, covariance = self._population()
         prior = np.asarray(np.linalg.inv(covariance), np.float64)
         pull: Numbers = prior @ mean
@@ -256,7 +256,7 @@ class _Association:
 
     def _determined(self, membership: Numbers, noise: CorrelatedNoise) -> NDArray[np.bool_]:
         """Whether tracks say where each point is, in every frame."""
-        information, _, _, _ = noise.moments(self._tracks, self._cameras)
+        information, _, _, _ = noise.information(self._tracks, self._cameras)
         _, covariance = self._population()
         whole = np.linalg.inv(covariance) + np.einsum("kp,kij->pij", membership, information)
         rows = self._cameras[..., :3]
@@ -269,7 +269,7 @@ class _Association:
         membership = self._membership
         sure = membership > SURE
         columns = np.arange(membership.shape[1])
-        # of points that look alike tracks are never sure: the one that says most stays with its point
+        # of points that are alike tracks are never sure: the one that says most stays with its point
         anchors = (membership * self._counts[:, None]).argmax(axis=0)
         own = membership[anchors].argmax(axis=1) == columns
         sure[anchors[own], columns[own]] = True

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.short_repr import short_repr
 from ..numerics.threads import over_bands
 from . import colour
 from .gaussian import Subtraction, log_prior_odds, smooth
@@ -19,6 +20,7 @@ It is 2.5 standard deviations of one channel, as in the paper.
 """
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class MixturePrediction:
     """Prediction of every pixel's background value: the first components of its mixture, normalised.

@@ -13,15 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.frame import Frame
+from ..core.short_repr import short_repr
 from .gaussian import BackgroundFactor, Subtraction
 from .kernels.gaussian import ODDS_STEPS
 from .layers import NO_LAYERS, LayerStack, Region
 
 Map = NDArray[np.float32]
+
+TINT = 0.6
+TINT_COLOUR = (60, 60, 255)
+"""What is drawn over the foreground: its share, and BGR."""
 Box = tuple[int, int, int, int]
 Window = tuple[slice, slice]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class PixelMessage:
     """A product of factors over all pixels: a background prediction, layers of objects, an image.
@@ -181,6 +187,7 @@ class PixelMessage:
         return np.full((height, width), round(odds * ODDS_STEPS), np.int8)
 
 
+@short_repr
 @dataclass(frozen=True)
 class PixelLabels:
     """Feature node of per-pixel labels and colours, shared by background, blobs, and whatever covers pixels.
@@ -200,6 +207,11 @@ class PixelLabels:
     def evidence(self, frame: Frame, prior: PixelMessage) -> PixelMessage:
         """The image: L is what was seen."""
         return PixelMessage(image=frame.image)
+
+    def draw(self, picture: NDArray[np.uint8], belief: PixelMessage) -> None:
+        """Tint a BGR picture by P(B=0)."""
+        share = TINT * (1 - belief.background_probability()[..., None])
+        picture[...] = np.rint(picture + share * (np.array(TINT_COLOUR) - picture))
 
 
 def _inside(box: Box, size: tuple[int, int]) -> tuple[Window, Window]:

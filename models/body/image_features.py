@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.grey import grey_of
+from ..core.short_repr import short_repr
 
 BLUR = 1.2
 """px: of the picture in which edges are looked for."""
@@ -18,6 +19,7 @@ of a step of 3 levels, and goes on while it is above 0.4 of that: the steepest t
 stays below twice its median, and soft shades go by steps of one level."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BodyImage:
     """Everything that is asked of an image when poses of a body are compared with it, worked out once.

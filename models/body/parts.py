@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.drawing import draw_region
 from ..core.frame import Frame
 from ..core.gaussian_mixtures import GaussianMixtures
+from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from .image_features import BodyImage, edge_distances
 from .skin_blobs import SkinBlobs, skin_blobs
@@ -53,10 +55,14 @@ HEAD_SKIN, FALSE_HEADS = 0.6, 3.0
 HAND_FOUND, FALSE_HANDS = 0.8, 4.0
 """The same of a hand's blob."""
 
+COLOURS = ((60, 220, 60), (60, 60, 255), (255, 190, 40))
+"""BGR, of parts that are drawn."""
+
 CALIBRATION_FRAMES = 24
 """Frames of a clip that are looked at for faces, evenly spread."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class PartMessage:
     """What is said of the parts' positions, by chains and by the image.
@@ -91,6 +97,7 @@ class PartMessage:
         return type(self)(self.predicted * other.predicted, self.image or other.image)
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BodyParts:
     """Feature node of the places of head and hands in a picture.
@@ -204,6 +211,13 @@ class BodyParts:
         edges, directions = edge_distances(image, EDGE_REACH * height)
         seen = BodyImage(skin, moving, edges, directions, hands.means, hands.log_weights, mixtures)
         return PartMessage(self.uniform().predicted, seen)
+
+    def draw(self, picture: NDArray[np.uint8], belief: PartMessage) -> None:
+        """Draw into a BGR picture where head and hands are to 90 %, as far as that is known."""
+        height, width = picture.shape[:2]
+        moments = belief.mixtures.moments(float(height * width), (width / 2, height / 2))
+        for mean, covariance, colour in zip(*moments, COLOURS, strict=True):
+            draw_region(picture, mean, covariance, colour)
 
     def _moving(self, skin: NDArray[np.float32], faces: Array) -> NDArray[np.float32]:
         """Skin less what is there all the time; but of faces none is lost, since heads move."""

@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.short_repr import short_repr
 from ..numerics.rotations import logarithm
 
 Array = NDArray[np.float64]
@@ -15,6 +16,7 @@ ANGLES = 13
 """Degrees of freedom: two of the root, three of the neck, three of each shoulder, one of each elbow."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BodyPoses:
     """Poses of an upper body with 13 degrees of freedom, one an entry (RSMCM paper §4.1).

@@ -1,18 +1,15 @@
-"""Outlines of upper bodies in the picture, many poses at once, and pictures of their parts."""
+"""Outlines of upper bodies in the picture, many poses at once."""
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics.threads import over_bands
-from .kernels.silhouette import Solid, outlines, paint
+from .kernels.silhouette import Solid, outlines
 from .poses import BodyPoses
-
-if TYPE_CHECKING:
-    from .upper_body import UpperBody
+from .upper_body import UpperBody
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -58,10 +55,10 @@ class Silhouettes:
     part: NDArray[np.intp]
 
 
-def silhouettes(body: "UpperBody", poses: BodyPoses) -> Silhouettes:
+def silhouettes(body: UpperBody, poses: BodyPoses) -> Silhouettes:
     """Outlines of `poses`: ellipse of the head, tapered limbs, torso's sides and shoulders, round hands."""
     n = len(poses)
-    solid = _solid(body)
+    solid = solid_of(body)
     m = len(solid.circles)
     points, normals = np.empty((n, m, 2), np.float32), np.empty((n, m, 2), np.float32)
     visible = np.empty((n, m), np.bool_)
@@ -81,15 +78,9 @@ def silhouettes(body: "UpperBody", poses: BodyPoses) -> Silhouettes:
     return Silhouettes(points, normals, visible, part)
 
 
-def masks(body: "UpperBody", poses: BodyPoses, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """`(n, h, w)` pictures of `size` (h, w): 0, or 1 + the number in `OUTLINE_PARTS` of the nearest part."""
-    labels = np.zeros((len(poses), *size), np.uint8)
-    paint(poses.roots, poses.necks, poses.arms, _solid(body), labels)
-    return labels
-
-
 @lru_cache(maxsize=8)
-def _solid(body: "UpperBody") -> Solid:
+def solid_of(body: UpperBody) -> Solid:
+    """The body as compiled loops take it."""
     lengths = np.array(
         [
             body.neck,

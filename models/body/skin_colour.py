@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from ..core.short_repr import short_repr
 from .kernels.skin_colour import looked_up
 
 Array = NDArray[np.float64]
@@ -39,6 +40,7 @@ BLUR = 0.8
 """px: single pixels' noise is no colour."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class SkinColour:
     """How much more often colours are seen in a face than elsewhere.

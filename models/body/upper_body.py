@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from . import silhouette
+from ..core.short_repr import short_repr
 from .kernels.kinematics import place_joints, place_parts, within_limits
 from .poses import BodyPoses
 
@@ -65,6 +65,7 @@ class JointLimits:
 LIMITS = JointLimits()
 
 
+@short_repr
 @dataclass(frozen=True)
 class UpperBody:
     """Lengths and widths of an upper body that faces the camera, all in px.
@@ -162,14 +163,6 @@ class UpperBody:
             self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, parts,
         )  # fmt: skip
         return parts
-
-    def silhouettes(self, poses: BodyPoses) -> silhouette.Silhouettes:
-        """Outlines of `poses` in the picture, and which of their points are seen."""
-        return silhouette.silhouettes(self, poses)
-
-    def masks(self, poses: BodyPoses, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """`(n, h, w)` pictures of the parts, of `size` (h, w), see `body_outline.masks`."""
-        return silhouette.masks(self, poses, size)
 
     def allowed(self, poses: BodyPoses) -> Mask:
         """`(n,)`: whether every joint is within its limits and no arm goes through or behind the torso."""

@@ -8,8 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from .frame import Frame
+from .short_repr import short_repr
 
 
+@short_repr
 class CategoricalMessage:
     """A weight for each value of the feature.
 
@@ -44,6 +46,7 @@ class CategoricalMessage:
         return CategoricalMessage(self.log_weights + other.log_weights)
 
 
+@short_repr
 @dataclass(frozen=True)
 class Categorical:
     """Feature node with a few values.

@@ -5,7 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .short_repr import short_repr
 
+BoundingBox = tuple[float, float, float, float]
+"""x, y of the top left corner, width and height, px."""
+
+
+@short_repr
 @dataclass(frozen=True, eq=False)
 class GivenPoints:
     """Points that another detector or tracker has found in a frame.
@@ -38,6 +44,7 @@ class GivenPoints:
             raise ValueError("points: got identities that do not increase, expected each once, in order")
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One picture of a sequence.

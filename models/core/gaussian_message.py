@@ -7,12 +7,15 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .short_repr import short_repr
+
 Numbers = NDArray[np.float64]
 
 LEAST_INFORMATION = 1e-12
 """Smallest eigenvalue of an information matrix, scaled to a unit diagonal, that is told from rounding."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class GaussianMessage:
     """A product over things k of exp(scale_k + vector_k . F_k - F_k . information_k F_k / 2).

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from .kernels.gaussian_mixtures import products, sums_of_densities
+from .short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -23,6 +24,7 @@ NO_WEIGHT = -1e30
 """Log weight of a filler in kernels, where nothing is infinite."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class GaussianMixtures:
     """Per part p the function sum_k exp(log_weights[p, k]) g_pk(F_p) of its position F_p.
@@ -178,10 +180,6 @@ class GaussianMixtures:
         """`(n_parts,)` logs of the integrals; infinite with a flat component."""
         improper = (self.flat & np.isfinite(self.log_weights)).any(axis=1)
         return np.where(improper, np.inf, logsumexp(self.log_weights, axis=1))
-
-    def log_masses_within(self, area: float) -> Array:
-        """`(n_parts,)` logs of the integrals, those of flat components over a region of `area` px^2."""
-        return np.asarray(logsumexp(self.log_weights + np.where(self.flat, np.log(area), 0.0), axis=1))
 
     def log_values(self, points: Array) -> Array:
         """`(n, n_parts)` logs of the functions at `points`, `(n, n_parts, 2)` px."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..core.frame import Frame
 from ..core.grey import grey_of
+from ..core.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,7 @@ class PartDetector(Protocol):
         ...
 
 
+@short_repr
 @dataclass(frozen=True)
 class HaarFaces:
     """OpenCV's cascades of Haar features, which its versions 4 bring along.
@@ -95,6 +97,7 @@ class HaarFaces:
         return found
 
 
+@short_repr
 @dataclass(frozen=True)
 class YuNetFaces:
     """OpenCV's network YuNet, from a model file.

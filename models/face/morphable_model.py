@@ -6,6 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.pickling import PickledByFields
+from ..core.short_repr import short_repr
 from ..numerics.rotations import cross_matrices
 from .landmark_fit import LANDMARK_NOISE, fit_points
 from .pose import RIGID, Poses
@@ -14,8 +16,9 @@ from .surface_points import SurfacePoints
 Array = NDArray[np.float64]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
-class MorphableModel:
+class MorphableModel(PickledByFields):
     """Shape of a deformable object (G-flow paper §2.1): vertex i is at h_i c in the object's coordinates.
 
     Seen from the front and upright (rotation 1) x points right, y down and z away from the viewer. Bases are

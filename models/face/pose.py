@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.short_repr import short_repr
 from ..numerics.rotations import exponential, logarithm, nearest_rotation
 
 Array = NDArray[np.float64]
@@ -15,6 +16,7 @@ RIGID = 5
 """Degrees of freedom of rotation and translation, which come before the morph coefficients."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Poses:
     """Poses under weak perspective, one an entry (G-flow paper §2.1).

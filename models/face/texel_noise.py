@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+USUAL_RATE = 25.0
+"""Frames a second at which gains and temperatures are those of the steady state."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class TexelNoise:
     rendering
         sigma_w^2, squared grey levels: of a texel as the picture shows it.
     process
-        Psi_v, squared grey levels: by which a texel changes from frame to frame.
+        Psi_v, squared grey levels per second: by which a texel changes.
     """
 
     rendering: float
@@ -35,7 +35,7 @@ class TexelNoise:
     def of_steady_state(cls, gain: float, temperature: float) -> Self:
         """The noises for which gain and temperature settle at the given values, eq. (33) solved for them.
 
-        sigma_w^2 = (1 - K) tau and Psi = K^2 tau.
+        sigma_w^2 = (1 - K) tau, and Psi = K^2 tau from one frame to the next of `USUAL_RATE`.
 
         Raises
         ------
@@ -47,23 +47,15 @@ class TexelNoise:
                 f"texel noise: got gain {gain}, temperature {temperature}, expected a gain from 0 to 1 and a "
                 "temperature above 0"
             )
-        return cls((1 - gain) * temperature, gain**2 * temperature)
+        return cls((1 - gain) * temperature, gain**2 * temperature * USUAL_RATE)
 
     @property
     def steady_variance(self) -> float:
-        """V_inf, squared grey levels, eq. (34)."""
-        return 0.5 * (self.process + self._root)
-
-    @property
-    def steady_gain(self) -> float:
-        """K_inf, eq. (35), in a form without the difference of nearly equal numbers."""
-        return 2 * self.process / (self.process + self._root) if self.process else 0.0
+        """V_inf, squared grey levels, eq. (34): of predictions from frame to frame of `USUAL_RATE`."""
+        change = self.process / USUAL_RATE
+        return 0.5 * (change + float(np.sqrt(change**2 + 4 * self.rendering * change)))
 
     @property
     def temperature(self) -> float:
         """tau_inf = V_inf + sigma_w^2, squared grey levels (§4.1)."""
         return self.steady_variance + self.rendering
-
-    @property
-    def _root(self) -> float:
-        return float(np.sqrt(self.process**2 + 4 * self.rendering * self.process))

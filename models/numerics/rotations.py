@@ -8,12 +8,8 @@ Array = NDArray[np.float64]
 
 
 def exponential(vectors: Array) -> Array:
-    """`(n, 3, 3)` rotations exp([w]x) about the rotation vectors `(n, 3)` rad (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
-    cross = cross_matrices(vectors)
-    sine = np.sinc(angle / np.pi)
-    versine = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2  # (1 - cos) / angle^2 without its cancellation
-    rotations: Array = np.eye(3) + sine * cross + versine * (cross @ cross)
+    """`(n, 3, 3)` rotations exp([w]x) about the rotation vectors `(n, 3)` rad."""
+    rotations: Array = Rotation.from_rotvec(vectors).as_matrix()
     return rotations
 
 

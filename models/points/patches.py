@@ -5,10 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.short_repr import short_repr
+
 Numbers = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Patches:
     """What points look like.

@@ -11,9 +11,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.drawing import draw_region
 from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
 from ..core.grey import grey_of
+from ..core.short_repr import short_repr
 from .alignment import sample_patches
 from .corners import find_corners
 from .patches import Patches
@@ -23,10 +25,14 @@ Numbers = NDArray[np.float64]
 
 PLANE = 2
 
+COLOUR = (60, 220, 60)
+"""BGR, of points that are drawn."""
+
 NOWHERE = GivenPoints(np.zeros((0, PLANE)), np.zeros(0, np.int64))
 """No points."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class View:
     """A picture that has been searched, and what was found in it.
@@ -70,6 +76,7 @@ class View:
         return find_corners(self.grey, most, away_from, spacing, self.patch)
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class PointMessage:
     """Independent Gaussians over positions by identity, and what goes with them.
@@ -138,6 +145,7 @@ def _grouped(
     return groups
 
 
+@short_repr
 @dataclass(frozen=True)
 class PointTracks:
     """Feature node of points in the picture, shared by trackers and by what knows how points move together.
@@ -218,6 +226,12 @@ class PointTracks:
         positions = GaussianMessage.from_moments(seen, position, spread)
         positions = replace(positions, log_scale=positions.log_scale + np.log(grey.size))
         return positions, GivenPoints(position, seen)
+
+    def draw(self, picture: NDArray[np.uint8], belief: PointMessage) -> None:
+        """Draw into a BGR picture where the points are to 90 %."""
+        _, means, covariances = belief.positions.moments
+        for mean, covariance in zip(means, covariances, strict=True):
+            draw_region(picture, mean, covariance, COLOUR)
 
     def _given(self, points: GivenPoints, time: float) -> PointMessage:
         covariance = np.broadcast_to(self.noise**2 * np.eye(PLANE), (len(points.identities), PLANE, PLANE))

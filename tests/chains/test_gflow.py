@@ -10,10 +10,13 @@ from rsmcm.apps.scenes import FaceScene, face
 from rsmcm.chains.gflow import GFlow, GFlowState
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.core.checkpoint import load, save
+from rsmcm.inference.core.protocols import Incoming
 from rsmcm.inference.core.recursive_bp import RunState
 from rsmcm.models import Frame, PixelLabels
+from rsmcm.models.background.pixel_labels import PixelMessage
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_points import SurfacePoints
+from rsmcm.models.points.point_tracks import PointTracks
 
 N_FRAMES = 24
 
@@ -86,6 +89,32 @@ def test_missing_frames_are_predicted(scene: FaceScene, images: list[NDArray[np.
     assert followed[9].elapsed == pytest.approx(2 / 25)
     np.testing.assert_array_equal(followed[9].poses.morphs, followed[7].poses.morphs)
     assert error(chain, scene, followed[-1], 15) < 2
+
+
+def test_two_predictions_are_one(scene: FaceScene, images: list[NDArray[np.uint8] | None]) -> None:
+    chain = chain_for(scene, tracked=(1, 5, 9))
+    pixels, points = PixelLabels(), PointTracks()
+    state = states(chain, images[:6])[-1]
+    once = chain.predict(state, 0.24)
+    twice = chain.predict(chain.predict(state, 0.1), 0.14)
+    nothing = Incoming({pixels: pixels.uniform(), points: points.uniform()})
+    for one, other in zip(
+        chain.message(once, points, nothing).positions.moments,
+        chain.message(twice, points, nothing).positions.moments,
+        strict=True,
+    ):
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+    seen = Incoming({pixels: PixelMessage(image=images[11])})
+    one, other = (chain.update(state, seen) for state in (once, twice))
+    np.testing.assert_allclose(one.poses.morphs, other.poses.morphs, atol=1e-6)
+    np.testing.assert_allclose(one.texture.variance, other.texture.variance, rtol=1e-5)
+
+
+def test_follows_at_half_the_rate(scene: FaceScene, images: list[NDArray[np.uint8] | None]) -> None:
+    chain = chain_for(scene)
+    engine = RecursiveBP(MultiChain().connect(chain, PixelLabels()))
+    last = [belief[chain] for belief in engine.run(images[::2], dt=2 / 25)][-1]
+    assert error(chain, scene, last, N_FRAMES - 2) < 1.5
 
 
 def test_says_that_it_is_lost_and_finds_the_face_elsewhere(
@@ -167,7 +196,7 @@ def test_starts_where_a_function_finds_the_face(
 @pytest.mark.parametrize(
     ("setting", "value"),
     [("experts", 0), ("gain", 1.5), ("gain", "much"), ("temperature", 0.0), ("texels", 0), ("radius", 0.0),
-     ("effective_pixels", 0.0), ("samples", 0), ("spread", -1.0), ("resample_every", 0), ("levels", 4)],
+     ("effective_pixels", 0.0), ("samples", 0), ("spread", -1.0), ("resample_interval", 0.0), ("levels", 4)],
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_refused(scene: FaceScene, setting: str, value: object) -> None:
     with pytest.raises(ValueError, match=setting):

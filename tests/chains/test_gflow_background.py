@@ -14,6 +14,7 @@ from rsmcm.inference.core.graph import MultiChain
 from rsmcm.inference.core.protocols import Incoming
 from rsmcm.inference.core.recursive_bp import RecursiveBP
 from rsmcm.inference.face.background_contrast import (
+    TRUST_TIME,
     UNSEEN,
     BackgroundContrast,
     OccludedBackground,
@@ -40,6 +41,7 @@ Array = NDArray[np.float64]
 SIZE = (120, 160)
 WHOLE = Box(0, 0, *SIZE)
 PIXELS = PixelLabels()
+DT = 1 / 25
 
 
 # Units
@@ -144,11 +146,12 @@ def test_maps_are_kalman_filters_of_pixels() -> None:
     mean, variance = np.zeros((2, *SIZE)), np.full((2, *SIZE), UNKNOWN_VARIANCE)
     for image, covers in zip(images, hidden, strict=True):
         parents = np.array([1, 0])
-        maps = maps.updated(image, parents, covers, box)
-        gain = variance[parents] / (variance[parents] + NOISE)
+        maps = maps.updated(image, parents, covers, box, DT)
+        variance = np.minimum(variance[parents] + WANDERING * DT, UNKNOWN_VARIANCE)
+        gain = variance / (variance + NOISE)
         gain[:, 10:40, 20:60] *= 1 - covers
         mean = mean[parents] + gain * (image - mean[parents])
-        variance = np.minimum((1 - gain) * variance[parents] + WANDERING, UNKNOWN_VARIANCE)
+        variance = (1 - gain) * variance
     np.testing.assert_allclose(maps.mean, mean, rtol=1e-4, atol=1e-2)
     np.testing.assert_allclose(maps.variance, variance, rtol=1e-4)
 
@@ -159,16 +162,17 @@ def test_what_an_expert_never_saw_says_nothing_and_the_rest_is_a_density() -> No
     box = Box(30, 40, 50, 60)
     hidden = np.zeros((2, 50, 60), np.uint8)
     hidden[1, 10:40, 10:50] = 1
-    maps = ExpertBackground.unknown(2, SIZE).updated(image, np.arange(2), hidden, box)
+    maps = ExpertBackground.unknown(2, SIZE).updated(image, np.arange(2), hidden, box, 0.0)
     flat = np.zeros((50, 60), np.float32)
-    found = maps.contrast(image, box, flat, units(image, 24.0, local_mean=True))
+    found = maps.contrast(image, box, flat, units(image, 24.0, local_mean=True), DT)
     assert np.abs(found.log_ratio[1, 10:40, 10:50]).max() < 1e-5
     assert (found.trust[0] > 0.98).all()
-    variance = maps.variance.astype(float) + NOISE
+    predicted = np.minimum(maps.variance.astype(float) + WANDERING * DT, UNKNOWN_VARIANCE)
+    variance = predicted + NOISE
     nats = np.log(256) - 0.5 * (
         np.log(2 * np.pi * variance) + (image - maps.mean.astype(float)) ** 2 / variance
     )
-    trust = 1 - maps.variance / UNKNOWN_VARIANCE
+    trust = 1 - predicted / UNKNOWN_VARIANCE
     np.testing.assert_allclose(found.everywhere, (trust * nats).sum(axis=(1, 2)), rtol=1e-4)
     np.testing.assert_allclose(found.log_ratio, (trust * nats)[:, 30:80, 40:100], atol=1e-3)
 
@@ -186,9 +190,10 @@ def test_trust_grows_where_predictions_come_true_and_the_object_is_not() -> None
     changed[:20] = 200
     for image, visible in ((scene, ~hidden), (changed, hidden)):
         message = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage(image=image)}))
-        trust = SharedBackground(message * PixelMessage(image=image)).trust_after(trust, ~visible, box)
-    assert (trust[45, 65], trust[60, 5]) == (UNSEEN, pytest.approx(1 - 0.875**2))
-    assert trust[5, 5] == pytest.approx(0.125 * 0.875)
+        trust = SharedBackground(message * PixelMessage(image=image)).trust_after(trust, ~visible, box, DT)
+    left = np.exp(-DT / TRUST_TIME)
+    assert (trust[45, 65], trust[60, 5]) == (UNSEEN, pytest.approx(1 - left**2))
+    assert trust[5, 5] == pytest.approx((1 - left) * left)
 
 
 def following(scene: FaceScene, **options: Any) -> tuple[GFlow, AdaptiveBackground, MultiChain]:
@@ -268,7 +273,7 @@ def test_a_tracker_that_knows_nothing_says_nothing() -> None:
     nothing = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage()}))
     assert nothing.layers.layers == ()
     assert nothing.image is None
-    lost = replace(state, doubts=9, frames_seen=5)
+    lost = replace(state, doubt=9.0, frames_seen=5)
     others = Incoming({PIXELS: PixelMessage(image=scene.image(0))})
     message = chain.message(lost, PIXELS, others)
     assert lost.lost

@@ -48,8 +48,8 @@ def test_predicted_points_have_the_moments_of_the_mixture() -> None:
     random = np.random.default_rng(0)
     n = 200_000
     owner = random.choice(3, n, p=weights)
-    changes = random.normal(size=(n, previous.dimension)) * np.sqrt(prior.walk)
-    samples = model.project(previous[owner].moved(changes))[:, chosen]
+    changes = random.normal(size=(n, previous.dimension)) * np.sqrt(prior.variance)
+    samples = model.project(prior.mean[owner].moved(changes))[:, chosen]
     np.testing.assert_array_equal(identities, chosen)
     np.testing.assert_allclose(means, samples.mean(axis=0), atol=0.05)
     for k in range(3):

@@ -464,6 +464,22 @@ def test_time_counts_and_not_frames() -> None:
     np.testing.assert_allclose(speeds, 2.0 / DT, rtol=0.03)
 
 
+@pytest.mark.parametrize("steps", [(0.04,) * 10, (0.1, 0.3), (0.4, 0.0)])
+def test_some_steps_are_one_long_step(steps: tuple[float, ...]) -> None:
+    tracker = PointTracker(n_points=40)
+    *_, last = RecursiveBP(MultiChain().connect(tracker, PointTracks())).run(film(sliding(5)))
+    once = several = last[tracker]
+    once = tracker.predict(once, sum(steps))
+    for dt in steps:
+        several = tracker.predict(several, dt)
+    assert once.rested == pytest.approx(several.rested, rel=1e-12)
+    np.testing.assert_allclose(once.known.unseen, several.known.unseen, rtol=1e-12)
+    np.testing.assert_allclose(once.known.states.mean, several.known.states.mean, rtol=1e-9)
+    np.testing.assert_allclose(
+        once.known.states.covariance, several.known.states.covariance, rtol=1e-9, atol=1e-9
+    )
+
+
 def test_a_run_goes_on_from_a_file_as_if_nothing_had_been(
     tmp_path: Path, hidden: tuple[list[Frame], tuple[Pose, ...]]
 ) -> None:

@@ -445,7 +445,7 @@ def together(runs: list[Followed], name: str) -> Numbers:
     return np.concatenate([getattr(run, name) for run in runs])
 
 
-def test_predictions_are_sharp_and_honest(followed: list[Followed]) -> None:
+def test_predictions_are_sharp_and_consistent(followed: list[Followed]) -> None:
     """Five runs, 75 frames each, noise of 1 px. All points of a run share cameras and shape, so runs are what
     is independent: means of normalised errors differ from run to run by 0.1, their mean by 0.045. Allowed are
     four of these, and 0.1 for what is approximate: points and camera are not independent of each other.
@@ -532,8 +532,8 @@ def test_what_is_said_of_a_point_never_comes_back() -> None:
             other = chain.message(ahead, points, Incoming({points: at(identities, positions)})).positions
             np.testing.assert_allclose(other.marginal(point)[0], message.marginal(point)[0], atol=1e-6)
             # its neighbours hear of it, if it is not too far off
-            heard = np.abs(other.marginal(5)[0] - message.marginal(5)[0]).max()
-            assert heard > 1e-4 if shift < 2 else heard < 1.0
+            moved = np.abs(other.marginal(5)[0] - message.marginal(5)[0]).max()
+            assert moved > 1e-4 if shift < 2 else moved < 1.0
         silent = chain.message(
             ahead,
             points,

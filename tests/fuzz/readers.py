@@ -9,7 +9,8 @@ from rsmcm.apps.background.application import build_model
 from rsmcm.apps.background.parameters import read_parameters, with_defaults
 from rsmcm.apps.body.joint_files import read_joints
 from rsmcm.apps.body.start import start_from_head
-from rsmcm.apps.evaluation.scoring import Scoring, track_rows
+from rsmcm.apps.evaluation.scoring import Scoring
+from rsmcm.apps.evaluation.tracks import track_rows
 from rsmcm.apps.evaluation.validity import report_validity
 from rsmcm.apps.io.ground_truth import BoxTruth, read_ground_truth
 from rsmcm.apps.io.mot import read_tracks

@@ -1,11 +1,17 @@
-"""Poses of an upper body to test with: hanging arms, arms of given angles, turns of upper arms."""
+"""Poses of an upper body to test with: hanging arms, arms of given angles, turns of upper arms, masks."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from rsmcm.models.body.kernels.silhouette import _fronts, _put_body
 from rsmcm.models.body.poses import BodyPoses, cross, transport
+from rsmcm.models.body.silhouette import OUTLINE_PARTS, solid_of
+from rsmcm.models.body.upper_body import UpperBody
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
+
+FAR = 1e9
+"""Depth where a part is not."""
 
 
 def resting(roots: ArrayLike) -> BodyPoses:
@@ -36,3 +42,19 @@ def twists(arms: Array) -> Array:
     local = np.einsum("...ij,...i->...j", transport(arms[..., 0, :]), axis)
     turns: Array = np.arctan2(-local[..., 2], local[..., 0])
     return turns
+
+
+def masks(body: UpperBody, poses: BodyPoses, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """`(n, h, w)` pictures of `size` (h, w): 0, or 1 + the number in `OUTLINE_PARTS` of the nearest part."""
+    solid = solid_of(body)
+    rows, columns = (each.reshape(-1).astype(np.float32) for each in np.indices(size))
+    labels = np.zeros((len(poses), *size), np.uint8)
+    shapes = np.zeros((len(OUTLINE_PARTS), 11), np.float32)
+    fronts = np.empty((len(OUTLINE_PARTS), rows.size), np.float32)
+    for pose in range(len(poses)):
+        _put_body(poses.roots[pose], poses.necks[pose], poses.arms[pose], solid.lengths, solid.torso, shapes)
+        for part in range(len(OUTLINE_PARTS)):
+            _fronts(shapes[part], part, solid.torso, np.float32(0), columns, rows, fronts[part])
+        nearest = np.where(fronts.min(axis=0) < FAR, 1 + fronts.argmin(axis=0), 0)
+        labels[pose] = nearest.reshape(size)
+    return labels

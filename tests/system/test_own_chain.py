@@ -52,10 +52,11 @@ def test_closed_hours_are_left_to_the_others(page: tuple[dict[str, Any], list[tu
     assert message.background is None
 
 
-def test_the_chain_is_about_forty_lines() -> None:
+def test_the_chain_is_forty_lines_and_knows_nothing_private() -> None:
     block = re.search(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
     assert block is not None
-    assert len([line for line in block[1].splitlines() if line.strip()]) < 50
+    assert len([line for line in block[1].splitlines() if line.strip()]) <= 40
+    assert not re.search(r"\b_\w|/ 20\b(?!,|\))", block[1])
 
 
 def test_cut_edge_leaves_the_background_alone(page: tuple[dict[str, Any], list[tuple[str, str]]]) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...background.methods import CHAINS, ModelSubtractor
-from ...evaluation.metrics import PixelScore, total
+from ...evaluation.masks import PixelScore, total
 from ...io.datasets import data_folder
 from ...io.ground_truth import MaskTruth, read_ground_truth
 from ...io.sources.open_source import open_source

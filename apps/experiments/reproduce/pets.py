@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ...background.compare import PRIORS, SHOWN_PRIOR, Gallery, write_comparison
 from ...background.methods import CHAINS, Model, ModelSubtractor
-from ...evaluation.metrics import ErrorClasses, TrackScores, error_classes, evaluate_tracks
+from ...evaluation.masks import ErrorClasses, error_classes
+from ...evaluation.tracks import TrackScores, evaluate_tracks
 from ...io.datasets import data_folder
 from ...io.ground_truth import BoxTruth, read_ground_truth
 from ...io.sources.open_source import open_source
@@ -252,7 +253,7 @@ def _tried(
 
 
 def _track_scores(truth: BoxTruth, rows: list[tuple[float, ...]]) -> TrackScores:
-    return evaluate_tracks(truth, np.array(rows, np.float64).reshape(-1, 6), truth.frames)
+    return evaluate_tracks(np.array(rows, np.float64).reshape(-1, 6), truth)
 
 
 def _sum(row: Row[ErrorClasses]) -> ErrorClasses:

@@ -30,7 +30,7 @@ SHOWN = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class LearnedShape:
     """A shape learned, and how far it is from the truth.
 
     Parameters
@@ -74,13 +74,13 @@ def reproduce_shapes(out: Path) -> None:
     """
     folder = data_folder("nrsfm-torresani")
     out.mkdir(parents=True, exist_ok=True)
-    outcomes = []
+    results = []
     with Progress("shapes", len(BASES) * len(MISSING), unit="shapes") as progress:
         for name, bases in BASES.items():
             truth = read_truth(folder / f"{name}.mat")
             for missing in MISSING:
                 tracks = withheld(truth[..., :2], missing, np.random.default_rng(SEED))
-                outcomes.append(Outcome(name, missing, learn_shape(tracks, bases), truth))
+                results.append(LearnedShape(name, missing, learn_shape(tracks, bases), truth))
                 progress.update()
     header = ("sequence", "bases", "missing", "3-D error", "after turning", "reprojection", "iterations")
     lines: list[list[object]] = [
@@ -93,13 +93,13 @@ def reproduce_shapes(out: Path) -> None:
             f"{each.learned.relative_error:.2%}",
             len(each.learned.history),
         ]
-        for each in outcomes
+        for each in results
     ]
     expectations = [
         Expectation(
             f"{each.name}, {each.missing:.0%} missing: 3-D error", each.error, "<=", PUBLISHED[each.name]
         )
-        for each in outcomes
+        for each in results
     ]
     pictures = [
         plots.figure(
@@ -107,7 +107,7 @@ def reproduce_shapes(out: Path) -> None:
             (12.0, 5.5),
             f"{each.name}, {each.missing:.0%} missing: from the camera and from above; circles: truth",
         )
-        for each in outcomes
+        for each in results
         if each.missing in (MISSING[0], MISSING[-1])
     ]
     measured = Table(header, lines, EXPLANATION)
@@ -180,9 +180,9 @@ def turned_onto(shapes: Numbers, truth: Numbers) -> Numbers:
     return nearer
 
 
-def draw(canvas: Figure, outcome: Outcome) -> None:
+def draw(canvas: Figure, result: LearnedShape) -> None:
     """Some frames' shapes over the truth, from the camera and from above."""
-    placed, truth = outcome.placed, centred(outcome.truth)
+    placed, truth = result.placed, centred(result.truth)
     frames: Sequence[int] = np.linspace(0, len(truth) - 1, SHOWN).astype(int).tolist()
     for column, frame in zip(canvas.subplots(2, SHOWN).T, frames, strict=True):
         for axis, height in zip(column, (1, 2), strict=True):

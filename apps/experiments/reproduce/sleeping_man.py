@@ -10,7 +10,7 @@ from ....models.core.frame import Frame
 from ...background.compare import SHOWN_PRIOR
 from ...background.methods import CHAINS, Model
 from ...drawing.mosaic import mosaic
-from ...evaluation.metrics import PixelScore, joined, total
+from ...evaluation.masks import PixelScore, joined, total
 from ...io.files import write_image
 from ...reports import page
 from ...reports.expectations import Expectation

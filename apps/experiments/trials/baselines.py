@@ -12,7 +12,7 @@ from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from ...evaluation.metrics import box_overlap
+from ...evaluation.tracks import box_overlap
 from ...io.sources.open_source import open_source
 from ...runs.progress import Progress
 

@@ -236,7 +236,7 @@ class _GroundTruthTexture:
             surface,
             self.levels(index),
             texture.mean,
-            texture.temperature(self.chain.noise),
+            texture.predicted(self.chain.noise, self.clip.scene.dt).temperature(self.chain.noise),
             surface.visible(poses),
         )
 
@@ -247,7 +247,9 @@ class _GroundTruthTexture:
         truth = self.clip.scene.poses[index]
         surface = self.chain.object
         observed, seen = surface.observe(self.levels(index), truth, surface.visible(truth))
-        self.texture, self.learned = self.texture.updated(observed, seen, self.chain.noise), index
+        noise, elapsed = self.chain.noise, self.clip.scene.dt if index else 0.0
+        predicted = self.texture.predicted(noise, elapsed)
+        self.texture, self.learned = predicted.updated(observed, seen, noise, elapsed), index
         return self.texture
 
     def covariance(self, before: GFlowState, after: GFlowState, mean: Poses) -> Numbers:

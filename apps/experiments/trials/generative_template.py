@@ -185,8 +185,8 @@ class GenerativeTemplate:
         sums = _FrameSums(zero, np.zeros((self.levels, n_texels)), zero, zero)
         poses, covariances, occlusion, bound = [], [], [], 0.0
         for number, picture in enumerate(pictures):
-            levels = self._levels(picture, float(prior.previous.sizes[0]))
-            own = replace(prior, previous=prior.previous[number])
+            levels = self._levels(picture, float(prior.mean.sizes[0]))
+            own = replace(prior, mean=prior.mean[number])
             frame = _Frame(self, clip, levels, own, self.surface.visible(clip.poses[number])[0])
             pose = clip.poses[number]
             if number:

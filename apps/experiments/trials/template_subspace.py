@@ -215,5 +215,5 @@ def best_pose(
     effective_pixels: float,
 ) -> Modes:
     """The pose in which a picture is nearest to the subspace, sought from the one before."""
-    likelihood = SubspaceLikelihood(surface, levels, subspace, surface.visible(prior.previous)[0])
-    return find_modes(likelihood, prior, prior.previous, effective_pixels, len(levels) - 1)
+    likelihood = SubspaceLikelihood(surface, levels, subspace, surface.visible(prior.mean)[0])
+    return find_modes(likelihood, prior, prior.mean, effective_pixels, len(levels) - 1)

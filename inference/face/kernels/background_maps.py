@@ -12,7 +12,7 @@ _LOG_GREYS = _f4(np.log(256))
 
 
 class MapNoise(NamedTuple):
-    """Squared grey levels: of an observation, of a change between two, and of a pixel never seen."""
+    """Squared grey levels: of an observation, of a change since the last one, and of a pixel never seen."""
 
     observation: np.float32
     change: np.float32
@@ -36,7 +36,7 @@ def compare_with_maps(grey, mean, variance, box, noise, least, ratio, trust, eve
             seen, expected, spread = grey[y], mean[m, y], variance[m, y]
             in_row = _f4(0)
             for x in range(width):
-                before = spread[x]
+                before = min(spread[x] + noise.change, noise.unknown)
                 whole = before + noise.observation
                 off = _f4(seen[x]) - expected[x]
                 nats = _LOG_GREYS - _f4(0.5) * (_LOG_2_PI + logarithm(whole) + off * off / whole)
@@ -68,6 +68,7 @@ def update_maps(grey, mean, variance, parents, hidden, box, noise, new_mean, new
             seen, before, spread = grey[y], mean[parent, y], variance[parent, y]
             after, narrow = new_mean[m, y], new_variance[m, y]
             for x in range(width):
-                gain = shown[x] * spread[x] / (spread[x] + noise.observation)
+                wide = min(spread[x] + noise.change, noise.unknown)
+                gain = shown[x] * wide / (wide + noise.observation)
                 after[x] = before[x] + gain * (_f4(seen[x]) - before[x])
-                narrow[x] = min((_f4(1) - gain) * spread[x] + noise.change, noise.unknown)
+                narrow[x] = (_f4(1) - gain) * wide

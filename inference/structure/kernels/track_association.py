@@ -6,7 +6,7 @@ from ....models.numerics.compiled import compiled, inlined
 
 
 @compiled
-def track_moments(tracks, cameras, white, drift, decay):
+def track_information(tracks, cameras, white, drift, decay):
     """What each track says of its point, under noise that is in part remembered from frame to frame.
 
     The error of a track along each axis is white noise of variance white / weight plus a first-order

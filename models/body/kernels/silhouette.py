@@ -255,25 +255,6 @@ def _trace_capsule(shape, xs, ys, normals, depths):
 
 
 @compiled
-def _box(shape, kind, torso, box):
-    """What a part covers: least x, greatest x, least y, greatest y."""
-    if kind == _TORSO:
-        half = torso[2, 2]
-        box[0] = shape[0] - half + min(shape[4] * (torso[1, 0] - shape[5]), _f4(0))
-        box[1] = shape[0] + half + max(shape[4] * (torso[1, 0] - shape[5]), _f4(0))
-        box[2], box[3] = shape[1] + shape[5], shape[1] + torso[3, 0] + torso[3, 1]
-    elif kind in _ROUND:
-        determinant = shape[3] * shape[5] - shape[4] * shape[4]
-        wide, high = np.sqrt(shape[5] / determinant), np.sqrt(shape[3] / determinant)
-        box[0], box[1], box[2], box[3] = shape[0] - wide, shape[0] + wide, shape[1] - high, shape[1] + high
-    else:
-        last = shape[6] + shape[7]
-        for k in range(2):
-            box[2 * k] = min(shape[k] - shape[6], shape[k] + shape[3 + k] - last)
-            box[2 * k + 1] = max(shape[k] + shape[6], shape[k] + shape[3 + k] + last)
-
-
-@compiled
 def _fronts(shape, kind, torso, rim, xs, ys, out):
     """Depths `out` `(m,)` of a part's front at points `(m,)`, `_FAR` where it is not.
 
@@ -332,33 +313,3 @@ def outlines(roots, necks, arms, solid, points, normals, visible):
             at[k, 0], at[k, 1] = xs[k], ys[k]
         for k in range(count):
             shown[k] = least[k] >= depths[k] - solid.tolerance
-
-
-@compiled
-def paint(roots, necks, arms, solid, labels):
-    """Write into `labels` `(n, height, width)` uint8, zero before, 1 + the nearest part at each pixel."""
-    height, width = labels.shape[1], labels.shape[2]
-    shapes = np.zeros((_N_PARTS, 11), np.float32)
-    box = np.zeros(4, np.float32)
-    nearest = np.empty((height, width), np.float32)
-    columns, row, fronts = np.empty((3, width), np.float32)
-    for x in range(width):
-        columns[x] = x
-    for pose in range(len(roots)):
-        _put_body(roots[pose], necks[pose], arms[pose], solid.lengths, solid.torso, shapes)
-        nearest.fill(_FAR)
-        for part in range(_N_PARTS):
-            _box(shapes[part], part, solid.torso, box)
-            begin = max(np.int64(np.ceil(box[0])), 0)
-            stop = min(np.int64(np.floor(box[1])) + 1, width)
-            for y in range(max(np.int64(np.ceil(box[2])), 0), min(np.int64(np.floor(box[3])) + 1, height)):
-                if begin >= stop:
-                    continue
-                for x in range(begin, stop):
-                    row[x] = y
-                run = slice(begin, stop)
-                _fronts(shapes[part], part, solid.torso, _f4(0), columns[run], row[run], fronts[run])
-                for x in range(begin, stop):
-                    if fronts[x] < nearest[y, x]:
-                        nearest[y, x] = fronts[x]
-                        labels[pose, y, x] = part + 1

@@ -18,7 +18,8 @@ from rsmcm.apps.background.application import ENGINES, build_model, run_backgrou
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.parameters import SECTIONS, read_parameters, with_defaults
-from rsmcm.apps.evaluation.scoring import Scoring, track_rows
+from rsmcm.apps.evaluation.scoring import Scoring
+from rsmcm.apps.evaluation.tracks import track_rows
 from rsmcm.apps.io.ground_truth import MaskTruth, read_ground_truth
 from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.sources.open_source import open_source

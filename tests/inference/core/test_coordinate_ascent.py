@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -117,6 +119,43 @@ def test_ascent_ends_at_the_joint_optimum(chains: tuple[Quadratic, ...]) -> None
     assert solution.objective == max(objectives)
     assert len(solution[level]) == N_FRAMES
     assert [len(message) for message in solution.evidence(level)] == [1] * N_FRAMES
+
+
+@pytest.mark.parametrize("chains", list(permutations((SMOOTH, CALM, THIRD))))
+def test_order_of_connection_changes_no_byte(chains: tuple[Quadratic, ...]) -> None:
+    level = Level()
+    usual, other = (
+        reduce(lambda model, chain: model.connect(chain, level), order, MultiChain())
+        for order in ((SMOOTH, CALM, THIRD), chains)
+    )
+    one, two = (CoordinateAscent(model, most_rounds=3).run(FRAMES) for model in (usual, other))
+    assert [report.smoothed for report in one.rounds] == [("calm", "smooth", "third")] * 3
+    assert [report.objective for report in one.rounds] == [report.objective for report in two.rounds]
+    for chain in chains:
+        np.testing.assert_array_equal(one[chain].values, two[chain].values)
+
+
+def test_what_is_no_answer_is_refused() -> None:
+    class Short(Quadratic):
+        def messages(self, trajectory: Path, feature: Level) -> list[GaussianMessage]:
+            return super().messages(trajectory, feature)[1:]
+
+    class Mute(Quadratic):
+        def messages(self, trajectory: Path, feature: Level) -> Any:
+            return [None] * N_FRAMES
+
+    class Bare(Quadratic):
+        def smooth(self, incoming_over_time: Sequence[BatchIncoming], current: Path | None = None) -> Any:
+            return super().smooth(incoming_over_time, current).trajectory
+
+    numbers = CALM.precision, CALM.pull, CALM.spread
+    for kind, expected in (
+        (Short, "messages of 'x': got 11, expected 12, one a frame"),
+        (Mute, "message from 'x' to 'level': got NoneType, expected GaussianMessage"),
+        (Bare, "chain 'x': smooth gave Path, expected Smoothed"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=expected):
+            CoordinateAscent(MultiChain().connect(kind("x", *numbers), Level())).run(FRAMES)
 
 
 def test_without_feedback_one_round_is_all() -> None:

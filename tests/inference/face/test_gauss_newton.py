@@ -100,9 +100,7 @@ def test_the_prior_decides_where_there_is_nothing_to_see() -> None:
     start = moved_by(truth, 1.0, 7)
     prior = PosePrior.after(truth, PoseDynamics(), 24.0, 0.04)
     modes = find_modes(nothing, prior, start, EFFECTIVE, 2)
-    pull = prior.walk[5:] / (prior.walk[5:] + prior.spread)
-    wanted = Poses(truth.rotations, truth.translations, truth.morphs + pull * (prior.middle - truth.morphs))
-    assert vertex_error(likelihood, modes.poses, wanted).max() < 0.03
+    assert vertex_error(likelihood, modes.poses, prior.mean).max() < 0.03
     np.testing.assert_allclose(modes.precision, np.tile(np.diag(prior.precision), (3, 1, 1)), rtol=1e-6)
 
 

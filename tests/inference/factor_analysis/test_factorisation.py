@@ -1,4 +1,4 @@
-"""Structure from motion as factor analysis: exact where it can be, at the optimum, honest about errors."""
+"""Structure from motion as factor analysis: exact where it can be, at the optimum, with errors as stated."""
 
 from dataclasses import replace
 
@@ -205,7 +205,7 @@ def test_coherence_bridges_frames_that_share_no_points() -> None:
     assert np.abs(predictions[:15, 40:] - positions[:15]).mean() < 15  # the cloud is 100 px large
 
 
-# --- honest -------------------------------------------------------------------------------------------------
+# --- consistent ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("coherence", [False, True])

@@ -84,7 +84,7 @@ def some_state(missing: float = 0.3) -> tuple[em.Tracks, em.State]:
 
 def test_weights_and_likelihood_are_those_of_the_joint_gaussian() -> None:
     tracks, state = some_state()
-    found = em.weights(state, em.moments(tracks, state.bases))
+    found = em.e_step(state, em.point_sums(tracks, state.bases))
     for frame, axes in enumerate(state.seen_axes):
         seen = tracks.seen[frame] > 0
         matrix = np.stack([(basis[seen] @ axes.T).ravel() for basis in state.bases], axis=1)
@@ -113,14 +113,14 @@ def moved(state: em.State, changes: Numbers) -> em.State:
 
 def test_poses_climb_to_where_the_likelihood_without_weights_is_flat() -> None:
     tracks, state = some_state()
-    sums = em.moments(tracks, state.bases)
-    found = em.weights(state, sums)
+    sums = em.point_sums(tracks, state.bases)
+    found = em.e_step(state, sums)
 
     def slopes(at: em.State) -> Numbers:
         """`(6, n_frames)` by central differences; their rounding error is about 1e-6."""
         step = 1e-5
         ends = (
-            [em.weights(moved(at, sign * step * axis), sums).log_likelihood for sign in (1, -1)]
+            [em.e_step(moved(at, sign * step * axis), sums).log_likelihood for sign in (1, -1)]
             for axis in np.eye(6)
         )
         return np.array([(up - down) / (2 * step) for up, down in ends])
@@ -132,14 +132,14 @@ def test_poses_climb_to_where_the_likelihood_without_weights_is_flat() -> None:
         assert (found.log_likelihood >= likelihood).all()
     assert before > 10
     assert np.abs(slopes(state)).max() < 1e-3
-    again = em.weights(state, sums)
+    again = em.e_step(state, sums)
     np.testing.assert_allclose(found.mean, again.mean, atol=1e-12)
     np.testing.assert_allclose(found.products, again.products, atol=1e-12)
 
 
 def test_bases_are_where_the_expected_squares_with_the_prior_are_least() -> None:
     tracks, state = some_state()
-    found = em.weights(state, em.moments(tracks, state.bases))
+    found = em.e_step(state, em.point_sums(tracks, state.bases))
     # without the change back to N(0, I)
     found = replace(found, mean=found.mean - found.mean.mean(axis=0))
     second = found.mean.T @ found.mean / 8 + found.covariance.mean(axis=0)
@@ -315,9 +315,13 @@ def with_value(value: float, place: tuple[int, ...] = (4, 2)) -> Numbers:
         (np.full((9, 8, 2), np.nan), 2, "got 0 frames that show 4 points or more, expected 3"),
         (deforming(n_frames=2)[0], 2, "got 2 frames that show 4 points or more, expected 3"),
         (with_value(np.nan, (slice(None), 5)), 2, "got point 5 in 0 frames, expected 3 at least"),  # type: ignore[arg-type]
-        (with_value(np.inf), 2, "at frame 4, point 2, expected finite px"),
-        (with_value(1e9), 2, "at frame 4, point 2, expected finite px"),
-        (with_value(np.nan, (4, 2, 0)), 2, "at frame 4, point 2, expected both coordinates or none"),
+        (with_value(np.inf), 2, "at point 2 of frame 4 .both from 0., expected finite px"),
+        (with_value(1e9), 2, "at point 2 of frame 4 .both from 0., expected finite px"),
+        (
+            with_value(np.nan, (4, 2, 0)),
+            2,
+            "at point 2 of frame 4 .both from 0., expected both coordinates or none",
+        ),
         (deforming(n_frames=10)[0], 1, "bases: got 1, expected 2 to 6 for 10 frames, 20 points"),
         (deforming(n_frames=10)[0], 7, "bases: got 7, expected 2 to 6"),
         (deforming(n_frames=10)[0][:, :6], 2, "got 6 points, expected 7 at least"),

@@ -45,7 +45,7 @@ def noise_covariance(observations: Observations, track: int) -> tuple[NDArray[np
 def test_what_tracks_say_equals_dense_regression() -> None:
     observations, cameras, _, _ = small_problem(1)
     tracks = observations.by_point
-    information, vector, quadratic, determinant = NOISE.moments(tracks, cameras)
+    information, vector, quadratic, determinant = NOISE.information(tracks, cameras)
     for track in range(4):
         frames, covariance = noise_covariance(observations, track)
         part = slice(tracks.edges[track], tracks.edges[track + 1])

@@ -244,6 +244,48 @@ def test_over_all_images_densities_sum_to_the_mass_without_one(strength, ghost):
     assert logsumexp(densities) == pytest.approx(PixelMessage(scene, layers).log_mass, abs=0.01)
 
 
+BOXES = [(0, 0, *SIZE), (4, 7, 9, 11), (-3, -2, 8, 9), (25, 33, 20, 20), (50, 50, 3, 4), (-9, 3, 4, 4)]
+
+
+@pytest.mark.parametrize("box", BOXES)
+def test_odds_in_a_box_are_those_of_the_picture(box):
+    message = PixelMessage(background(), LayerStack(SCENES["two that overlap"]), image_of())
+    picture = np.zeros((120, 120), np.float32)
+    inside = slice(40, 40 + SIZE[0]), slice(40, 40 + SIZE[1])
+    top, left, height, width = box
+    there = slice(40 + top, 40 + top + height), slice(40 + left, 40 + left + width)
+    for ask in (message.log_odds, message.log_likelihood_ratio):
+        picture[inside] = ask()
+        assert ask(box).dtype == np.float32
+        np.testing.assert_array_equal(ask(box), picture[there])
+
+
+def test_odds_are_in_nats():
+    image = image_of()
+    message = PixelMessage(background(), LayerStack(SCENES["two that overlap"]), image)
+    np.testing.assert_allclose(
+        message.background_probability(), 1 / (1 + np.exp(-message.log_odds())), rtol=1e-5
+    )
+    prior = np.log(0.8 / 0.2)
+    without_layers = PixelMessage(background(), image=image)
+    np.testing.assert_allclose(message.log_likelihood_ratio() + prior, without_layers.log_odds(), atol=1e-5)
+    assert not PixelMessage(image=image).log_likelihood_ratio().any()
+    assert PixelMessage().log_likelihood_ratio((3, 4, 5, 6)).shape == (5, 6)
+
+
+@pytest.mark.parametrize("value", [np.nan, -0.1, 1.1, 255.0, -np.inf])
+def test_a_mask_that_is_no_probability_is_refused(value):
+    mask = np.full((4, 5), 0.5, np.float32)
+    mask[2, 3] = value
+    with pytest.raises(ValueError, match=r"layer: got a mask from .* expected probabilities from 0 to 1"):
+        Layer(0, 0, mask, None)
+
+
+def test_an_appearance_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match=r"layer: got shapes \(4, 5\) and \(3, 5, 4\), expected a mask of"):
+        Layer(0, 0, np.zeros((4, 5), np.float32), np.zeros((3, 5, 4), np.float32))
+
+
 def test_without_a_background_labels_are_even():
     message = PixelMessage(image=image_of())
     assert (message.background_probability() == 0.5).all()

@@ -27,9 +27,10 @@ from rsmcm.models.body.likelihood import (
     skin_maps,
 )
 from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.silhouette import masks
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
+
+from ...support.body_poses import masks
 
 Array = NDArray[np.float64]
 

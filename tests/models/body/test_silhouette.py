@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.body.poses import BodyPoses
-from rsmcm.models.body.silhouette import OUTLINE_PARTS, Silhouettes
+from rsmcm.models.body.silhouette import OUTLINE_PARTS, Silhouettes, silhouettes
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.spatial.transform import Rotation
 
-from ...support.body_poses import resting
+from ...support.body_poses import masks, resting
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def of_part(outline: Silhouettes, part: int) -> tuple[Array, Array]:
 @pytest.mark.parametrize("seed", range(5))
 def test_pictures_show_the_nearest_of_all_solids(seed: int) -> None:
     poses = allowed_poses(1, seed)
-    labels = BODY.masks(poses, SIZE)[0]
+    labels = masks(BODY, poses, SIZE)[0]
     rows, columns = np.mgrid[3 : SIZE[0] : 9, 5 : SIZE[1] : 9]
     pixels = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
     found = labels[rows, columns].ravel()
@@ -111,7 +111,7 @@ def test_pictures_show_the_nearest_of_all_solids(seed: int) -> None:
 @given(seeds)
 def test_outlines_of_limbs_and_hands_touch_their_spheres(seed: int) -> None:
     poses = allowed_poses(1, seed)
-    outline = BODY.silhouettes(poses)
+    outline = silhouettes(BODY, poses)
     for part in LIMBS + HANDS:
         points, normals = of_part(outline, part)
         centres, radii = spheres(poses, part)
@@ -134,7 +134,7 @@ def test_the_head_is_the_outline_of_a_turned_ellipsoid(seed: int) -> None:
     random = np.random.default_rng(seed)
     poses = resting(np.array([[280.0, 200.0]]))
     poses.necks[0] = 0.5 * random.normal(size=3)
-    points, normals = of_part(BODY.silhouettes(poses), HEAD)
+    points, normals = of_part(silhouettes(BODY, poses), HEAD)
     surface = random.normal(size=(40000, 3))
     surface /= np.linalg.norm(surface, axis=1, keepdims=True)
     surface *= np.array([BODY.head_width, BODY.head_height, 0.85 * BODY.head_height]) / 2
@@ -147,8 +147,8 @@ def test_the_head_is_the_outline_of_a_turned_ellipsoid(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(8))
 def test_points_are_visible_where_the_picture_shows_their_part(seed: int) -> None:
     poses = allowed_poses(8, seed)
-    outline = BODY.silhouettes(poses)
-    labels = BODY.masks(poses, SIZE)
+    outline = silhouettes(BODY, poses)
+    labels = masks(BODY, poses, SIZE)
     inside = np.rint(outline.points - 1.5 * outline.normals).astype(int)
     outside = np.rint(outline.points + 1.5 * outline.normals).astype(int)
     known = np.ones(outline.visible.shape, bool)
@@ -167,7 +167,7 @@ def test_points_are_visible_where_the_picture_shows_their_part(seed: int) -> Non
 
 def test_neighbours_of_a_stretched_arm_do_not_hide_each_other() -> None:
     poses = with_arm(np.array([1.0, 0.2, 0.0]), np.array([1.0, 0.2, 0.0]))
-    outline = BODY.silhouettes(poses)
+    outline = silhouettes(BODY, poses)
     sideways = np.abs(outline.normals[0] @ [-0.2, 1.0]) > 0.9
     points = outline.points[0]
     joints = BODY.joints(poses)[0]
@@ -183,7 +183,7 @@ def test_neighbours_of_a_stretched_arm_do_not_hide_each_other() -> None:
 
 def test_a_forearm_towards_the_viewer_is_the_disc_of_its_larger_end() -> None:
     poses = with_arm(np.array([1.0, 0.0, 0.0]), np.array([0.02, 0.0, -1.0]))
-    points, _ = of_part(BODY.silhouettes(poses), OUTLINE_PARTS.index("left_forearm"))
+    points, _ = of_part(silhouettes(BODY, poses), OUTLINE_PARTS.index("left_forearm"))
     elbow = BODY.joints(poses)[0, 3, :2]
     radius = np.linalg.norm(points - elbow, axis=1)
     np.testing.assert_allclose(radius, BODY.forearm_width / 2, atol=0.1)
@@ -202,7 +202,7 @@ def test_foreshortening_moves_the_outline_without_jumps(seed: int) -> None:
     for shift in (-1e-3, 1e-3):
         aside = (limit + shift) * np.array([np.cos(turn), np.sin(turn)])
         poses = with_arm(np.array([0.9, 0.1, -0.2]), np.array([*aside, -np.sqrt(1 - aside @ aside)]))
-        outlines.append(of_part(BODY.silhouettes(poses), OUTLINE_PARTS.index("left_forearm"))[0])
+        outlines.append(of_part(silhouettes(BODY, poses), OUTLINE_PARTS.index("left_forearm"))[0])
     apart = np.linalg.norm(outlines[0][:, None] - outlines[1], axis=-1).min(1)
     assert apart.max() < 0.3 * BODY.forearm_width
 
@@ -217,29 +217,29 @@ def test_a_hand_hides_a_face_or_the_face_hides_the_hand(depth: int) -> None:
     arms, reachable = arm_at(BODY, 0, place[None], np.array([2.5]))
     assert reachable.all()
     poses.arms[0, 0] = arms[0]
-    outline = BODY.silhouettes(poses)
+    outline = silhouettes(BODY, poses)
     hand, head = outline.part == HANDS[0], outline.part == HEAD
     within = np.linalg.norm(outline.points[0] - (joints[0, :2] + [8, 20]), axis=1) < 0.9 * BODY.hand
     if depth < 0:
         assert outline.visible[0, hand].all()
         assert not outline.visible[0, head & within].any()
-        assert BODY.masks(poses, SIZE)[0, 134, 288] == HANDS[0] + 1
+        assert masks(BODY, poses, SIZE)[0, 134, 288] == HANDS[0] + 1
     else:
         assert outline.visible[0, head].sum() >= 17
         assert outline.visible[0, hand].sum() <= 4
-        assert BODY.masks(poses, SIZE)[0, 134, 288] == HEAD + 1
+        assert masks(BODY, poses, SIZE)[0, 134, 288] == HEAD + 1
 
 
 def test_torso_has_shoulders_sides_and_a_neck_that_goes_with_the_head() -> None:
     poses = resting(np.tile([280.0, 200.0], (3, 1)))
     poses.necks[1:, 2] = [0.6, -0.6]
-    outline = BODY.silhouettes(poses)
+    outline = silhouettes(BODY, poses)
     mine = outline.part == TORSO
     points, normals = outline.points[0, mine], outline.normals[0, mine]
     assert points[:, 1].max() < 200 + BODY.torso_height
     assert abs(points[:, 0] - 280).max() < BODY.shoulder_width / 2 + 1
     assert ((points[:, 0] - 280) * normals[:, 0] > 0).all()
-    labels = BODY.masks(poses, SIZE)
+    labels = masks(BODY, poses, SIZE)
     # between the root and the head there is always something of the body
     heads = BODY.joints(poses)[:, 0, :2]
     for share in np.linspace(0, 1, 12):
@@ -250,27 +250,27 @@ def test_torso_has_shoulders_sides_and_a_neck_that_goes_with_the_head() -> None:
 def test_outlines_are_moved_with_the_body_and_alike_in_every_batch() -> None:
     poses = allowed_poses(20, 0)
     moved = BodyPoses(poses.roots + np.array([13, -40]), poses.necks, poses.arms)
-    here, there = BODY.silhouettes(poses), BODY.silhouettes(moved)
+    here, there = silhouettes(BODY, poses), silhouettes(BODY, moved)
     np.testing.assert_allclose(there.points, here.points + np.array([13, -40]), atol=1e-3)
     assert (there.visible == here.visible).mean() > 0.995
-    alone = BODY.silhouettes(poses.take([7]))
+    alone = silhouettes(BODY, poses.take([7]))
     for name in ("points", "normals", "visible"):
         np.testing.assert_array_equal(getattr(alone, name)[0], getattr(here, name)[7])
 
 
 def test_outlines_keep_to_their_number_of_points() -> None:
-    outline = BODY.silhouettes(allowed_poses(2, 1))
+    outline = silhouettes(BODY, allowed_poses(2, 1))
     assert outline.points.shape == (2, 108, 2)
     assert 80 <= len(outline.part) <= 110
     assert set(outline.part) == set(range(len(OUTLINE_PARTS)))
-    empty = BODY.silhouettes(resting(np.zeros((0, 2))))
+    empty = silhouettes(BODY, resting(np.zeros((0, 2))))
     assert empty.points.shape == (0, 108, 2)
 
 
 def test_bodies_out_of_the_picture_leave_it_empty() -> None:
     far = resting(np.array([[-5000.0, 100.0], [100.0, 1e5]]))
-    assert not BODY.masks(far, (60, 80)).any()
-    assert np.isfinite(BODY.silhouettes(far).points).all()
+    assert not masks(BODY, far, (60, 80)).any()
+    assert np.isfinite(silhouettes(BODY, far).points).all()
 
 
 def test_outlines_do_not_depend_on_threads() -> None:
@@ -282,7 +282,7 @@ def test_outlines_do_not_depend_on_threads() -> None:
     try:
         for threads in (1, 2):
             set_threads(threads)
-            found.append(BODY.silhouettes(poses))
+            found.append(silhouettes(BODY, poses))
     finally:
         set_threads(before)
     for name in ("points", "normals", "visible"):

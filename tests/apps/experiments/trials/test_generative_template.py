@@ -33,7 +33,7 @@ class Clip:
         self.surface = TexturedObject(self.model, SurfaceTexels.dense(self.model, 800))
         size = float(self.truth.sizes[0])
         drift = PoseDynamics(rotation=0.25, translation=0.35, morphs=0.4)
-        steps = np.sqrt(drift.walk(size, self.truth.dimension, 0.004)) * random.normal(
+        steps = np.sqrt(drift.transition(size, self.truth.dimension, 0.004)[1]) * random.normal(
             size=(n_frames, self.truth.dimension)
         )
         steps[0] = 0

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.frame import Frame
-from ...models.core.grey import grey_of
+from ....models.core.frame import Frame
+from ....models.core.grey import grey_of
 
 LEAST_CONTRAST = 8
 """Grey levels between the darker and the brighter part of a frame, below which nothing is seen in it."""

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 
 from cyclopts import Group, Parameter
 
-from ..complaints import not_negative
+from .complaints import not_negative
 
 T = TypeVar("T")
 Flag = Annotated[bool, Parameter(negative="")]

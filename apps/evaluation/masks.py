@@ -1,12 +1,11 @@
-"""How good a result is: masks against labels, components against objects, tracks against tracks."""
+"""How good masks are: pixels against labels, components against objects."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from ..io.ground_truth import FOREGROUND, SHADOW, BoxTruth, Kind
 
@@ -30,29 +29,29 @@ class PixelScores:
     @property
     def precision(self) -> float:
         """TP / (TP + FP)."""
-        return _ratio(self.true_positives, self.true_positives + self.false_positives)
+        return ratio(self.true_positives, self.true_positives + self.false_positives)
 
     @property
     def recall(self) -> float:
         """TP / (TP + FN)."""
-        return _ratio(self.true_positives, self.true_positives + self.false_negatives)
+        return ratio(self.true_positives, self.true_positives + self.false_negatives)
 
     @property
     def f_measure(self) -> float:
         """2 TP / (2 TP + FP + FN), the harmonic mean of precision and recall."""
         twice = 2 * self.true_positives
-        return _ratio(twice, twice + self.false_positives + self.false_negatives)
+        return ratio(twice, twice + self.false_positives + self.false_negatives)
 
     @property
     def specificity(self) -> float:
         """TN / (TN + FP)."""
-        return _ratio(self.true_negatives, self.true_negatives + self.false_positives)
+        return ratio(self.true_negatives, self.true_negatives + self.false_positives)
 
     @property
     def wrong_percent(self) -> float:
         """CDnet's PWC, 100 (FN + FP) / all."""
         wrong = self.false_negatives + self.false_positives
-        return 100 * _ratio(wrong, wrong + self.true_positives + self.true_negatives)
+        return 100 * ratio(wrong, wrong + self.true_positives + self.true_negatives)
 
 
 @dataclass
@@ -248,161 +247,6 @@ def mask_error_classes(
     )
 
 
-@dataclass(frozen=True)
-class TrackScores:
-    """CLEAR-MOT and identity measures; a ratio whose denominator is zero is NaN.
-
-    `motp` is the mean overlap (IoU) of the matches; `fragmentations` counts how often an object that is
-    found again later is lost; an object is mostly tracked when found in 80 % of its frames or more, mostly
-    lost when in less than 20 %; `n_truth` counts true boxes.
-    """
-
-    mota: float
-    motp: float
-    idf1: float
-    idp: float
-    idr: float
-    switches: int
-    fragmentations: int
-    misses: int
-    false_positives: int
-    mostly_tracked: int
-    mostly_lost: int
-    n_truth: int
-    n_frames: int
-
-
-def evaluate_tracks(
-    truth: BoxTruth, tracks: NDArray[np.float64], frames: Collection[int], iou: float = 0.5
-) -> TrackScores:
-    """Compare tracks with true tracks.
-
-    Parameters
-    ----------
-    truth
-        the true boxes. A tracked box that is best explained by an ignored one does not count.
-    tracks
-        `(n, 6)` float: frame number (1-based), identity, x, y (0-based px), width, height (px).
-    frames
-        the frame numbers to compare (`common_frames`).
-    iou
-        least overlap of a match.
-
-    Notes
-    -----
-    K. Bernardin, R. Stiefelhagen, *Evaluating multiple object tracking performance: the CLEAR MOT metrics*
-    (2008): a pair matched before stays matched while its boxes overlap enough, also after a gap; the rest is
-    matched with the most pairs, then the least total distance. E. Ristani et al., *Performance measures and
-    a data set for multi-target, multi-camera tracking* (2016): the pairing of whole tracks with the most
-    common frames (IDTP) gives IDF1.
-
-    Raises
-    ------
-    ValueError
-        if `tracks` has another form, or an identity twice in a frame.
-    """
-    tracks = np.asarray(tracks, dtype=np.float64)
-    if tracks.ndim != 2 or tracks.shape[1] != 6:
-        raise ValueError(f"tracks: got {tracks.shape}, expected (n, 6): frame, identity, x, y, width, height")
-    tracks = tracks[np.lexsort((tracks[:, 1], tracks[:, 0]))]
-    repeated = np.flatnonzero((np.diff(tracks[:, :2], axis=0) == 0).all(axis=1))
-    if repeated.size:
-        frame, identity = tracks[repeated[0], :2]
-        raise ValueError(f"tracks: identity {identity:.0f} occurs twice in frame {frame:.0f}")
-
-    true_index, n_objects = _positions(truth.identity)
-    track_index, n_tracks = _positions(tracks[:, 1])
-    common = np.zeros((n_objects, n_tracks), np.int64)
-    history: list[list[bool]] = [[] for _ in range(n_objects)]
-    partner = np.full(n_objects, -1)
-    switches = false_positives = matches = n_truth = n_found = 0
-    overlap_sum = 0.0
-    for number in sorted(frames):
-        rows = slice(*np.searchsorted(truth.frame, [number, number + 1]))
-        columns = slice(*np.searchsorted(tracks[:, 0], [number, number + 1]))
-        objects, found = true_index[rows], track_index[columns]
-        overlap = box_overlap(truth.box[rows], tracks[columns, 2:])
-        ignored = truth.kind[rows] == Kind.IGNORED
-        if ignored.any():
-            keep = np.ones(len(found), bool)
-            pairs = _match(overlap, iou)
-            keep[pairs[1][ignored[pairs[0]]]] = False
-            objects, found, overlap = objects[~ignored], found[keep], overlap[~ignored][:, keep]
-        n_truth += len(objects)
-        n_found += len(found)
-
-        allowed = overlap >= iou
-        first, second = np.nonzero(allowed)
-        common[objects[first], found[second]] += 1
-        still = allowed & (partner[objects][:, None] == found)
-        # Two objects may remember the same track; the first one keeps it.
-        still &= np.cumsum(still, axis=0) == 1
-        open_rows, open_columns = ~still.any(axis=1), ~still.any(axis=0)
-        new = _match(np.where(open_rows[:, None] & open_columns, overlap, 0.0), iou)
-        switches += int(np.count_nonzero(partner[objects[new[0]]] >= 0))
-        partner[objects[new[0]]] = found[new[1]]
-        still[new] = True
-        for thing, was_found in zip(objects, still.any(axis=1), strict=True):
-            history[thing].append(bool(was_found))
-        matched = int(np.count_nonzero(still))
-        matches += matched
-        false_positives += len(found) - matched
-        overlap_sum += float(overlap[still].sum())
-
-    paired = linear_sum_assignment(common, maximize=True)
-    true_identities = int(common[paired].sum())
-    misses = n_truth - matches
-    share = np.array([np.mean(seen) for seen in history if seen])
-    return TrackScores(
-        mota=1 - _ratio(misses + false_positives + switches, n_truth),
-        motp=_ratio(overlap_sum, matches),
-        idf1=_ratio(2 * true_identities, n_truth + n_found),
-        idp=_ratio(true_identities, n_found),
-        idr=_ratio(true_identities, n_truth),
-        switches=switches,
-        fragmentations=sum(_gaps(seen) for seen in history),
-        misses=misses,
-        false_positives=false_positives,
-        mostly_tracked=int(np.count_nonzero(share >= 0.8)),
-        mostly_lost=int(np.count_nonzero(share < 0.2)),
-        n_truth=n_truth,
-        n_frames=len(frames),
-    )
-
-
-def box_overlap(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the IoU `(n, m)` of boxes `(n, 4)` and `(m, 4)`: x, y, width, height (px)."""
-    top_left = np.maximum(first[:, None, :2], second[None, :, :2])
-    bottom_right = np.minimum(
-        first[:, None, :2] + first[:, None, 2:], second[None, :, :2] + second[None, :, 2:]
-    )
-    shared: NDArray[np.float64] = np.clip(bottom_right - top_left, 0, None).prod(axis=2)
-    union = first[:, 2:].prod(axis=1)[:, None] + second[:, 2:].prod(axis=1) - shared
-    overlap: NDArray[np.float64] = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
-    return overlap
-
-
-def _match(overlap: NDArray[np.float64], least: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pair rows with columns that overlap by `least` or more: most pairs, then the greatest overlap."""
-    # One forbidden pair costs more than all allowed ones together.
-    forbidden = min(overlap.shape) + 1.0
-    rows, columns = linear_sum_assignment(np.where(overlap >= least, 1 - overlap, forbidden))
-    good = overlap[rows, columns] >= least
-    return rows[good], columns[good]
-
-
-def _positions(identity: NDArray[np.int64] | NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
-    """Return each identity's position among the distinct ones, and how many there are."""
-    distinct, position = np.unique(identity, return_inverse=True)
-    return position.astype(np.int64), len(distinct)
-
-
-def _gaps(seen: list[bool]) -> int:
-    """Count the losses between the first and the last time that something was found."""
-    places = np.flatnonzero(seen)
-    return int(np.count_nonzero(np.diff(places) > 1))
-
-
 def _components(
     mask: NDArray[np.uint8], min_area: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
@@ -439,5 +283,6 @@ def _sum_counts(counts: list[tuple[int, int, int, int]]) -> PixelScores:
     )
 
 
-def _ratio(numerator: float, denominator: float) -> float:
+def ratio(numerator: float, denominator: float) -> float:
+    """The ratio; NaN where the denominator is zero."""
     return numerator / denominator if denominator else float("nan")

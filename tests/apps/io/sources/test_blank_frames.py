@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-from rsmcm.apps.runs.blank_frames import SeenFrames, is_blank
+from rsmcm.apps.io.sources.blank_frames import SeenFrames, is_blank
 from rsmcm.models import Frame
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rsmcm.apps.background.compare import COLUMNS, Gallery
 from rsmcm.apps.background.methods import Model, ModelSubtractor, Usual
 from rsmcm.apps.drawing.mosaic import mosaic
-from rsmcm.apps.evaluation.metrics import PixelScore, joined
+from rsmcm.apps.evaluation.masks import PixelScore, joined
 from rsmcm.apps.experiments.bench.__main__ import enumeration_error, in_turns, stages
 from rsmcm.apps.experiments.reproduce import sleeping_man as experiment
 from rsmcm.apps.experiments.trials.baselines import SETTINGS, CleanUp, OpenCVSubtractor
@@ -62,10 +62,10 @@ def test_gallery_shows_evenly_spaced_moments(n_frames: int) -> None:
     for number in range(1, n_frames + 1):
         gallery.add(number, np.zeros((4, 5), np.uint8), [])
     numbers = [moment.number for moment in gallery.chosen()]
-    assert len(numbers) == min(COLUMNS, len(gallery.moments))
+    assert len(numbers) == min(COLUMNS, len(gallery.moments.kept))
     assert numbers[0] == 1
     assert numbers == sorted(set(numbers))
-    assert len(gallery.moments) <= 2 * COLUMNS
+    assert len(gallery.moments.kept) <= 2 * COLUMNS
     assert numbers[-1] > n_frames / 2 or n_frames < 2
 
 

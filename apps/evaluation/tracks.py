@@ -1,0 +1,192 @@
+"""How good tracks are: boxes with identities against true ones."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from ..io.ground_truth import BoxTruth, Kind, MaskTruth
+from .masks import ratio
+
+
+@dataclass(frozen=True)
+class TrackScores:
+    """CLEAR-MOT and identity measures; a ratio whose denominator is zero is NaN.
+
+    `motp` is the mean overlap (IoU) of the matches; `fragmentations` counts how often an object that is
+    found again later is lost; an object is mostly tracked when found in 80 % of its frames or more, mostly
+    lost when in less than 20 %; `n_truth` counts true boxes.
+    """
+
+    mota: float
+    motp: float
+    idf1: float
+    idp: float
+    idr: float
+    switches: int
+    fragmentations: int
+    misses: int
+    false_positives: int
+    mostly_tracked: int
+    mostly_lost: int
+    n_truth: int
+    n_frames: int
+
+    def __repr__(self) -> str:
+        return (
+            f"TrackScores(MOTA {self.mota:.3f}, IDF1 {self.idf1:.3f}, MOTP {self.motp:.3f}: "
+            f"{self.misses} misses, {self.false_positives} false positives, {self.switches} switches, "
+            f"{self.n_truth} boxes in {self.n_frames} frames)"
+        )
+
+
+def evaluate_tracks(
+    tracks: NDArray[np.void] | NDArray[np.float64],
+    truth: BoxTruth | MaskTruth,
+    frames: Collection[int] | None = None,
+    iou: float = 0.5,
+) -> TrackScores:
+    """Compare tracks with true tracks.
+
+    Parameters
+    ----------
+    tracks
+        as `read_tracks` gives them, or `(n, 6)` float: frame number (1-based), identity, x, y (0-based px),
+        width, height (px).
+    truth
+        the true boxes, as `read_ground_truth` gives them. A tracked box that is best explained by an ignored
+        one does not count.
+    frames
+        the frame numbers to compare (`common_frames`); all that are annotated where it is left out.
+    iou
+        least overlap of a match.
+
+    Notes
+    -----
+    K. Bernardin, R. Stiefelhagen, *Evaluating multiple object tracking performance: the CLEAR MOT metrics*
+    (2008): a pair matched before stays matched while its boxes overlap enough, also after a gap; the rest is
+    matched with the most pairs, then the least total distance. E. Ristani et al., *Performance measures and
+    a data set for multi-target, multi-camera tracking* (2016): the pairing of whole tracks with the most
+    common frames (IDTP) gives IDF1.
+
+    Raises
+    ------
+    ValueError
+        if `tracks` has another form, or an identity twice in a frame, or `truth` has masks and no boxes.
+    """
+    if isinstance(truth, MaskTruth):
+        raise ValueError("truth: got masks, expected boxes with identities")
+    rows = _sorted_rows(tracks)
+    frames = truth.frames if frames is None else frames
+    true_index, n_objects = _positions(truth.identity)
+    track_index, n_tracks = _positions(rows[:, 1])
+    common = np.zeros((n_objects, n_tracks), np.int64)
+    history: list[list[bool]] = [[] for _ in range(n_objects)]
+    partner = np.full(n_objects, -1)
+    switches = false_positives = matches = n_truth = n_found = 0
+    overlap_sum = 0.0
+    for number in sorted(frames):
+        true = slice(*np.searchsorted(truth.frame, [number, number + 1]))
+        columns = slice(*np.searchsorted(rows[:, 0], [number, number + 1]))
+        objects, found = true_index[true], track_index[columns]
+        overlap = box_overlap(truth.box[true], rows[columns, 2:])
+        ignored = truth.kind[true] == Kind.IGNORED
+        if ignored.any():
+            keep = np.ones(len(found), bool)
+            pairs = _match(overlap, iou)
+            keep[pairs[1][ignored[pairs[0]]]] = False
+            objects, found, overlap = objects[~ignored], found[keep], overlap[~ignored][:, keep]
+        n_truth += len(objects)
+        n_found += len(found)
+
+        allowed = overlap >= iou
+        first, second = np.nonzero(allowed)
+        common[objects[first], found[second]] += 1
+        still = allowed & (partner[objects][:, None] == found)
+        # Two objects may remember the same track; the first one keeps it.
+        still &= np.cumsum(still, axis=0) == 1
+        open_rows, open_columns = ~still.any(axis=1), ~still.any(axis=0)
+        new = _match(np.where(open_rows[:, None] & open_columns, overlap, 0.0), iou)
+        switches += int(np.count_nonzero(partner[objects[new[0]]] >= 0))
+        partner[objects[new[0]]] = found[new[1]]
+        still[new] = True
+        for thing, was_found in zip(objects, still.any(axis=1), strict=True):
+            history[thing].append(bool(was_found))
+        matched = int(np.count_nonzero(still))
+        matches += matched
+        false_positives += len(found) - matched
+        overlap_sum += float(overlap[still].sum())
+
+    paired = linear_sum_assignment(common, maximize=True)
+    true_identities = int(common[paired].sum())
+    misses = n_truth - matches
+    share = np.array([np.mean(seen) for seen in history if seen])
+    return TrackScores(
+        mota=1 - ratio(misses + false_positives + switches, n_truth),
+        motp=ratio(overlap_sum, matches),
+        idf1=ratio(2 * true_identities, n_truth + n_found),
+        idp=ratio(true_identities, n_found),
+        idr=ratio(true_identities, n_truth),
+        switches=switches,
+        fragmentations=sum(_gaps(seen) for seen in history),
+        misses=misses,
+        false_positives=false_positives,
+        mostly_tracked=int(np.count_nonzero(share >= 0.8)),
+        mostly_lost=int(np.count_nonzero(share < 0.2)),
+        n_truth=n_truth,
+        n_frames=len(frames),
+    )
+
+
+def track_rows(boxes: NDArray[np.void]) -> NDArray[np.float64]:
+    """Turn boxes as `read_tracks` gives them into rows frame, identity, x, y, width, height."""
+    return np.column_stack([boxes["frame"], boxes["id"], boxes["box"].reshape(-1, 4)]).astype(np.float64)
+
+
+def _sorted_rows(tracks: NDArray[Any]) -> NDArray[np.float64]:
+    """By frame and identity, each of which occurs once."""
+    rows = np.asarray(tracks if tracks.dtype.names is None else track_rows(tracks), np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 6:
+        raise ValueError(f"tracks: got {rows.shape}, expected (n, 6): frame, identity, x, y, width, height")
+    rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+    repeated = np.flatnonzero((np.diff(rows[:, :2], axis=0) == 0).all(axis=1))
+    if repeated.size:
+        frame, identity = rows[repeated[0], :2]
+        raise ValueError(f"tracks: identity {identity:.0f} occurs twice in frame {frame:.0f}")
+    return rows
+
+
+def box_overlap(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the IoU `(n, m)` of boxes `(n, 4)` and `(m, 4)`: x, y, width, height (px)."""
+    top_left = np.maximum(first[:, None, :2], second[None, :, :2])
+    bottom_right = np.minimum(
+        first[:, None, :2] + first[:, None, 2:], second[None, :, :2] + second[None, :, 2:]
+    )
+    shared: NDArray[np.float64] = np.clip(bottom_right - top_left, 0, None).prod(axis=2)
+    union = first[:, 2:].prod(axis=1)[:, None] + second[:, 2:].prod(axis=1) - shared
+    overlap: NDArray[np.float64] = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
+    return overlap
+
+
+def _match(overlap: NDArray[np.float64], least: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pair rows with columns that overlap by `least` or more: most pairs, then the greatest overlap."""
+    # One forbidden pair costs more than all allowed ones together.
+    forbidden = min(overlap.shape) + 1.0
+    rows, columns = linear_sum_assignment(np.where(overlap >= least, 1 - overlap, forbidden))
+    good = overlap[rows, columns] >= least
+    return rows[good], columns[good]
+
+
+def _positions(identity: NDArray[np.int64] | NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
+    """Return each identity's position among the distinct ones, and how many there are."""
+    distinct, position = np.unique(identity, return_inverse=True)
+    return position.astype(np.int64), len(distinct)
+
+
+def _gaps(seen: list[bool]) -> int:
+    """Count the losses between the first and the last time that something was found."""
+    places = np.flatnonzero(seen)
+    return int(np.count_nonzero(np.diff(places) > 1))

@@ -1,0 +1,86 @@
+"""Short `repr`s: arrays by dtype and shape, collections by their length, parameters where they were set."""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+Kind = TypeVar("Kind", bound=type)
+
+WHOLE = 200
+"""Characters of a `repr` from which no further field is shown."""
+
+FIELD = 60
+"""Characters that a field may have."""
+
+SMALL = 4
+"""Numbers in an array that are shown."""
+
+
+def short_repr(kind: Kind) -> Kind:
+    """Decorator of classes for a `repr` of one line, without the fields that have their defaults.
+
+    It goes over `@dataclass`. Of a class that is none, all public attributes count as fields.
+    """
+    kind.__repr__ = _summary  # type: ignore[method-assign, assignment]
+    return kind
+
+
+def brief(value: object) -> str:
+    """A few characters for one value."""
+    match value:
+        case np.ndarray():
+            if value.size <= SMALL:
+                return " ".join(np.array2string(value, precision=4, separator=", ").split())
+            return f"{value.dtype} {value.shape}"
+        case np.floating() | float():
+            return f"{value:.6g}"
+        case type():
+            return value.__name__
+        case str():
+            text = repr(value)
+        case Mapping():
+            text = "{" + ", ".join(f"{key}: {brief(member)}" for key, member in value.items()) + "}"
+            if len(text) > FIELD:
+                text = "{" + ", ".join(map(str, value)) + "}"
+        case Collection() if len(value) > SMALL or not _flat(value):
+            kinds = {type(member).__name__ for member in value}
+            text = f"[{len(value)} {kinds.pop() if len(kinds) == 1 else 'values'}]"
+        case _:
+            text = _name(value) if is_dataclass(value) else repr(value)
+    return text if len(text) <= FIELD and "\n" not in text else _name(value)
+
+
+def _summary(value: object) -> str:
+    shown: list[str] = []
+    for name, member in _set(value):
+        if sum(map(len, shown)) > WHOLE - FIELD:
+            shown.append("...")
+            break
+        shown.append(f"{name}={brief(member)}")
+    return f"{type(value).__name__}({', '.join(shown)})"
+
+
+def _set(value: object) -> Iterator[tuple[str, object]]:
+    """Fields and their values, but for those that have their defaults."""
+    if not is_dataclass(value):
+        yield from ((name, member) for name, member in vars(value).items() if not name.startswith("_"))
+        return
+    for field in fields(value):
+        member = getattr(value, field.name)
+        if field.repr and not _is_default(field, member):
+            yield field.name, member
+
+
+def _is_default(field: Field[Any], member: object) -> bool:
+    default = field.default if field.default_factory is MISSING else field.default_factory()
+    return member is default or (type(member) is type(default) and bool(np.all(member == default)))
+
+
+def _flat(members: Collection[object]) -> bool:
+    return all(isinstance(member, int | float | str | np.number | None) for member in members)
+
+
+def _name(value: object) -> str:
+    return brief(value) if isinstance(value, np.ndarray) else f"{type(value).__name__}(...)"

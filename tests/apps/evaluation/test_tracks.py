@@ -1,0 +1,156 @@
+"""Track measures equal hand counts and an independent implementation."""
+
+import math
+from collections.abc import Callable
+
+import motmetrics
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.apps.evaluation.tracks import TrackScores, box_overlap, evaluate_tracks
+from rsmcm.apps.io.ground_truth import BoxTruth, Kind, MaskTruth
+
+from ...support.boxes import truth_of
+
+
+def scene(rng: np.random.Generator, n_frames: int, n_objects: int) -> tuple[BoxTruth, NDArray[np.float64]]:
+    """Objects that cross each other, and tracks of them with noise, gaps, exchanged names and false ones."""
+    rows: list[list[float]] = []
+    tracks: list[list[float]] = []
+    start, speed = rng.uniform(0, 60, (n_objects, 2)), rng.normal(0, 3, (n_objects, 2))
+    name = np.arange(n_objects)
+    for number in range(1, n_frames + 1):
+        if rng.random() < 0.2:
+            rng.shuffle(name)
+        for index in range(n_objects):
+            box = [*(start[index] + speed[index] * number), 20.0, 40.0]
+            if rng.random() < 0.85:
+                rows.append([number, index, *box, Kind.PEDESTRIAN])
+            if rng.random() < 0.8:
+                tracks.append([number, name[index], *(box + rng.normal(0, 2.5, 4))])
+        if rng.random() < 0.3:
+            tracks.append([number, 100 + number % 3, *rng.uniform(0, 60, 2), 20, 40])
+    return truth_of(rows), np.array(tracks).reshape(-1, 6)
+
+
+def by_motmetrics(
+    truth: BoxTruth, tracks: NDArray[np.float64], frames: range, iou: float
+) -> dict[str, float]:
+    accumulator = motmetrics.MOTAccumulator()
+    for number in frames:
+        true, found = truth.at(number), tracks[tracks[:, 0] == number]
+        found = found[np.argsort(found[:, 1])]
+        distance = 1 - box_overlap(true.box, found[:, 2:])
+        distance[distance > 1 - iou] = np.nan
+        accumulator.update(true.identity, found[:, 1].astype(int), distance, frameid=number)
+    names = ["mota", "motp", "idf1", "idp", "idr", "num_switches", "num_fragmentations", "num_misses"]
+    names += ["num_false_positives", "mostly_tracked", "mostly_lost", "num_objects"]
+    summary = motmetrics.metrics.create().compute(accumulator, metrics=names)
+    return {name: float(summary[name].iloc[0]) for name in names}
+
+
+def assert_equal(scores: TrackScores, expected: dict[str, float]) -> None:
+    for name, value in (
+        ("num_switches", scores.switches),
+        ("num_fragmentations", scores.fragmentations),
+        ("num_misses", scores.misses),
+        ("num_false_positives", scores.false_positives),
+        ("mostly_tracked", scores.mostly_tracked),
+        ("mostly_lost", scores.mostly_lost),
+        ("num_objects", scores.n_truth),
+    ):
+        assert value == expected[name], name
+    # Ratios of the same whole numbers; only the sum of overlaps is taken in another order.
+    for name in ("mota", "idf1", "idp", "idr"):
+        assert getattr(scores, name) == pytest.approx(expected[name], rel=1e-15)
+    assert 1 - scores.motp == pytest.approx(expected["motp"], rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("iou", [0.3, 0.5])
+def test_tracks_equal_motmetrics(seed: int, iou: float) -> None:
+    rng = np.random.default_rng(seed)
+    truth, tracks = scene(rng, n_frames=25, n_objects=int(rng.integers(2, 9)))
+    frames = range(1, 26)
+    assert_equal(evaluate_tracks(tracks, truth, frames, iou), by_motmetrics(truth, tracks, frames, iou))
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_names_and_order_of_tracks_do_not_matter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth, tracks = scene(rng, n_frames=10, n_objects=4)
+    renamed = rng.permutation(tracks)
+    renamed[:, 1] = 1000 - renamed[:, 1]
+    first = evaluate_tracks(tracks, truth, range(1, 11))
+    second = evaluate_tracks(renamed, truth, range(1, 11))
+    assert first == second
+
+
+WALK = truth_of([[number, 1, 5.0 * number, 10, 20, 40, Kind.PEDESTRIAN] for number in range(1, 11)])
+
+
+def rows_of(truth: BoxTruth, name: Callable[[int], int]) -> NDArray[np.float64]:
+    names = [name(int(number)) for number in truth.frame]
+    return np.column_stack([truth.frame, names, truth.box])
+
+
+def test_perfect_tracks() -> None:
+    scores = evaluate_tracks(rows_of(WALK, lambda _: 4), WALK, range(1, 11))
+    assert (scores.mota, scores.motp, scores.idf1, scores.switches) == (1, 1, 1, 0)
+    assert (scores.mostly_tracked, scores.mostly_lost, scores.n_truth, scores.n_frames) == (1, 0, 10, 10)
+
+
+def test_a_change_of_name_is_one_switch_and_halves_identity() -> None:
+    scores = evaluate_tracks(rows_of(WALK, lambda number: 4 if number <= 5 else 6), WALK, range(1, 11))
+    assert scores.switches == 1
+    assert scores.mota == pytest.approx(0.9)
+    assert scores.idf1 == pytest.approx(0.5)
+
+
+def test_a_gap_is_one_fragmentation() -> None:
+    tracks = rows_of(WALK, lambda _: 4)
+    scores = evaluate_tracks(tracks[[0, 1, 2, 5, 6, 7]], WALK, range(1, 11))
+    assert (scores.fragmentations, scores.misses, scores.switches) == (1, 4, 0)
+
+
+def test_ignored_boxes_neither_miss_nor_blame() -> None:
+    rows = [[number, 2, 200, 10, 20, 40, Kind.IGNORED] for number in range(1, 11)]
+    walk = [[number, 1, 5.0 * number, 10, 20, 40, Kind.PEDESTRIAN] for number in range(1, 11)]
+    both = truth_of(rows + walk)
+    perfect = evaluate_tracks(rows_of(WALK, lambda _: 4), WALK, range(1, 11))
+    for tracks in (rows_of(WALK, lambda _: 4), np.column_stack([both.frame, both.identity, both.box])):
+        assert evaluate_tracks(tracks, both, range(1, 11)) == perfect
+
+
+def test_only_common_frames_are_compared() -> None:
+    assert evaluate_tracks(rows_of(WALK, lambda _: 4), WALK, range(3, 6)).n_truth == 3
+
+
+def test_no_tracks_at_all() -> None:
+    scores = evaluate_tracks(np.zeros((0, 6)), WALK, range(1, 11))
+    assert (scores.mota, scores.idf1, scores.misses, scores.mostly_lost) == (0, 0, 10, 1)
+    assert math.isnan(scores.motp)
+
+
+def test_malformed_tracks_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"got \(3, 5\)"):
+        evaluate_tracks(np.zeros((3, 5)), WALK, range(1, 11))
+    with pytest.raises(ValueError, match="identity 4 occurs twice in frame 1"):
+        evaluate_tracks(np.repeat(rows_of(WALK, lambda _: 4), 2, axis=0), WALK, range(1, 11))
+
+
+def test_tracks_as_they_are_read_and_truth_say_it_all() -> None:
+    rows = rows_of(WALK, lambda _: 4)
+    fields = [("frame", np.int64), ("id", np.int64), ("box", np.float64, (4,)), ("confidence", np.float64)]
+    read = np.array([(row[0], row[1], tuple(row[2:]), 1.0) for row in rows], fields)
+    scores = evaluate_tracks(read, WALK)
+    assert scores == evaluate_tracks(rows, WALK, range(1, 11))
+    assert repr(scores).startswith("TrackScores(MOTA 1.000, IDF1 1.000, MOTP 1.000: 0 misses, ")
+
+
+def test_masks_are_no_true_tracks() -> None:
+    with pytest.raises(ValueError, match="got masks"):
+        evaluate_tracks(np.zeros((0, 6)), MaskTruth({}, None))

@@ -1,0 +1,23 @@
+"""Points that are neither positions nor missing are refused by name and place."""
+
+import numpy as np
+import pytest
+from rsmcm.models.core.point_arrays import FARTHEST, check_points
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [
+        ((np.inf, 0.0), "finite px"),
+        ((0.0, -1.01 * FARTHEST), "finite px"),
+        ((np.nan, 1.0), "both coordinates or none"),
+        ((1.0, np.nan), "both coordinates or none"),
+    ],
+)
+def test_damaged_points_are_named(place: tuple[float, float], expected: str) -> None:
+    points = np.zeros((3, 4, 2))
+    points[0, 0], points[1, 1] = np.nan, FARTHEST
+    check_points("some.npy", points)
+    points[2, 3] = place
+    with pytest.raises(ValueError, match=f"some.npy: got .* at point 3 of frame 2 .*, expected {expected}"):
+        check_points("some.npy", points)
