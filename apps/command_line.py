@@ -14,7 +14,7 @@ from cyclopts import App, CycloptsError, Group, Parameter, Token
 
 from .background.job import BackgroundJob
 from .body.job import BodyJob
-from .experiments.reproduce import EXPERIMENTS, Experiment
+from .experiments.reproduce import EXPERIMENTS, LONG, run_experiment, usual_folder
 from .face.job import FaceJob
 from .io.sources.quiet import own_standard_error
 from .opencv_packages import opencv_hint
@@ -100,7 +100,7 @@ def body(job: Fields[BodyJob]) -> int:
 
     Writes overlay.mp4, poses.npz, summary.json and report.html. The person should face the camera, best in
     long sleeves: hands are found by the colour of the face. It is one person's body with two hands; other
-    hands and flesh-coloured things compete with them. Parts that are hidden, and frames that are missing,
+    hands and skin-coloured things compete with them. Parts that are hidden, and frames that are missing,
     unreadable or blank, are predicted, and it is said which. Ctrl-C ends the run with complete results of
     what was processed.
     """
@@ -162,22 +162,23 @@ def validity(run: Path) -> int:
     return 0
 
 
-def _command(experiment: Experiment) -> Callable[..., None]:
+def _experiment(name: str) -> Callable[..., None]:
     """What reproduces a figure, as a command."""
+    folder = usual_folder(name)
 
-    def usual(*, out: Figures = experiment.out) -> None:
-        experiment(out)
+    def usual(*, out: Figures = folder) -> None:
+        run_experiment(name, out)
 
     def perhaps_long(
-        *, out: Figures = experiment.out, long: Annotated[Flag, Parameter(help=experiment.long)] = False
+        *, out: Figures = folder, long: Annotated[Flag, Parameter(help=LONG.get(name))] = False
     ) -> None:
-        experiment(out, long)
+        run_experiment(name, out, long)
 
-    return perhaps_long if experiment.long else usual
+    return perhaps_long if name in LONG else usual
 
 
-for each in EXPERIMENTS:
-    reproduce.command(_command(each), name=each.name, help=each.text)
+for name, text in EXPERIMENTS.items():
+    reproduce.command(_experiment(name), name=name, help=text)
 
 
 def _reported(job: Job, outcome: Outcome) -> Outcome:

@@ -1,5 +1,11 @@
 """Adaptive background as a chain: the empty scene, pixel by pixel, under changing light.
 
+Of pixel k with label B_k and colour L_k, under the light g of the frame:
+
+    p(R_t | R_t-1) = N(R_t; R_t-1, drift dt)
+    p(L_k | B_k = 1, R) = N(L_k; g_k R_k, noise_k),  p(L_k | B_k = 0) = U
+    mu_{R -> F_k} = P(B_k) N(L_k; g_k m_k, g_k^2 (s_k + drift dt) + noise_k) where B_k = 1, U where B_k = 0
+
 The RSMCM paper's low-level chain (§4.2): a Gaussian per pixel, whose posterior after a frame is a mixture of
 "the pixel was seen" and "it was covered", collapsed by its moments. Since P(B) is multiplied with what other
 chains predict, the background stays as it is behind an object that they track.
@@ -28,7 +34,6 @@ from ..models.background.kernels.layers import update_behind
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
-from ..models.numerics import array_pool
 
 Planes = NDArray[np.float32]
 
@@ -36,21 +41,21 @@ UNSURE_VARIANCE = 4.0
 """Variance of a value that was seen a few times only, and gives way easily in the beginning."""
 
 WIDEST_DRIFT = 255.0**2 / 12
-"""Squared grey levels: of a value that may be anything, as far as it can wander however long nobody looks."""
+"""Squared grey levels: of a value that may be anything, as far as it can wander however long it is hidden."""
 
-BEGINNING = 4.0
+BEGINNING = 3.0
 """s after which nothing that was there from the first is taken for the scene by mistake any more."""
 
-LEAST_TIME = 0.3
+LEAST_TIME = 0.2
 """s for which a second colour must have been seen in any case."""
 
 MOST_NOISE_SHARE = 0.1
 """Of a single observation in a pixel's noise, however long ago the one before was."""
 
-FASTEST_LIGHT = 1.0
+FASTEST_LIGHT = 1.25
 """Log of the most that light changes in a second; a lamp that is switched takes a few frames."""
 
-STEADY_LIGHT, LIGHT_TIME = 0.02, 0.3
+STEADY_LIGHT, LIGHT_TIME = 0.02, 0.2
 """Log of a change below which it may be noise, and s, the time constant with which it is followed then."""
 
 
@@ -131,7 +136,7 @@ class AdaptiveBackground:
 
     prior: float = 0.95
     noise: float = 30.0
-    noise_rate: float = 0.3
+    noise_rate: float = 0.4
     drift: float = 1.25
     first_variance: float = 20.0
     settle_time: float = 3.0
@@ -156,7 +161,7 @@ class AdaptiveBackground:
         return (Port(PixelLabels, cavity, sole="background"),)
 
     def initial(self, frame: Frame) -> BackgroundState:
-        """The first image is taken for the empty scene, with the variance of a single look."""
+        """The first image is taken for the empty scene, with the variance of a single observation."""
         image = frame.image
         if image is None:
             raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
@@ -194,16 +199,15 @@ class AdaptiveBackground:
         if image is None:
             return state
         prediction = self._predicted(state, incoming)
-        reading, after = prediction.against(image), prediction.update(image)
-        covered = array_pool.empty(reading.log_odds.shape, np.uint8)
-        covered[:] = 0
+        subtraction, after = prediction.compare(image), prediction.update(image)
+        covered = np.zeros(subtraction.log_odds.shape, np.uint8)
         light = prediction.light.along_rows
         for region in others.regions:
             update_behind(
-                region.top, region.left, region.shift, colour.patch(image, *region.box), reading.pooled,
+                region.top, region.left, region.shift, colour.patch(image, *region.box), subtraction.smoothed,
                 prediction.pixels, light, prediction.model, after, covered,
             )  # fmt: skip
-        second = SecondColours(array_pool.copy(state.candidate), array_pool.copy(state.seen))
+        second = SecondColours(state.candidate.copy(), state.seen.copy())
         if state.elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
             scale = SETTLED / self.settle_time
@@ -215,7 +219,7 @@ class AdaptiveBackground:
                 np.float32(UNSURE_VARIANCE if state.age < BEGINNING else np.inf),
             )
             learn_second_colours(
-                np.ascontiguousarray(image).reshape(-1), reading.pooled, covered, light,
+                np.ascontiguousarray(image).reshape(-1), subtraction.smoothed, covered, light,
                 colour.from_pixels(channels), colour.to_pixels(channels), settling, after, second,
             )  # fmt: skip
         return replace(

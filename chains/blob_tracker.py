@@ -1,5 +1,12 @@
 """Blob tracker as a chain: moving objects with their place, velocity, soft mask and colours.
 
+Of objects j, front to back, with place and velocity x_j, mask M_j and colours A_j:
+
+    p(x_t | x_t-1) = N(x_t; F(dt) x_t-1, Q(dt)), constant velocity but for white acceleration; M_j, A_j stay
+    mu_{S -> F_k}(B_k = 1) = prod_j (1 - M_jk)
+    mu_{S -> F_k}(B_k = 0, L_k) = 1 + sum_j strength M_jk p(L_k | A_jk) prod_{i<j} (1 - M_ik), in units of U
+    mu_{S -> boxes}(b_j) = N(b_j; box of M_j at x_j, a share of its size)
+
 The RSMCM paper's high-level chain (§4.2): first-order linear dynamics, appearance, and a rendering of every
 object into the pixels. It is registered with what the background's chain and the image say of the pixels,
 then speaks to them at its registered place: a place shared by all its pixels is what one pixel cannot know.
@@ -19,6 +26,7 @@ from ..inference.filters.linear_motion import kinematic
 from ..inference.objects.blob_geometry import (
     FRESH,
     THINNEST,
+    box_densities,
     fitted,
     halves,
     is_hidden,
@@ -56,7 +64,7 @@ SWEEP = 0.8
 FADING = 0.15
 """s, time constant with which a mask fades where it reaches too far."""
 
-OUTLINE_TIME = 0.2
+OUTLINE_TIME = 0.1
 """s after which a comparison of outlines is worth a whole new one."""
 
 
@@ -80,7 +88,7 @@ class BlobTracker:
     strength
         how much likelier a known object is in front of the background than an unknown one.
     temper
-        how many independent looks one pixel of a registration is worth.
+        how many independent observations one pixel of a registration is worth.
     acceleration
         blob lengths/s^2, standard deviation of what moves a blob out of its straight way; it lasts half a
         second.
@@ -92,7 +100,7 @@ class BlobTracker:
         s for which an object must have been seen before it is reported, in every frame.
     ghost_evidence
         nats from which on a blob is taken for a ghost: log ratio of the contrast across its outline in the
-        background's picture and in the image, less 0.25, summed over comparisons every 0.2 s and never
+        background's picture and in the image, less 0.25, summed over comparisons every 0.1 s and never
         below 0.
     parting_time
         s for which a blob's mask must have had a waist before it becomes two.
@@ -130,8 +138,7 @@ class BlobTracker:
         """No objects: what is there from the first frame on is background until it moves."""
         if frame.image is None:
             raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
-        height, width = frame.image.shape[:2]
-        return BlobState((), 0, (height, width), 0.0, self.confirmed_time)
+        return BlobState((), 0, frame.image.shape[:2], 0.0, self.confirmed_time)
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
         """First-order dynamics: velocity stays, but for a random force."""
@@ -166,15 +173,7 @@ class BlobTracker:
         shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.seen >= FRESH]
         if pixels.image is None or not shown:
             return feature.uniform()
-        x, y, width, height = np.array([blob.box for blob in shown]).T
-        deviations = np.stack(
-            [0.05 * width + 1, 0.03 * height + 1, 0.15 * width + 1, 0.08 * height + 1], axis=1
-        )
-        return GaussianMessage.from_moments(
-            [blob.identity for blob in shown],
-            np.stack([x + 0.5 * width, y + height, width, height], axis=1),
-            deviations[:, :, None] ** 2 * np.eye(4),
-        )
+        return box_densities(shown)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Objects after the frame: registered, learned from, born and ended."""
@@ -193,10 +192,9 @@ class BlobTracker:
 
     def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[list[Blob], LayerStack]:
         """Blobs front to back at the place where this frame shows them, and their layers."""
-        if pixels.subtraction is None:
-            blobs = front_to_back(state.blobs)
-        else:
-            blobs = registered(state.blobs, pixels, self.outliers, self.temper)
+        blobs = front_to_back(state.blobs)
+        if pixels.subtraction is not None:
+            blobs = registered(blobs, pixels, self.outliers, self.temper)
         return blobs, LayerStack([self._layer(blob) for blob in blobs])
 
     def _layer(self, blob: Blob) -> Layer:
@@ -232,13 +230,8 @@ class BlobTracker:
             fade_beyond(mask, *(GROWTH * scene.expected_size(blob)), kept)
         confidence = seen / max(visible, 1e-6)
         if visible <= 0.3 * total or confidence <= 0.35:
-            return blob.changed(
-                mask=mask,
-                appearance=appearance,
-                unseen=blob.unseen + scene.elapsed,
-                still=0.0,
-                confidence=0.0,
-            )
+            unseen = blob.unseen + scene.elapsed
+            return blob.changed(mask=mask, appearance=appearance, unseen=unseen, still=0.0, confidence=0.0)
         speed = math.hypot(*blob.velocity)
         follow = 1 - math.exp(-scene.elapsed / self.colour_time)
         spread = blob.spread + follow * (2 * variance - blob.spread)
@@ -273,9 +266,8 @@ class BlobTracker:
     def _lives(self, blob: Blob, in_front: Sequence[Blob], scene: BlobScene) -> bool:
         mass = blob.shape.mass
         thin = mass < THINNEST * blob.length**2 * (1.0 if blob.seen < FRESH else 0.5)
-        if thin or mass < self._least_area(scene):
-            return False
-        if float(blob.mask[scene.inside(blob)].sum()) < 0.1 * mass:
+        outside = float(blob.mask[scene.inside(blob)].sum()) < 0.1 * mass
+        if thin or outside or mass < self._least_area(scene):
             return False
         if blob.seen < self.confirmed_time:
             return blob.unseen == 0.0
@@ -286,13 +278,11 @@ class BlobTracker:
         """A blob that has had a waist between two heads for a while is two; crumbs are swept away."""
         if blob.unseen > 0:
             return [blob]
-        shape = blob.shape
-        parting = blob.parting + scene.elapsed if shape.waist_depth < 0.5 else 0.0
-        left, right = shape.mass_left, shape.mass - shape.mass_left
+        parting = blob.parting + scene.elapsed if blob.shape.waist_depth < 0.5 else 0.0
+        left, right = blob.shape.mass_left, blob.shape.mass - blob.shape.mass_left
         blob = blob.changed(parting=parting)
-        if parting < self.parting_time or min(left, right) < max(
-            self._least_area(scene), 0.25 * max(left, right)
-        ):
+        least = max(self._least_area(scene), 0.25 * max(left, right))
+        if parting < self.parting_time or min(left, right) < least:
             due = blob.seen // SWEEP > (blob.seen - scene.elapsed) // SWEEP
             return [blob.changed(mask=without_crumbs(blob.mask)) if due else blob]
         larger, smaller = halves(blob)

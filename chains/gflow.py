@@ -261,11 +261,8 @@ class GFlow(PickledByFields):
         if isinstance(feature, PointTracks):
             return self._vertices_predicted(state) or feature.uniform()
         others = incoming[feature]
-        if (
-            state.lost
-            or not len(self.model.triangles)
-            or (others.image is None and others.background is None)
-        ):
+        nothing_there = others.image is None and others.background is None
+        if state.lost or not len(self.model.triangles) or nothing_there:
             return feature.uniform()
         seen = state
         if others.background is not None and others.image is not None:

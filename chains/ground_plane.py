@@ -1,5 +1,12 @@
 """Ground plane as a chain: objects stand on one plane, so they look the taller the lower they stand.
 
+Of objects j with feet (x_j, y_j), heights h_j and widths w_j, s_j being the plane's own height there:
+
+    p(feet_t | feet_t-1): constant velocity but for white acceleration; a, b and all c_j stay
+    p(h_j | y_j) = N(h_j; a + b (y_j - middle) + c_j s_j, (spread s_j)^2)
+    p(w_j | h_j) = N(w_j; r_j h_j, v_j s_j^2)
+    mu_{ground -> boxes}(b_j) = N(x_j) N(y_j) p(h_j | y_j) p(w_j | h_j)
+
 The RSMCM paper names a level above its object trackers, a model of how objects share a scene, whose
 predictions of their positions guide the trackers (end of §3); it gives no equations. What is here is ours:
 the scene's perspective is learned from the objects that walk through it, each object walks without jumps, and
@@ -28,7 +35,7 @@ from ..models.core.short_repr import short_repr
 from ..models.objects.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH, ObjectBoxes
 
 FIRST_TRUST, MOST_TRUST = 1.4, 4.0
-"""Log odds that an object stands on the plane: before its first look, and as sure as one can get."""
+"""Log odds that an object stands on the plane: before its first observation, and as sure as one can get."""
 
 
 @short_repr
@@ -38,7 +45,7 @@ class GroundPlane:
 
     Heights are a linear regression on the foot's row that all objects share, with a share of each object's
     own (a Kalman filter without dynamics: cameras stay, people keep their size); feet have first-order
-    dynamics. Both take looks for a mixture of good ones and bad ones: half hidden, or no person at all.
+    dynamics. Both take observations for a mixture of good ones and outliers (half hidden, or no person).
 
     Parameters
     ----------
@@ -52,10 +59,10 @@ class GroundPlane:
         heights/s^2, standard deviation of what moves a foot out of its straight way; it lasts half a second.
     first_speed
         heights/s, standard deviation of the velocity of somebody new.
-    bad_looks
-        share of looks that do not show an object from head to foot.
-    look_time
-        s after which a look at the same object is worth a new one: outlines err for a while.
+    outliers
+        share of observations that do not show an object from head to foot.
+    observation_time
+        s after which an observation of the same object is worth a whole new one: outlines err for a while.
     patience
         s after which an object that is not heard of is forgotten.
     """
@@ -65,8 +72,8 @@ class GroundPlane:
     foot_spread: float = 0.03
     acceleration: float = 0.5
     first_speed: float = 1.0
-    bad_looks: float = 0.1
-    look_time: float = 1.0
+    outliers: float = 0.1
+    observation_time: float = 1.0
     patience: float = 3.0
     name: str = "ground"
 
@@ -79,13 +86,13 @@ class GroundPlane:
             "foot_spread",
             "acceleration",
             "first_speed",
-            "look_time",
+            "observation_time",
             "patience",
         ):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
-        if not 0 < self.bad_looks < 1:
-            raise ValueError(f"bad_looks: got {self.bad_looks}, expected a share between 0 and 1")
+        if not 0 < self.outliers < 1:
+            raise ValueError(f"outliers: got {self.outliers}, expected a share between 0 and 1")
 
     def initial(self, frame: Frame) -> GroundState:
         """Nobody there, and any perspective: people are taller lower down, if it has to be guessed."""
@@ -121,7 +128,7 @@ class GroundPlane:
         return state.boxes(self.spread, self.foot_spread)
 
     def update(self, state: GroundState, incoming: Incoming) -> GroundState:
-        """Perspective and objects after a look at what others say of the boxes."""
+        """Perspective and objects given what others say of the boxes."""
         identities, boxes, covariances = incoming[ObjectBoxes].moments
         state = self._joined(state, identities, boxes)
         if not len(identities):
@@ -143,17 +150,17 @@ class GroundPlane:
         off = height - design @ state.scene
         covariance = gain @ design.T
         ratio = good_over_bad(off**2, covariance.diagonal() + noise, (HALF_HIDDEN * heights) ** 2)
-        good = probability(np.log(ratio * (1 / self.bad_looks - 1)))
+        good = probability(np.log(ratio * (1 / self.outliers - 1)))
         whole = state.whole(boxes)
         on_plane = probability(state.trust[seen])
-        worth = np.minimum(np.maximum(state.unseen[seen], 1e-6) / self.look_time, 1.0)
+        worth = np.minimum(np.maximum(state.unseen[seen], 1e-6) / self.observation_time, 1.0)
 
         weight = np.maximum(whole * on_plane * good * worth, 1e-9)
         solved = np.linalg.solve(covariance + np.diag(noise / weight), gain)
         scene = state.scene + off @ solved
         scene_covariance = state.scene_covariance - gain.T @ solved
         trust, all_heights, unseen = state.trust.copy(), state.heights.copy(), state.unseen.copy()
-        surprise = np.log((1 - self.bad_looks) * ratio + self.bad_looks)
+        surprise = np.log((1 - self.outliers) * ratio + self.outliers)
         trust[seen] += whole * worth * surprise
         all_heights[seen] = heights
         unseen[seen] = 0.0
@@ -187,9 +194,9 @@ class GroundPlane:
         reliable: Numbers,
         worth: Numbers,
     ) -> tuple[Numbers, Numbers]:
-        """Feet and their covariances after a look that shows them as likely as `reliable`.
+        """Feet and their covariances after observations that show them as likely as `reliable`.
 
-        What hides feet does so for a while: of their row such looks are only `worth` a part of a new one.
+        What hides feet does so for a while: of their row such observations are `worth` a part of a new one.
         """
         feet, feet_covariance = state.feet[seen], state.feet_covariance[seen]
         off = boxes[:, :WIDTH] - feet[:, :, 0]
@@ -200,7 +207,7 @@ class GroundPlane:
         variance = feet_covariance[:, :, 0, 0] + noise
         # People do not jump: a box that does has lost its object, or part of it.
         ratio = good_over_bad(off**2, variance, (heights**2)[:, None]).prod(axis=1)
-        good = probability(np.log(ratio * (1 / self.bad_looks - 1)))
+        good = probability(np.log(ratio * (1 / self.outliers - 1)))
         variance += noise * (1 / np.maximum(good, 1e-3) - 1)[:, None]
         gain = feet_covariance[:, :, :, 0] / variance[:, :, None]
         new_feet, new_covariance = state.feet.copy(), state.feet_covariance.copy()
@@ -211,8 +218,8 @@ class GroundPlane:
     def _joined(self, state: GroundState, identities: NDArray[np.int64], boxes: Numbers) -> GroundState:
         """The state without who was not heard of for long, and with who is new.
 
-        Somebody new starts where the first look puts them with next to no information, so that the look
-        counts once.
+        Somebody new starts where they are first observed with next to no information, so that the
+        observation counts once.
         """
         if np.array_equal(identities, state.identities):
             return state
@@ -249,5 +256,5 @@ class GroundPlane:
             aspects=sorted_with(state.aspects, boxes[new, WIDTH] / heights),
             aspect_variances=sorted_with(state.aspect_variances, np.full(n_new, 0.1**2)),
             trust=sorted_with(state.trust, np.full(n_new, FIRST_TRUST)),
-            unseen=sorted_with(state.unseen, np.full(n_new, self.look_time)),
+            unseen=sorted_with(state.unseen, np.full(n_new, self.observation_time)),
         )

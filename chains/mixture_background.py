@@ -1,4 +1,10 @@
-"""Background with several looks as a chain: leaves, water, a door that is open or shut.
+"""Background of several colours a pixel as a chain: leaves, water, a door that is open or shut.
+
+Of pixel k with label B_k and colour L_k, and components j that the scene shows there in turns:
+
+    p(w_t, m_t, v_t | w_t-1, m_t-1, v_t-1): they stay; what is learned wears off at `rate`
+    p(L_k | B_k = 1) = sum_j w_j N(L_k; m_j, v_j) / sum_j w_j over the most probable j,  p(L_k | B_k = 0) = U
+    mu_{R -> F_k} = P(B_k) p(L_k | B_k)
 
 Stauffer and Grimson's mixture of Gaussians per pixel (CVPR 1999), with one difference: what other chains say
 of a pixel slows its learning, so that objects that they track do not become background.
@@ -16,7 +22,6 @@ from ..models.background.mixture import MixturePrediction
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
-from ..models.numerics import array_pool
 
 REVEALED = 3.0
 """Nats from which on others are so sure of background that foreground is taken for it as it is seen."""
@@ -34,7 +39,7 @@ class MixtureState:
     mixture
         of colours.
     elapsed
-        s since the last look.
+        s since the last frame with an image.
     """
 
     size: tuple[int, int]
@@ -42,14 +47,14 @@ class MixtureState:
     elapsed: float
 
     def picture(self) -> NDArray[np.uint8]:
-        """The empty scene in its usual look: grey `(height, width)` or BGR `(height, width, 3)`."""
+        """The empty scene in its usual colours: grey `(height, width)` or BGR `(height, width, 3)`."""
         return colour.to_image(self.mixture.means[0], self.size)
 
 
 @short_repr
 @dataclass(frozen=True)
 class MixtureBackground:
-    """Per-pixel mixture of Gaussians, for scenes in which pixels have several looks.
+    """Per-pixel mixture of Gaussians, for scenes in which pixels show several colours in turns.
 
     It takes the place of `AdaptiveBackground`, but does not follow the light: use it where that is steady.
 
@@ -60,8 +65,8 @@ class MixtureBackground:
     components
         of a pixel, at most.
     rate
-        share per second by which weights follow what is seen. A new look that stays becomes background after
-        `-log(background_share) / rate` s, here 4.5.
+        share per second by which weights follow what is seen. A new colour that stays becomes background
+        after `-log(background_share) / rate` s, here 4.5.
     background_share
         the most probable components that together weigh more than this are background.
     first_variance
@@ -109,7 +114,7 @@ class MixtureBackground:
         return MixtureState((image.shape[0], image.shape[1]), mixture, 0.0)
 
     def predict(self, state: MixtureState, dt: float) -> MixtureState:
-        """The mixture stays; more is learned from the next look."""
+        """The mixture stays; more is learned from the next frame."""
         return replace(state, elapsed=state.elapsed + dt)
 
     def message(self, state: MixtureState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
@@ -121,7 +126,7 @@ class MixtureBackground:
 
         It is `rate` times r / P(B=1), where r = P(B=1 | everything else). That factor is one where no other
         chain speaks. Where others are sure of background that shows itself as something else (an object of
-        the first image that has left), that look is taken for it at once.
+        the first image that has left), that colour is taken for it at once.
         """
         others = incoming[PixelLabels]
         image = others.image
@@ -130,12 +135,11 @@ class MixtureBackground:
         prediction = incoming.once(self._prediction, state)
         height, width = state.size
         rate = float(-np.expm1(-self.rate * state.elapsed))
-        rates = array_pool.empty((height, width), np.float32)
-        rates[:] = rate
-        pooled = prediction.against(image).pooled.reshape(height, width)
+        rates = np.full((height, width), rate, np.float32)
+        log_odds = prediction.compare(image).smoothed.reshape(height, width)
         for region in others.regions:
             relative = 1 / (self.prior + (1 - self.prior) * np.exp(-region.shift))
-            revealed = (region.shift > REVEALED) & (pooled[region.window] < 0)
+            revealed = (region.shift > REVEALED) & (log_odds[region.window] < 0)
             rates[region.window] = np.where(revealed, 1, rate * np.minimum(relative, 1))
         mixture = prediction.update(image, rates.reshape(-1), 0.5 * rate, self.first_variance)
         return replace(state, mixture=mixture, elapsed=0.0)

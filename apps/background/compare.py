@@ -13,8 +13,8 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ...models.core.atomic_files import write_text
 from ...models.core.frame import Frame
+from ...models.files.atomic_files import write_text
 from ..drawing.mosaic import mosaic
 from ..evaluation.scoring import Scoring
 from ..experiments.trials.baselines import CleanUp, OpenCVSubtractor
@@ -119,8 +119,8 @@ class Gallery:
 
     def chosen(self) -> list[Moment]:
         """Up to five of them, evenly spaced, with the last."""
-        places = np.linspace(0, len(self.moments) - 1, min(COLUMNS, len(self.moments)))
-        return [self.moments[round(place)] for place in places]
+        kept = self.moments.kept
+        return [kept[round(place)] for place in np.linspace(0, len(kept) - 1, min(COLUMNS, len(kept)))]
 
 
 FIGURE_ROWS = (

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...inference import RecursiveBP
 from ...inference.core.recursive_bp import RunState
-from ...models.core.frame import Frame
+from ...models.core.frame import BoundingBox, Frame
 from ..experiments.trials.baselines import CleanUp, KalmanHungarian, Subtractor, component_boxes
 from .application import Found, build_model, found_in
 from .job import Engine
@@ -84,11 +84,11 @@ class ModelSubtractor:
 
 
 @dataclass(frozen=True)
-class Box:
+class TrackedBox:
     """A tracked box, x, y, width, height px."""
 
     identity: int
-    box: tuple[float, float, float, float]
+    box: BoundingBox
     confidence: float = 1.0
 
 
@@ -121,4 +121,4 @@ class Usual:
         if frame.image is not None:
             self._mask = self._clean_up.apply(self._subtractor.apply(frame.image))
         found = self._tracker.update(component_boxes(self._mask))
-        return Found(self._mask, [Box(int(i), (x, y, w, h)) for i, x, y, w, h in found.tolist()])
+        return Found(self._mask, [TrackedBox(int(i), (x, y, w, h)) for i, x, y, w, h in found.tolist()])

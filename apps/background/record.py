@@ -148,7 +148,7 @@ class RunRecord:
         return {
             "series": {name: base64.b64encode(getattr(self, name).tobytes()).decode() for name in SERIES},
             "tracks": [[identity, asdict(history)] for identity, history in self.tracks.items()],
-            "snapshots": {**vars(self.snapshots), "kept": [each.saved for each in self.snapshots]},
+            "snapshots": {**vars(self.snapshots), "kept": [each.saved for each in self.snapshots.kept]},
             "missing": self.missing,
         }
 

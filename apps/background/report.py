@@ -57,7 +57,7 @@ def write_report(
     sections: list[Section] = []
     if metrics:
         sections.append(("Against the ground truth", [table(("measure", "value"), flat(metrics))]))
-    sections.append(("Pictures over time", [_strip(record.snapshots)]))
+    sections.append(("Pictures over time", [_strip(record.snapshots.kept)]))
     text = "Where the feet went, on the background at the end: from the ring to the dot with the number."
     sections.append(("Tracks", [picture(draw_tracks(background, record.tracks), text), _track_table(record)]))
     sections.append(("Over time", [_plots(record)]))
@@ -74,7 +74,7 @@ def draw_tracks(background: Image, tracks: Mapping[int, TrackHistory]) -> Image:
     ends = {}
     for identity, history in sorted(tracks.items()):
         colour = identity_colour(identity)
-        points = np.rint((np.array([*history.path, history.foot]) + 0.5) * scale).astype(np.int32)
+        points = np.rint((np.array([*history.path.kept, history.foot]) + 0.5) * scale).astype(np.int32)
         start, ends[identity] = ((int(x), int(y)) for x, y in (points[0], points[-1]))
         for ink, thickness in ((edge, 4), (colour, 2)):
             cv2.polylines(canvas, [points], False, ink, thickness, cv2.LINE_AA)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import JOINTS
-from ...models.core.limits import LAST_FRAME, MOST_SETTINGS
-from ...models.core.text_files import read_text
+from ...models.files.limits import LAST_FRAME, MOST_SETTINGS
+from ...models.files.text_files import read_text
 from ..io.point_files import FARTHEST
 
 Array = NDArray[np.float64]

@@ -221,7 +221,7 @@ def _seen(record: BodyRecord) -> Markup:
             draw,
             (11, 1.8),
             "When the image has shown the parts. A hand before face or neck does not count, since their "
-            "flesh may be all that was seen.",
+            "skin may be all that was seen.",
         )
     )
 

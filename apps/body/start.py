@@ -12,13 +12,12 @@ from ...models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
 from ...models.body.skin_colour import SkinColour
 from ...models.body.static_skin import static_skin
 from ...models.body.upper_body import UpperBody
-from ...models.core.frame import Frame
+from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import HaarFaces, PartDetector, default_faces
 from .joint_files import ClickedJoints
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +126,7 @@ class SavedPerson:
         return BodyStart(parts, self.body, self.origin)
 
 
-def read_head(text: str) -> Box:
+def read_head(text: str) -> BoundingBox:
     """Read `x,y,width,height` px of a head.
 
     Raises
@@ -186,7 +185,7 @@ def start_from_faces(
 
 
 def start_from_head(
-    first: Frame, head: Box, images: Sequence[Image], clicked: ClickedJoints | None
+    first: Frame, head: BoundingBox, images: Sequence[Image], clicked: ClickedJoints | None
 ) -> BodyStart:
     """Learn size and colour from the head that somebody has marked in a frame.
 

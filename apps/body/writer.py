@@ -30,7 +30,7 @@ ANGLE_NAMES = (
 
 
 FACE_AND_NECK = (0.45, 0.62)
-"""Of the head's height: half axes of the ellipse about its centre in which flesh need not be a hand's."""
+"""Of the head's height: half axes of the ellipse about its centre in which skin need not be a hand's."""
 
 
 class BodyWriter(PoseWriter):
@@ -40,7 +40,7 @@ class BodyWriter(PoseWriter):
     `joints_2d (8, 2)` px, `joints_2d_covariances (8, 2, 2)`, `joints_3d (8, 3)`, `joints_3d_covariances (8,
     3, 3)`, `angles (13,)`, `angle_covariances (13, 13)`; `samples (40, 8, 3)` px, joints of poses drawn from
     the posterior; `seen (3,)`, whether the image has shown head, left hand and right hand (a hand before face
-    or neck does not count, since their flesh may be all that was seen); `stationary`, whether nothing at all
+    or neck does not count, since their skin may be all that was seen); `stationary`, whether nothing at all
     was detected; `missing`, whether there was no image. `joint_names (8,)`,
     `part_names (3,)` (of `seen`), `angle_names (13,)`, and the body's `length_names` and `lengths` px come
     once. x is to the right, y down, z away from the viewer, 0 at the root; left is the person's own.

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.validity.estimate import RecordedPredictions
-from ...models.core.array_files import read_arrays
-from ...models.core.atomic_files import write_atomically
 from ...models.core.gaussian_message import GaussianMessage
+from ...models.files.array_files import read_arrays
+from ...models.files.atomic_files import write_atomically
 
 FILE = "predictions.npz"
 FORMAT = "rsmcm predictions 1"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.frame import Frame
+from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import PartDetector
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
@@ -13,7 +13,6 @@ from ...models.face.surface_points import SurfacePoints
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-Box = tuple[float, float, float, float]
 
 FEWEST_LANDMARKS = 4
 WIDTH_OF_FACE = 0.85
@@ -113,7 +112,7 @@ def _points_of(
     raise ValueError(f"landmarks: got {n_given}, but the model has {expected}: give --correspondences")
 
 
-def start_from_box(model: MorphableModel, box: Box) -> FaceStart:
+def start_from_box(model: MorphableModel, box: BoundingBox) -> FaceStart:
     """Place the typical shape upright in the box `(x, y, width, height)` px of a face.
 
     Raises
@@ -132,7 +131,7 @@ def start_from_box(model: MorphableModel, box: Box) -> FaceStart:
     return FaceStart(person, pose, SurfacePoints.of_vertices([]), np.zeros(0, np.bool_), None)
 
 
-def find_face(frame: Frame, faces: PartDetector) -> Box | None:
+def find_face(frame: Frame, faces: PartDetector) -> BoundingBox | None:
     """The largest face that a detector finds, `(x, y, width, height)` px; `None` if there is none."""
     boxes = faces(frame)
     if not len(boxes):

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.limits import MOST_SETTINGS, MOST_TEXT
-from ...models.core.text_files import read_text
+from ...models.files.limits import MOST_SETTINGS, MOST_TEXT
+from ...models.files.text_files import read_text
 from .mot import read_lines
 from .sources.images import read_grey
 

@@ -6,7 +6,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.atomic_files import sync
+from ...models.files.atomic_files import sync
 from .files import write_image
 from .segmented_video import LOSSLESS_GRAY, SegmentedVideo
 from .worker import Worker
@@ -18,7 +18,7 @@ class MaskWriter:
     Parameters
     ----------
     folder
-        of the run's results.
+        of the results; made where it is not there.
     mode
         `"none"`, `"png"` or `"video"`.
     rate
@@ -28,10 +28,16 @@ class MaskWriter:
     """
 
     def __init__(
-        self, folder: Path, mode: Literal["none", "png", "video"], rate: float, resume_after: int = 0
+        self,
+        folder: str | Path,
+        mode: Literal["none", "png", "video"] = "png",
+        rate: float = 25.0,
+        resume_after: int = 0,
     ) -> None:
         if mode not in ("none", "png", "video"):
             raise ValueError(f"masks: got {mode!r}, expected none, png or video")
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder / "foreground"
         self._mode = mode
         self._video: SegmentedVideo | None = None

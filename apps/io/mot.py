@@ -9,8 +9,8 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.atomic_files import naming, write_text
-from ...models.core.limits import LAST_FRAME
+from ...models.files.atomic_files import naming, write_text
+from ...models.files.limits import LAST_FRAME
 from .point_files import FARTHEST
 
 LONGEST_LINE = 10_000  # of a file of boxes: beyond, it is none
@@ -46,8 +46,8 @@ class TrackWriter:
     as 1, 1.
     """
 
-    def __init__(self, path: Path, resume_after: int = 0) -> None:
-        self._path = path
+    def __init__(self, path: str | Path, resume_after: int = 0) -> None:
+        self._path = path = Path(path)
         kept = _lines_until(path, resume_after) if resume_after and path.exists() else ""
         write_text(path, kept)
         with naming(path):
@@ -97,7 +97,7 @@ def _lines_until(path: Path, number: int) -> str:
     return "".join(kept)
 
 
-def read_tracks(path: Path) -> NDArray[np.void]:
+def read_tracks(path: str | Path) -> NDArray[np.void]:
     """Read boxes in MOT format: results, detections or ground truth.
 
     Returns
@@ -113,7 +113,7 @@ def read_tracks(path: Path) -> NDArray[np.void]:
         naming file and line, if a line is no such box.
     """
     rows = []
-    for _, (frame, identity, x, y, w, h, *others) in read_lines(path):
+    for _, (frame, identity, x, y, w, h, *others) in read_lines(Path(path)):
         rows.append((int(frame), int(identity), (x - 1, y - 1, w, h), others[0] if others else 1.0))
     return np.array(rows, dtype=TRACK_FIELDS)
 

@@ -11,8 +11,8 @@ from typing import IO, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.atomic_files import naming, sync, write_atomically
-from .segments import segment_name, segments_of
+from ...models.files.atomic_files import naming, sync, write_atomically
+from .segments import drop_segments, join_segments, segment_name
 
 CHUNK = 1 << 24
 """Bytes that are copied at a time."""
@@ -42,8 +42,7 @@ class RowWriter:
         self._columns: dict[str, tuple[IO[bytes], NDArray[Any]]] = {}
         self._n_rows = 0  # since the last checkpoint
         self._last = 0  # number of the last frame
-        for segment in segments_of(path, behind=resume_after):
-            segment.unlink()
+        drop_segments(path, behind=resume_after)
 
     def __enter__(self) -> Self:
         return self
@@ -115,16 +114,29 @@ class RowWriter:
         finally:
             for file, _first in self._columns.values():
                 file.close()
-        segments = segments_of(self._path)
-        if segments:
-            with write_atomically(self._path) as unfinished, zipfile.ZipFile(unfinished, "w") as archive:
-                for name, value in self._constants.items():
-                    with _entry(archive, name) as entry:
-                        np.lib.format.write_array(entry, np.asarray(value), allow_pickle=False)
-                _join(segments, archive)
-        if finished:
-            for segment in segments:
-                segment.unlink()
+        join_segments(self._path, self._join, finished=finished)
+
+    def _join(self, segments: Sequence[Path], path: Path) -> None:
+        """Write constants, and all rows of each array, one segment after the other."""
+        with ExitStack() as stack:
+            archive = stack.enter_context(zipfile.ZipFile(path, "w"))
+            for name, value in self._constants.items():
+                with _entry(archive, name) as entry:
+                    np.lib.format.write_array(entry, np.asarray(value), allow_pickle=False)
+            parts = [stack.enter_context(zipfile.ZipFile(segment)) for segment in segments]
+            for member in parts[0].namelist():
+                headers = []
+                for part in parts:
+                    with part.open(member) as file:
+                        headers.append(_read_header(file))
+                (_, *form), dtype = headers[0]
+                rows = sum(shape[0] for shape, _ in headers)
+                with _entry(archive, member.removesuffix(".npy")) as entry:
+                    _write_header(entry, (rows, *form), dtype)
+                    for part in parts:
+                        with part.open(member) as file:
+                            _read_header(file)
+                            shutil.copyfileobj(file, entry, CHUNK)
 
 
 def _entry(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
@@ -142,22 +154,3 @@ def _read_header(entry: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
     np.lib.format.read_magic(entry)
     shape, _, dtype = np.lib.format.read_array_header_1_0(entry)
     return shape, dtype
-
-
-def _join(segments: Sequence[Path], archive: zipfile.ZipFile) -> None:
-    """Write all rows of each array, one segment after the other."""
-    with ExitStack() as stack:
-        parts = [stack.enter_context(zipfile.ZipFile(segment)) for segment in segments]
-        for member in parts[0].namelist():
-            headers = []
-            for part in parts:
-                with part.open(member) as file:
-                    headers.append(_read_header(file))
-            (_, *form), dtype = headers[0]
-            rows = sum(shape[0] for shape, _ in headers)
-            with _entry(archive, member.removesuffix(".npy")) as entry:
-                _write_header(entry, (rows, *form), dtype)
-                for part in parts:
-                    with part.open(member) as file:
-                        _read_header(file)
-                        shutil.copyfileobj(file, entry, CHUNK)

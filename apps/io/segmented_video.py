@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Literal, cast
 
@@ -14,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.atomic_files import UNFINISHED, naming, sync, write_atomically
-from .segments import segment_name, segments_of
+from ...models.files.atomic_files import UNFINISHED, naming, sync
+from .segments import drop_segments, join_segments, segment_name
 
 
 @dataclass(frozen=True)
@@ -81,8 +82,7 @@ class SegmentedVideo:
         self._segment: _Segment | None = None
         self._unfinished = path.with_name(f"{UNFINISHED}part-{path.name}")
         self._unfinished.unlink(missing_ok=True)
-        for segment in segments_of(path, behind=resume_after):
-            segment.unlink()
+        drop_segments(path, behind=resume_after)
 
     def write(self, picture: NDArray[np.uint8], number: int, time: float) -> None:
         """Append a picture, BGR or gray as the form demands, of the frame with this number and time."""
@@ -120,13 +120,8 @@ class SegmentedVideo:
     def close(self, *, finished: bool) -> None:
         """Write the whole video; when the run is finished, remove the segments."""
         self.checkpoint()
-        segments = segments_of(self._path)
-        if segments:
-            with _naming(self._path), write_atomically(self._path) as unfinished:
-                _join(segments, unfinished, self._form)
-        if finished:
-            for segment in segments:
-                segment.unlink()
+        with _naming(self._path):
+            join_segments(self._path, partial(_join, form=self._form), finished=finished)
 
     def _open(self, picture: NDArray[np.uint8], time: float) -> _Segment:
         height, width = picture.shape[:2]

@@ -1,6 +1,9 @@
 """Segments: complete parts of a file that grows with the frames, named by their last frame."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
+
+from ...models.files.atomic_files import write_atomically
 
 
 def segment_name(path: Path, last: int) -> Path:
@@ -18,3 +21,25 @@ def segment_pattern(name: str) -> str:
     """What the segments of a file are called, as a pattern of `glob`."""
     path = Path(name)
     return f"{path.stem}.part[0-9]*{path.suffix}"
+
+
+def drop_segments(path: Path, behind: int = 0) -> None:
+    """Remove the segments of the file `path` that end behind a frame."""
+    for segment in segments_of(path, behind):
+        segment.unlink()
+
+
+def join_segments(path: Path, join: Callable[[Sequence[Path], Path], None], *, finished: bool) -> None:
+    """Write the whole file, by what joins its segments, if any; when the run is finished, remove them.
+
+    Raises
+    ------
+    OSError
+        if the file cannot be written; it is then as before.
+    """
+    segments = segments_of(path)
+    if segments:
+        with write_atomically(path) as unfinished:
+            join(segments, unfinished)
+    if finished:
+        drop_segments(path)

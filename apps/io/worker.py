@@ -1,13 +1,13 @@
 """A thread that writes files, while the run goes on."""
 
-import queue
-import threading
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 
 class Worker:
-    """A thread that does jobs in order; what goes wrong there is raised at the next call here.
+    """A thread that does jobs in order; what goes wrong there is raised at a later call here.
 
     Parameters
     ----------
@@ -18,39 +18,27 @@ class Worker:
     """
 
     def __init__(self, name: str, waiting: int = 8) -> None:
-        self._jobs: queue.Queue[tuple[Callable[..., None], tuple[Any, ...]] | None] = queue.Queue(waiting)
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
-        self._thread.start()
+        self._thread = ThreadPoolExecutor(1, name)
+        self._waiting = waiting
+        self._jobs: deque[Future[None]] = deque()
 
     def submit(self, job: Callable[..., None], *arguments: Any) -> None:
         """Have a function called with these arguments."""
-        self._raise()
-        self._jobs.put((job, arguments))
+        self._finish(but=self._waiting)
+        self._jobs.append(self._thread.submit(job, *arguments))
 
     def wait(self) -> None:
         """Return when everything is done."""
-        self._jobs.join()
-        self._raise()
+        self._finish(but=0)
 
     def stop(self) -> None:
-        """Finish everything and end the thread."""
-        if self._thread.is_alive():
-            self._jobs.put(None)
-            self._thread.join()
-        self._raise()
+        """Finish everything, unless something has gone wrong, and end the thread."""
+        try:
+            self.wait()
+        finally:
+            self._thread.shutdown(cancel_futures=True)
 
-    def _work(self) -> None:
-        while (item := self._jobs.get()) is not None:
-            job, arguments = item
-            try:
-                if self._error is None:
-                    job(*arguments)
-            except BaseException as error:  # handed over to the thread that submits
-                self._error = error
-            finally:
-                self._jobs.task_done()
-
-    def _raise(self) -> None:
-        if self._error is not None:
-            raise self._error
+    def _finish(self, but: int) -> None:
+        while len(self._jobs) > but:
+            self._jobs[0].result()  # stays there if it has gone wrong: nothing is done after it
+            self._jobs.popleft()

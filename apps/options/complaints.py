@@ -132,9 +132,9 @@ def _name(argument: Argument) -> str:
 
 
 def _kinds(hint: Any) -> list[Any]:
-    """The types of a union, or the only one; `None` is never typed."""
+    """The types of a union, or the only one; `None` and "any number of them" are never typed."""
     kinds = [hint] if get_origin(hint) is Literal else get_args(hint) or [hint]
-    return [kind for kind in kinds if kind is not NoneType]
+    return [kind for kind in kinds if kind not in (NoneType, Ellipsis)]
 
 
 def _expected(hint: Any) -> str:

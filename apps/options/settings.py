@@ -11,8 +11,8 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 from cyclopts import App, ArgumentCollection
 from cyclopts.config import Dict
 
-from ...models.core.limits import MOST_SETTINGS
-from ...models.core.text_files import read_text
+from ...models.files.limits import MOST_SETTINGS
+from ...models.files.text_files import read_text
 from .complaints import meant
 
 T = TypeVar("T")

@@ -1,14 +1,14 @@
 """A few evenly spaced items of a row of any length."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar, overload
+from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
 
 @dataclass
-class EvenlySpaced(Sequence[T], Generic[T]):
+class EvenlySpaced(Generic[T]):
     """At most so many items: whenever there are more, every second one goes and the distance doubles.
 
     Parameters
@@ -17,7 +17,7 @@ class EvenlySpaced(Sequence[T], Generic[T]):
         how many are kept, an even number.
     kept
         the items so far.
-    places
+    count
         places in the row so far.
     stride
         places between items.
@@ -27,26 +27,16 @@ class EvenlySpaced(Sequence[T], Generic[T]):
 
     most: int
     kept: list[T] = field(default_factory=list)
-    places: int = 0
+    count: int = 0
     stride: int = 1
     due: int = 0
 
-    @overload
-    def __getitem__(self, index: int) -> T: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[T]: ...
-    def __getitem__(self, index: int | slice) -> T | list[T]:
-        return self.kept[index]
-
-    def __len__(self) -> int:
-        return len(self.kept)
-
     def add(self, make: Callable[[], T] | None) -> None:
         """Go on to the next place; `make` is called if its item is kept, `None` where there is none."""
-        if make is not None and self.places >= self.due:
+        if make is not None and self.count >= self.due:
             self.kept.append(make())
             if len(self.kept) > self.most:
                 del self.kept[1::2]
                 self.stride *= 2
-            self.due = self.places + self.stride
-        self.places += 1
+            self.due = self.count + self.stride
+        self.count += 1

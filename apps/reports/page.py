@@ -15,7 +15,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from ...models.core.atomic_files import write_text
+from ...models.files.atomic_files import write_text
 
 Image = NDArray[np.uint8]
 

@@ -11,7 +11,7 @@ import matplotlib
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from ...models.core.atomic_files import write_atomically
+from ...models.files.atomic_files import write_atomically
 from .page import captioned
 
 INK = "#0a0b0c"  # stands for the reader's text colour in plots

@@ -41,7 +41,7 @@ class Snapshots:
     KINDS: ClassVar[dict[str, Any]] = {
         "most": int,
         "kept": tuple[Snapshot, ...],
-        "places": int,
+        "count": int,
         "stride": int,
         "due": int,
     }
@@ -52,10 +52,10 @@ class Snapshots:
         self._kept: EvenlySpaced[Snapshot] = EvenlySpaced(MOST_SNAPSHOTS)
 
     def __len__(self) -> int:
-        return len(self._kept)
+        return len(self._kept.kept)
 
     def __iter__(self) -> Iterator[Snapshot]:
-        return iter(self._kept)
+        return iter(self._kept.kept)
 
     def add(self, frame: Frame, draw: Callable[[], Image]) -> None:
         """Take in a frame; `draw` is called for the few of which a picture is kept."""
@@ -63,7 +63,7 @@ class Snapshots:
 
     def saved(self) -> dict[str, Any]:
         """Everything."""
-        return {**vars(self._kept), "kept": tuple(self._kept)}
+        return {**vars(self._kept), "kept": tuple(self._kept.kept)}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Take over what `saved` was."""
@@ -71,12 +71,12 @@ class Snapshots:
 
     def row(self, name: str) -> Markup:
         """All pictures beside each other in a row of that name."""
-        columns = [f"frame {each.number}, {each.time:.1f} s" for each in self._kept]
-        return picture_grid([(name, [each.picture for each in self._kept])], columns)
+        columns = [f"frame {each.number}, {each.time:.1f} s" for each in self]
+        return picture_grid([(name, [each.picture for each in self])], columns)
 
     def column(self) -> Markup:
         """All pictures below each other."""
-        rows = [(f"{each.time:.1f} s", [each.picture]) for each in self._kept]
+        rows = [(f"{each.time:.1f} s", [each.picture]) for each in self]
         return picture_grid(rows, [""])
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.atomic_files import write_atomically
 from ...models.core.frame import Frame
+from ...models.files.atomic_files import write_atomically
 from ...models.points.affine_camera import scaled_rotations
 from ..io.files import write_json
 from .reconstruction import Numbers, Reconstruction

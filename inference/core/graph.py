@@ -152,14 +152,14 @@ class MultiChain:
     def chains(self) -> dict[str, Any]:
         """Chains by name, in the order in which they have their turn.
 
-        That is the order of what they want to find in their cavities; those with a cut message come last, and
-        ties go by name.
+        That is the order of what they want to find in their cavities; of those that want the same, the ones
+        with a cut message come last, and ties go by name.
         """
         chains = self._nodes("chain")
 
-        def turn(name: str) -> tuple[bool, Cavity, str]:
+        def turn(name: str) -> tuple[Cavity, bool, str]:
             cut = not all(edge["feedback"] for edge in self.graph[name].values())
-            return cut, max(self.cavity(name, feature) for feature in self.graph[name]), name
+            return max(self.cavity(name, feature) for feature in self.graph[name]), cut, name
 
         return {name: chains[name] for name in sorted(chains, key=turn)}
 

@@ -124,10 +124,10 @@ def update(states: PointStates, information: ArrayLike, vector: ArrayLike) -> Po
         if the shapes do not fit.
     """
     _checked_states(states, 1)
-    told = _checked_measurements(information, vector, states.mean.shape[:-1])
+    measured = _checked_measurements(information, vector, states.mean.shape[:-1])
     after = _empty_like(states)
     kalman_kernels.update_states(
-        _plain(states.mean), _plain(states.covariance), *told, after.mean, after.covariance
+        _plain(states.mean), _plain(states.covariance), *measured, after.mean, after.covariance
     )
     return after
 
@@ -166,7 +166,7 @@ def filter_tracks(
     """
     n_points = _checked_states(prior, 1)
     seconds = _checked_times(times)
-    told = _checked_measurements(information, vector, (len(seconds), n_points))
+    measured = _checked_measurements(information, vector, (len(seconds), n_points))
     filtered = PointStates(
         np.empty((len(seconds), n_points, STATE)), np.empty((len(seconds), n_points, STATE, STATE))
     )
@@ -174,7 +174,7 @@ def filter_tracks(
         _plain(prior.mean),
         _plain(prior.covariance),
         seconds,
-        *told,
+        *measured,
         _per_point(acceleration, n_points),
         filtered.mean,
         filtered.covariance,
@@ -288,10 +288,10 @@ def _checked_times(times: ArrayLike) -> Numbers:
 def _checked_measurements(
     information: ArrayLike, vector: ArrayLike, shape: tuple[int, ...]
 ) -> tuple[Numbers, Numbers]:
-    told, weighted = _plain(information), _plain(vector)
-    if told.shape != (*shape, 2, 2) or weighted.shape != (*shape, 2):
+    precision, weighted = _plain(information), _plain(vector)
+    if precision.shape != (*shape, 2, 2) or weighted.shape != (*shape, 2):
         raise ValueError(
-            f"measurements: got information {told.shape} and vector {weighted.shape}, "
+            f"measurements: got information {precision.shape} and vector {weighted.shape}, "
             f"expected {(*shape, 2, 2)} and {(*shape, 2)}"
         )
-    return told, weighted
+    return precision, weighted

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from ...models.core.gaussian_message import GaussianMessage
 from ...models.objects.kernels.blobs import UNKNOWN_COLOUR, cover
 from ...models.objects.kernels.masks import shape_of
 from .blobs import MARGIN, Blob, Map, Pair
@@ -13,7 +14,7 @@ from .blobs import MARGIN, Blob, Map, Pair
 THINNEST = 0.08
 """Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
 
-FRESH = 0.85
+FRESH = 0.5
 """s for which a blob was seen, below which it may still be a part of another."""
 
 
@@ -31,6 +32,17 @@ def is_hidden(blob: Blob, in_front: Sequence[Blob]) -> bool:
     free = np.ones(blob.mask.shape, np.float32)
     cover_by(free, *blob.corner, in_front)
     return float((free * blob.mask).sum()) < 0.5 * float(blob.mask.sum())
+
+
+def box_densities(blobs: Sequence[Blob]) -> GaussianMessage:
+    """Where blobs stand and how large they look, as a message to `ObjectBoxes`."""
+    x, y, width, height = np.array([blob.box for blob in blobs]).T
+    deviations = np.stack([0.05 * width, 0.03 * height, 0.15 * width, 0.08 * height], axis=1) + 1
+    return GaussianMessage.from_moments(
+        [blob.identity for blob in blobs],
+        np.stack([x + 0.5 * width, y + height, width, height], axis=1),
+        deviations[:, :, None] ** 2 * np.eye(4),
+    )
 
 
 def likely_size(mask: Map) -> Pair:

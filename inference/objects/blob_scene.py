@@ -27,7 +27,7 @@ def cut_out(
         np.empty(shape, np.float32),
         np.empty(shape, np.float32),
     )
-    gather(image, pixels.subtraction.pooled.reshape(image.shape[:2]), top, left, patch)
+    gather(image, pixels.subtraction.smoothed.reshape(image.shape[:2]), top, left, patch)
     cover_by(patch.free, top, left, in_front)
     return patch
 
@@ -123,7 +123,7 @@ class BlobScene:
         scale = max(1, round(max(height, width) / 192))
         assert self.pixels.subtraction is not None
         counts = np.empty((-(-height // scale), -(-width // scale)), np.int32)
-        count_foreground(self.pixels.subtraction.pooled, width, scale, counts)
+        count_foreground(self.pixels.subtraction.smoothed, width, scale, counts)
         for blob in blobs:
             clear_blocks(counts, *blob.corner, blob.mask, scale)
         spots = (counts * 4 >= scale * scale).astype(np.uint8)

@@ -12,12 +12,12 @@ from .blobs import Blob
 
 
 def registered(blobs: Sequence[Blob], pixels: PixelMessage, outliers: float, temper: float) -> list[Blob]:
-    """Blobs, front to back, with place and velocity updated by the pixels that nothing in front covers.
+    """Blobs with place and velocity updated by the pixels that nothing in front covers.
 
     Parameters
     ----------
     blobs
-        predicted, in any order.
+        predicted, front to back.
     pixels
         with an image and a background.
     outliers
@@ -26,7 +26,7 @@ def registered(blobs: Sequence[Blob], pixels: PixelMessage, outliers: float, tem
         how many independent observations one pixel is worth.
     """
     placed: list[Blob] = []
-    for blob in front_to_back(blobs):
+    for blob in blobs:
         placed.append(_placed(blob, placed, pixels, outliers, temper))
     return placed
 

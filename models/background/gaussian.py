@@ -1,7 +1,7 @@
 """A picture of the empty scene as a prediction of pixels, and what an image says of it.
 
 Per pixel the scene shows `light * mean` plus noise where nothing stands in front of it, and anything where
-something does. Reading an image against that prediction is the one pass over all pixels of a frame; its
+something does. Comparing an image with that prediction is the one pass over all pixels of a frame; its
 result (log odds of "background", and the mean and variances that would follow) is kept with the prediction.
 """
 
@@ -12,7 +12,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics import array_pool
 from ..numerics.threads import over_bands
 from . import colour
 from .kernels.gaussian import (
@@ -23,8 +22,8 @@ from .kernels.gaussian import (
     SecondColours,
     interpolate,
     log_evidence,
-    pool_log_odds,
     recall,
+    smooth_log_odds,
     subtract_colour,
     subtract_grey,
 )
@@ -79,12 +78,12 @@ class Subtraction:
     ----------
     log_odds
         log of P(B=1) N(I; ...) over P(B=0) U, within +-6 nats.
-    pooled
+    smoothed
         the same with the neighbours' share (see `BackgroundPrediction`).
     """
 
     log_odds: NDArray[np.int8]
-    pooled: NDArray[np.int8]
+    smoothed: NDArray[np.int8]
 
 
 class BackgroundFactor(Protocol):
@@ -97,7 +96,7 @@ class BackgroundFactor(Protocol):
 
     @property
     def mean(self) -> Planes:
-        """`(channels, n_pixels)` float32 in the planes of `models.colour`: the scene's usual look."""
+        """`(channels, n_pixels)` float32 in the planes of `models.colour`: the scene's usual colours."""
         ...
 
     @property
@@ -105,8 +104,8 @@ class BackgroundFactor(Protocol):
         """P(B=1), that a pixel shows background."""
         ...
 
-    def against(self, image: NDArray[np.uint8], /) -> Subtraction:
-        """Read an image against the prediction; the same image is read only once."""
+    def compare(self, image: NDArray[np.uint8], /) -> Subtraction:
+        """Compare an image with the prediction; the same image only once."""
         ...
 
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None, /) -> float:
@@ -138,8 +137,8 @@ class BackgroundPrediction:
     first_variance
         squared grey levels, of a value seen once.
     pooling
-        weight of what the 5 x 5 pixels around a pixel saw in its own log odds: neighbours mostly share their
-        label, but are not independent looks. 0 makes every pixel decide for itself.
+        weight of what the 5 x 5 pixels around a pixel show in its own log odds: neighbours mostly share their
+        label, but are not independent observations. 0 makes every pixel decide for itself.
     second
         second colour of every pixel: once known, what is within `tolerance` (squared grey levels) of it is
         background too.
@@ -155,7 +154,7 @@ class BackgroundPrediction:
     pooling: float
     second: SecondColours
     tolerance: float
-    _readings: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
+    _compared: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
     _updates: dict[int, Gaussians] = field(default_factory=dict)
 
     @property
@@ -179,18 +178,18 @@ class BackgroundPrediction:
         )
         return PixelModel(*map(np.float32, numbers))
 
-    def against(self, image: NDArray[np.uint8]) -> Subtraction:
-        """Read an image against the prediction; the same image is read only once."""
-        known = self._readings.get(id(image))
+    def compare(self, image: NDArray[np.uint8]) -> Subtraction:
+        """Compare an image with the prediction; the same image only once."""
+        known = self._compared.get(id(image))
         if known is None:
-            reading, update = self._subtract(image)
-            known = self._readings[id(image)] = (image, reading)
+            subtraction, update = self._subtract(image)
+            known = self._compared[id(image)] = (image, subtraction)
             self._updates[id(image)] = update
         return known[1]
 
     def update(self, image: NDArray[np.uint8]) -> Gaussians:
         """The background after the image. The arrays are the caller's to change: they are forgotten here."""
-        self.against(image)
+        self.compare(image)
         return self._updates.pop(id(image), None) or self._subtract(image)[1]
 
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
@@ -208,8 +207,8 @@ class BackgroundPrediction:
 
     def _subtract(self, image: NDArray[np.uint8]) -> tuple[Subtraction, Gaussians]:
         height, width = self.size
-        after = Gaussians(*(array_pool.empty(before.shape, np.float32) for before in self.pixels))
-        log_odds = array_pool.empty((height * width,), np.int8)
+        after = Gaussians(*(np.empty(before.shape, np.float32) for before in self.pixels))
+        log_odds = np.empty((height * width,), np.int8)
         flat = np.ascontiguousarray(image).reshape(-1)
         kernel = subtract_colour if self.channels == 3 else subtract_grey
         light, model, tolerance = self.light.along_rows, self.model, np.float32(self.tolerance)
@@ -219,8 +218,8 @@ class BackgroundPrediction:
             recall(first * width, end * width, flat, self.second, self.channels, tolerance, log_odds)
 
         over_bands(subtract, height)
-        pooled = pool(log_odds, self.size, self.prior, self.pooling)
-        return Subtraction(log_odds, pooled), after
+        smoothed = smooth(log_odds, self.size, self.prior, self.pooling)
+        return Subtraction(log_odds, smoothed), after
 
 
 def log_prior_odds(prior: float, channels: int) -> float:
@@ -234,15 +233,15 @@ def log_prior_odds(prior: float, channels: int) -> float:
     )
 
 
-def pool(log_odds: NDArray[np.int8], size: tuple[int, int], prior: float, share: float) -> NDArray[np.int8]:
-    """Give log odds with `share` of what the 5 x 5 pixels around saw, both `(n_pixels,)` int8."""
+def smooth(log_odds: NDArray[np.int8], size: tuple[int, int], prior: float, share: float) -> NDArray[np.int8]:
+    """Give log odds with `share` of what the 5 x 5 pixels around show, both `(n_pixels,)` int8."""
     height, width = size
-    pooled: NDArray[np.int8] = array_pool.empty(log_odds.shape, np.int8)
+    smoothed: NDArray[np.int8] = np.empty(log_odds.shape, np.int8)
     prior_steps = np.int16(round(ODDS_STEPS * float(np.log(prior) - np.log1p(-prior))))
     over_bands(
-        lambda first, end: pool_log_odds(
-            first, end, height, width, log_odds, prior_steps, np.float32(share), pooled
+        lambda first, end: smooth_log_odds(
+            first, end, height, width, log_odds, prior_steps, np.float32(share), smoothed
         ),
         height,
     )
-    return pooled
+    return smoothed

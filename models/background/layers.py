@@ -12,7 +12,7 @@ from . import colour
 from .kernels.layers import Sprite, compose_layer, shift_of
 
 Map = NDArray[np.float32]
-Box = tuple[int, int, int, int]
+PixelBox = tuple[int, int, int, int]
 
 HIGHEST = 1 + 1e-6
 """Of a mask's values: a probability with the rounding of float32."""
@@ -64,7 +64,7 @@ class Layer:
             )
 
     @property
-    def box(self) -> Box:
+    def box(self) -> PixelBox:
         """Top, left, bottom, right (exclusive) px."""
         height, width = self.mask.shape
         return self.top, self.left, self.top + height, self.left + width
@@ -104,7 +104,7 @@ class Region:
     shift: Map
 
     @property
-    def box(self) -> Box:
+    def box(self) -> PixelBox:
         """Top, left, height, width px."""
         return self.top, self.left, self.clear.shape[0], self.clear.shape[1]
 
@@ -204,12 +204,12 @@ def _inside(layer: Layer, size: tuple[int, int]) -> bool:
     return top < size[0] and left < size[1] and bottom > 0 and right > 0
 
 
-def _apart(boxes: Sequence[Box]) -> list[tuple[Box, list[int]]]:
+def _apart(boxes: Sequence[PixelBox]) -> list[tuple[PixelBox, list[int]]]:
     """Boxes that overlap, or whose common frame overlaps others, in one frame; frames do not overlap.
 
     Gives every frame (top, left, bottom, right) with the numbers of the boxes in it, in order.
     """
-    groups: list[tuple[Box, list[int]]] = []
+    groups: list[tuple[PixelBox, list[int]]] = []
     for k, frame in enumerate(boxes):
         members = [k]
         while True:
@@ -225,5 +225,5 @@ def _apart(boxes: Sequence[Box]) -> list[tuple[Box, list[int]]]:
     return groups
 
 
-def _overlap(a: Box, b: Box) -> bool:
+def _overlap(a: PixelBox, b: PixelBox) -> bool:
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]

@@ -6,16 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
-from ..numerics import array_pool
 from ..numerics.threads import over_bands
 from . import colour
-from .gaussian import Subtraction, log_prior_odds, pool
+from .gaussian import Subtraction, log_prior_odds, smooth
 from .kernels.mixture import Mixture, learn_mixture, mixture_log_evidence, subtract_mixture
 
 Planes = NDArray[np.float32]
 
 REACH = {1: 6.25, 3: 10.9}
-"""By number of channels: squared distance over variance within which 98.8 % of a component's looks lie.
+"""By number of channels: squared distance over variance within which 98.8 % of what a component shows lies.
 
 It is 2.5 standard deviations of one channel, as in the paper.
 """
@@ -39,7 +38,7 @@ class MixturePrediction:
     share
         as many of the first components are background as it takes for their weight to exceed this (their T).
     pooling
-        weight of what the 5 x 5 pixels around a pixel saw in its own log odds.
+        weight of what the 5 x 5 pixels around a pixel show in its own log odds.
     """
 
     size: tuple[int, int]
@@ -55,8 +54,8 @@ class MixturePrediction:
         mean: Planes = self.mixture.means[0]
         return mean
 
-    def against(self, image: NDArray[np.uint8]) -> Subtraction:
-        """Read an image against the prediction; the same image is read only once."""
+    def compare(self, image: NDArray[np.uint8]) -> Subtraction:
+        """Compare an image with the prediction; the same image only once."""
         return self._comparison(image)[2]
 
     def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
@@ -96,7 +95,7 @@ class MixturePrediction:
         """
         height, width = self.size
         planes = self._comparison(image)[1]
-        after = Mixture(*(array_pool.empty(before.shape, np.float32) for before in self.mixture))
+        after = Mixture(*(np.empty(before.shape, np.float32) for before in self.mixture))
         reach = np.float32(REACH[len(planes)])
 
         def learn(first: int, end: int) -> None:
@@ -118,7 +117,7 @@ class MixturePrediction:
     def _subtract(self, planes: Planes) -> Subtraction:
         height, width = self.size
         log_prior = np.float32(log_prior_odds(self.prior, len(planes)))
-        log_odds = array_pool.empty((height * width,), np.int8)
+        log_odds = np.empty((height * width,), np.int8)
 
         def subtract(first: int, end: int) -> None:
             subtract_mixture(
@@ -126,4 +125,4 @@ class MixturePrediction:
             )
 
         over_bands(subtract, height)
-        return Subtraction(log_odds, pool(log_odds, self.size, self.prior, self.pooling))
+        return Subtraction(log_odds, smooth(log_odds, self.size, self.prior, self.pooling))

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ..core.frame import Frame
 from ..core.short_repr import short_repr
-from ..numerics import array_pool
 from .gaussian import BackgroundFactor, Subtraction
 from .kernels.gaussian import ODDS_STEPS
 from .layers import NO_LAYERS, LayerStack, Region
@@ -84,7 +83,7 @@ class PixelMessage:
         """The image read against the background, if both are there."""
         if self.image is None or self.background is None:
             return None
-        return self.background.against(self.image)
+        return self.background.compare(self.image)
 
     @property
     def regions(self) -> tuple[Region, ...]:
@@ -94,7 +93,7 @@ class PixelMessage:
     def foreground(self) -> NDArray[np.uint8]:
         """`(height, width)` uint8: 255 where P(B=0) is over one half, else 0."""
         out = self._log_odds()
-        mask: NDArray[np.uint8] = array_pool.empty(out.shape, np.uint8)
+        mask: NDArray[np.uint8] = np.empty(out.shape, np.uint8)
         np.right_shift(out, 7, out=mask.view(np.int8))  # all bits are the sign's
         for region in self.regions:
             window = region.window
@@ -182,7 +181,7 @@ class PixelMessage:
         """`(height, width)` int8 log odds of background without the layers."""
         height, width = self.size
         if self.subtraction is not None:
-            return self.subtraction.pooled.reshape(height, width)
+            return self.subtraction.smoothed.reshape(height, width)
         prior = 0.5 if self.background is None else self.background.prior
         odds = float(np.clip(np.log(prior) - np.log1p(-prior), -6, 6))
         return np.full((height, width), round(odds * ODDS_STEPS), np.int8)

@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from .short_repr import short_repr
 
+BoundingBox = tuple[float, float, float, float]
+"""x, y of the top left corner, width and height, px."""
+
 
 @short_repr
 @dataclass(frozen=True, eq=False)

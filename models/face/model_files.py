@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.array_files import read_arrays
-from ..core.atomic_files import write_atomically
-from ..core.limits import MOST_NUMBERS, MOST_SETTINGS
-from ..core.text_files import read_text
+from ..files.array_files import read_arrays
+from ..files.atomic_files import write_atomically
+from ..files.limits import MOST_NUMBERS, MOST_SETTINGS
+from ..files.text_files import read_text
 from .morphable_model import MorphableModel, spread
 
 Array = NDArray[np.float64]

@@ -1,1 +1,1 @@
-"""Compiling, threads, rotations and arrays that are used again."""
+"""Compiling, threads and rotations."""

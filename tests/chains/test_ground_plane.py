@@ -498,7 +498,7 @@ def test_is_quick(walk: tuple[World, list[Belief], list[Belief]]) -> None:
     assert min(durations) < 1e-3
 
 
-@pytest.mark.parametrize(("name", "value"), [("stature", 0.0), ("patience", -1.0), ("bad_looks", 1.0)])
+@pytest.mark.parametrize(("name", "value"), [("stature", 0.0), ("patience", -1.0), ("outliers", 1.0)])
 def test_bad_parameters(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name}: got {value}"):
         GroundPlane(**{name: value})

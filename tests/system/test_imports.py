@@ -32,7 +32,9 @@ def test_a_chain_brings_nothing_of_other_domains() -> None:
     assert not [name for name in names if name.startswith("rsmcm") and {"body", "face"} & {*name.split(".")}]
 
 
-@pytest.mark.parametrize("package", ["models", "inference", "chains", "apps.scenes"])
+@pytest.mark.parametrize(
+    "package", ["models", "inference", "chains", "apps.io", "apps.evaluation", "apps.scenes"]
+)
 def test_all_names_of_a_package_are_there(package: str) -> None:
     script = f"from rsmcm.{package} import *; import rsmcm.{package} as package; print(*package.__all__)"
     done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)

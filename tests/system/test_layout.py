@@ -1,4 +1,4 @@
-"""Imports run in one direction only, and the wheel holds the four packages and nothing generic."""
+"""Imports run in one direction, nothing is too large, tests mirror the tree, the wheel has four packages."""
 
 import ast
 import shutil
@@ -17,6 +17,17 @@ MAY_IMPORT = {
     "apps": {"models", "inference", "chains", "apps"},
 }
 FILES = [path.relative_to(ROOT) for package in MAY_IMPORT for path in sorted((ROOT / package).rglob("*.py"))]
+
+MOST_FILES = 12
+"""In a folder, but for chains."""
+
+MOST_LINES = 450
+MOST_LINES_OF_A_CHAIN = 300
+MOST_LINES_OF_A_FUNCTION = 80
+"""Without its docstring."""
+
+MOST_ARGUMENTS = 10
+"""By position."""
 
 
 def imported(path: Path) -> set[tuple[str, ...]]:
@@ -44,6 +55,38 @@ def forbidden(path: Path) -> list[str]:
 @pytest.mark.parametrize("path", FILES, ids=str)
 def test_imports_go_in_one_direction(path: Path) -> None:
     assert forbidden(path) == []
+
+
+FOLDERS = sorted({path.parent for path in FILES})
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=str)
+def test_folders_are_small(folder: Path) -> None:
+    modules = [path for path in FILES if path.parent == folder and path.name != "__init__.py"]
+    assert folder == Path("chains") or len(modules) <= MOST_FILES
+
+
+@pytest.mark.parametrize("path", FILES, ids=str)
+def test_files_and_functions_are_short(path: Path) -> None:
+    text = (ROOT / path).read_text()
+    assert text.count("\n") <= (MOST_LINES_OF_A_CHAIN if path.parts[0] == "chains" else MOST_LINES)
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
+            assert (node.end_lineno or 0) - first.lineno < MOST_LINES_OF_A_FUNCTION, node.name
+            arguments = {argument.arg for argument in node.args.posonlyargs + node.args.args}
+            assert len(arguments - {"self", "cls"}) <= MOST_ARGUMENTS, node.name
+
+
+TESTS = [path.relative_to(ROOT / "tests") for path in sorted((ROOT / "tests").rglob("test_*.py"))]
+
+
+@pytest.mark.parametrize("test", [path for path in TESTS if path.parts[0] != "system"], ids=str)
+def test_a_test_is_where_its_source_is(test: Path) -> None:
+    """`test_gflow.py` and `test_gflow_points.py` are both of `gflow.py` beside which they would lie."""
+    words = test.stem.removeprefix("test_").split("_")
+    names = ["_".join(words[:count]) for count in range(len(words), 0, -1)]
+    assert any((ROOT / test.parent / name).with_suffix(".py").exists() for name in names)
 
 
 def test_the_test_sees_every_kind_of_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,10 @@ from typing import Any
 import pytest
 from rsmcm.apps.background.demo import SIGNER, write_body, write_cylinder, write_face, write_scene
 from rsmcm.apps.command_line import app, main
-from rsmcm.apps.scenes import face, signer, sleeping_man
+from rsmcm.apps.io import TrackWriter
+from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
+from rsmcm.apps.scenes import Scene, face, signer, sleeping_man
+from rsmcm.inference.objects.blobs import Track
 
 ROOT = Path(__file__).parents[2]
 LONG = ("rsmcm demo", "rsmcm reproduce")  # only read, not run; tests of their own run them
@@ -33,7 +36,7 @@ def test_every_command_is_of_a_known_program() -> None:
 def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     """In order, in a folder of their own, with a short scene in place of the demo's."""
     monkeypatch.chdir(tmp_path)
-    write_scene(sleeping_man(12, enter=0), Path("results/demo/scene"))
+    write_scene(sleeping_man(24, enter=0), Path("results/demo/scene"))
     write_cylinder(Path("results/demo/cylinder.npz"))
     write_face(face(24), Path("results/demo/face"))
     write_body(signer(8, SIGNER), Path("results/demo/body"))
@@ -74,9 +77,22 @@ def test_files_that_are_named_are_there() -> None:
         assert (ROOT / name).exists()
 
 
+def film_of_a_street(scene: Scene) -> None:
+    """`film.mp4` and `gt.txt` here."""
+    film = SegmentedVideo(Path("film.mp4"), 25.0, PLAYABLE)
+    with TrackWriter("gt.txt") as truth:
+        for frame in scene:
+            assert frame.image is not None
+            film.write(frame.image, frame.number, frame.time)
+            boxes = scene.boxes(frame.number - 1)
+            truth.write(frame.number, [Track(box.identity, box.box, 1.0, (0.0, 0.0)) for box in boxes])
+    film.close(finished=True)
+
+
 def test_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All blocks in order, in one namespace, as somebody would paste them."""
     monkeypatch.chdir(tmp_path)
+    film_of_a_street(sleeping_man(60, enter=0))
     printed: list[str] = []
     names: dict[str, Any] = {"__name__": "readme", "print": printed.append}
     for block in blocks("python"):
@@ -84,6 +100,10 @@ def test_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (names["together"][names["person"]] > 0).mean() > (
         names["apart"][names["person"]] > 0
     ).mean() + 0.2
+    assert len(list(Path("found/foreground").iterdir())) == 60
+    assert names["scores"].n_frames > 40
+    assert names["belief"]._repr_png_()
+    assert "<svg" in names["model"]._repr_svg_()
     assert printed[0].endswith("with feedback,")
     assert names["evidence"] < 0
     assert names["about"] == {"camera": "street"}

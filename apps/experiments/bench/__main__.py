@@ -36,7 +36,7 @@ from ...structure.reconstruction import engine_for
 from .body_samples import bootstrap_times
 from .body_tracker import body_claims
 from .face import face_claims
-from .points import point_claims
+from .points import point_expectations
 from .structure import structure_expectations
 
 SIZE = (768, 576)
@@ -66,7 +66,7 @@ def main() -> None:
         expectations += speed_claims(frames, threads)
     expectations += [end_to_end(frames), *over_time(frames, 10_000 if "--long" in sys.argv[1:] else 1_500)]
     set_threads(1)
-    expectations += [*point_claims(), *structure_expectations(), feedback_in_rounds(), *face_claims()]
+    expectations += [*point_expectations(), *structure_expectations(), feedback_in_rounds(), *face_claims()]
     of_bodies, stages_of_bodies = body_claims()
     expectations += [*of_bodies, *bootstrap_times()]
     print(in_columns(HEADER, [expectation.cells for expectation in expectations]))

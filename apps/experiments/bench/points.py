@@ -39,12 +39,12 @@ REACHES = {3: 0.9, 10: 0.0}
 """px around the place where a point should be, and the share of its way that is known beforehand."""
 
 
-def point_claims() -> list[Expectation]:
+def point_expectations() -> list[Expectation]:
     """All of them."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        return [*kalman_claims(), *search_claims()]
+        return [*kalman_expectations(), *search_expectations()]
     finally:
         cv2.setNumThreads(threads)
 
@@ -64,7 +64,7 @@ def in_turns(methods: Mapping[str, Callable[[], object]], rounds: int, turn: int
 # --- Kalman filter and smoother -----------------------------------------------------------------------------
 
 
-def kalman_claims() -> list[Expectation]:
+def kalman_expectations() -> list[Expectation]:
     """Filter and smoother, per point and step, for points that are seen in all frames."""
     random = np.random.default_rng(0)
     places = random.normal(0, 2, (N_FRAMES, N_POINTS, 2)).cumsum(axis=0)
@@ -160,7 +160,7 @@ def _simdkalman(places: Numbers, smoothed: bool) -> object:
 # --- search for patches -------------------------------------------------------------------------------------
 
 
-def search_claims() -> list[Expectation]:
+def search_expectations() -> list[Expectation]:
     """Patches of corners, found in a picture that has moved a little, and found again in the one before.
 
     The search is the tracker's, by `PointTracks.evidence`: once for points that it has followed for a while,
@@ -240,4 +240,4 @@ def _pictures() -> tuple[Grey, Grey]:
 
 
 if __name__ == "__main__":
-    print(in_columns(HEADER, [expectation.cells for expectation in point_claims()]))
+    print(in_columns(HEADER, [expectation.cells for expectation in point_expectations()]))

@@ -1,79 +1,40 @@
 """Figures of the papers reproduced: `rsmcm reproduce`."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+
+EXPERIMENTS = {
+    "sleeping-man": "Figures 1 and 7 of the RSMCM paper: a person stands still and stays foreground.",
+    "pets": "Figures 8 and 11 of the RSMCM paper, on PETS2009 S2.L1.",
+    "highway": "Foreground of CDnet's highway, against its masks.",
+    "cylinder": "Figures 9 and 10 of the RSMCM paper: a cylinder whose points are lost, found again and "
+    "drift.",
+    "box": "Figure 12 of the RSMCM paper, on CMU's hotel and a table top.",
+    "shapes": "Morph bases learned from tracks of points, against the true shapes of three public sets.",
+    "talking-face": "A real film: landmarks carried by G-flow with a generic model, and with one learned "
+    "from the film.",
+    "experts": "Figure 3a of the G-flow paper: one expert and several, flow and a slow texture, on quick "
+    "motion.",
+    "gain": "Figure 3b of the G-flow paper: gains from template to flow, and learned ones.",
+    "recovery": "Figure 4 of the G-flow paper: experts scattered about the pose find it.",
+    "face-background": "What a background and the surface's own occlusion are worth to G-flow.",
+    "body": "Figure 6 of the RSMCM paper: likelihood sampling with and without feedback, and CONDENSATION.",
+}
+"""What each of them shows. The module of that name, with underscores, has its `reproduce_...`."""
+
+LONG = {
+    "sleeping-man": "Also a person who stands for 1300 frames, and shadows of clouds.",
+    "pets": "Try all settings of MOG2 and KNN, and all clean-ups, instead of the middle ones.",
+}
+"""What some of them do beside that when there is time."""
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """A figure to reproduce; what it needs is imported when it runs.
-
-    Parameters
-    ----------
-    name
-        of the command; the module of that name, with underscores, has its `reproduce_...`.
-    text
-        what it shows.
-    folder
-        for the figures, if that is not `name`.
-    long
-        what it does beside that when there is time.
-    """
-
-    name: str
-    text: str
-    folder: str = ""
-    long: str = ""
-
-    @property
-    def out(self) -> Path:
-        """The usual folder for the figures."""
-        return Path("results") / (self.folder or self.name)
-
-    def __call__(self, out: Path, *long: bool) -> None:
-        """Reproduce it; `long` for those that can take longer."""
-        module = self.name.replace("-", "_")
-        reproduce: Callable[..., Any] = getattr(import_module(f".{module}", __name__), f"reproduce_{module}")
-        reproduce(out, *long)
+def usual_folder(name: str) -> Path:
+    """Where the figures of an experiment go."""
+    return Path("results") / ("body-comparison" if name == "body" else name)  # `rsmcm body` has the other
 
 
-EXPERIMENTS = (
-    Experiment(
-        "sleeping-man",
-        "Figures 1 and 7 of the RSMCM paper: a person stands still and stays foreground.",
-        long="Also a person who stands for 1300 frames, and shadows of clouds.",
-    ),
-    Experiment(
-        "pets",
-        "Figures 8 and 11 of the RSMCM paper, on PETS2009 S2.L1.",
-        long="Try all settings of MOG2 and KNN, and all clean-ups, instead of the middle ones.",
-    ),
-    Experiment("highway", "Foreground of CDnet's highway, against its masks."),
-    Experiment(
-        "cylinder",
-        "Figures 9 and 10 of the RSMCM paper: a cylinder whose points are lost, found again and drift.",
-    ),
-    Experiment("box", "Figure 12 of the RSMCM paper, on CMU's hotel and a table top."),
-    Experiment(
-        "shapes", "Morph bases learned from tracks of points, against the true shapes of three public sets."
-    ),
-    Experiment(
-        "talking-face",
-        "A real film: landmarks carried by G-flow with a generic model, and with one learned from the film.",
-    ),
-    Experiment(
-        "experts",
-        "Figure 3a of the G-flow paper: one expert and several, flow and a slow texture, on quick motion.",
-    ),
-    Experiment("gain", "Figure 3b of the G-flow paper: gains from template to flow, and learned ones."),
-    Experiment("recovery", "Figure 4 of the G-flow paper: experts scattered about the pose find it."),
-    Experiment("face-background", "What a background and the surface's own occlusion are worth to G-flow."),
-    Experiment(
-        "body",
-        "Figure 6 of the RSMCM paper: likelihood sampling with and without feedback, and CONDENSATION.",
-        folder="body-comparison",
-    ),
-)
+def run_experiment(name: str, out: Path, *long: bool) -> None:
+    """Reproduce a figure; what that needs is imported now. `long` is for those that can take longer."""
+    module = name.replace("-", "_")
+    getattr(import_module(f".{module}", __name__), f"reproduce_{module}")(out, *long)

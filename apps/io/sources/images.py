@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ....models.core.limits import MOST_PIXELS
+from ....models.files.limits import MOST_PIXELS
 from .quiet import quiet_libraries
 
 IMAGE_SUFFIXES = frozenset(

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....models.core.frame import Frame
-from ....models.core.limits import MOST_PIXELS
+from ....models.files.limits import MOST_PIXELS
 from .reader import DEFAULT_RATE, Gap, Selection
 from .video_picture import to_bgr
 

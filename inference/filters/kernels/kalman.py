@@ -19,7 +19,7 @@ _ROUNDING = 1e-14
 """Share of the diagonal that is added or kept, so that rounding leaves every covariance positive definite."""
 
 LEAST_SHARE = 1e-12
-"""Of a position's whole information: what the other frames add that is less cannot be told from rounding."""
+"""Of a position's whole information: what the other frames add that is less is lost in rounding."""
 
 
 @inlined
@@ -157,19 +157,19 @@ def _predict(lanes, dt, noise):
 
 
 @compiled
-def _update(lanes, told):
-    """Take in measurements of positions; `told` has rows of information (xx, xy, yy) and vector (x, y)."""
+def _update(lanes, measured):
+    """Take in measurements of positions, rows of information (xx, xy, yy) and vector (x, y)."""
     for k in range(LANES):
         x, y, u, w = _mean_of(lanes, k)
         s, b, v = _covariance_of(lanes, k)
-        jxx, jxy, jyy = told[k], told[LANES + k], told[2 * LANES + k]
+        jxx, jxy, jyy = measured[k], measured[LANES + k], measured[2 * LANES + k]
         # (s^-1 + j)^-1 without the inverse of j, which need not be of full rank; all terms are positive
         area = max(s[0] * s[3] - s[1] * s[1], _ROUNDING * s[0] * s[3])
         trace = max(jxx * s[0] + 2 * jxy * s[1] + jyy * s[3], 0.0)
         scale = 1.0 / (1.0 + trace + area * max(jxx * jyy - jxy * jxy, 0.0))
         after = _raised(_scaled(scale, _sum(s, _scaled(area, (jyy, -jxy, -jxy, jxx)))))
-        off_x = told[3 * LANES + k] - jxx * x - jxy * y
-        off_y = told[4 * LANES + k] - jxy * x - jyy * y
+        off_x = measured[3 * LANES + k] - jxx * x - jxy * y
+        off_y = measured[4 * LANES + k] - jxy * x - jyy * y
         dx, dy = _applied(after, off_x, off_y)
         # A position says nothing of the velocity given the position: regression and remainder stay.
         slope = _product(_inverse(s), b)
@@ -257,13 +257,13 @@ def _store(lanes, first, mean, covariance):
 
 
 @compiled
-def _load_told(information, vector, first, told):
+def _load_measured(information, vector, first, measured):
     last = vector.shape[0] - 1
     for k in range(LANES):
         n = min(first + k, last)
-        told[k], told[LANES + k] = information[n, 0, 0], information[n, 0, 1]
-        told[2 * LANES + k] = information[n, 1, 1]
-        told[3 * LANES + k], told[4 * LANES + k] = vector[n, 0], vector[n, 1]
+        measured[k], measured[LANES + k] = information[n, 0, 0], information[n, 0, 1]
+        measured[2 * LANES + k] = information[n, 1, 1]
+        measured[3 * LANES + k], measured[4 * LANES + k] = vector[n, 0], vector[n, 1]
 
 
 @compiled
@@ -287,26 +287,26 @@ def predict_states(mean, covariance, dt, acceleration, new_mean, new_covariance)
 @compiled
 def update_states(mean, covariance, information, vector, new_mean, new_covariance):
     """States after measurements `(n, 2, 2)`, `(n, 2)`."""
-    lanes, told = np.empty(_NUMBERS * LANES), np.empty(5 * LANES)
+    lanes, measured = np.empty(_NUMBERS * LANES), np.empty(5 * LANES)
     for first in range(0, mean.shape[0], LANES):
         _load(mean, covariance, first, lanes)
-        _load_told(information, vector, first, told)
-        _update(lanes, told)
+        _load_measured(information, vector, first, measured)
+        _update(lanes, measured)
         _store(lanes, first, new_mean, new_covariance)
 
 
 @compiled
 def filter_states(mean, covariance, times, information, vector, acceleration, means, covariances):
     """All frames' states after their measurements, from those before the first one's."""
-    lanes, told, noise = np.empty(_NUMBERS * LANES), np.empty(5 * LANES), np.empty(LANES)
+    lanes, measured, noise = np.empty(_NUMBERS * LANES), np.empty(5 * LANES), np.empty(LANES)
     for first in range(0, mean.shape[0], LANES):
         _load(mean, covariance, first, lanes)
         _load_noise(acceleration, first, noise)
         for t in range(times.size):
             if t > 0:
                 _predict(lanes, times[t] - times[t - 1], noise)
-            _load_told(information[t], vector[t], first, told)
-            _update(lanes, told)
+            _load_measured(information[t], vector[t], first, measured)
+            _update(lanes, measured)
             _store(lanes, first, means[t], covariances[t])
 
 

@@ -170,10 +170,10 @@ def subtract_grey(first, end, pixels, before, light_field, model, after, log_odd
 
 
 @compiled
-def pool_log_odds(first, end, height, width, log_odds, prior, share, pooled):
-    """Rows `first` to `end`: own log odds and `share` of what the 5 x 5 pixels around saw, saturated as int8.
+def smooth_log_odds(first, end, height, width, log_odds, prior, share, smoothed):
+    """Rows `first` to `end`: own log odds and `share` of what the 5 x 5 around show, saturated as int8.
 
-    What a pixel saw is its log odds without the `prior` (int16, in the same steps), clipped to 4 nats.
+    What a pixel shows is its log odds without the `prior` (int16, in the same steps), clipped to 4 nats.
     """
     column = np.zeros(width + 4, np.int16)
     bound = np.int16(4 * ODDS_STEPS)
@@ -187,7 +187,7 @@ def pool_log_odds(first, end, height, width, log_odds, prior, share, pooled):
             values = log_odds[(y + 2) * width : (y + 3) * width]
             for x in range(width):
                 sums[x] += min(max(np.int16(np.int16(values[x]) - prior), np.int16(-bound)), bound)
-        own, out = log_odds[y * width : (y + 1) * width], pooled[y * width : (y + 1) * width]
+        own, out = log_odds[y * width : (y + 1) * width], smoothed[y * width : (y + 1) * width]
         for x in range(width):
             around = column[x] + column[x + 1] + column[x + 2] + column[x + 3] + column[x + 4]
             total = _f4(own[x]) + share * _f4(np.int32(around))

@@ -25,8 +25,8 @@ def test_a_record_is_saved_as_json_and_goes_on_as_if_it_had_not_been() -> None:
         assert getattr(record, name).tobytes() == getattr(whole, name).tobytes()
     assert vars(record.tracks[3]) == vars(whole.tracks[3])
     assert record.missing == whole.missing
-    assert [each.number for each in record.snapshots] == [each.number for each in whole.snapshots]
-    for one, other in zip(record.snapshots, whole.snapshots, strict=True):
+    assert [each.number for each in record.snapshots.kept] == [each.number for each in whole.snapshots.kept]
+    for one, other in zip(record.snapshots.kept, whole.snapshots.kept, strict=True):
         np.testing.assert_array_equal(one.foreground, other.foreground)
         assert one.picture.shape == other.picture.shape
 
@@ -37,7 +37,7 @@ def test_snapshots_stay_few_and_spread(n_frames: int, missing: frozenset[int]) -
     for number in range(1, n_frames + 1):
         image = None if number in missing else PICTURE
         record.add(Frame(image, 0.0, number), [], MASK, lambda: PICTURE, lambda: PICTURE, 0.0, 0.0)
-    numbers = [snapshot.number for snapshot in record.snapshots]
+    numbers = [snapshot.number for snapshot in record.snapshots.kept]
     assert len(numbers) <= MOST_SNAPSHOTS
     assert not missing & set(numbers)
     assert record.missing == sorted(number for number in missing if number <= n_frames)
@@ -64,10 +64,10 @@ def test_snapshots_are_small_copies() -> None:
     large = np.zeros((500, 1000, 3), np.uint8)
     record = RunRecord()
     record.add(Frame(large, 0.0, 1), [], large[..., 0], lambda: large, lambda: large, 0.0, 0.0)
-    assert record.snapshots[0].picture.shape == (240, 480, 3)
+    assert record.snapshots.kept[0].picture.shape == (240, 480, 3)
     small = PICTURE.copy()
     record.add(Frame(small, 0.0, 2), [], MASK, lambda: small, lambda: small, 0.0, 0.0)
-    assert not np.shares_memory(record.snapshots[1].picture, small)
+    assert not np.shares_memory(record.snapshots.kept[1].picture, small)
 
 
 @given(n_frames=st.integers(1, 3000))
@@ -75,8 +75,8 @@ def test_path_of_a_track_is_bounded_and_ends_where_it_ended(n_frames: int) -> No
     history = TrackHistory(first=1)
     for number in range(1, n_frames + 1):
         history.add(number, (float(number), 0.0, 2.0, 4.0))
-    assert len(history.path) <= MOST_POINTS
-    assert history.path[0] == (2.0, 4.0)
+    assert len(history.path.kept) <= MOST_POINTS
+    assert history.path.kept[0] == (2.0, 4.0)
     assert history.foot == (n_frames + 1.0, 4.0)
     assert (history.last, history.n_frames) == (n_frames, n_frames)
     assert history.width / history.n_frames == 2

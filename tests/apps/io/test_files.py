@@ -26,7 +26,7 @@ def test_full_disk_names_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         with pytest.raises(OSError, match=r"No space left on device: .*bin000001\.png"):
             writer.checkpoint()
         monkeypatch.undo()
-        writer._worker._error = None  # type: ignore[union-attr]
+        writer._worker._jobs.clear()  # type: ignore[union-attr]
     assert names(tmp_path) == set()
 
 

@@ -13,7 +13,7 @@ from rsmcm.apps.structure.track_overlay import draw_points, write_overlay
 from rsmcm.models.core.frame import Frame
 
 from ...support.reconstructions import SIZE, pictures, reconstruction, small_cylinder, without_images
-from ..reports.test_report import Page
+from ..background.test_report import Page
 
 TRUTH = small_cylinder()
 FOUND = reconstruction(TRUTH)

@@ -73,7 +73,7 @@ def exact(prediction, image):
 
 def reading_of(prediction, image):
     """Own log odds before second colours and neighbours, and the update."""
-    return prediction.against(image), prediction.update(image)
+    return prediction.compare(image), prediction.update(image)
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -81,7 +81,7 @@ def reading_of(prediction, image):
 def test_log_odds(channels, seed):
     prediction, image = scene(channels, seed)
     expected = np.clip(exact(prediction, image)[-1], -6, 6)
-    np.testing.assert_allclose(prediction.against(image).log_odds * STEP, expected, atol=QUANTISATION)
+    np.testing.assert_allclose(prediction.compare(image).log_odds * STEP, expected, atol=QUANTISATION)
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -160,14 +160,14 @@ def pooled_plainly(log_odds, prior, share):
 def test_pooling(size):
     log_odds = np.random.default_rng(6).integers(-120, 121, size).astype(np.int8)
     pooled = np.empty(log_odds.size, np.int8)
-    kernels.pool_log_odds(0, size[0], *size, log_odds.reshape(-1), np.int16(44), np.float32(0.3), pooled)
+    kernels.smooth_log_odds(0, size[0], *size, log_odds.reshape(-1), np.int16(44), np.float32(0.3), pooled)
     np.testing.assert_allclose(pooled.reshape(size), pooled_plainly(log_odds, 44, 0.3), atol=1)
 
 
 def test_no_pooling_leaves_every_pixel_alone():
     prediction, image = scene(3, pooling=0.0)
-    reading = prediction.against(image)
-    np.testing.assert_array_equal(reading.pooled, reading.log_odds)
+    reading = prediction.compare(image)
+    np.testing.assert_array_equal(reading.smoothed, reading.log_odds)
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -178,7 +178,7 @@ def test_bands_and_threads_change_nothing(channels):
         set_threads(threads)
         prediction = scene(channels)[0]
         reading, after = reading_of(prediction, image)
-        results.append((reading.log_odds, reading.pooled, after.mean, after.variance, after.noise))
+        results.append((reading.log_odds, reading.smoothed, after.mean, after.variance, after.noise))
     for other in results[1:]:
         assert [a.tobytes() for a in other] == [a.tobytes() for a in results[0]]
 
@@ -186,7 +186,7 @@ def test_bands_and_threads_change_nothing(channels):
 @pytest.mark.parametrize("channels", [1, 3])
 def test_a_second_colour_that_was_seen_often_is_background(channels):
     prediction, image = scene(channels)
-    own = prediction.against(image).log_odds.copy()
+    own = prediction.compare(image).log_odds.copy()
     rng = np.random.default_rng(8)
     candidate = np.clip(image.astype(int) + rng.integers(-6, 7, image.shape), 0, 255).astype(np.uint8)
     seen = rng.integers(0, kernels.SETTLED, own.size).astype(np.uint16)
@@ -194,7 +194,7 @@ def test_a_second_colour_that_was_seen_often_is_background(channels):
     gap = np.square(colour.to_planes(image).astype(float) - colour.to_planes(candidate)).sum(axis=0)
     known = (own < 0) & (seen >= kernels.SETTLED / 2) & (gap < 100.0)
     assert 5 < known.sum() < (own < 0).sum()
-    np.testing.assert_array_equal(recalled.against(image).log_odds, np.where(known, 20, own))
+    np.testing.assert_array_equal(recalled.compare(image).log_odds, np.where(known, 20, own))
 
 
 STEP_OF_TEN = kernels.SETTLED // 10
@@ -328,7 +328,7 @@ def test_spans_are_where_there_is_foreground():
 
 def test_the_same_image_is_read_once_and_its_update_given_away():
     prediction, image = scene(3)
-    assert prediction.against(image) is prediction.against(image)
+    assert prediction.compare(image) is prediction.compare(image)
     first, second = prediction.update(image), prediction.update(image)
     assert first.mean is not second.mean
     np.testing.assert_array_equal(first.mean, second.mean)
@@ -337,4 +337,4 @@ def test_the_same_image_is_read_once_and_its_update_given_away():
 def test_a_view_of_a_picture():
     prediction, image = scene(3)
     wide = np.repeat(image, 2, axis=1)[:, ::2]
-    np.testing.assert_array_equal(scene(3)[0].against(wide).pooled, prediction.against(image).pooled)
+    np.testing.assert_array_equal(scene(3)[0].compare(wide).smoothed, prediction.compare(image).smoothed)

@@ -204,7 +204,7 @@ def test_labels_and_probabilities_agree(name, pooling):
     scene, image = background(pooling=pooling), image_of()
     message = PixelMessage(scene, LayerStack(SCENES[name]), image)
     clear, explained = weights(SCENES[name], image)
-    odds = scene.against(image).pooled.reshape(SIZE) / 20 + np.log(clear) - np.log(explained)
+    odds = scene.compare(image).smoothed.reshape(SIZE) / 20 + np.log(clear) - np.log(explained)
     probability = message.background_probability()
     np.testing.assert_allclose(probability, 1 / (1 + np.exp(-odds)), atol=1e-3)
     sure = np.abs(probability - 0.5) > 1e-4

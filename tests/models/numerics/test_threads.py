@@ -1,10 +1,7 @@
 """Threads of the loops over pixels, and what becomes of them in a forked process."""
 
 import multiprocessing
-import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from threading import Event
 from typing import Any
 
 import cv2
@@ -14,7 +11,6 @@ from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.core.recursive_bp import RunState
 from rsmcm.models import Frame, PixelLabels
-from rsmcm.models.numerics import array_pool
 from rsmcm.models.numerics.threads import over_bands, set_threads, thread_count
 
 needs_fork = pytest.mark.skipif(
@@ -92,24 +88,3 @@ def test_an_engine_that_was_used_runs_in_forked_processes(count: int) -> None:
     here = mask_after((belief.state, last))
     assert np.frombuffer(here, np.uint8).any()
     assert in_forked_processes(mask_after, [(belief.state, last)] * 4) == [here] * 4
-
-
-def shape_of_buffer(size: int) -> tuple[int, ...]:
-    return array_pool.empty((size,), np.uint8).shape
-
-
-@needs_fork
-def test_buffers_that_another_thread_is_given_at_that_moment() -> None:
-    locked = Event()
-
-    def hold() -> None:
-        with array_pool._lock:
-            locked.set()
-            time.sleep(0.2)
-
-    with ThreadPoolExecutor(1) as other:
-        holding = other.submit(hold)
-        locked.wait()
-        assert in_forked_processes(shape_of_buffer, [3, 4]) == [(3,), (4,)]
-        holding.result()
-    assert shape_of_buffer(5) == (5,)

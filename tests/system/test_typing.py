@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("mypy")
 
-PAGE = Path(__file__).parents[3] / "docs" / "own-chain.md"
+PAGE = Path(__file__).parents[2] / "docs" / "own-chain.md"
 
 CHAINS = """
 from typing import overload

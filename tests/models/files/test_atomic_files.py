@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from rsmcm.models.core.atomic_files import write_atomically, write_text
+from rsmcm.models.files.atomic_files import write_atomically, write_text
 
 from ...support.film import names
 

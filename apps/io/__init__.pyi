@@ -1,0 +1,19 @@
+from .ground_truth import BoxTruth, MaskTruth, read_ground_truth
+from .masks import MaskWriter
+from .mot import TrackWriter, read_tracks
+from .point_files import read_points
+from .sources.open_source import Source, open_source
+from .track_files import frames_of_tracks
+
+__all__ = [
+    "BoxTruth",
+    "MaskTruth",
+    "MaskWriter",
+    "Source",
+    "TrackWriter",
+    "frames_of_tracks",
+    "open_source",
+    "read_ground_truth",
+    "read_points",
+    "read_tracks",
+]
