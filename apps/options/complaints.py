@@ -26,7 +26,7 @@ from cyclopts import (
 TYPED = "cli"
 """Where a token is from that was typed; others are from a file, and name it."""
 
-EXPECTED = {int: "a whole number", float: "a number", bool: "true or false"}
+EXPECTED = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 EXPECTED_KEY = ", expected the name of an option, or a section"
 
 

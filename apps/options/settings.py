@@ -13,7 +13,7 @@ from cyclopts.config import Dict
 
 from ...models.files.limits import MOST_SETTINGS
 from ...models.files.text_files import read_text
-from .complaints import meant
+from .complaints import EXPECTED, meant
 
 T = TypeVar("T")
 
@@ -101,7 +101,7 @@ def read_fields(
         try:
             found[name] = _read(value, kinds[name])
         except TypeError:
-            expected = kinds[name].__name__ if kinds[name] in SCALARS else kinds[name]
+            expected = EXPECTED.get(kinds[name], kinds[name])
             raise ValueError(f"{where}: {name} = {value!r}, expected {expected}") from None
     try:
         make(kind, {name: value for name, value in found.items() if name not in (also or {})})
