@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...models.core.point_arrays import check_points
+from ...models.core.short_repr import short_repr
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.numerics.rotations import nearest_rotation
@@ -19,6 +20,7 @@ LEAST_POINTS = 4
 """Of a frame, for its pose to be known."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class NonrigidShape:
     """Mean shape and modes of deformation, and in each frame the pose and the weights of modes.
