@@ -47,16 +47,22 @@ def options_from_file(app: App, commands: tuple[str, ...], arguments: ArgumentCo
 
     Raises
     ------
-    CycloptsError
-        if there is no option of a name in the file; values are judged like those that are typed.
-    ValueError, OSError
+    ValueError
+        if there is no option of a name in the file, or as of `read_settings`; values are judged like those
+        that are typed.
+    OSError
         as of `read_settings`.
     """
     path = next((each.tokens[0].value for each in arguments if OPTION in each.names and each.tokens), "")
     if path:
-        Dict(top_level(read_settings(Path(path))), source=path, use_commands_as_keys=False)(
-            app, commands, arguments
-        )
+        options = top_level(read_settings(Path(path)))
+        names = {name for each in arguments for name in each.names} - {OPTION}
+        known = [name.removeprefix("--").replace("-", "_") for name in names]
+        for key in options:  # cyclopts would pass over those of every command
+            if key.replace("-", "_") not in known:
+                expected = meant(key, known) or ", expected an option of the command, or a section"
+                raise ValueError(f"{path}: unknown key {key!r}{expected}")
+        Dict(options, source=path, use_commands_as_keys=False)(app, commands, arguments)
 
 
 def top_level(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -267,7 +267,12 @@ def test_a_truncated_video(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("prior = 0.5", "settings.toml: unknown key 'prior', expected the name of an option, or a section"),
+        (
+            "prior = 0.5",
+            "settings.toml: unknown key 'prior', expected an option of the command, or a section",
+        ),
+        ("threads = 1", "settings.toml: unknown key 'threads', expected an option of the command"),
+        ("config = 'b.toml'", "settings.toml: unknown key 'config', expected an option of the command"),
         ("mask = 'none'", "settings.toml: unknown key 'mask', did you mean masks?"),
         ("masks = 'gif'", "settings.toml: masks: got 'gif', expected none, png or video"),
         ("start = 1.5", "settings.toml: start: got '1.5', expected a whole number"),
