@@ -43,7 +43,7 @@ UNSURE_VARIANCE = 4.0
 WIDEST_DRIFT = 255.0**2 / 12
 """Squared grey levels: of a value that may be anything, as far as it can wander however long it is hidden."""
 
-BEGINNING = 3.0
+BOOTSTRAP_TIME = 3.0
 """s after which nothing that was there from the first is taken for the scene by mistake any more."""
 
 LEAST_TIME = 0.2
@@ -69,7 +69,8 @@ class BackgroundState:
     size
         `(height, width)` px.
     mean
-        `(channels, n_pixels)` float32, in the planes of `models.colour`, under the first frame's light.
+        `(channels, n_pixels)` float32, under the first frame's light, in the planes of
+        `models.background.colour`.
     variance
         `(n_pixels,)` float32, squared grey levels: of the mean.
     noise
@@ -216,7 +217,7 @@ class AdaptiveBackground:
                 min(max(round(scale * state.elapsed), 1), SETTLED // 4),  # at least four times
                 min(round(scale * LEAST_TIME), SETTLED),
                 np.float32(self.first_variance),
-                np.float32(UNSURE_VARIANCE if state.age < BEGINNING else np.inf),
+                np.float32(UNSURE_VARIANCE if state.age < BOOTSTRAP_TIME else np.inf),
             )
             learn_second_colours(
                 np.ascontiguousarray(image).reshape(-1), subtraction.smoothed, covered, light,

@@ -46,7 +46,12 @@ class BackgroundJob(FilmJob):
     masks: Masks = "png"
     ground_truth: Path | None = None
     compare: Flag = False
-    chain: tuple[str, ...] = ()
+    chain: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.chain and self.engine == "stand-alone":
+            raise ValueError("--chain and --engine stand-alone: got both, expected one of them")
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source and the chains' parameters."""

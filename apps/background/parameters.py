@@ -1,6 +1,7 @@
 """Parameters of the background application's chains: by section and name, from a TOML file or defaults."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import is_dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -82,12 +83,13 @@ def other_chains(parameters: Parameters) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        if there is no such chain, or a parameter is out of range.
+        if there is no such chain, it cannot be loaded, or a parameter is out of range.
     """
     made = {}
     for name, values in parameters.get(OTHERS, {}).items():
+        kind = _other(name)
         try:
-            made[name] = make(_other(name), values)
+            made[name] = make(kind, values)
         except ValueError as error:
             raise ValueError(f"chain {name}: {error}") from None
     return made
@@ -104,12 +106,17 @@ def with_defaults(parameters: Parameters) -> dict[str, Any]:
 
 
 def _other(name: str) -> type[Any]:
-    """The class of a chain that another distribution has announced."""
+    """The class of a chain that another distribution has announced, which is a dataclass."""
     announced = {point.name: point for point in entry_points(group=GROUP)}
     if name not in announced:
         there = f"expected {_listed(announced)}" if announced else "expected one that is installed; none is"
         raise ValueError(f"--chain: got {name!r}, {there}{meant(name, announced)}")
-    chain: type[Any] = announced[name].load()
+    try:
+        chain: type[Any] = announced[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"chain {name}: {announced[name].value} cannot be loaded: {error}") from None
+    if not (isinstance(chain, type) and is_dataclass(chain)):
+        raise ValueError(f"chain {name}: {announced[name].value} is no dataclass, expected a chain's class")
     return chain
 
 

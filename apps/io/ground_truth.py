@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
 from ...models.files.limits import MOST_SETTINGS, MOST_TEXT
 from ...models.files.text_files import read_text
 from .mot import read_lines
@@ -41,6 +42,7 @@ _KIND_OF_CLASS = {
 """MOT16's classes; 8 to 13 are distractors, occluders, reflections and crowds."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BoxTruth:
     """True boxes over time, sorted by frame and identity.
@@ -77,6 +79,7 @@ class BoxTruth:
         return BoxTruth(self.frame[rows], self.identity[rows], self.box[rows], self.kind[rows])
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class MaskTruth:
     """CDnet's labelled masks, read when asked for.

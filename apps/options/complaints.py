@@ -26,8 +26,7 @@ from cyclopts import (
 TYPED = "cli"
 """Where a token is from that was typed; others are from a file, and name it."""
 
-EXPECTED = {int: "a whole number", float: "a number", bool: "true or false"}
-EXPECTED_KEY = ", expected the name of an option, or a section"
+EXPECTED = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 
 
 def convert_strictly(kind: Any, tokens: Sequence[Token]) -> Any:
@@ -91,10 +90,6 @@ def _of_arguments(error: CycloptsError) -> str:
     match error:
         case UnknownOptionError(token=token, argument_collection=arguments):
             names = [name for each in arguments for name in each.names]
-            if token.source != TYPED:
-                key = (token.keyword or "").strip("[]")
-                keys = [name.removeprefix("--").replace("-", "_") for name in names]
-                return f"{token.source}: unknown key {key!r}{meant(key, keys) or EXPECTED_KEY}"
             typed = token.keyword or token.value
             return f"unknown option {typed}{meant(typed, names)}"
         case UnknownCommandError(unused_tokens=[typed, *_]) if typed.startswith("-"):

@@ -13,7 +13,7 @@ from cyclopts.config import Dict
 
 from ...models.files.limits import MOST_SETTINGS
 from ...models.files.text_files import read_text
-from .complaints import meant
+from .complaints import EXPECTED, meant
 
 T = TypeVar("T")
 
@@ -47,16 +47,22 @@ def options_from_file(app: App, commands: tuple[str, ...], arguments: ArgumentCo
 
     Raises
     ------
-    CycloptsError
-        if there is no option of a name in the file; values are judged like those that are typed.
-    ValueError, OSError
+    ValueError
+        if there is no option of a name in the file, or as of `read_settings`; values are judged like those
+        that are typed.
+    OSError
         as of `read_settings`.
     """
     path = next((each.tokens[0].value for each in arguments if OPTION in each.names and each.tokens), "")
     if path:
-        Dict(top_level(read_settings(Path(path))), source=path, use_commands_as_keys=False)(
-            app, commands, arguments
-        )
+        options = top_level(read_settings(Path(path)))
+        names = {name for each in arguments for name in each.names} - {OPTION}
+        known = [name.removeprefix("--").replace("-", "_") for name in names]
+        for key in options:  # cyclopts would pass over those of every command
+            if key.replace("-", "_") not in known:
+                expected = meant(key, known) or ", expected an option of the command, or a section"
+                raise ValueError(f"{path}: unknown key {key!r}{expected}")
+        Dict(options, source=path, use_commands_as_keys=False)(app, commands, arguments)
 
 
 def top_level(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -101,7 +107,7 @@ def read_fields(
         try:
             found[name] = _read(value, kinds[name])
         except TypeError:
-            expected = kinds[name].__name__ if kinds[name] in SCALARS else kinds[name]
+            expected = EXPECTED.get(kinds[name], kinds[name])
             raise ValueError(f"{where}: {name} = {value!r}, expected {expected}") from None
     try:
         make(kind, {name: value for name, value in found.items() if name not in (also or {})})

@@ -6,6 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.short_repr import short_repr
+
 TILT = 30.0
 """Degrees by which the camera looks down on the upright axis: points then move in u and in v."""
 DRIFT = 0.1
@@ -14,6 +16,7 @@ DRIFT_FRAMES = 5
 """Frames that it lasts."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Cylinder:
     """Points on a turning cylinder with what is seen of them; build it with `cylinder`.

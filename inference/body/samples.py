@@ -147,6 +147,7 @@ def stationary(state: BodySamples, log_factors: Array) -> BodySamples:
     return replace(state.reweighed(log_factors), log_evidence=0.0, stationary=True)
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BodyMoments:
     """Means and covariances of weighted poses.
@@ -154,7 +155,7 @@ class BodyMoments:
     Parameters
     ----------
     joints, joint_covariances
-        `(8, 3)` px and `(8, 3, 3)` px^2, in the order of `models.upper_body.JOINTS`.
+        `(8, 3)` px and `(8, 3, 3)` px^2, in the order of `models.body.upper_body.JOINTS`.
     angles, angle_covariances
         `(13,)` and `(13, 13)`, px and rad, of `BodyPoses.angles`.
     """

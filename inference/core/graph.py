@@ -23,9 +23,6 @@ from .protocols import (
 IMAGE = "image"
 """Name of the observation in the graph."""
 
-AnyChain = Chain[Any] | BatchChain[Any]
-"""A chain for filtering, for batch estimation, or for both; engines ask for what they need."""
-
 Step = tuple[str, str]
 """One message of a time slice: its sender (a chain, or `IMAGE`) and the feature node that it goes to."""
 
@@ -97,8 +94,8 @@ class MultiChain:
         Raises
         ------
         TypeError
-            if `chain` or `feature` lacks what its protocol asks for, or the chain has no port for such a
-            feature.
+            if `chain` or `feature` lacks what its protocol asks for, its name is no text, or the chain has
+            no port for such a feature.
         ValueError
             if the two are connected already, a name is taken by another object, the chain's port is taken by
             another feature, or another chain says already what only one may say there.
@@ -106,6 +103,8 @@ class MultiChain:
         require("chain", chain, Chain, BatchChain)
         require("feature", feature, FeatureNode)
         for node in (chain, feature):
+            if not (isinstance(node.name, str) and node.name):
+                raise TypeError(f"name of {type(node).__name__}: got {node.name!r}, expected a text")
             taken = self.graph.nodes[node.name]["node"] is not node if node.name in self.graph else False
             if taken or chain.name == feature.name:
                 raise ValueError(
@@ -284,11 +283,14 @@ class MultiChain:
 
     def _free_port(self, chain: Any, feature: Named) -> Port:
         """The chain's port for the feature, which no other feature has taken."""
-        ports: list[Port] = [port for port in chain.ports if isinstance(feature, port.kind)]
+        declared = chain.ports
+        if not (isinstance(declared, tuple) and all(isinstance(port, Port) for port in declared)):
+            raise TypeError(f"ports of {chain.name!r}: got {declared!r}, expected a tuple of Port(...)")
+        ports: list[Port] = [port for port in declared if isinstance(feature, port.kind)]
         if not ports:
-            kinds = " or ".join(port.kind.__name__ for port in chain.ports) or "none at all"
+            kinds = " or ".join(port.kind.__name__ for port in declared) or "none at all"
             raise TypeError(
-                f"connect: got {feature.name!r}, a {type(feature).__name__}, for {chain.name!r}, "
+                f"connect: got {feature.name!r} ({type(feature).__name__}) for {chain.name!r}, "
                 f"expected a feature that this {type(chain).__name__} meets: {kinds}"
             )
         for other in self._features_of.get(chain.name, ()):

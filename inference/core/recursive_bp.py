@@ -199,6 +199,8 @@ class RecursiveBP:
         ValueError
             if the frame is not later than the last one, has another size or type, or if `state` belongs to
             other chains.
+        TypeError
+            if a chain gives something that is no message of the feature, or no state.
         """
         shape = state.shape if frame.image is None else frame.image.shape
         if not frame.time > state.time:
@@ -218,14 +220,20 @@ class RecursiveBP:
             predictions = {name: chain.initial(frame) for name, chain in chains.items()}
         elif state.states.keys() == chains.keys():
             dt = frame.time - state.time
-            predictions = {name: chain.predict(state.states[name], dt) for name, chain in chains.items()}
+            predictions = {
+                name: _following(chain, "predict", before := state.states[name], chain.predict(before, dt))
+                for name, chain in chains.items()
+            }
         else:
             raise ValueError(f"state: got chains {', '.join(state.states)}, expected {', '.join(chains)}")
         time_slice = TimeSlice(self.model, predictions, frame)
         for sender, feature in self._schedule * self.sweeps:
             time_slice.send(sender, feature)
         states = {
-            name: chain.update(predictions[name], time_slice.incoming(name)) for name, chain in chains.items()
+            name: _following(
+                chain, "update", predictions[name], chain.update(predictions[name], time_slice.incoming(name))
+            )
+            for name, chain in chains.items()
         }
         return Belief(frame, RunState(states, frame.number, frame.time, shape), time_slice)
 
@@ -298,3 +306,10 @@ class RecursiveBP:
         values = checkpoint.load(path, {**RunState.kinds(self.model.chains), "about": dict[str, Any]})
         about = values.pop("about")
         return RunState.restored(values), about
+
+
+def _following(chain: Named, method: str, before: State, after: State) -> State:
+    """The state that a method gave for the one before; a forgotten `return` is said in words."""
+    if after is None and before is not None:
+        raise TypeError(f"chain {chain.name!r}: {method} gave None, expected a state")
+    return after

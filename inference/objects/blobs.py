@@ -21,6 +21,7 @@ MARGIN = 6
 """px of empty border in a blob's patch, into which its mask can grow."""
 
 
+@short_repr
 @dataclass(frozen=True)
 class Track:
     """What is reported of an object in a frame.

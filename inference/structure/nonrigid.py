@@ -19,6 +19,7 @@ LEAST_POINTS = 4
 """Of a frame, for its pose to be known."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class NonrigidShape:
     """Mean shape and modes of deformation, and in each frame the pose and the weights of modes.

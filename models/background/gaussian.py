@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.short_repr import short_repr
 from ..numerics.threads import over_bands
 from . import colour
 from .kernels.gaussian import (
@@ -31,6 +32,7 @@ from .kernels.gaussian import (
 Planes = NDArray[np.float32]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class LightField:
     """How bright the scene is lit now, relative to the picture that is remembered, on a grid of blocks.
@@ -70,6 +72,7 @@ def _neighbours(n_pixels: int, n_blocks: int) -> tuple[NDArray[np.intp], Planes]
     return left, (position - left).astype(np.float32)
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Subtraction:
     """What an image says of a predicted background, each `(n_pixels,)` int8 in steps of 1/20 nat.
@@ -96,7 +99,7 @@ class BackgroundFactor(Protocol):
 
     @property
     def mean(self) -> Planes:
-        """`(channels, n_pixels)` float32 in the planes of `models.colour`: the scene's usual colours."""
+        """`(channels, n_pixels)` float32, the scene's usual colours in the planes of `colour`."""
         ...
 
     @property
@@ -116,6 +119,7 @@ class BackgroundFactor(Protocol):
         ...
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class BackgroundPrediction:
     """Prediction of every pixel's background value: N(L; light * mean, light^2 * (variance + drift) + noise).
@@ -125,7 +129,7 @@ class BackgroundPrediction:
     size
         `(height, width)` px.
     pixels
-        before this frame; the mean in the planes of `models.colour`.
+        before this frame; the mean in the planes of `colour`.
     light
         of this frame.
     prior

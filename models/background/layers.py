@@ -18,6 +18,7 @@ HIGHEST = 1 + 1e-6
 """Of a mask's values: a probability with the rounding of float32."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Layer:
     """What one object says of the pixels in its box: that it covers them, and with what colour.
@@ -29,7 +30,7 @@ class Layer:
     mask
         `(height, width)` float32, probability that the object covers the pixel.
     appearance
-        `(channels, height, width)` float32 in the planes of `models.colour`; `None` for any colour.
+        `(channels, height, width)` float32 in the planes of `colour`; `None` for any colour.
     spread
         squared grey levels: variance of the object's colour about its appearance.
     outliers
@@ -81,6 +82,7 @@ def log_density_ratio(channels: int, spread: float) -> float:
     return float(density + channels * np.log(256.0))
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class Region:
     """Layers that overlap, composed: what they say together inside the box that holds them.
@@ -126,9 +128,17 @@ class LayerStack:
     ----------
     layers
         of each chain, front to back.
+
+    Raises
+    ------
+    TypeError
+        if they are no sequences of layers.
     """
 
     def __init__(self, *layers: Sequence[Layer]) -> None:
+        for factor in layers:
+            if not (isinstance(factor, Sequence) and all(isinstance(layer, Layer) for layer in factor)):
+                raise TypeError(f"layers: got {factor!r}, expected a list of Layer(...)")
         self.factors = tuple(tuple(factor) for factor in layers if factor)
         self._regions: dict[tuple[int, tuple[int, int]], tuple[Any, tuple[Region, ...]]] = {}
 

@@ -45,11 +45,22 @@ class PixelMessage:
         of objects.
     image
         uint8 `(height, width[, 3])`, or `None`.
+
+    Raises
+    ------
+    TypeError
+        if `layers` is no `LayerStack`.
     """
 
     background: BackgroundFactor | None = None
     layers: LayerStack = NO_LAYERS
     image: NDArray[np.uint8] | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.layers, LayerStack):
+            raise TypeError(
+                f"pixel message: got {type(self.layers).__name__} for layers, expected LayerStack([...])"
+            )
 
     def __mul__(self, other: Self) -> Self:
         if self.background is not None and other.background is not None:

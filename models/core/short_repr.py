@@ -44,6 +44,8 @@ def brief(value: object) -> str:
             text = "{" + ", ".join(f"{key}: {brief(member)}" for key, member in value.items()) + "}"
             if len(text) > FIELD:
                 text = "{" + ", ".join(map(str, value)) + "}"
+        case tuple() if hasattr(value, "_fields"):  # a named tuple
+            return _name(value)
         case Collection() if len(value) > SMALL or not _flat(value):
             kinds = {type(member).__name__ for member in value}
             text = f"[{len(value)} {kinds.pop() if len(kinds) == 1 else 'values'}]"

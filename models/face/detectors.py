@@ -21,8 +21,8 @@ FRONTAL, PROFILE = "haarcascade_frontalface_default.xml", "haarcascade_profilefa
 LEAST_SURE = 0.6  # of a detection of YuNet's
 
 MOST_NETWORK = 1 << 26  # bytes of a file; YuNet's has 230,000
-LONGEST_LOOK = 8.0  # seconds
-LOOK = """
+PROBE_TIMEOUT = 8.0  # seconds
+PROBE = """
 import sys, cv2, numpy
 network = cv2.FaceDetectorYN.create(sys.argv[1], "", (320, 320))
 network.detect(numpy.zeros((320, 320, 3), numpy.uint8))
@@ -165,10 +165,10 @@ class YuNetFaces:
 @lru_cache
 def _is_survived(path: str, _changed: int) -> bool:
     """Whether a process lives through looking at a picture with a network; a damaged one may end it."""
-    command = [sys.executable, "-c", LOOK, path]
+    command = [sys.executable, "-c", PROBE, path]
     try:
         done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=LONGEST_LOOK, check=False
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=PROBE_TIMEOUT, check=False
         )
     except subprocess.TimeoutExpired:
         return False

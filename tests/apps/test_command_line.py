@@ -267,7 +267,12 @@ def test_a_truncated_video(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("prior = 0.5", "settings.toml: unknown key 'prior', expected the name of an option, or a section"),
+        (
+            "prior = 0.5",
+            "settings.toml: unknown key 'prior', expected an option of the command, or a section",
+        ),
+        ("threads = 1", "settings.toml: unknown key 'threads', expected an option of the command"),
+        ("config = 'b.toml'", "settings.toml: unknown key 'config', expected an option of the command"),
         ("mask = 'none'", "settings.toml: unknown key 'mask', did you mean masks?"),
         ("masks = 'gif'", "settings.toml: masks: got 'gif', expected none, png or video"),
         ("start = 1.5", "settings.toml: start: got '1.5', expected a whole number"),
@@ -275,8 +280,8 @@ def test_a_truncated_video(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
         ("stop = [1, 2]", "settings.toml: stop: got '[1, 2]', expected a whole number"),
         ("[sky]\ncolour = 1", "unknown key 'sky', expected sections background, blobs"),
         ("[background]\nprioor = 0.5", "[background]: unknown key 'prioor', expected model, prior, noise"),
-        ("[background]\nprior = 'much'", "[background]: prior = 'much', expected float"),
-        ("[background]\nprior = true", "[background]: prior = True, expected float"),
+        ("[background]\nprior = 'much'", "[background]: prior = 'much', expected a number"),
+        ("[background]\nprior = true", "[background]: prior = True, expected a number"),
         ("[background]\nprior = 1.5", "[background]: prior: got 1.5, expected a probability"),
         ("[background]\nmodel = 'mixtur'", "[background]: model = 'mixtur', expected gaussian, mixture"),
         ("[background]\nmodel = ['mixture']", "model = ['mixture'], expected gaussian, mixture"),

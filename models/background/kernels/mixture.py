@@ -24,7 +24,7 @@ class Mixture(NamedTuple):
     """Components of every pixel, in the order of weight over standard deviation; all float32.
 
     `(components, n_pixels)` weights, whose sum is 1 (0 where there is no such component);
-    `(components, channels, n_pixels)` means in the planes of `models.colour`; `(components, n_pixels)`
+    `(components, channels, n_pixels)` means in the planes of `colour`; `(components, n_pixels)`
     variances of each channel, squared grey levels.
     """
 

@@ -2,8 +2,8 @@
 
 import json
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -53,12 +53,13 @@ class Deaf(Clock):
     ports = (Port(BodyParts),)
 
 
+ANNOUNCED = {"clock": "Clock", "deaf": "Deaf", "gone": "Gone", "function": "written"}
+
+
 @pytest.fixture(autouse=True)
 def announced(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if a distribution with these entry points were installed."""
-    points = [
-        SimpleNamespace(name=kind.__name__.lower(), load=lambda kind=kind: kind) for kind in (Clock, Deaf)
-    ]
+    points = [EntryPoint(name, f"{__name__}:{kind}", parameters.GROUP) for name, kind in ANNOUNCED.items()]
     monkeypatch.setattr(parameters, "entry_points", lambda group: points if group == "rsmcm.chains" else [])
 
 
@@ -82,8 +83,15 @@ def test_a_chain_of_others_is_connected(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "options", "words"),
     [
-        ("", ["--chain", "clok"], "--chain: got 'clok', expected clock, deaf, did you mean clock?"),
+        (
+            "",
+            ["--chain", "clok"],
+            "--chain: got 'clok', expected clock, deaf, gone, function, did you mean clock?",
+        ),
         ("", ["--chain", "clock"], "chain clock: missing a required argument: 'box'"),
+        ("", ["--chain", "gone"], "Gone cannot be loaded: module"),
+        ("", ["--chain", "function"], "written is no dataclass, expected a chain's class"),
+        ("", ["--chain", "deaf", "--engine", "stand-alone"], "--chain and --engine stand-alone: got both"),
         ("", ["--chain", "deaf"], "--chain: deaf meets none of pixels, objects"),
         (
             "[chains.clock]\nboks = [1, 2]",

@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from types import SimpleNamespace
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rsmcm.chains import AdaptiveBackground, BlobTracker, MixtureBackground, PointTracker
-from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference import MultiChain, Port, RecursiveBP
 from rsmcm.inference.core.graph import IMAGE
 from rsmcm.models import ObjectBoxes, PixelLabels, PointTracks
 
@@ -83,12 +84,25 @@ def test_a_class_in_place_of_an_instance_is_refused() -> None:
 
 def test_a_feature_of_another_kind_is_refused() -> None:
     expected = (
-        "got 'points', a PointTracks, for 'blobs', expected .* BlobTracker meets: PixelLabels or ObjectBoxes"
+        r"got 'points' \(PointTracks\) for 'blobs', expected .* BlobTracker meets: PixelLabels or ObjectBoxes"
     )
     with pytest.raises(TypeError, match=expected):
         MultiChain().connect(BlobTracker(), PointTracks())  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="PointTracker meets: PointTracks"):
         MultiChain().connect(PointTracker(), PixelLabels())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("ports", [Port(PixelLabels), (PixelLabels,), [Port(PixelLabels)]])
+def test_ports_are_a_tuple_of_ports(monkeypatch: pytest.MonkeyPatch, ports: object) -> None:
+    monkeypatch.setattr(BlobTracker, "ports", ports)
+    with pytest.raises(TypeError, match=r"ports of 'blobs': got .*, expected a tuple of Port"):
+        MultiChain().connect(BlobTracker(), PixelLabels())
+
+
+@pytest.mark.parametrize("name", [None, "", 3])
+def test_a_name_is_a_text(name: Any) -> None:
+    with pytest.raises(TypeError, match=f"name of PixelLabels: got {name!r}, expected a text"):
+        MultiChain().connect(BlobTracker(), PixelLabels(name))
 
 
 def test_any_name_of_a_feature_will_do() -> None:

@@ -414,3 +414,13 @@ def test_impossible_values_and_wrong_likelihoods_are_named() -> None:
         Categorical("door", 2, lambda frame: np.zeros(3)).evidence(
             Frame(image(1), 0.0, 1), Categorical("door", 2).uniform()
         )
+
+
+@pytest.mark.parametrize(("method", "steps"), [("update", 1), ("predict", 2)])
+def test_a_forgotten_return_is_said_in_words(
+    monkeypatch: pytest.MonkeyPatch, method: str, steps: int
+) -> None:
+    model = random_model(rng(), GRAPHS["one chain"])
+    monkeypatch.setattr(model.chains["a"], method, lambda *_: None)
+    with pytest.raises(TypeError, match=f"chain 'a': {method} gave None, expected a state"):
+        list(RecursiveBP(model).run(FRAMES[:steps]))

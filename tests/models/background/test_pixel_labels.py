@@ -286,6 +286,14 @@ def test_an_appearance_of_another_shape_is_refused():
         Layer(0, 0, np.zeros((4, 5), np.float32), np.zeros((3, 5, 4), np.float32))
 
 
+def test_layers_come_in_a_stack() -> None:
+    layer = Layer(0, 0, np.ones((2, 2), np.float32), None)
+    with pytest.raises(TypeError, match=r"layers: got Layer\(.*, expected a list of Layer"):
+        LayerStack(layer)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"pixel message: got list for layers, expected LayerStack"):
+        PixelMessage(layers=[layer])  # type: ignore[arg-type]
+
+
 def test_without_a_background_labels_are_even():
     message = PixelMessage(image=image_of())
     assert (message.background_probability() == 0.5).all()
