@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...models.core.short_repr import short_repr
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.numerics.rotations import nearest_rotation
