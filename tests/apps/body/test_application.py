@@ -17,9 +17,9 @@ from rsmcm.apps.body.report import BodyRecord
 from rsmcm.apps.body.start import read_head, start_from_head
 from rsmcm.apps.body.writer import ANGLE_NAMES, N_DRAWN
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
+from rsmcm.apps.io.sources import blank_frames
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.reports import time_plots
-from rsmcm.apps.runs import blank_frames
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.inference.body.samples import BodyMoments
 from rsmcm.models import Frame

@@ -13,8 +13,8 @@ from rsmcm.apps.face import application
 from rsmcm.apps.face import start as face_start
 from rsmcm.apps.face.report import FaceRecord, angles
 from rsmcm.apps.face.start import find_face, start_from_box, start_from_landmarks
+from rsmcm.apps.io.sources import blank_frames
 from rsmcm.apps.reports import time_plots
-from rsmcm.apps.runs import blank_frames
 from rsmcm.apps.scenes import face
 from rsmcm.models import Frame
 from rsmcm.models.face import detectors
