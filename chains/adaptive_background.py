@@ -43,19 +43,19 @@ UNSURE_VARIANCE = 4.0
 WIDEST_DRIFT = 255.0**2 / 12
 """Squared grey levels: of a value that may be anything, as far as it can wander however long it is hidden."""
 
-BOOTSTRAP_TIME = 4.0
+BOOTSTRAP_TIME = 3.0
 """s after which nothing that was there from the first is taken for the scene by mistake any more."""
 
-LEAST_TIME = 0.3
+LEAST_TIME = 0.2
 """s for which a second colour must have been seen in any case."""
 
 MOST_NOISE_SHARE = 0.1
 """Of a single observation in a pixel's noise, however long ago the one before was."""
 
-FASTEST_LIGHT = 1.0
+FASTEST_LIGHT = 1.25
 """Log of the most that light changes in a second; a lamp that is switched takes a few frames."""
 
-STEADY_LIGHT, LIGHT_TIME = 0.02, 0.3
+STEADY_LIGHT, LIGHT_TIME = 0.02, 0.2
 """Log of a change below which it may be noise, and s, the time constant with which it is followed then."""
 
 
@@ -137,7 +137,7 @@ class AdaptiveBackground:
 
     prior: float = 0.95
     noise: float = 30.0
-    noise_rate: float = 0.3
+    noise_rate: float = 0.4
     drift: float = 1.25
     first_variance: float = 20.0
     settle_time: float = 3.0

@@ -64,7 +64,7 @@ SWEEP = 0.8
 FADING = 0.15
 """s, time constant with which a mask fades where it reaches too far."""
 
-OUTLINE_TIME = 0.2
+OUTLINE_TIME = 0.1
 """s after which a comparison of outlines is worth a whole new one."""
 
 
@@ -100,7 +100,7 @@ class BlobTracker:
         s for which an object must have been seen before it is reported, in every frame.
     ghost_evidence
         nats from which on a blob is taken for a ghost: log ratio of the contrast across its outline in the
-        background's picture and in the image, less 0.25, summed over comparisons every 0.2 s and never
+        background's picture and in the image, less 0.25, summed over comparisons every 0.1 s and never
         below 0.
     parting_time
         s for which a blob's mask must have had a waist before it becomes two.

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.point_arrays import FARTHEST, check_points
 from ...models.files.array_files import SINGLE, read_arrays
+from ...models.points.point_arrays import FARTHEST, check_points
 
 __all__ = ["FARTHEST", "read_points"]
 

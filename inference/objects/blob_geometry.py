@@ -14,7 +14,7 @@ from .blobs import MARGIN, Blob, Map, Pair
 THINNEST = 0.08
 """Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
 
-FRESH = 0.85
+FRESH = 0.5
 """s for which a blob was seen, below which it may still be a part of another."""
 
 

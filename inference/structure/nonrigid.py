@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...models.core.point_arrays import check_points
 from ...models.core.short_repr import short_repr
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.numerics.rotations import nearest_rotation
+from ...models.points.point_arrays import check_points
 from .nonrigid_em import Numbers, State, Tracks, WeightPosterior, e_step, point_sums, run_em
 from .nonrigid_start import start
 

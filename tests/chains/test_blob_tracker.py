@@ -248,6 +248,17 @@ def test_missing_frames_are_bridged_by_the_motion(walk):
     assert seen[9] == pytest.approx(seen[0] + 9 * DT)
 
 
+def test_half_the_frames_show_the_same(walk, walked):
+    """Reported within a frame of the same time, in the same places and at the same speed."""
+    slow = list(engine().run(walk[::2], dt=2 * DT))
+    first = [next(k for k, belief in enumerate(beliefs) if tracks_of(belief)) for beliefs in (walked, slow)]
+    assert abs(first[0] - 2 * first[1]) <= 2
+    for number in range(9, 32):
+        (track,), (other,) = tracks_of(walked[2 * number]), tracks_of(slow[number])
+        assert other.box == pytest.approx(track.box, abs=2)
+        assert other.velocity == pytest.approx(track.velocity, abs=6)
+
+
 @pytest.mark.parametrize("colour", [WHITE, DARK])
 def test_grey_pictures(colour):
     beliefs = run(film(80, (TALL, colour, moving(-20, 50, 60)), grey=True))

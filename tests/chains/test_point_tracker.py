@@ -201,11 +201,11 @@ class PlaneKnown:
         return self._message(state, state.time, groups=False)
 
     def update(self, state: Places, incoming: Incoming) -> Places:
-        told = incoming[PointTracks]
-        if told.view is None:
+        message = incoming[PointTracks]
+        if message.view is None:
             return state
-        identities, mean, _ = told.positions.moments
-        new = np.isin(identities, told.view.found.identities) & ~np.isin(identities, state.identities)
+        identities, mean, _ = message.positions.moments
+        new = np.isin(identities, message.view.found.identities) & ~np.isin(identities, state.identities)
         together = np.concatenate([state.identities, identities[new]])
         points = np.concatenate([state.points, self._pose(state.time).on_plane(mean[new])])
         order = np.argsort(together)
@@ -216,8 +216,8 @@ class PlaneKnown:
     ) -> Smoothed[Places]:
         points: dict[int, list[Numbers]] = {}
         for incoming in incoming_over_time:
-            told = incoming[PointTracks]
-            identities, mean, covariance = told.positions.moments
+            message = incoming[PointTracks]
+            identities, mean, covariance = message.positions.moments
             for identity, point, known in zip(
                 identities.tolist(), self._pose(incoming.frame.time).on_plane(mean), covariance, strict=True
             ):

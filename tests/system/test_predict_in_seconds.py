@@ -1,6 +1,6 @@
 """Every chain: predicting for a, then for b seconds is predicting for a + b seconds."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
@@ -106,22 +106,6 @@ SAMPLED: dict[str, Callable[[int], Any]] = {
 }
 BATCH_ONLY = {"FactorStructure"}
 
-NOT_YET = {
-    "RecursiveStructure": "time since the last frame is that of the last prediction alone",
-    "ArticulatedPose": "directions that wander in two steps are spread otherwise than in one",
-    "Condensation": "directions that wander in two steps are spread otherwise than in one",
-}
-
-
-def marked(names: Iterable[str]) -> list[Any]:
-    """Names as parameters; chains that are not there yet have to fail."""
-    return [
-        pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=NOT_YET[name]))
-        if name in NOT_YET
-        else name
-        for name in names
-    ]
-
 
 def assert_close(one: Any, other: Any, place: str = "state") -> None:
     """The same to 1e-9 of the largest number in an array; generators of random numbers do not count."""
@@ -145,7 +129,7 @@ def test_all_chains_are_here() -> None:
     assert set(chains.__all__) - BATCH_ONLY <= {*CASES, *SAMPLED}
 
 
-@pytest.mark.parametrize("name", marked(CASES))
+@pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize(("first", "second"), [(0.04, 0.36), (0.2, 0.2), (2.0, 0.04)])
 def test_two_predictions_are_one_of_their_length(name: str, first: float, second: float) -> None:
     chain, state = CASES[name]()
@@ -154,7 +138,7 @@ def test_two_predictions_are_one_of_their_length(name: str, first: float, second
     )
 
 
-@pytest.mark.parametrize("name", marked(CASES))
+@pytest.mark.parametrize("name", CASES)
 def test_ten_short_predictions_are_a_long_one(name: str) -> None:
     chain, state = CASES[name]()
     steps = state
@@ -170,7 +154,7 @@ def moments(state: BodySamples) -> tuple[NDArray[np.float64], NDArray[np.float64
     return numbers.mean(axis=0), numbers.std(axis=0)
 
 
-@pytest.mark.parametrize("name", marked(SAMPLED))
+@pytest.mark.parametrize("name", SAMPLED)
 def test_samples_are_spread_alike(name: str) -> None:
     """Means within five standard errors of 4000 samples, deviations within a tenth."""
     steps, at_once = (SAMPLED[name](seed) for seed in (0, 1))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ....models.core.frame import Frame
 from ...background.compare import PRIORS, SHOWN_PRIOR, Gallery, write_comparison
 from ...background.methods import CHAINS, Model, ModelSubtractor
 from ...evaluation.masks import ErrorClasses, error_classes
@@ -35,6 +36,7 @@ Image = NDArray[np.uint8]
 Found = tuple[int, NDArray[np.float64]]
 """A frame's number and its components' boxes and areas `(n, 5)`."""
 
+NOISE_SEEDS = range(5)
 FIRST_COUNTED = 40
 """Errors are counted in every tenth frame after 30."""
 MIDDLE_SETTINGS = {
@@ -120,7 +122,9 @@ def reproduce_pets(out: Path, long: bool) -> None:
     best_usual = max(best, key=lambda tried: tried.scores.idf1)
     most_accurate = max(usual, key=lambda tried: tried.scores.mota)
     dual = tracks["RSMCM"]
+    rates = _rates(video, truth, size)
     expectations = _expectations(errors, dual, best_usual.scores, most_accurate.scores)
+    expectations += _expectations_of_rates(rates)
     lines = [
         {
             "method": name,
@@ -162,6 +166,50 @@ def _expectations(
         Expectation("id switches, over the same", dual.switches / max(best.switches, 1), "<=", 0.5),
         Expectation(
             "MOTA, RSMCM over the usual tracker with the best", dual.mota / most_accurate.mota, ">=", 1.0
+        ),
+    ]
+
+
+def _rates(video: str, truth: BoxTruth, size: tuple[int, int]) -> dict[int, list[TrackScores]]:
+    """Track measures in every second frame, by seeds of noise, of a model that sees all frames or those."""
+    judged = range(1, max(truth.frames) + 1, 2)
+    found: dict[int, list[TrackScores]] = {1: [], 2: []}
+    with Progress("10 and 5 frames a second", len(NOISE_SEEDS) * len(found), unit="runs") as progress:
+        for step, scores in found.items():
+            for seed in NOISE_SEEDS:
+                system, rows = Model("RSMCM", "recursive-bp", size), []
+                with open_source(video, step=step) as source:
+                    for frame in source:
+                        tracks = system.step(_noisy(frame, seed)).tracks
+                        rows += [(frame.number, each.identity, *each.box) for each in tracks]
+                table = np.array(rows, np.float64).reshape(-1, 6)
+                scores.append(evaluate_tracks(table, truth, judged))
+                progress.update()
+    return found
+
+
+def _noisy(frame: Frame, seed: int) -> Frame:
+    """The frame with one grey level more or less in one of a thousand pixels."""
+    if frame.image is None:
+        return frame
+    random = np.random.default_rng([seed, frame.number])
+    image = frame.image.reshape(-1, frame.image.shape[-1] if frame.image.ndim == 3 else 1).astype(np.int16)
+    changed = random.choice(len(image), len(image) // 1000, replace=False)
+    image[changed] += random.choice(np.array([-1, 1], np.int16), len(changed))[:, None]
+    return replace(frame, image=image.clip(0, 255).astype(np.uint8).reshape(frame.image.shape))
+
+
+def _expectations_of_rates(rates: Mapping[int, Sequence[TrackScores]]) -> list[Expectation]:
+    """What is wanted of half the frames: the same IDF1 but for what noise changes."""
+    whole, half = (np.array([each.idf1 for each in rates[step]]) for step in (1, 2))
+    spread = float(max(whole.std(ddof=1), half.std(ddof=1)))
+    seeds = f"{len(whole)} seeds of noise"
+    return [
+        Expectation(f"IDF1 at 10 frames a second, {seeds}", float(whole.mean())),
+        Expectation("the same at 5 frames a second", float(half.mean())),
+        Expectation("standard deviation over seeds, the larger of both", spread),
+        Expectation(
+            "IDF1 lost at 5 frames a second, in these", float(whole.mean() - half.mean()) / spread, "<=", 1.0
         ),
     ]
 
