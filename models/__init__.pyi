@@ -1,4 +1,5 @@
-from .background.pixel_labels import PixelLabels
+from .background.layers import Layer, LayerStack
+from .background.pixel_labels import PixelLabels, PixelMessage
 from .body.parts import BodyParts
 from .body.poses import BodyPoses
 from .body.upper_body import UpperBody
@@ -16,9 +17,12 @@ __all__ = [
     "Categorical",
     "Frame",
     "HaarFaces",
+    "Layer",
+    "LayerStack",
     "MorphableModel",
     "ObjectBoxes",
     "PixelLabels",
+    "PixelMessage",
     "PointTracks",
     "Poses",
     "UpperBody",

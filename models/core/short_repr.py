@@ -46,6 +46,8 @@ def brief(value: object) -> str:
                 text = "{" + ", ".join(map(str, value)) + "}"
         case tuple() if hasattr(value, "_fields"):  # a named tuple
             return _name(value)
+        case tuple() if len(value) <= SMALL and _flat(value):
+            text = f"({', '.join(map(brief, value))}{',' * (len(value) == 1)})"
         case Collection() if len(value) > SMALL or not _flat(value):
             kinds = {type(member).__name__ for member in value}
             text = f"[{len(value)} {kinds.pop() if len(kinds) == 1 else 'values'}]"

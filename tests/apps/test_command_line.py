@@ -269,7 +269,7 @@ def test_a_truncated_video(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
     [
         (
             "prior = 0.5",
-            "settings.toml: unknown key 'prior', expected an option of the command, or a section",
+            "unknown key 'prior', expected an option of the command, or a section",
         ),
         ("threads = 1", "settings.toml: unknown key 'threads', expected an option of the command"),
         ("config = 'b.toml'", "settings.toml: unknown key 'config', expected an option of the command"),
