@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from . import checkpoint
-from .graph import MultiChain
+from .graph import MultiChain, require_model
 from .protocols import (
     BatchChain,
     FeatureNode,
@@ -140,8 +140,7 @@ class CoordinateAscent:
     """
 
     def __init__(self, model: MultiChain, most_rounds: int = 20, tolerance: float = 1e-5) -> None:
-        if not model.chains:
-            raise ValueError("model: got no chain, expected at least one")
+        require_model(model)
         for name, chain in model.chains.items():
             require(f"chain {name!r}", chain, BatchChain)
         model.check_complete()

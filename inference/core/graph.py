@@ -339,3 +339,21 @@ class MultiChain:
                             ((sender, other), (chain, feature)) for sender in senders if sender != chain
                         )
         return needs
+
+
+def require_model(model: object) -> None:
+    """Make sure that an engine is given a model with chains.
+
+    Raises
+    ------
+    TypeError
+        if it is no model.
+    ValueError
+        if there is no chain in it.
+    """
+    if not isinstance(model, MultiChain):
+        raise TypeError(
+            f"model: got {type(model).__name__}, expected a MultiChain to which chains are connected"
+        )
+    if not model.chains:
+        raise ValueError("model: got no chain, expected at least one")

@@ -185,6 +185,8 @@ class Incoming:
         return len(self._messages)
 
     def _found(self, key: type | Named) -> list[Named]:
+        if isinstance(key, str):
+            raise TypeError(f"incoming: got {key!r}, expected a feature node or a kind of them")
         if isinstance(key, type):
             return [node for node in self if isinstance(node, key)]
         return [node for node in self if node.name == key.name]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from . import checkpoint
-from .graph import MultiChain
+from .graph import MultiChain, require_model
 from .protocols import Chain, FeatureNode, MessageType, Named, name_of, require
 from .time_slice import TimeSlice
 
@@ -167,8 +167,7 @@ class RecursiveBP:
     """
 
     def __init__(self, model: MultiChain, sweeps: int = 1) -> None:
-        if not model.chains:
-            raise ValueError("model: got no chain, expected at least one")
+        require_model(model)
         for name, chain in model.chains.items():
             require(f"chain {name!r}", chain, Chain)
         if sweeps < 1:
@@ -259,6 +258,10 @@ class RecursiveBP:
         ValueError
             as `step` does, or if something is not an image.
         """
+        if isinstance(frames, str | Path):
+            raise TypeError(
+                f"frames: got {str(frames)!r}, expected frames; open_source of rsmcm.apps.io opens a film"
+            )
         state = state or RunState()
         for item in frames:
             if isinstance(item, Frame):

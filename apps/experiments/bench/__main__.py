@@ -34,8 +34,8 @@ from ...runs.progress import Progress
 from ...scenes import cylinder, sleeping_man
 from ...structure.reconstruction import engine_for
 from .body_samples import bootstrap_times
-from .body_tracker import body_claims
-from .face import face_claims
+from .body_tracker import body_expectations
+from .face import face_expectations
 from .points import point_expectations
 from .structure import structure_expectations
 
@@ -63,11 +63,16 @@ def main() -> None:
     ]
     for threads in (1, 2):
         set_threads(threads)
-        expectations += speed_claims(frames, threads)
+        expectations += speed_expectations(frames, threads)
     expectations += [end_to_end(frames), *over_time(frames, 10_000 if "--long" in sys.argv[1:] else 1_500)]
     set_threads(1)
-    expectations += [*point_expectations(), *structure_expectations(), feedback_in_rounds(), *face_claims()]
-    of_bodies, stages_of_bodies = body_claims()
+    expectations += [
+        *point_expectations(),
+        *structure_expectations(),
+        feedback_in_rounds(),
+        *face_expectations(),
+    ]
+    of_bodies, stages_of_bodies = body_expectations()
     expectations += [*of_bodies, *bootstrap_times()]
     print(in_columns(HEADER, [expectation.cells for expectation in expectations]))
     print("\nwhere the time of a frame goes, one thread\n")
@@ -131,7 +136,7 @@ def in_turns(steps: Mapping[str, Callable[[Frame], object]], frames: Sequence[Fr
     return {name: float(np.median(values[WARM_UP:])) for name, values in spent.items()}
 
 
-def speed_claims(frames: Sequence[Frame], threads: int) -> list[Expectation]:
+def speed_expectations(frames: Sequence[Frame], threads: int) -> list[Expectation]:
     """Ratios of times a frame at a number of threads, which is set already."""
     subtractor = cv2.createBackgroundSubtractorMOG2()
     seconds = in_turns(

@@ -40,12 +40,12 @@ Stages = list[tuple[str, float, float]]
 """Stage, ms a frame and share of the whole, %."""
 
 
-def body_claims() -> tuple[list[Expectation], Stages]:
+def body_expectations() -> tuple[list[Expectation], Stages]:
     """All of them, and where the time of a frame goes, on two threads."""
     film = BodyFilm.found()
     with _threads(THREADS):
         whole, within = seconds_a_frame(film, SAMPLES)
-        expectations = [rate_claim(film, whole), growth_claim(film)]
+        expectations = [rate_expectation(film, whole), growth_expectation(film)]
         return expectations, stages_of(whole, within)
 
 
@@ -113,7 +113,7 @@ def seconds_a_frame(film: BodyFilm, samples: int) -> tuple[Numbers, dict[str, Nu
     return spent.whole[WARM_UP:], {name: spent.stage(name)[WARM_UP:] for name in spent.names}
 
 
-def rate_claim(film: BodyFilm, seconds: Numbers) -> Expectation:
+def rate_expectation(film: BodyFilm, seconds: Numbers) -> Expectation:
     """Without decoding."""
     image = film.frames[0].image
     assert image is not None
@@ -122,7 +122,7 @@ def rate_claim(film: BodyFilm, seconds: Numbers) -> Expectation:
     return Expectation(what, 1 / float(seconds.mean()), ">=", 10)
 
 
-def growth_claim(film: BodyFilm) -> Expectation:
+def growth_expectation(film: BodyFilm) -> Expectation:
     """Power of time in samples, of the chain that has any."""
     within = [seconds_a_frame(film, count)[1] for count in MORE_SAMPLES]
     times = [float(np.median(each["poses"] + each["prior"] + each["likelihood"])) for each in within]
@@ -213,6 +213,6 @@ class _Timed:
 
 
 if __name__ == "__main__":
-    found, where = body_claims()
+    found, where = body_expectations()
     print(in_columns(HEADER, [expectation.cells for expectation in found]))
     print("\n" + in_columns(("stage", "ms", "share, %"), where))

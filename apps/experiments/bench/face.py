@@ -34,15 +34,15 @@ TURNS = 10
 Numbers = NDArray[np.float64]
 
 
-def face_claims() -> list[Expectation]:
+def face_expectations() -> list[Expectation]:
     """All of them; on two threads where the tracker runs, on one where a peer runs beside it."""
     before = thread_count()
     scene = face(N_FRAMES, seed=0, size=SIZE)
     try:
         set_threads(2)
-        rates = [*rate_claims(scene), *growth_claims(scene), memory_claim(scene)]
+        rates = [*rate_expectations(scene), *growth_expectations(scene), memory_expectation(scene)]
         set_threads(1)
-        return [*rates, fused_claim(scene)]
+        return [*rates, fused_expectation(scene)]
     finally:
         set_threads(before)
 
@@ -62,7 +62,7 @@ def seconds_a_frame(scene: FaceScene, experts: int, texels: int) -> Numbers:
     return np.array(seconds[WARM_UP:])
 
 
-def rate_claims(scene: FaceScene) -> list[Expectation]:
+def rate_expectations(scene: FaceScene) -> list[Expectation]:
     """How often faster than the film: means over continuation and resampling frames."""
     expectations = []
     for experts, wanted in ((EXPERTS, 1.0), (1, 3.0)):
@@ -72,7 +72,7 @@ def rate_claims(scene: FaceScene) -> list[Expectation]:
     return expectations
 
 
-def growth_claims(scene: FaceScene) -> list[Expectation]:
+def growth_expectations(scene: FaceScene) -> list[Expectation]:
     """Powers of time in experts and in texels."""
     experts = {n: float(np.median(seconds_a_frame(scene, n, TEXELS))) for n in (10, 20, 40, 80)}
     texels = {n: float(np.median(seconds_a_frame(scene, EXPERTS, n))) for n in (2000, 4000, 8000, 16000)}
@@ -82,7 +82,7 @@ def growth_claims(scene: FaceScene) -> list[Expectation]:
     ]
 
 
-def memory_claim(scene: FaceScene) -> Expectation:
+def memory_expectation(scene: FaceScene) -> Expectation:
     """Peak of what is allocated while it tracks."""
     tracemalloc.start()
     try:
@@ -93,7 +93,7 @@ def memory_claim(scene: FaceScene) -> Expectation:
     return Expectation(f"G-flow: peak memory of {EXPERTS} x {TEXELS} texels, MB", peak / 2**20)
 
 
-def fused_claim(scene: FaceScene) -> Expectation:
+def fused_expectation(scene: FaceScene) -> Expectation:
     """Normal equations of one expert, beside three remaps and numpy."""
     image = scene.image(1)
     surface = TexturedObject(scene.model, SurfaceTexels.dense(scene.model, TEXELS))
@@ -144,4 +144,4 @@ def _power(seconds: dict[int, float]) -> float:
 
 
 if __name__ == "__main__":
-    print(in_columns(HEADER, [expectation.cells for expectation in face_claims()]))
+    print(in_columns(HEADER, [expectation.cells for expectation in face_expectations()]))

@@ -424,3 +424,13 @@ def test_a_forgotten_return_is_said_in_words(
     monkeypatch.setattr(model.chains["a"], method, lambda *_: None)
     with pytest.raises(TypeError, match=f"chain 'a': {method} gave None, expected a state"):
         list(RecursiveBP(model).run(FRAMES[:steps]))
+
+
+def test_what_is_no_model_no_film_and_no_node_is_refused_in_words() -> None:
+    with pytest.raises(TypeError, match="expected a MultiChain"):
+        RecursiveBP("film.mp4")  # type: ignore[arg-type]
+    engine = RecursiveBP(random_model(np.random.default_rng(0), [("chain", "feature")]))
+    with pytest.raises(TypeError, match="open_source"):
+        next(engine.run("film.mp4"))  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="kind of them"):
+        Incoming({})["pixels"]  # type: ignore[call-overload]

@@ -174,4 +174,4 @@ def test_stages_of_the_benchmark_add_up(film: SignerFilm, monkeypatch: pytest.Mo
     rows = bench_body_tracker.stages_of(whole, within)
     assert rows[-1][0] == "total"
     assert sum(share for _, _, share in rows[:-1]) == pytest.approx(100)
-    assert bench_body_tracker.rate_claim(one, whole).measured == pytest.approx(1 / whole.mean())
+    assert bench_body_tracker.rate_expectation(one, whole).measured == pytest.approx(1 / whole.mean())
