@@ -61,7 +61,7 @@ BENEFIT_OF_DOUBT = 0.6
 SWEEP = 0.8
 """s after which a mask is freed of crumbs again."""
 
-FADING = 0.15
+FADING = 0.06
 """s, time constant with which a mask fades where it reaches too far."""
 
 OUTLINE_TIME = 0.1
