@@ -1,7 +1,7 @@
 """Speed beside peers, and exactness beside enumeration: `python -m rsmcm.apps.experiments.bench`.
 
-Background and tracking beside OpenCV's MOG2 here; the others in `bench_points`, `bench_structure`,
-`bench_face`, `bench_body` and `bench_body_tracker`.
+Background and tracking beside OpenCV's MOG2 here; the others in `points`, `structure`, `face`,
+`body_samples` and `body_tracker`.
 
 All ratios are of times taken in one run, in turns, at equal thread counts.
 """
