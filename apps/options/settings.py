@@ -62,6 +62,10 @@ def options_from_file(app: App, commands: tuple[str, ...], arguments: ArgumentCo
             if key.replace("-", "_") not in known:
                 expected = meant(key, known) or ", expected an option of the command, or a section"
                 raise ValueError(f"{path}: unknown key {key!r}{expected}")
+        several = {name for each in arguments if each.token_count()[1] for name in each.names}
+        for key, value in options.items():  # old versions of cyclopts take a list for any option
+            if isinstance(value, list) and f"--{key.replace('_', '-')}" not in several:
+                options[key] = str(value)
         Dict(options, source=path, use_commands_as_keys=False)(app, commands, arguments)
 
 
