@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from ..reports.evenly_spaced import EvenlySpaced
+from ..reports.page import encoded
 from ..reports.snapshots import MOST_SNAPSHOTS, small
 
 Image = NDArray[np.uint8]
@@ -172,11 +173,9 @@ class RunRecord:
 
 def _encoded(image: Image) -> str:
     """A picture in base 64: masks as PNG, photographs as JPEG, as which the page holds them anyway."""
-    kind, options = (".png", []) if image.ndim == 2 else (".jpg", [cv2.IMWRITE_JPEG_QUALITY, 95])
-    done, data = cv2.imencode(kind, image, options)
-    if not done:
-        raise ValueError(f"image: got {image.shape} {image.dtype}, which cannot be stored as {kind}")
-    return base64.b64encode(data.tobytes()).decode("ascii")
+    return (
+        encoded(image, ".png") if image.ndim == 2 else encoded(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 95])
+    )
 
 
 def _decoded(text: str) -> Image:

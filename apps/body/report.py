@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...inference.body.samples import BodyMoments, BodySamples
 from ...models.body.upper_body import JOINTS, PARTS
 from ...models.core.frame import Frame
-from ..reports.frame_lists import listed, listed_periods, periods
+from ..reports.frame_lists import listed_periods, periods
 from ..reports.page import Section, cards, paragraph, table, write_run_page
 from ..reports.plots import figure
 from ..reports.snapshots import Snapshots
@@ -106,9 +106,7 @@ class BodyRecord(FrameRecord):
     @property
     def notes(self) -> list[str]:
         """What is out of the ordinary, a sentence each."""
-        notes = []
-        if self.missing:
-            notes.append(f"Missing, unreadable or blank, and only predicted: {listed(self.missing)}.")
+        notes = super().notes
         if self.stationary:
             notes.append(
                 f"Nothing of the body was seen, and it was only predicted, in "

@@ -101,9 +101,7 @@ class FaceRecord(FrameRecord):
     @property
     def notes(self) -> list[str]:
         """What is out of the ordinary, a sentence each."""
-        notes = []
-        if self.missing:
-            notes.append(f"Missing, unreadable or blank, and only predicted: {listed(self.missing)}.")
+        notes = super().notes
         if self.lost:
             notes.append(f"Lost in {listed_periods(self.lost_periods)}.")
         if self.restarted:

@@ -144,7 +144,18 @@ def _inlined(image: Image, description: str) -> Markup:
     """An image as part of the page: JPEG, or PNG for pictures of few values, which JPEG would smear."""
     few = image.ndim == 2 and len(np.unique(image)) <= 16
     kind, options = ("png", []) if few else ("jpeg", [cv2.IMWRITE_JPEG_QUALITY, 88])
-    done, data = cv2.imencode(f".{kind}", image, options)
+    return Markup(_parts.image(kind, encoded(image, f".{kind}", options), description))
+
+
+def encoded(image: Image, kind: str, options: Sequence[int] = ()) -> str:
+    """A picture as a file of that kind (`.png`, `.jpg`) with OpenCV's options, in base 64.
+
+    Raises
+    ------
+    ValueError
+        if a picture of this form cannot be such a file.
+    """
+    done, data = cv2.imencode(kind, image, options)
     if not done:
         raise ValueError(f"image: got {image.shape} {image.dtype}, which cannot be stored as {kind}")
-    return Markup(_parts.image(kind, base64.b64encode(data.tobytes()).decode("ascii"), description))
+    return base64.b64encode(data.tobytes()).decode("ascii")

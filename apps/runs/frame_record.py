@@ -8,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..reports.frame_lists import listed
 from ..reports.snapshots import Snapshots
 
 
@@ -30,6 +31,13 @@ class FrameRecord:
     seconds: "array[float]" = field(default_factory=lambda: array("d"))
     missing: list[int] = field(default_factory=list)
     snapshots: Snapshots = field(default_factory=Snapshots)
+
+    @property
+    def notes(self) -> list[str]:
+        """What is out of the ordinary, a sentence each."""
+        if not self.missing:
+            return []
+        return [f"Missing, unreadable or blank, and only predicted: {listed(self.missing)}."]
 
     @classmethod
     def kinds(cls) -> dict[str, Any]:
