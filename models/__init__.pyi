@@ -4,7 +4,7 @@ from .body.parts import BodyParts
 from .body.poses import BodyPoses
 from .body.upper_body import UpperBody
 from .core.categorical import Categorical
-from .core.frame import Frame
+from .core.frame import Frame, GivenBoxes
 from .face.detectors import HaarFaces, YuNetFaces
 from .face.morphable_model import MorphableModel
 from .face.pose import Poses
@@ -16,6 +16,7 @@ __all__ = [
     "BodyPoses",
     "Categorical",
     "Frame",
+    "GivenBoxes",
     "HaarFaces",
     "Layer",
     "LayerStack",

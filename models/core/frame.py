@@ -1,4 +1,4 @@
-"""A frame: an image, or the points that somebody has found in it, with its time and its number."""
+"""A frame: an image, and what somebody else has found in it, with its time and its number."""
 
 from dataclasses import dataclass
 
@@ -46,6 +46,54 @@ class GivenPoints:
 
 @short_repr
 @dataclass(frozen=True, eq=False)
+class GivenBoxes:
+    """Boxes of objects that a detector has found in a frame: perhaps none, but it did run.
+
+    Parameters
+    ----------
+    xyxy
+        `(n, 4)` float64 px: left, top, right, bottom edges; 0 is the picture's left or top edge.
+    confidence
+        `(n,)` float64 scores on any scale, the surer the higher; all 1 where they are left out.
+    classes
+        `(n,)` names or numbers of what the objects are, if the detector tells.
+    masks
+        `(n, height, width)` bool over the picture, if the detector gives outlines.
+
+    Raises
+    ------
+    ValueError
+        if the shapes do not fit, a number is not finite, or a box is not wider and higher than 0.
+    """
+
+    xyxy: NDArray[np.float64]
+    confidence: NDArray[np.float64] | None = None
+    classes: NDArray[np.str_] | NDArray[np.int64] | None = None
+    masks: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        if self.xyxy.ndim != 2 or self.xyxy.shape[1] != 4:
+            raise ValueError(f"boxes: got {self.xyxy.shape}, expected (n, 4): left, top, right, bottom")
+        n_boxes = len(self.xyxy)
+        for name in ("confidence", "classes", "masks"):
+            values = getattr(self, name)
+            if values is not None and (len(values) != n_boxes or (values.ndim != 1) != (name == "masks")):
+                raise ValueError(f"boxes: got {name} {values.shape} for {n_boxes} boxes")
+        for number, (left, top, right, bottom) in enumerate(self.xyxy.tolist()):
+            if not (right - left > 0 and bottom - top > 0 and np.isfinite(self.xyxy[number]).all()):
+                raise ValueError(
+                    f"boxes: got {left:g}, {top:g}, {right:g}, {bottom:g} as box {number}, "
+                    "expected left < right and top < bottom, all finite"
+                )
+        if self.confidence is not None and not np.isfinite(self.confidence).all():
+            raise ValueError("boxes: got a confidence that is not finite, expected finite ones")
+
+    def __len__(self) -> int:
+        return len(self.xyxy)
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One picture of a sequence.
 
@@ -59,7 +107,9 @@ class Frame:
     number
         1-based number of the frame in its source.
     points
-        what somebody else has found in it.
+        points that somebody else has found in it.
+    boxes
+        objects that a detector has found in it; `None` where it did not run on this frame.
 
     Raises
     ------
@@ -71,6 +121,7 @@ class Frame:
     time: float
     number: int
     points: GivenPoints | None = None
+    boxes: GivenBoxes | None = None
 
     def __post_init__(self) -> None:
         image = self.image
@@ -87,4 +138,4 @@ class Frame:
     @property
     def missing(self) -> bool:
         """Whether there is nothing to see in it."""
-        return self.image is None and self.points is None
+        return self.image is None and self.points is None and self.boxes is None
