@@ -90,7 +90,7 @@ ERRORS = {
     "ghosts": "ghosts",
     "missed and ghosts": "total",
 }
-TRACKS = {"idf1": "IDF1", "mota": "MOTA", "switches": "id switches"}
+TRACKS = {"idf1": "IDF1", "hota": "HOTA", "mota": "MOTA", "switches": "id switches"}
 
 
 @dataclass(frozen=True)
