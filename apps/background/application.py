@@ -28,6 +28,7 @@ from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
 from .job import BackgroundJob, Engine
+from .moving_camera import MOVES, CameraWatch
 from .parameters import (
     SECTIONS,
     Parameters,
@@ -148,6 +149,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._region: NDArray[np.uint8] | None = None
         self._scoring: Scoring | None = None
         self._detections: Detections | None = None
+        self._camera = CameraWatch()
 
     @property
     def files(self) -> list[str]:
@@ -191,6 +193,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         """Take up record and scores."""
         self.begin(iter(()))
         self.record = RunRecord.restored(memory["record"])
+        self._camera = CameraWatch(noticed=any(note.startswith(MOVES) for note in self.notes))
         if self._scoring is not None:
             self._scoring.restore(memory["scores"])
 
@@ -216,6 +219,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._tracks.write(frame.number, found.tracks)
         self._masks.write(found.foreground, frame.number, frame.time)
         self._overlay.add(frame, found.foreground, found.tracks)
+        if (said := self._camera.take_in(belief, found.foreground)) is not None:
+            self.notes.append(said)
         if self._scoring is not None:
             self._scoring.add(frame.number, found.foreground)
 
