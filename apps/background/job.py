@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from ..options.job import FilmJob, Flag, resolved
 
 Engine = Literal["recursive-bp", "feed-forward", "stand-alone"]
+Camera = Literal["fixed", "moving"]
 Masks = Literal["none", "png", "video"]
 
 
@@ -21,9 +22,13 @@ class BackgroundJob(FilmJob):
     engine
         recursive-bp: background and objects correct each other. feed-forward: the background hears nothing of
         the objects. stand-alone: the background only, no tracks.
+    camera
+        fixed, or moving: it shakes, turns or drifts a little about where it looks in the first frame, and
+        every frame is registered with that scene. Where a frame does not show it, nothing is known.
     config
         TOML file with options under their names, and with parameters of the chains, in sections [background],
-        [blobs], [ground], and [chains.NAME] for those of other packages; what is typed goes first.
+        [blobs], [ground], [camera-motion], and [chains.NAME] for those of other packages; what is typed goes
+        first.
     chain
         Connect a chain of another package as well, by the name under which it is announced (entry points
         rsmcm.chains); several times for several.
@@ -42,6 +47,7 @@ class BackgroundJob(FilmJob):
     """
 
     engine: Engine = "recursive-bp"
+    camera: Camera = "fixed"
     roi: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     masks: Masks = "png"
     ground_truth: Path | None = None
@@ -58,6 +64,7 @@ class BackgroundJob(FilmJob):
         return {
             **super().settings(),
             "engine": self.engine,
+            "camera": self.camera,
             "roi": self.roi,
             "masks": self.masks,
             "ground_truth": resolved(self.ground_truth),
