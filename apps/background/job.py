@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from ..options.job import FilmJob, Flag, resolved
 
 Engine = Literal["recursive-bp", "feed-forward", "stand-alone"]
+Camera = Literal["fixed", "moving"]
 Masks = Literal["none", "png", "video"]
 
 
@@ -21,9 +22,13 @@ class BackgroundJob(FilmJob):
     engine
         recursive-bp: background and objects correct each other. feed-forward: the background hears nothing of
         the objects. stand-alone: the background only, no tracks.
+    camera
+        fixed, or moving: it shakes, turns or drifts a little about where it looks in the first frame, and
+        every frame is registered with that scene. Where a frame does not show it, nothing is known.
     config
         TOML file with options under their names, and with parameters of the chains, in sections [background],
-        [blobs], [ground], and [chains.NAME] for those of other packages; what is typed goes first.
+        [blobs], [ground], [camera-motion], and [chains.NAME] for those of other packages; what is typed goes
+        first.
     chain
         Connect a chain of another package as well, by the name under which it is announced (entry points
         rsmcm.chains); several times for several.
@@ -47,6 +52,7 @@ class BackgroundJob(FilmJob):
     """
 
     engine: Engine = "recursive-bp"
+    camera: Camera = "fixed"
     roi: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     masks: Masks = "png"
     ground_truth: Path | None = None
@@ -59,6 +65,8 @@ class BackgroundJob(FilmJob):
         super().__post_init__()
         if self.chain and self.engine == "stand-alone":
             raise ValueError("--chain and --engine stand-alone: got both, expected one of them")
+        if self.detections is not None and self.camera == "moving":
+            raise ValueError("--detections and --camera moving: got both, expected one of them")
         if self.detections is not None and self.engine == "stand-alone":
             raise ValueError("--detections and --engine stand-alone: got both, expected one of them")
         if self.classes and self.detections is None:
@@ -74,6 +82,7 @@ class BackgroundJob(FilmJob):
         return {
             **super().settings(),
             "engine": self.engine,
+            "camera": self.camera,
             "roi": self.roi,
             "masks": self.masks,
             "ground_truth": resolved(self.ground_truth),
