@@ -7,8 +7,10 @@ from .flesh_tracker import FleshTracker
 from .gflow import GFlow
 from .ground_plane import GroundPlane
 from .mixture_background import MixtureBackground
+from .object_trajectories import ObjectTrajectories
 from .point_tracker import PointTracker
 from .recursive_structure import RecursiveStructure
+from .scene_filter import SceneFilter
 
 __all__ = [
     "AdaptiveBackground",
@@ -20,6 +22,8 @@ __all__ = [
     "GFlow",
     "GroundPlane",
     "MixtureBackground",
+    "ObjectTrajectories",
     "PointTracker",
     "RecursiveStructure",
+    "SceneFilter",
 ]

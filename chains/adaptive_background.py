@@ -12,7 +12,6 @@ chains predict, the background stays as it is behind an object that they track.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,7 +21,6 @@ from numpy.typing import NDArray
 
 from ..inference.core.protocols import Cavity, Incoming, Port
 from ..models.background import colour
-from ..models.background.empty_scene import light_taken_out
 from ..models.background.gaussian import BackgroundPrediction, LightField
 from ..models.background.kernels.gaussian import (
     SETTLED,
@@ -181,19 +179,6 @@ class AdaptiveBackground:
             seen=np.zeros(n_pixels, np.uint16),
             elapsed=0.0,
             age=0.0,
-        )
-
-    def begun(self, images: Sequence[NDArray[np.uint8]], frame: Frame) -> BackgroundState:
-        """The state before `frame` that knows the empty scene from a sample of images, in order of time."""
-        state = self.initial(frame)
-
-        def light_of(mean: Planes, image: NDArray[np.uint8]) -> LightField:
-            blocks = self._light_now(replace(state, mean=mean, elapsed=math.inf), image)
-            return LightField(blocks if self.follow_light else state.light, state.size)
-
-        scene, light = light_taken_out(images, self.noise, light_of)
-        return replace(
-            state, mean=scene.mean, variance=scene.variance, noise=scene.noise, light=light.blocks
         )
 
     def predict(self, state: BackgroundState, dt: float) -> BackgroundState:

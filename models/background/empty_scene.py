@@ -5,8 +5,9 @@ the highest density over the frames (the mode), also where it is seen in less th
 passers-by differ, that of the scene comes back.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from .kernels.gaussian import HIGHEST_NOISE, HIGHEST_VARIANCE, LOWEST_NOISE, LOW
 from .kernels.modes import find_modes
 
 Image = NDArray[np.uint8]
+State = TypeVar("State")
 Planes = NDArray[np.float32]
 
 PRIOR_FRAMES = 8.0
@@ -31,18 +33,29 @@ class EmptyScene:
 
     Parameters
     ----------
+    shape
+        of an image: `(height, width)` px, or `(height, width, 3)`.
     mean
-        `(channels, n_pixels)` float32 in the planes of `colour`, under the light of the fields that were
-        given.
+        `(channels, n_pixels)` float32 in the planes of `colour`.
     variance
         `(n_pixels,)` float32, squared grey levels: of the mean.
     noise
         `(n_pixels,)` float32, squared grey levels: of a single observation.
+    light
+        `(block_rows, block_columns)` float32: that of the first image relative to that of the mean.
     """
 
+    shape: tuple[int, ...]
     mean: Planes
     variance: Planes
     noise: Planes
+    light: Planes
+
+    def known_to(self, state: State) -> State:
+        """The state of a background, a dataclass with these fields, that knows the scene."""
+        return replace(  # type: ignore[type-var]
+            state, mean=self.mean, variance=self.variance, noise=self.noise, light=self.light
+        )
 
 
 def empty_scene(images: Sequence[Image], light: Sequence[LightField], noise: float) -> EmptyScene:
@@ -53,10 +66,11 @@ def empty_scene(images: Sequence[Image], light: Sequence[LightField], noise: flo
     images
         uint8 `(height, width[, 3])`, all alike; one at least.
     light
-        of every image, relative to the light of the mean.
+        of every image, relative to the light of the mean; one for all of them where it does not change.
     noise
         squared grey levels of a single observation, as it is expected.
     """
+    light = light if len(light) == len(images) else [light[0]] * len(images)
     height, width = images[0].shape[:2]
     channels = 1 if images[0].ndim == 2 else 3
     pixels = np.stack([image.reshape(-1) for image in images])
@@ -74,23 +88,4 @@ def empty_scene(images: Sequence[Image], light: Sequence[LightField], noise: flo
     seen = (support * scatter + PRIOR_FRAMES * noise) / (support + PRIOR_FRAMES)
     observed = np.clip(seen, LOWEST_NOISE, HIGHEST_NOISE).astype(np.float32)
     variance = np.clip(observed / support, LOWEST_VARIANCE, HIGHEST_VARIANCE)
-    return EmptyScene(mean, variance.astype(np.float32), observed)
-
-
-def light_taken_out(
-    images: Sequence[Image], noise: float, light_of: Callable[[Planes, Image], LightField]
-) -> tuple[EmptyScene, LightField]:
-    """The empty scene under the light of the first image, and that light, of images whose light changes.
-
-    Parameters
-    ----------
-    images, noise
-        as of `empty_scene`.
-    light_of
-        gives the light of an image relative to a mean.
-    """
-    size = (images[0].shape[0], images[0].shape[1])
-    steady = LightField(np.ones((2, 2), np.float32), size)
-    rough = empty_scene(images, [steady] * len(images), noise)
-    fields = [light_of(rough.mean, image) for image in images]
-    return empty_scene(images, fields, noise), fields[0]
+    return EmptyScene(images[0].shape, mean, variance.astype(np.float32), observed, light[0].blocks)
