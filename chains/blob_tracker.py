@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from itertools import count
 from typing import overload
 
-import cv2
 import numpy as np
 
 from ..inference.core.protocols import Cavity, Incoming, Port
@@ -35,14 +34,15 @@ from ..inference.objects.blob_geometry import (
     without_crumbs,
 )
 from ..inference.objects.blob_scene import BlobScene, cut_out
-from ..inference.objects.blobs import Blob, BlobState, Map
+from ..inference.objects.blobs import Blob, BlobState
+from ..inference.objects.ghosts import ghost_evidence, ghost_layer
 from ..inference.objects.registration import front_to_back, registered
 from ..models.background.layers import Layer, LayerStack
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
-from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.short_repr import short_repr
-from ..models.objects.kernels.blobs import Patch, learn, outline_contrast
+from ..models.objects.box_message import BoxMessage
+from ..models.objects.kernels.blobs import learn
 from ..models.objects.kernels.masks import fade_beyond
 from ..models.objects.object_boxes import ObjectBoxes
 
@@ -63,9 +63,6 @@ SWEEP = 0.8
 
 FADING = 0.06
 """s, time constant with which a mask fades where it reaches too far."""
-
-OUTLINE_TIME = 0.1
-"""s after which a comparison of outlines is worth a whole new one."""
 
 
 @short_repr
@@ -157,10 +154,10 @@ class BlobTracker:
     @overload
     def message(self, state: BlobState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
     @overload
-    def message(self, state: BlobState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage: ...
+    def message(self, state: BlobState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage: ...
     def message(
         self, state: BlobState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
-    ) -> PixelMessage | GaussianMessage:
+    ) -> PixelMessage | BoxMessage:
         """What objects say to a feature (mu_{S -> F}).
 
         To pixels: where they cover them and with which colours, front to back. To boxes: where they stand and
@@ -173,7 +170,7 @@ class BlobTracker:
         shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.seen >= FRESH]
         if pixels.image is None or not shown:
             return feature.uniform()
-        return box_densities(shown)
+        return BoxMessage(box_densities(shown))
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Objects after the frame: registered, learned from, born and ended."""
@@ -198,11 +195,9 @@ class BlobTracker:
         return blobs, LayerStack([self._layer(blob) for blob in blobs])
 
     def _layer(self, blob: Blob) -> Layer:
-        top, left = blob.corner
         if blob.ghost_evidence >= self.ghost_evidence:
-            shape = cv2.dilate((blob.mask > 0.25).astype(np.float32), np.ones((5, 5), np.uint8))
-            return Layer(top, left, np.asarray(shape, np.float32), None, ghost=True)
-        return Layer(top, left, blob.mask, blob.appearance, blob.spread, self.outliers, self.strength)
+            return ghost_layer(blob)
+        return Layer(*blob.corner, blob.mask, blob.appearance, blob.spread, self.outliers, self.strength)
 
     def _learned(self, blob: Blob, in_front: Sequence[Blob], scene: BlobScene) -> Blob:
         """Mask and colours after the frame, and how much of the blob was seen."""
@@ -246,18 +241,8 @@ class BlobTracker:
             unseen=0.0,
             still=blob.still + scene.elapsed if speed < max(2.0, 0.06 * blob.length) else 0.0,
             confidence=confidence,
-            ghost_evidence=self._ghostly(blob, mask, patch, scene) if speed < blob.length else 0.0,
+            ghost_evidence=ghost_evidence(blob, mask, patch, scene) if speed < blob.length else 0.0,
         )
-
-    def _ghostly(self, blob: Blob, mask: Map, patch: Patch, scene: BlobScene) -> float:
-        """Evidence that the outline is an edge of the remembered background instead of one of the image."""
-        picture = scene.picture(*blob.corner, mask.shape)
-        in_image, in_picture, length = outline_contrast(patch.planes, picture, patch.free, mask, 2)
-        if length < 8:
-            return blob.ghost_evidence
-        worth = min(scene.elapsed / OUTLINE_TIME, 1.0)
-        found = worth * (math.log((in_picture + 3) / (in_image + 3)) - 0.25)
-        return max(blob.ghost_evidence + found, 0.0)
 
     def _least_area(self, scene: BlobScene) -> float:
         """px of the smallest object."""

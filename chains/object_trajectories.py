@@ -21,7 +21,9 @@ from ..inference.core.protocols import BatchIncoming, Port, Smoothed
 from ..inference.objects.trajectories import Boxes, Motion, joined, joins, smoothed
 from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.short_repr import short_repr
-from ..models.objects.object_boxes import FOOT_Y, HEIGHT, WIDTH, ObjectBoxes
+from ..models.objects.box_detector import FOOT_Y, HEIGHT, WIDTH
+from ..models.objects.box_message import BoxMessage
+from ..models.objects.object_boxes import ObjectBoxes
 
 
 @short_repr
@@ -88,7 +90,7 @@ class ObjectTrajectories:
     ) -> Smoothed[ObjectsOverTime]:
         """Trajectories given what others say of boxes in all frames."""
         times = np.array([each.time for each in incoming_over_time])
-        boxes = Boxes.of([each.others(ObjectBoxes) for each in incoming_over_time])
+        boxes = Boxes.of([each.others(ObjectBoxes).objects for each in incoming_over_time])
         motion = Motion(0.5 * self.acceleration**2, 0.5 * self.growth**2, self.first_speed)
         tracks = [smoothed(track, times, motion) for track in boxes.tracks()]
         extent = np.ptp(boxes.means[:, :2], axis=0).clip(1) if len(boxes) else np.ones(2)
@@ -103,15 +105,17 @@ class ObjectTrajectories:
         trajectory: ObjectsOverTime,
         feature: ObjectBoxes,
         incoming_over_time: Sequence[BatchIncoming],
-    ) -> list[GaussianMessage]:
+    ) -> list[BoxMessage]:
         """Where every object is in each frame (mu_{trajectories -> boxes})."""
         boxes = trajectory.boxes
         order = np.argsort(boxes.frames, kind="stable")
         edges = np.searchsorted(boxes.frames[order], np.arange(len(incoming_over_time) + 1))
         rows = [order[start:end] for start, end in pairwise(edges)]
         return [
-            GaussianMessage.from_moments(
-                boxes.identities[some], boxes.means[some], boxes.variances[some][:, :, None] * np.eye(4)
+            BoxMessage(
+                GaussianMessage.from_moments(
+                    boxes.identities[some], boxes.means[some], boxes.variances[some][:, :, None] * np.eye(4)
+                )
             )
             if len(some)
             else feature.uniform()

@@ -32,8 +32,8 @@ from ..models.background.empty_scene import EmptyScene, empty_scene
 from ..models.background.gaussian import LightField
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
-from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.short_repr import short_repr
+from ..models.objects.box_message import BoxMessage
 from ..models.objects.object_boxes import ObjectBoxes
 
 Numbers = NDArray[np.float64]
@@ -170,13 +170,13 @@ class SceneFilter:
     @overload
     def messages(
         self, trajectory: SceneTrajectory, feature: ObjectBoxes, incoming: Sequence[BatchIncoming]
-    ) -> Sequence[GaussianMessage]: ...
+    ) -> Sequence[BoxMessage]: ...
     def messages(
         self,
         trajectory: SceneTrajectory,
         feature: PixelLabels | ObjectBoxes,
         incoming: Sequence[BatchIncoming],
-    ) -> Sequence[PixelMessage] | Sequence[GaussianMessage]:
+    ) -> Sequence[PixelMessage] | Sequence[BoxMessage]:
         """What the filter says of each frame (mu_{scene -> F}).
 
         To pixels: background and layers. To boxes: where every object is that the frame shows, also before
@@ -189,11 +189,11 @@ class SceneFilter:
             (labels,) = (node for node in self.model.features.values() if isinstance(node, PixelLabels))
             return replace(belief[labels], image=None)
 
-        def boxes(belief: Belief) -> GaussianMessage:
+        def boxes(belief: Belief) -> BoxMessage:
             states = (belief.states[name] for name in self.model.chains)
             blobs = [blob for state in states if isinstance(state, BlobState) for blob in state.blobs]
             found = [blob for blob in blobs if blob.unseen == 0 and not belief.frame.missing]
-            return box_densities(found) if found else ObjectBoxes().uniform()
+            return BoxMessage(box_densities(found)) if found else BoxMessage()
 
         if isinstance(feature, PixelLabels):
             return ForwardPass(engine, start, incoming, pixels)

@@ -1,6 +1,6 @@
 """What is known of a film before its first frame is answered: from all of it, or from its first seconds."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 
@@ -41,7 +41,11 @@ class SeenObject:
 
 
 def read_whole(
-    job: BackgroundJob, source: Source, model: MultiChain, interruption: Interruption
+    job: BackgroundJob,
+    source: Source,
+    model: MultiChain,
+    known: Callable[[Iterator[Frame]], Iterator[Frame]],
+    interruption: Interruption,
 ) -> tuple[RunState, ObjectsOverTime]:
     """The state before a film's first frame, and who was where in it, given all of it.
 
@@ -53,6 +57,8 @@ def read_whole(
         the film, opened; here it is opened again for every pass.
     model
         the filter that will write the masks.
+    known
+        puts to frames what is known of them beforehand.
     interruption
         asked between frames.
 
@@ -72,7 +78,7 @@ def read_whole(
 
     def passing(frames: Iterator[Frame]) -> Iterator[Frame]:
         with Progress(next(names), source.n_frames) as progress:
-            for frame in interruption.items(frames):
+            for frame in interruption.items(known(frames)):
                 yield frame
                 progress.update()
         if interruption.signal is not None:

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
-from ...models.objects.object_boxes import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
 from ..filters.kalman import PointStates, filter_tracks, smooth
 
 Numbers = NDArray[np.float64]
