@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..inference.core.protocols import BatchIncoming, Port, Smoothed
-from ..inference.objects.trajectories import Boxes, Motion, joined, joins, smoothed
+from ..inference.objects.trajectories import Boxes, Comings, Motion, joined, joins, smoothed
 from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.short_repr import short_repr
 from ..models.objects.box_detector import FOOT_Y, HEIGHT, WIDTH
@@ -76,8 +76,8 @@ class ObjectTrajectories:
         s for which an object must have been seen in all.
     """
 
-    acceleration: float = 0.5
-    growth: float = 0.2
+    acceleration: float = 0.9
+    growth: float = 0.5
     first_speed: float = 1.0
     patience: float = 3.0
     least_seen: float = 0.35
@@ -89,16 +89,21 @@ class ObjectTrajectories:
         self, incoming_over_time: Sequence[BatchIncoming], current: ObjectsOverTime | None = None
     ) -> Smoothed[ObjectsOverTime]:
         """Trajectories given what others say of boxes in all frames."""
+        size = next(
+            (each.frame.image.shape[:2] for each in incoming_over_time if each.frame.image is not None),
+            (1, 1),
+        )
         times = np.array([each.time for each in incoming_over_time])
         boxes = Boxes.of([each.others(ObjectBoxes).objects for each in incoming_over_time])
         motion = Motion(0.5 * self.acceleration**2, 0.5 * self.growth**2, self.first_speed)
-        tracks = [smoothed(track, times, motion) for track in boxes.tracks()]
-        extent = np.ptp(boxes.means[:, :2], axis=0).clip(1) if len(boxes) else np.ones(2)
-        next_of = joins(tracks, times, motion, self.patience, 1 / float(extent.prod()))
-        together = [smoothed(track, times, motion) for track in joined(boxes, tracks, next_of).tracks()]
         interval = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-        kept = [track for track in together if track.seen.sum() * interval >= self.least_seen]
-        return Smoothed(ObjectsOverTime(Boxes.together([track.boxes() for track in kept])))
+        tracks = [smoothed(track, times, motion) for track in boxes.tracks()]
+        known = [track for track in tracks if track.seen.sum() * interval >= self.least_seen]
+        comings = Comings(size, len(known) / max(times[-1] - times[0], 1.0), self.patience)
+        next_of = joins(known, times, motion, comings)
+        together = joined(boxes, known, next_of).tracks()
+        found = [smoothed(track, times, motion).boxes() for track in together]
+        return Smoothed(ObjectsOverTime(Boxes.together(found)))
 
     def messages(
         self,

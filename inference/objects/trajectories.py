@@ -16,6 +16,15 @@ from ..filters.kalman import PointStates, filter_tracks, smooth
 
 Numbers = NDArray[np.float64]
 
+EDGE = 0.25
+"""Heights within which the picture's edge is near."""
+
+FROM_EDGE = 0.9
+"""Share of those who come that come from the picture's edge, not out of a door or a crowd."""
+
+GOES_ON, GOES_ON_AT_EDGE = 0.5, 0.05
+"""Probability that a track's end is not the object's, inside the picture and at its edge."""
+
 
 @short_repr
 @dataclass(frozen=True, eq=False)
@@ -176,14 +185,52 @@ def smoothed(track: Boxes, times: Numbers, motion: Motion) -> Smooth:
     return Smooth(first, int(track.identities[0]), height, seen, feet, sizes)
 
 
-def joins(
-    tracks: Sequence[Smooth], times: Numbers, motion: Motion, patience: float, density: float
-) -> dict[int, int]:
+@dataclass(frozen=True)
+class Comings:
+    """How objects come and go.
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px of the picture.
+    rate
+        1/s, at which new ones come.
+    patience
+        s, the longest time for which one may be out of sight and still be known.
+    """
+
+    size: tuple[int, int]
+    rate: float
+    patience: float
+
+    def at_edge(self, track: Smooth, place: int) -> bool:
+        """Whether the picture's edge cuts off a track's box, or nearly so, in its frame `place`."""
+        x, y = track.feet.mean[place, :2]
+        width, height = track.sizes.mean[place, :2]
+        near = EDGE * track.height
+        rows, columns = self.size
+        inside = near < x - 0.5 * width and x + 0.5 * width < columns - near
+        return not (inside and near < y - height and y < rows - near)
+
+    def log_new(self, track: Smooth) -> float:
+        """Log density (1/s/px^2) of somebody new where a track begins."""
+        area = float(self.size[0] * self.size[1])
+        strip = min(2 * EDGE * track.height * sum(self.size), area)
+        place = FROM_EDGE / strip if self.at_edge(track, 0) else (1 - FROM_EDGE) / area
+        return float(np.log(self.rate * place))
+
+    def log_back(self, track: Smooth) -> float:
+        """Log density (1/s) of a track that ends going on after a gap."""
+        back = GOES_ON_AT_EDGE if self.at_edge(track, -1) else GOES_ON
+        return float(np.log(back / self.patience))
+
+
+def joins(tracks: Sequence[Smooth], times: Numbers, motion: Motion, comings: Comings) -> dict[int, int]:
     """Which tracks go on as which others, all decided at once.
 
-    A track that ends and one that begins within `patience` s after are one object if that is likelier than
-    that somebody is lost and somebody else is new: the end, predicted to where the other begins, is a
-    Gaussian over place, velocity and size; a newcomer may begin anywhere.
+    A track that ends and one that begins soon after are one object if that is likelier than that somebody is
+    gone and somebody else is new: the end, predicted to where the other begins, is a Gaussian over place,
+    velocity and size; a newcomer comes at some rate, mostly at the picture's edge.
 
     Parameters
     ----------
@@ -191,10 +238,8 @@ def joins(
         of all objects.
     times, motion
         as of `smoothed`.
-    patience
-        s, the longest gap.
-    density
-        1/px^2, of the places where newcomers begin.
+    comings
+        of objects.
 
     Returns
     -------
@@ -207,14 +252,18 @@ def joins(
     for row, one in enumerate(tracks):
         for column, other in enumerate(tracks):
             gap = times[other.first] - times[one.last]
-            if row != column and 0 < gap <= patience:
-                scores[row, column] = max(_log_odds(one, other, gap, motion, density), 0.0)
+            if row != column and 0 < gap <= comings.patience:
+                one_object = comings.log_back(one) + _log_same(one, other, gap, motion)
+                scores[row, column] = max(one_object - comings.log_new(other), 0.0)
     rows, columns = linear_sum_assignment(-scores)
     return {int(row): int(column) for row, column in zip(rows, columns, strict=True) if scores[row, column]}
 
 
-def _log_odds(one: Smooth, other: Smooth, gap: float, motion: Motion, density: float) -> float:
-    """Nats by which it is likelier that two tracks are one object than two."""
+def _log_same(one: Smooth, other: Smooth, gap: float, motion: Motion) -> float:
+    """Log density of the place where a track begins if it is what another one was, `gap` s before.
+
+    Velocity and size count by their densities over those of anybody's.
+    """
     height = 0.5 * (one.height + other.height)
     mean, covariance = one.feet.mean[-1], one.feet.covariance[-1]
     start, start_covariance = other.feet.mean[0], other.feet.covariance[0]
@@ -222,15 +271,13 @@ def _log_odds(one: Smooth, other: Smooth, gap: float, motion: Motion, density: f
     step[0, 2] = step[1, 3] = gap
     force = motion.acceleration * height**2
     noise = np.kron(force * np.array([[gap**3 / 3, gap**2 / 2], [gap**2 / 2, gap]]), np.eye(2))
-    off = start - step @ mean
     spread = step @ covariance @ step.T + noise + start_covariance
-    of_motion = _log_gaussian(off, spread)
-    # a newcomer: anywhere, at any of the usual velocities
     speed = (motion.first_speed * height) ** 2
-    of_newcomer = np.log(density) + _log_gaussian(start[2:], np.eye(2) * speed + start_covariance[2:, 2:])
+    anybody = _log_gaussian(start[2:], np.eye(2) * speed + start_covariance[2:, 2:])
     sizes = np.log(other.sizes.mean[0, :2].clip(1) / one.sizes.mean[-1, :2].clip(1))
     same, any_size = np.diag([0.3**2, 0.15**2]), np.diag([0.6**2, 0.5**2])
-    return float(of_motion - of_newcomer + _log_gaussian(sizes, same) - _log_gaussian(sizes, any_size))
+    alike = _log_gaussian(sizes, same) - _log_gaussian(sizes, any_size)
+    return _log_gaussian(start - step @ mean, spread) - anybody + alike
 
 
 def _log_gaussian(off: Numbers, covariance: Numbers) -> float:
@@ -239,12 +286,13 @@ def _log_gaussian(off: Numbers, covariance: Numbers) -> float:
 
 
 def joined(boxes: Boxes, tracks: Sequence[Smooth], next_of: dict[int, int]) -> Boxes:
-    """Boxes with one identity, that of the first, for all tracks of a chain of `joins`."""
+    """Boxes of these tracks, with one identity, that of the first, for all of a chain of `joins`."""
     names: dict[int, int] = {}
     for row in sorted(range(len(tracks)), key=lambda row: tracks[row].first):
         name = names.setdefault(row, tracks[row].identity)
         if row in next_of:
             names[next_of[row]] = name
     renamed = {tracks[row].identity: name for row, name in names.items()}
-    identities = np.array([renamed[identity] for identity in boxes.identities.tolist()], np.int64)
-    return replace(boxes, identities=identities).sorted()
+    kept = boxes[np.isin(boxes.identities, list(renamed))]
+    identities = np.array([renamed[identity] for identity in kept.identities.tolist()], np.int64)
+    return replace(kept, identities=identities).sorted()
