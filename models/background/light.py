@@ -21,8 +21,22 @@ FASTEST_LIGHT = 1.25
 STEADY_LIGHT, LIGHT_TIME = 0.02, 0.2
 """Log of a change below which it may be noise, and s, the time constant with which it is followed then."""
 
+UNSEEN = 1e-5
+"""Probability at most that a block all behind objects shows the empty scene, before its texture is looked at.
+
+What it leaks must be small against `OWN_WEIGHT`, for an object may stay for as long as it likes."""
+
+DARKEST, BRIGHTEST = 0.1, 10.0
+"""Light relative to that of the remembered picture; beyond there is nothing to be seen."""
+
 LEAST_AGREEMENT = 0.3
 """Share of a block's samples that must change by one factor; else something stands there that is new."""
+
+SAME_LIGHT = 0.05
+"""Log of a ratio within which a block agrees with the light that its neighbourhood has."""
+
+HIDDEN_TIME = 1.0
+"""s in which the light of a block that is not seen, or disagrees, becomes that of the blocks around it."""
 
 WINDOW_WEIGHT, OWN_WEIGHT = 1.0, 0.05
 """In blocks: what the next wider window counts in a window, and what all of them count in a block itself."""
@@ -46,25 +60,28 @@ class LightField:
 
     @cached_property
     def along_rows(self) -> Light:
-        """The field interpolated along x at the blocks' centres, and where between them each row lies."""
+        """The field along x at the blocks' centres, and where between them each row lies.
+
+        There is one more block on every side, as the slope of the logarithm goes on.
+        """
         left, share = _neighbours(self.size[1], self.blocks.shape[1])
-        rows: Planes = np.empty((self.blocks.shape[0] + 1, self.size[1]), np.float32)
-        interpolate(self.blocks, left, share, rows)
+        blocks = np.exp(_beyond(np.log(self.blocks))).clip(DARKEST, BRIGHTEST)
+        rows: Planes = np.empty((len(blocks), self.size[1]), np.float32)
+        interpolate(blocks, left, share, rows)
         return Light(rows, _positions(self.size[0], self.blocks.shape[0]))
 
 
 @lru_cache(maxsize=16)
 def _positions(n_pixels: int, n_blocks: int) -> Planes:
-    """Where between the centres of blocks the centres of pixels lie, `(n_pixels,)` float32."""
-    position = (np.arange(n_pixels) + 0.5) * n_blocks / n_pixels - 0.5
-    return np.clip(position, 0, n_blocks - 1).astype(np.float32)
+    """Where the centres of pixels lie between those of blocks, `(n_pixels,)`; block 0 is before the first."""
+    return ((np.arange(n_pixels) + 0.5) * n_blocks / n_pixels + 0.5).astype(np.float32)
 
 
 @lru_cache(maxsize=16)
 def _neighbours(n_pixels: int, n_blocks: int) -> tuple[NDArray[np.intp], Planes]:
     """The block left of every pixel, and the share of the one right of it."""
     position = _positions(n_pixels, n_blocks)
-    left = np.minimum(position.astype(np.intp), n_blocks - 2)
+    left = position.astype(np.intp)
     return left, (position - left).astype(np.float32)
 
 
@@ -95,42 +112,44 @@ def followed(
     flat = np.ascontiguousarray(image).reshape(-1)
     light_ratios(flat, mean, before.along_rows, ratios, agreement, texture)
     weight = np.where(agreement > LEAST_AGREEMENT, agreement, 0.0) * _seen(covered, texture)
-    change = _filled(np.log(ratios), weight)
-    smooth = _blurred(
-        cv2.medianBlur(cv2.copyMakeBorder(change, 1, 1, 1, 1, cv2.BORDER_REFLECT_101), 3)[1:-1, 1:-1]
-    )
-    fastest = FASTEST_LIGHT * elapsed
+    own, change = np.log(before.blocks), np.log(ratios)
+    smooth = _inside(cv2.medianBlur(_beyond(_filled(change, weight)), 3))
+    smooth = _inside(cv2.GaussianBlur(_beyond(smooth), (3, 3), 0))  # 1 2 1: errors of no wavelength grow
+    trust = weight * (np.abs(change - smooth) < SAME_LIGHT)
     follow = np.where(np.abs(smooth) > STEADY_LIGHT, 1.0, -math.expm1(-elapsed / LIGHT_TIME))
-    smooth = np.clip(smooth, -fastest, fastest)
-    blocks: Planes = np.clip(before.blocks * np.exp(follow * smooth), 0.1, 10.0).astype(np.float32)
+    after = own + np.clip(follow * smooth, -FASTEST_LIGHT * elapsed, FASTEST_LIGHT * elapsed)
+    after += (1 - trust) * -math.expm1(-elapsed / HIDDEN_TIME) * (_filled(after, trust) - after)
+    blocks: Planes = np.clip(np.exp(after), DARKEST, BRIGHTEST).astype(np.float32)
     return LightField(blocks, before.size)
 
 
 def _seen(covered: Planes, texture: Planes) -> NDArray[np.float64]:
     """Probability that a block shows the empty scene: by what is known to be there, and by its texture."""
-    clear = np.clip((1 - covered.astype(np.float64)) ** 4, 1e-3, 1 - 1e-3)
+    clear = np.clip(1 - 2 * covered.astype(np.float64), 0, 1) ** 2  # the median is that of the larger half
+    clear = np.clip(clear, UNSEEN, 1 - UNSEEN)
     odds: NDArray[np.float64] = np.log(clear) - np.log1p(-clear) + texture
     return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
 
 
-def _filled(change: NDArray[Any], weight: NDArray[Any]) -> Planes:
+def _filled(values: NDArray[Any], weight: NDArray[Any]) -> Planes:
     """Normalised convolution over narrowing windows: where the weight is small, what is around counts."""
-    weighed, counted = (array.astype(np.float32) for array in (change * weight, weight))
-    filled: NDArray[Any] = np.full(change.shape, weighed.sum() / (counted.sum() + 1), np.float32)
-    sides = [2 ** (k + 1) + 1 for k in range(math.ceil(math.log2(max(change.shape))))]
+    sums = np.dstack([values * weight, weight]).astype(np.float32)
+    filled = np.full(weight.shape, sums[..., 0].sum() / (sums[..., 1].sum() + 1), np.float32)
+    sides = [2 ** (k + 1) + 1 for k in range(math.ceil(math.log2(max(weight.shape))))]
     for side in (*reversed(sides), 1):
-        window = {"ksize": (side, side), "normalize": False, "borderType": cv2.BORDER_CONSTANT}
-        around = WINDOW_WEIGHT if side > 1 else OWN_WEIGHT
-        filled = (cv2.boxFilter(weighed, -1, **window) + around * filled) / (
-            cv2.boxFilter(counted, -1, **window) + around
-        )
-    return np.asarray(filled, np.float32)
+        window = cv2.boxFilter(sums, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        wider = np.float32(WINDOW_WEIGHT if side > 1 else OWN_WEIGHT)
+        filled = (window[..., 0] + wider * filled) / (window[..., 1] + wider)
+    return filled
 
 
-def _blurred(blocks: NDArray[Any]) -> Planes:
-    return np.asarray(
-        cv2.blur(blocks.astype(np.float32), (3, 3), borderType=cv2.BORDER_REFLECT_101), np.float32
-    )
+def _beyond(blocks: Planes) -> Planes:
+    """With one more block all around, as slopes go on: light at the border is no mean of that inside."""
+    return np.pad(blocks, 1, "reflect", reflect_type="odd")
+
+
+def _inside(blocks: NDArray[Any]) -> Planes:
+    return np.ascontiguousarray(blocks[1:-1, 1:-1])
 
 
 def light_grid(height: int, width: int) -> tuple[int, int]:

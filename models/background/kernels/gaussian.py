@@ -42,7 +42,7 @@ class Gaussians(NamedTuple):
 class Light(NamedTuple):
     """Today's light relative to that of the mean, interpolated along x.
 
-    `rows` `(block_rows + 1, width)` float32 are at the blocks' centres, the last one twice; `positions`
+    `rows` `(block_rows + 2, width)` float32 are at the blocks' centres, one more on either side; `positions`
     `(height,)` float32 says where between them each row of pixels lies.
     """
 

@@ -14,10 +14,9 @@ LUMA_NOISE = 20.0
 
 @compiled
 def interpolate(blocks, left, share, rows):
-    """Rows of blocks along x: between the block `left` of every pixel and the next; the last row twice."""
-    last = blocks.shape[0] - 1
-    for row in range(last + 2):
-        values, out = blocks[min(row, last)], rows[row]
+    """Rows of blocks along x: between the block `left` of every pixel and the next."""
+    for row in range(rows.shape[0]):
+        values, out = blocks[row], rows[row]
         for x in range(out.size):
             out[x] = values[left[x]] + share[x] * (values[left[x] + 1] - values[left[x]])
 
