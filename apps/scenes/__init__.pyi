@@ -1,3 +1,4 @@
+from .room import Room, standing_in_a_room
 from .signing.signer import SignerScene, signer
 from .street import Scene, TruthBox, sleeping_man
 from .talking_face import FaceScene, face
@@ -6,6 +7,7 @@ from .turning_cylinder import Cylinder, cylinder
 __all__ = [
     "Cylinder",
     "FaceScene",
+    "Room",
     "Scene",
     "SignerScene",
     "TruthBox",
@@ -13,4 +15,5 @@ __all__ = [
     "face",
     "signer",
     "sleeping_man",
+    "standing_in_a_room",
 ]
