@@ -40,8 +40,8 @@ from ..inference.objects.registration import front_to_back, registered
 from ..models.background.layers import Layer, LayerStack
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
-from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.short_repr import short_repr
+from ..models.objects.box_message import BoxMessage
 from ..models.objects.kernels.blobs import learn
 from ..models.objects.kernels.masks import fade_beyond
 from ..models.objects.object_boxes import ObjectBoxes
@@ -153,10 +153,10 @@ class BlobTracker:
     @overload
     def message(self, state: BlobState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
     @overload
-    def message(self, state: BlobState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage: ...
+    def message(self, state: BlobState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage: ...
     def message(
         self, state: BlobState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
-    ) -> PixelMessage | GaussianMessage:
+    ) -> PixelMessage | BoxMessage:
         """What objects say to a feature (mu_{S -> F}).
 
         To pixels: where they cover them and with which colours, front to back. To boxes: where they stand and
@@ -169,7 +169,7 @@ class BlobTracker:
         shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.seen >= FRESH]
         if pixels.image is None or not shown:
             return feature.uniform()
-        return box_densities(shown)
+        return BoxMessage(box_densities(shown))
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Objects after the frame: registered, learned from, born and ended."""

@@ -13,6 +13,9 @@ from ...models import Frame, ObjectBoxes, PixelLabels
 from ..drawing.boxes import OverlayWriter, draw_overlay
 from ..evaluation.scoring import Scoring
 from ..evaluation.tracks import track_rows
+from ..io.detections.attached import with_boxes
+from ..io.detections.read import digest, read_detections
+from ..io.detections.table import Detections
 from ..io.files import write_image
 from ..io.ground_truth import MaskTruth, common_frames, read_ground_truth
 from ..io.masks import MaskWriter
@@ -25,6 +28,7 @@ from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
 from .job import BackgroundJob, Engine
+from .moving_camera import MOVES, CameraWatch
 from .parameters import (
     SECTIONS,
     Parameters,
@@ -135,10 +139,17 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         super().__init__(job)
         parameters = read_parameters(job.config, job.chain)
         self.settings |= with_defaults(parameters)
+        if job.detections is not None:
+            self.settings["detections"] = {
+                "file": str(job.detections.resolve()),
+                "sha256": digest(job.detections),
+            }
         self.engine = RecursiveBP(build_model(job.engine, parameters))
         self.record = RunRecord()
         self._region: NDArray[np.uint8] | None = None
         self._scoring: Scoring | None = None
+        self._detections: Detections | None = None
+        self._camera = CameraWatch()
 
     @property
     def files(self) -> list[str]:
@@ -166,6 +177,11 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         scores = None if self._scoring is None else self._scoring.saved()
         return {"record": self.record.saved(), "scores": scores}
 
+    def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """What a detector has found in the frames."""
+        self._detections = read_given(self.job, self.source)
+        return frames if self._detections is None else with_boxes(frames, self._detections)
+
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """Read region and ground truth."""
         job = self.job
@@ -177,6 +193,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         """Take up record and scores."""
         self.begin(iter(()))
         self.record = RunRecord.restored(memory["record"])
+        self._camera = CameraWatch(noticed=any(note.startswith(MOVES) for note in self.notes))
         if self._scoring is not None:
             self._scoring.restore(memory["scores"])
 
@@ -202,12 +219,16 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._tracks.write(frame.number, found.tracks)
         self._masks.write(found.foreground, frame.number, frame.time)
         self._overlay.add(frame, found.foreground, found.tracks)
+        if (said := self._camera.take_in(belief, found.foreground)) is not None:
+            self.notes.append(said)
         if self._scoring is not None:
             self._scoring.add(frame.number, found.foreground)
 
         def overlay() -> NDArray[np.uint8]:
             assert frame.image is not None
-            return draw_overlay(frame.image, found.foreground, found.tracks, {}, f"frame {frame.number}")
+            return draw_overlay(
+                frame.image, found.foreground, found.tracks, {}, f"frame {frame.number}", frame.boxes
+            )
 
         due = len(self.record.numbers) % EVIDENCE_EVERY == 0
         self.record.add(
@@ -227,7 +248,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             tracked = self.job.engine != "stand-alone"
             rows = track_rows(read_tracks(self.job.out / "tracks.txt")) if tracked else None
             metrics = self._scoring.measures(rows)
-        return {"tracks": len(self.record.tracks), "metrics": metrics}
+        given = None if self._detections is None else self._detections.counted(self.record.numbers)
+        return {"tracks": len(self.record.tracks), "detections": given, "metrics": metrics}
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the empty scene and the report."""
@@ -237,7 +259,13 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             write_image(job.out / "background.png", background)
             title = f"{Path(self.source.name).name}: {job.engine}"
             write_report(
-                job.out / "report.html", self.record, background, self.settings, summary["metrics"], title
+                job.out / "report.html",
+                self.record,
+                background,
+                self.settings,
+                summary["metrics"],
+                title,
+                summary["detections"],
             )
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
@@ -246,6 +274,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         words = f"{frames} frames, {rate:.1f} a second, {summary['tracks']} tracks"
         if summary["missing_frames"]:
             words += f", {summary['missing_frames']} frames missing or unreadable"
+        if summary["detections"]:
+            words += ", {boxes} detections in {frames} frames".format(**summary["detections"])
         if summary["truncated"]:
             words += ", the source ends before its announced end"
         return [words, *(f"{group}: {_listed(of)}" for group, of in (summary["metrics"] or {}).items())]
@@ -258,6 +288,28 @@ def _listed(measured: object) -> str:
         f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in measured.items()
     )
+
+
+def read_given(job: BackgroundJob, source: Source) -> Detections | None:
+    """Read the job's detections, if any, and make sure that they belong to this source.
+
+    Raises
+    ------
+    ValueError
+        if the source is live, or they are of frames or places that it does not have.
+    """
+    if job.detections is None:
+        return None
+    if source.live:
+        raise ValueError(f"--detections: {source.name} is live, so nobody has seen its frames before")
+    found = read_detections(job.detections, job.class_names, film=source.name, pictures=source.pictures)
+    last = None
+    if source.n_frames is not None:
+        last = job.start + source.n_frames * job.step - 1
+        if job.stop is not None and job.stop <= last:  # the film may go on behind it
+            last = None
+    found.check(source.name, source.size, last)
+    return found
 
 
 def read_truth(job: BackgroundJob, source: Source, region: NDArray[np.uint8] | None) -> Scoring | None:

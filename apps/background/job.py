@@ -37,6 +37,11 @@ class BackgroundJob(FilmJob):
         Foreground masks as foreground/bin000001.png and so on, as one lossless foreground.mkv, or none.
     ground_truth
         A MOT gt.txt or a folder that holds one, or a CDnet folder with groundtruth/.
+    detections
+        What a detector has found in the film: MOT det.txt, COCO JSON, or CSV with a header (frame, x, y,
+        width, height, score, class).
+    classes
+        Names of classes of detections to take, with commas; all if not given.
     compare
         Also run the background by itself, feed-forward, MOG2 and KNN on the source, and draw the comparison.
     """
@@ -45,6 +50,8 @@ class BackgroundJob(FilmJob):
     roi: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     masks: Masks = "png"
     ground_truth: Path | None = None
+    detections: Path | None = None
+    classes: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
     compare: Flag = False
     chain: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
 
@@ -52,6 +59,15 @@ class BackgroundJob(FilmJob):
         super().__post_init__()
         if self.chain and self.engine == "stand-alone":
             raise ValueError("--chain and --engine stand-alone: got both, expected one of them")
+        if self.detections is not None and self.engine == "stand-alone":
+            raise ValueError("--detections and --engine stand-alone: got both, expected one of them")
+        if self.classes and self.detections is None:
+            raise ValueError("--classes: got it without --detections, expected both")
+
+    @property
+    def class_names(self) -> list[str]:
+        """Of the detections to take."""
+        return [name.strip() for typed in self.classes for name in typed.split(",")]
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source and the chains' parameters."""
@@ -61,4 +77,6 @@ class BackgroundJob(FilmJob):
             "roi": self.roi,
             "masks": self.masks,
             "ground_truth": resolved(self.ground_truth),
+            "detections": resolved(self.detections),
+            "classes": self.class_names,
         }

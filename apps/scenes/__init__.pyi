@@ -1,3 +1,4 @@
+from .shaken import ShakenFilm, shaken
 from .signing.signer import SignerScene, signer
 from .street import Scene, TruthBox, sleeping_man
 from .talking_face import FaceScene, face
@@ -7,10 +8,12 @@ __all__ = [
     "Cylinder",
     "FaceScene",
     "Scene",
+    "ShakenFilm",
     "SignerScene",
     "TruthBox",
     "cylinder",
     "face",
+    "shaken",
     "signer",
     "sleeping_man",
 ]
