@@ -29,7 +29,7 @@ from ..inference.core.recursive_bp import Belief, RecursiveBP, RunState
 from ..inference.objects.blob_geometry import box_densities
 from ..inference.objects.blobs import BlobState
 from ..models.background.empty_scene import EmptyScene, empty_scene
-from ..models.background.gaussian import LightField
+from ..models.background.light import LightField
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
