@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
 from ..numerics.threads import over_bands
-from .light import LightField
 from .kernels.gaussian import HIGHEST_NOISE, HIGHEST_VARIANCE, LOWEST_NOISE, LOWEST_VARIANCE
 from .kernels.modes import find_modes
+from .light import LightField
 
 Image = NDArray[np.uint8]
 State = TypeVar("State")
