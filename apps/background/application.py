@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
 from ..drawing.boxes import OverlayWriter, draw_overlay
+from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring
 from ..evaluation.tracks import track_rows
 from ..io.detections.attached import with_boxes
@@ -37,6 +38,7 @@ from .parameters import (
     read_parameters,
     with_defaults,
 )
+from .predictions import Predictions
 from .record import RunRecord
 from .report import write_report
 
@@ -150,7 +152,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     application = "background"
     blank_is_missing = False
-    kinds: ClassVar[dict[str, Any]] = {"record": Any, "scores": Any}
+    kinds: ClassVar[dict[str, Any]] = {"record": Any, "scores": Any, "predictions": Any}
 
     def __init__(self, job: BackgroundJob) -> None:
         super().__init__(job)
@@ -167,6 +169,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._scoring: Scoring | None = None
         self._detections: Detections | None = None
         self._camera = CameraWatch(noticed=job.camera == "moving")
+        self._predictions = None if job.engine == "stand-alone" else Predictions(self.engine.model)
 
     @property
     def files(self) -> list[str]:
@@ -177,7 +180,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             "video": ["foreground.mkv", segment_pattern("foreground.mkv")],
         }
         compared = COMPARISON if self.job.compare else ()
-        return ["tracks.txt", "background.png", *masks[self.job.masks], *compared]
+        predicted = () if self.job.engine == "stand-alone" else (FILE,)
+        return ["tracks.txt", "background.png", *predicted, *masks[self.job.masks], *compared]
 
     @property
     def chains(self) -> Mapping[str, Any]:
@@ -192,7 +196,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
     def memory(self) -> dict[str, Any]:
         """Record and scores."""
         scores = None if self._scoring is None else self._scoring.saved()
-        return {"record": self.record.saved(), "scores": scores}
+        predictions = None if self._predictions is None else self._predictions.saved()
+        return {"record": self.record.saved(), "scores": scores, "predictions": predictions}
 
     def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """What a detector has found in the frames."""
@@ -214,6 +219,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._camera = CameraWatch(noticed=said or self.job.camera == "moving")
         if self._scoring is not None:
             self._scoring.restore(memory["scores"])
+        if self._predictions is not None:
+            self._predictions.restore(memory["predictions"], self.state)
 
     def learn_from(self, saved: SavedRun) -> None:
         """The states are all there is to learn."""
@@ -237,6 +244,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._tracks.write(frame.number, found.tracks)
         self._masks.write(found.foreground, frame.number, frame.time)
         self._overlay.add(frame, found.foreground, found.tracks)
+        if self._predictions is not None:
+            self._predictions.take_in(belief)
         if (said := self._camera.take_in(belief, found.foreground)) is not None:
             self.notes.append(said)
         if self._scoring is not None:
@@ -270,8 +279,10 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         return {"tracks": len(self.record.tracks), "detections": given, "metrics": metrics}
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write the empty scene and the report."""
+        """Write predictions, the empty scene and the report."""
         job = self.job
+        if self._predictions is not None:
+            write_predictions(job.out, self._predictions.records())
         if self.state.states:
             background = self.state.states["background"].picture()
             write_image(job.out / "background.png", background)
