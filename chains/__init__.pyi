@@ -8,8 +8,10 @@ from .flesh_tracker import FleshTracker
 from .gflow import GFlow
 from .ground_plane import GroundPlane
 from .mixture_background import MixtureBackground
+from .object_trajectories import ObjectTrajectories
 from .point_tracker import PointTracker
 from .recursive_structure import RecursiveStructure
+from .scene_filter import SceneFilter
 
 __all__ = [
     "AdaptiveBackground",
@@ -22,6 +24,8 @@ __all__ = [
     "GFlow",
     "GroundPlane",
     "MixtureBackground",
+    "ObjectTrajectories",
     "PointTracker",
     "RecursiveStructure",
+    "SceneFilter",
 ]

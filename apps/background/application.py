@@ -1,5 +1,6 @@
 """The background application: from a source of frames to masks, tracks, pictures and a report."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any, ClassVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from ...chains.object_trajectories import ObjectsOverTime
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
 from ..drawing.boxes import OverlayWriter, draw_overlay
@@ -28,7 +30,7 @@ from ..runs.interruption import Outcome
 from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
-from .job import BackgroundJob, Camera, Engine
+from .job import WHOLE_FILM, BackgroundJob, Camera, Engine
 from .moving_camera import MOVES, CameraWatch
 from .parameters import (
     SECTIONS,
@@ -41,11 +43,18 @@ from .parameters import (
 from .predictions import Predictions
 from .record import RunRecord
 from .report import write_report
+from .whole_film import SeenObject, read_whole, warmed_up
 
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 
 COMPARISON = ("compare.json", "compare.csv", "compare-pictures.png", "compare-errors.png", "compare.html")
 """Files that a comparison writes beside the results."""
+
+CHANNELS = 3
+"""Bytes of a pixel in a picture that is held."""
+
+SAMPLE = 300
+"""Bytes per pixel, of the pictures in which the empty scene is found."""
 
 EVIDENCE_EVERY = 10
 """Frames between two values of log p(I) in the report: nothing else needs that pass over the pixels."""
@@ -61,6 +70,7 @@ def build_model(
     engine
         `"recursive-bp"`: background, blobs and ground plane correct each other. `"feed-forward"`: the same
         chains, but the background hears nothing of the blobs. `"stand-alone"`: the background by itself.
+        `"coordinate-ascent"`: the filter by which a whole film is read, the same as `"recursive-bp"`.
     parameters
         those of the chains that differ from their defaults, by section and name; a section's `model` says
         which chain it is. Chains of others are in the section `chains`, by the names under which they are
@@ -85,7 +95,7 @@ def build_model(
     model.connect(background, pixels)
     if engine == "stand-alone":
         return model
-    feedback = engine == "recursive-bp"
+    feedback = engine in ("recursive-bp", WHOLE_FILM)
     model.connect(blobs, pixels, feedback=feedback).connect(blobs, objects).connect(ground, objects)
     for name, chain in other_chains(parameters or {}).items():
         met = [node for node in (pixels, objects) if any(isinstance(node, port.kind) for port in chain.ports)]
@@ -152,7 +162,12 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     application = "background"
     blank_is_missing = False
-    kinds: ClassVar[dict[str, Any]] = {"record": Any, "scores": Any, "predictions": Any}
+    kinds: ClassVar[dict[str, Any]] = {
+        "record": Any,
+        "scores": Any,
+        "trajectories": ObjectsOverTime | None,
+        "predictions": Any,
+    }
 
     def __init__(self, job: BackgroundJob) -> None:
         super().__init__(job)
@@ -167,9 +182,10 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self.record = RunRecord()
         self._region: NDArray[np.uint8] | None = None
         self._scoring: Scoring | None = None
+        self._trajectories: ObjectsOverTime | None = None
         self._detections: Detections | None = None
         self._camera = CameraWatch(noticed=job.camera == "moving")
-        self._predictions = None if job.engine == "stand-alone" else Predictions(self.engine.model)
+        self._predictions = Predictions(self.engine.model) if self.predicts else None
 
     @property
     def files(self) -> list[str]:
@@ -180,7 +196,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             "video": ["foreground.mkv", segment_pattern("foreground.mkv")],
         }
         compared = COMPARISON if self.job.compare else ()
-        predicted = () if self.job.engine == "stand-alone" else (FILE,)
+        predicted = (FILE,) if self.predicts else ()
         return ["tracks.txt", "background.png", *predicted, *masks[self.job.masks], *compared]
 
     @property
@@ -191,29 +207,59 @@ class BackgroundRun(FilmRun[BackgroundJob]):
     @property
     def bytes_needed(self) -> tuple[float, float]:
         """Depends on the model of the background."""
-        return BACKGROUND[self.settings["background"]["model"]], 0.0
+        per_pixel = BACKGROUND[self.settings["background"]["model"]]
+        if self.job.warm_up is not None:
+            per_pixel += CHANNELS * math.ceil(self.job.warm_up * self.source.rate / self.job.step)
+        return per_pixel + (SAMPLE if self.begins_settled else 0), 0.0
+
+    @property
+    def begins_settled(self) -> bool:
+        """Whether the empty scene is found before the first frame is answered."""
+        return self.job.warm_up is not None or self.job.engine == WHOLE_FILM
+
+    @property
+    def predicts(self) -> bool:
+        """Whether there are chains to compare, which have not heard of frames that they predict."""
+        return self.job.engine != "stand-alone" and not self.begins_settled
 
     def memory(self) -> dict[str, Any]:
-        """Record and scores."""
+        """Record and scores, who was where in a film that was read as a whole, and what was predicted."""
         scores = None if self._scoring is None else self._scoring.saved()
-        predictions = None if self._predictions is None else self._predictions.saved()
-        return {"record": self.record.saved(), "scores": scores, "predictions": predictions}
+        return {
+            "record": self.record.saved(),
+            "scores": scores,
+            "trajectories": self._trajectories,
+            "predictions": None if self._predictions is None else self._predictions.saved(),
+        }
 
     def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """What a detector has found in the frames."""
         self._detections = read_given(self.job, self.source)
+        return self._with_detections(frames)
+
+    def _with_detections(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         return frames if self._detections is None else with_boxes(frames, self._detections)
 
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """Read region and ground truth."""
-        job = self.job
-        self._region = read_region(job.roi, self.source.size) if job.roi else None
-        self._scoring = read_truth(job, self.source, self._region)
+        """Read region and ground truth; find the empty scene, where that is asked for."""
+        job, model = self.job, self.engine.model
+        self._read_masks()
+        if job.engine == WHOLE_FILM:
+            self.state, self._trajectories = read_whole(
+                job, self.source, model, self._with_detections, self.interruption
+            )
+        if job.warm_up is not None:
+            self.state, frames = warmed_up(job.warm_up, frames, model)
         return frames
+
+    def _read_masks(self) -> None:
+        self._region = read_region(self.job.roi, self.source.size) if self.job.roi else None
+        self._scoring = read_truth(self.job, self.source, self._region)
 
     def go_on(self, memory: Mapping[str, Any]) -> None:
         """Take up record and scores."""
-        self.begin(iter(()))
+        self._read_masks()
+        self._trajectories = memory["trajectories"]
         self.record = RunRecord.restored(memory["record"])
         said = any(note.startswith(MOVES) for note in self.notes)
         self._camera = CameraWatch(noticed=said or self.job.camera == "moving")
@@ -224,7 +270,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     def learn_from(self, saved: SavedRun) -> None:
         """The states are all there is to learn."""
-        self.begin(iter(()))
+        self._read_masks()
 
     def writers(self, rate: float, after: int) -> list[Writer]:
         """Tracks, masks and overlay."""
@@ -236,7 +282,11 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     def found(self, belief: Belief) -> Found:
         """Mask and tracks."""
-        return found_in(belief, self.source.size, self._region)
+        found = found_in(belief, self.source.size, self._region)
+        if self._trajectories is None:
+            return found
+        tracks = [SeenObject(*each) for each in self._trajectories.at(len(self.record.numbers))]
+        return Found(found.foreground, inside(self._region, tracks))
 
     def take_in(self, belief: Belief, found: Found, seconds: float) -> None:
         """Write mask and tracks, and note what the report wants."""
