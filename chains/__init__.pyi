@@ -1,6 +1,7 @@
 from .adaptive_background import AdaptiveBackground
 from .articulated_pose import ArticulatedPose
 from .blob_tracker import BlobTracker
+from .camera_motion import CameraMotion
 from .condensation import Condensation
 from .factor_structure import FactorStructure
 from .flesh_tracker import FleshTracker
@@ -16,6 +17,7 @@ __all__ = [
     "AdaptiveBackground",
     "ArticulatedPose",
     "BlobTracker",
+    "CameraMotion",
     "Condensation",
     "FactorStructure",
     "FleshTracker",

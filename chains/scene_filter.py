@@ -30,7 +30,7 @@ from ..inference.objects.blob_geometry import box_densities
 from ..inference.objects.blobs import BlobState
 from ..inference.objects.trajectories import Boxes, messages_of
 from ..models.background.empty_scene import EmptyScene, empty_scene
-from ..models.background.gaussian import LightField
+from ..models.background.light import LightField
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr

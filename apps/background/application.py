@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, get_args
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...chains.object_trajectories import ObjectsOverTime
 from ...inference import Belief, MultiChain, RecursiveBP
-from ...models import Frame, ObjectBoxes, PixelLabels
+from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
 from ..drawing.boxes import OverlayWriter, draw_overlay
 from ..evaluation.scoring import Scoring
 from ..evaluation.tracks import track_rows
@@ -29,7 +29,7 @@ from ..runs.interruption import Outcome
 from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
-from .job import WHOLE_FILM, BackgroundJob, Engine
+from .job import WHOLE_FILM, BackgroundJob, Camera, Engine
 from .moving_camera import MOVES, CameraWatch
 from .parameters import (
     SECTIONS,
@@ -58,7 +58,9 @@ EVIDENCE_EVERY = 10
 """Frames between two values of log p(I) in the report: nothing else needs that pass over the pixels."""
 
 
-def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None = None) -> MultiChain:
+def build_model(
+    engine: Engine = "recursive-bp", parameters: Parameters | None = None, camera: Camera = "fixed"
+) -> MultiChain:
     """Connect the background application's chains.
 
     Parameters
@@ -71,6 +73,8 @@ def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None =
         those of the chains that differ from their defaults, by section and name; a section's `model` says
         which chain it is. Chains of others are in the section `chains`, by the names under which they are
         announced, and are connected to the features that they meet.
+    camera
+        `"moving"`: a chain follows the camera, and all others hear of a scene that stands still.
 
     Raises
     ------
@@ -80,9 +84,13 @@ def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None =
     """
     if engine not in ENGINES:
         raise ValueError(f"engine: got {engine!r}, expected one of {', '.join(ENGINES)}")
-    background, blobs, ground = (build_chain(section, parameters or {}) for section in SECTIONS)
-    pixels, objects = PixelLabels(), ObjectBoxes()
-    model = MultiChain().connect(background, pixels)
+    background, blobs, ground, motion = (build_chain(section, parameters or {}) for section in SECTIONS)
+    objects, model = ObjectBoxes(), MultiChain()
+    pixels: PixelLabels = PixelLabels()
+    if camera == "moving":
+        pixels = scene_pixels = ScenePixels()
+        model.connect(motion, scene_pixels)
+    model.connect(background, pixels)
     if engine == "stand-alone":
         return model
     feedback = engine in ("recursive-bp", WHOLE_FILM)
@@ -123,14 +131,23 @@ def found_in(belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | 
         `(width, height)` px.
     region
         `(height, width)` uint8: the mask is 0 where this is, and tracks that stand there are left out.
+
+    Returns
+    -------
+    found
+        where the frame shows it, whatever the camera has moved; the region moves along.
     """
     if not belief.states:  # no image yet
         return Found(np.zeros((size[1], size[0]), np.uint8), [])
-    foreground: NDArray[np.uint8] = belief["pixels"].foreground()
+    pixels: PixelMessage = belief["pixels"]
+    foreground = pixels.foreground()
     if region is not None:
         foreground &= region
-    tracks = belief["blobs"].tracks() if "blobs" in belief.states else []
-    return Found(foreground, inside(region, tracks))
+    tracks: list[Any] = inside(region, belief["blobs"].tracks() if "blobs" in belief.states else [])
+    if pixels.view is None:
+        return Found(foreground, tracks)
+    seen_by = pixels.view.map
+    return Found(seen_by.in_frame(foreground), [replace(each, box=seen_by.box(each.box)) for each in tracks])
 
 
 def run_background(job: BackgroundJob) -> Outcome:
@@ -158,13 +175,13 @@ class BackgroundRun(FilmRun[BackgroundJob]):
                 "file": str(job.detections.resolve()),
                 "sha256": digest(job.detections),
             }
-        self.engine = RecursiveBP(build_model(job.engine, parameters))
+        self.engine = RecursiveBP(build_model(job.engine, parameters, job.camera))
         self.record = RunRecord()
         self._region: NDArray[np.uint8] | None = None
         self._scoring: Scoring | None = None
         self._trajectories: ObjectsOverTime | None = None
         self._detections: Detections | None = None
-        self._camera = CameraWatch()
+        self._camera = CameraWatch(noticed=job.camera == "moving")
 
     @property
     def files(self) -> list[str]:
@@ -229,7 +246,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._read_masks()
         self._trajectories = memory["trajectories"]
         self.record = RunRecord.restored(memory["record"])
-        self._camera = CameraWatch(noticed=any(note.startswith(MOVES) for note in self.notes))
+        said = any(note.startswith(MOVES) for note in self.notes)
+        self._camera = CameraWatch(noticed=said or self.job.camera == "moving")
         if self._scoring is not None:
             self._scoring.restore(memory["scores"])
 

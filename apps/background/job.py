@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from ..options.job import FilmJob, Flag, resolved
 
+Camera = Literal["fixed", "moving"]
 Engine = Literal["recursive-bp", "feed-forward", "stand-alone", "coordinate-ascent"]
 WHOLE_FILM: Engine = "coordinate-ascent"
 Masks = Literal["none", "png", "video"]
@@ -25,12 +26,16 @@ class BackgroundJob(FilmJob):
         the objects. stand-alone: the background only, no tracks. coordinate-ascent: the whole film at once;
         the empty scene is found from all of it, and tracks know what comes later. The source is read three
         times, which a camera or stream cannot be.
+    camera
+        fixed, or moving: it shakes, turns or drifts a little about where it looks in the first frame, and
+        every frame is registered with that scene. Where a frame does not show it, nothing is known.
     warm_up
         Find the empty scene from the first so many seconds before any frame is answered, so that people who
         are there from the beginning are no part of it. These frames are held in memory.
     config
         TOML file with options under their names, and with parameters of the chains, in sections [background],
-        [blobs], [ground], and [chains.NAME] for those of other packages; what is typed goes first.
+        [blobs], [ground], [camera-motion], and [chains.NAME] for those of other packages; what is typed goes
+        first.
     chain
         Connect a chain of another package as well, by the name under which it is announced (entry points
         rsmcm.chains); several times for several.
@@ -54,6 +59,7 @@ class BackgroundJob(FilmJob):
     """
 
     engine: Engine = "recursive-bp"
+    camera: Camera = "fixed"
     warm_up: float | None = None
     roi: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     masks: Masks = "png"
@@ -67,6 +73,8 @@ class BackgroundJob(FilmJob):
         super().__post_init__()
         if self.chain and self.engine == "stand-alone":
             raise ValueError("--chain and --engine stand-alone: got both, expected one of them")
+        if self.detections is not None and self.camera == "moving":
+            raise ValueError("--detections and --camera moving: got both, expected one of them")
         if self.detections is not None and self.engine == "stand-alone":
             raise ValueError("--detections and --engine stand-alone: got both, expected one of them")
         if self.classes and self.detections is None:
@@ -84,6 +92,8 @@ class BackgroundJob(FilmJob):
             f"--engine {WHOLE_FILM}": self.engine == WHOLE_FILM,
         }
         for option in (name for name, given in begun.items() if given):
+            if self.camera == "moving":
+                raise ValueError(f"{option} and --camera moving: got both, expected one of them")
             if self.learned is not None:
                 raise ValueError(
                     f"{option} and --from: got both, expected one of them (--from knows the empty scene)"
@@ -104,6 +114,7 @@ class BackgroundJob(FilmJob):
         return {
             **super().settings(),
             "engine": self.engine,
+            "camera": self.camera,
             "warm_up": self.warm_up,
             "roi": self.roi,
             "masks": self.masks,

@@ -62,7 +62,7 @@ class CameraWatch:
         self.noticed = True
         said = (
             f"{MOVES}: in frame {frame.number} the scene is seen {moved:.1f} px from where "
-            f"it was, which is {found.explained:.0%} of what has changed; masks and tracks are not reliable"
+            f"it was, which is {found.explained:.0%} of what has changed; --camera moving follows it"
         )
         _log.warning("%s", said)
         return said

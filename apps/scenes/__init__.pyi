@@ -1,3 +1,4 @@
+from .room import Room, standing_in_a_room
 from .shaken import ShakenFilm, shaken
 from .signing.signer import SignerScene, signer
 from .street import Scene, TruthBox, sleeping_man
@@ -7,6 +8,7 @@ from .turning_cylinder import Cylinder, cylinder
 __all__ = [
     "Cylinder",
     "FaceScene",
+    "Room",
     "Scene",
     "ShakenFilm",
     "SignerScene",
@@ -16,4 +18,5 @@ __all__ = [
     "shaken",
     "signer",
     "sleeping_man",
+    "standing_in_a_room",
 ]

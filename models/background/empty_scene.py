@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
 from ..numerics.threads import over_bands
-from .gaussian import LightField
+from .light import LightField
 from .kernels.gaussian import HIGHEST_NOISE, HIGHEST_VARIANCE, LOWEST_NOISE, LOWEST_VARIANCE
 from .kernels.modes import find_modes
 

@@ -1,16 +1,18 @@
 """Affine maps from a scene's picture to a frame of a camera that moves."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Self, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.frame import BoundingBox
 from ..core.short_repr import short_repr
 
 Numbers = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Value = TypeVar("Value", np.uint8, np.float32)
 
 UNKNOWNS = 6
 """Numbers of an affine map."""
@@ -71,6 +73,17 @@ class AffineMap:
         matrix = self.matrix
         return places @ matrix[:, :2].T + matrix[:, 2]
 
+    def box(self, box: BoundingBox) -> BoundingBox:
+        """Where the frame shows a box (x, y, width, height) of the scene: upright, about the same middle.
+
+        Boxes have the pixels' edges at whole numbers.
+        """
+        x, y, width, height = box
+        (middle_x, middle_y) = self.points(np.array([x + width / 2 - 0.5, y + height / 2 - 0.5])) + 0.5
+        across, down = np.hypot(*self.matrix[:, :2])
+        width, height = width * float(across), height * float(down)
+        return float(middle_x) - width / 2, float(middle_y) - height / 2, width, height
+
     def in_scene(self, image: Image, beyond: Image) -> Image:
         """A frame's image as the scene's picture: what every place of the scene shows.
 
@@ -88,7 +101,7 @@ class AffineMap:
         )
         return out
 
-    def in_frame(self, picture: Image) -> Image:
-        """A mask or picture of the scene `(height, width[, 3])` uint8 as the frame shows it, 0 beyond."""
-        seen = cv2.warpAffine(picture, self.matrix, self.size[::-1], flags=cv2.INTER_NEAREST)
-        return np.asarray(seen, np.uint8)
+    def in_frame(self, mask: NDArray[Value]) -> NDArray[Value]:
+        """What is said of the scene's places, `(height, width)`, as the frame shows it; 0 beyond."""
+        seen = cv2.warpAffine(mask, self.matrix, self.size[::-1], flags=cv2.INTER_NEAREST)
+        return np.asarray(seen, mask.dtype)

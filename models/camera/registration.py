@@ -95,14 +95,15 @@ class Registration:
     explained
         share of the differences between frame and scene, where nothing is moved, that it takes away: near 1
         when all that is not as it was has moved by this map, 0 when the map is none or does not help.
-    ncc
-        normalised correlation of what the frame shows at the mapped points with what the scene does.
+    correlation
+        of what the frame shows at the mapped points with what the scene does, values beyond their usual size
+        cut off, so that things which move count by their number: by chance it is below 0.1.
     """
 
     map: AffineMap
     covariance: Numbers
     explained: float
-    ncc: float
+    correlation: float
 
 
 @short_repr
@@ -139,10 +140,9 @@ class ScenePicture:
         inside = np.maximum(found, before) < OUTSIDE
         left, there = (_cost(np.where(inside, off, OUTSIDE)) for off in (found, before))
         explained = 1 - left / there if np.isfinite(left) and there > 0 else 0.0
-        ncc = _correlation(found + places.values, places.values, found < OUTSIDE)
-        return Registration(
-            AffineMap(parameters, self.size), np.linalg.inv(information).astype(np.float64), explained, ncc
-        )
+        correlation = _correlation(found + places.values, places.values, found < OUTSIDE)
+        covariance = np.linalg.inv(information).astype(np.float64)
+        return Registration(AffineMap(parameters, self.size), covariance, explained, correlation)
 
     def _nearest(self, bands: list[Floats], start: Numbers) -> Numbers:
         """The better one of where the map should be and a mere shift, as the coarsest level shows them."""
@@ -210,6 +210,13 @@ def _cost(off: Numbers) -> float:
 
 
 def _correlation(one: Numbers, other: Floats, among: NDArray[np.bool_]) -> float:
-    one, other = one[among], other[among]
-    scale = float(np.sqrt((one**2).sum() * (other**2).sum()))
-    return float((one * other).sum()) / scale if scale > 0 else 0.0
+    if not among.any():
+        return 0.0
+    first, second = _cut(one[among]), _cut(other[among].astype(np.float64))
+    scale = float(np.sqrt((first @ first) * (second @ second)))
+    return float(first @ second) / scale if scale > 0 else 0.0
+
+
+def _cut(values: Numbers) -> Numbers:
+    usual = np.median(np.abs(values))
+    return np.clip(values, -usual, usual)

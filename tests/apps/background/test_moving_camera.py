@@ -10,7 +10,8 @@ import pytest
 from rsmcm.apps.background.application import build_model, found_in
 from rsmcm.apps.background.moving_camera import MOVES, CameraWatch
 from rsmcm.apps.io.files import write_image
-from rsmcm.apps.scenes import shaken, sleeping_man
+from rsmcm.apps.io.mot import read_tracks
+from rsmcm.apps.scenes import ShakenFilm, shaken, sleeping_man
 from rsmcm.inference import RecursiveBP
 from rsmcm.models import Frame
 
@@ -62,15 +63,41 @@ def test_somebody_who_fills_the_picture_is_no_camera() -> None:
     assert noticed(frames) is None
 
 
-def test_it_is_said_once_on_standard_error_and_in_the_summary(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    film = shaken(sleeping_man(30, size=(192, 152), noise=0.0), 3.0, noise=4.0)
-    (tmp_path / "film").mkdir()
+@pytest.fixture(scope="module")
+def shaking(tmp_path_factory: pytest.TempPathFactory) -> tuple[ShakenFilm, Path]:
+    """A film of a camera that shakes, as a folder of pictures."""
+    film = shaken(sleeping_man(50, size=(192, 152), enter=0, noise=0.0), 3.0, noise=4.0)
+    folder = tmp_path_factory.mktemp("film")
     for frame in film:
         assert frame.image is not None
-        write_image(tmp_path / "film" / f"{frame.number:04d}.png", frame.image)
-    assert Command("background")(tmp_path / "film", "--out", tmp_path / "out") == 0
+        write_image(folder / f"{frame.number:04d}.png", frame.image)
+    return film, folder
+
+
+def test_it_is_said_once_on_standard_error_and_in_the_summary(
+    shaking: tuple[ShakenFilm, Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert Command("background")(shaking[1], "--out", tmp_path) == 0
     assert capfd.readouterr().err.count(MOVES) == 1
-    (note,) = json.loads((tmp_path / "out" / "summary.json").read_text())["notes"]
+    (note,) = json.loads((tmp_path / "summary.json").read_text())["notes"]
     assert note.startswith(MOVES)
+
+
+def test_a_camera_that_is_followed_gives_masks_and_tracks_of_the_frames(
+    shaking: tuple[ShakenFilm, Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    film, folder = shaking
+    assert Command("background")(folder, "--camera", "moving", "--out", tmp_path) == 0
+    assert MOVES not in capfd.readouterr().err
+    assert json.loads((tmp_path / "summary.json").read_text())["notes"] == []
+    tracks = read_tracks(tmp_path / "tracks.txt")
+    hits = wrong = 0
+    for index in range(38, 50):
+        truth = film.mask(film.film.foreground(index), index)  # type: ignore[attr-defined]
+        mask = cv2.imread(str(tmp_path / "foreground" / f"bin{index + 1:06d}.png"), cv2.IMREAD_UNCHANGED)
+        assert mask is not None
+        hits, wrong = hits + int(((mask > 0) & truth).sum()), wrong + int(((mask > 0) != truth).sum())
+        columns = np.flatnonzero(truth.any(axis=0))
+        boxes = tracks[tracks["frame"] == index + 1]["box"]
+        assert np.abs(boxes[:, 0] + boxes[:, 2] - columns[-1] - 1).min(initial=np.inf) < 9, index
+    assert 2 * hits / (2 * hits + wrong) > 0.85

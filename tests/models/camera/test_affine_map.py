@@ -45,3 +45,13 @@ def test_a_frame_comes_back_to_the_scene_and_the_mask_to_the_frame() -> None:
     seen = view.in_frame(mask)
     assert (seen[18:28, 43:53] == 255).all()
     assert seen.sum() == mask.sum()
+
+
+def test_a_box_is_where_its_corners_are() -> None:
+    shift = AffineMap(np.array([3.5, 0, 0, -2.0, 0, 0]), SIZE)
+    assert shift.box((10, 20, 8, 16)) == pytest.approx((13.5, 18, 8, 16))
+    radius = shift.radius
+    zoom = AffineMap(np.array([0, 0.1 * radius, 0, 0, 0, 0.1 * radius]), SIZE)
+    corners = zoom.points(np.array([(9.5, 19.5), (17.5, 35.5)])) + 0.5
+    x, y, width, height = zoom.box((10, 20, 8, 16))
+    assert np.allclose([(x, y), (x + width, y + height)], corners)

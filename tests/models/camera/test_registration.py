@@ -51,7 +51,7 @@ def test_a_known_map_is_found_to_a_fiftieth_of_a_pixel(amount: float) -> None:
         found = scene.register(seen(picture, AffineMap(true, SIZE), seed + 1), still())
         assert AffineMap(found.map.parameters - true, SIZE).displacement < 0.03
         assert AffineMap(true, SIZE).displacement < 0.5 or found.explained > 0.5
-        assert found.ncc > 0.9
+        assert found.correlation > 0.9
 
 
 def test_errors_are_as_large_as_the_covariance_says() -> None:
@@ -97,7 +97,7 @@ def test_another_picture_is_not_explained_by_any_map() -> None:
     scene = ScenePicture(seen(textured(6), still(), 0))
     for seed in range(7, 12):
         found = scene.register(seen(textured(seed), still(), 1), still())
-        assert max(found.explained, found.ncc) < 0.3
+        assert max(found.explained, found.correlation) < 0.3
 
 
 def test_a_picture_without_texture_is_like_none() -> None:
@@ -110,4 +110,4 @@ def test_a_picture_without_texture_is_like_none() -> None:
         found = ScenePicture(scene).register(image, still())
         assert np.isfinite(found.covariance).all()
         assert found.explained < 0.4
-        assert found.ncc < 0.3
+        assert found.correlation < 0.3
