@@ -1,6 +1,7 @@
 """Objects that move in front of a background, as soft masks with colours: what is known of them."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Self
@@ -20,6 +21,10 @@ Box = tuple[float, float, float, float]
 
 MARGIN = 6
 """px of empty border in a blob's patch, into which its mask can grow."""
+
+
+OWN_WAY = 3.0
+"""s after which what still moves, as small as it is, is somebody by itself."""
 
 
 @short_repr
@@ -74,10 +79,14 @@ class Blob:
     view, past_views
         nats, log ratio of being a ghost and being real by its outline as it is now, and by how it was before
         (see `ghosts`).
+    fragment_time
+        s for which it has been much smaller than anybody where it stands.
+    whole
+        identity of the object that it is a part of; its own if it is one itself.
     origin
         x, y, width, height px of where it appeared.
     parting
-        s for which its mask has had a waist between two upright parts.
+        s for which it has seemed to be two beside each other.
     size
         `(2,)` px, its usual height and width.
     """
@@ -95,6 +104,8 @@ class Blob:
     confidence: float
     view: float
     past_views: float
+    fragment_time: float
+    whole: int
     origin: Box
     parting: float
     size: Pair
@@ -141,6 +152,8 @@ class Blob:
             confidence=1.0,
             view=0.0,
             past_views=0.0,
+            fragment_time=0.0,
+            whole=identity,
             origin=(float(corner[1]) + MARGIN, float(corner[0]) + MARGIN, float(size[1]), float(size[0])),
             parting=0.0,
             size=size,
@@ -179,6 +192,11 @@ class Blob:
     def length(self) -> float:
         """px, the longer side of the box."""
         return max(self.box[2:])
+
+    @property
+    def is_fragment(self) -> bool:
+        """Whether it is a piece of somebody: what is that small by nature has moved on its own for long."""
+        return self.fragment_time > 0 and not (self.fragment_time > OWN_WAY and self.still == 0)
 
     def sprite(self, outliers: float) -> Sprite:
         """Mask and colours for loops over pixels, with the share of pixels that look otherwise."""
@@ -225,10 +243,17 @@ class BlobState:
 
     def tracks(self) -> list[Track]:
         """Objects that are sure enough to be reported, by identity."""
-        found = [blob for blob in self.blobs if blob.seen >= self.confirmed_time]
-        return [
-            Track(
-                blob.identity, blob.box, blob.confidence, (float(blob.velocity[1]), float(blob.velocity[0]))
-            )
-            for blob in sorted(found, key=lambda blob: blob.identity)
-        ]
+        found: dict[int, list[Blob]] = {}
+        for blob in self.blobs:
+            if blob.seen >= self.confirmed_time and not blob.is_fragment:
+                found.setdefault(blob.whole, []).append(blob)
+        return [_track(identity, parts) for identity, parts in sorted(found.items())]
+
+
+def _track(identity: int, parts: Sequence[Blob]) -> Track:
+    largest = max(parts, key=lambda blob: blob.shape.mass)
+    boxes = [part.box for part in parts]
+    left, top = min(box[0] for box in boxes), min(box[1] for box in boxes)
+    right, bottom = max(box[0] + box[2] for box in boxes), max(box[1] + box[3] for box in boxes)
+    speed_y, speed_x = largest.velocity.tolist()
+    return Track(identity, (left, top, right - left, bottom - top), largest.confidence, (speed_x, speed_y))
