@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from itertools import count
 from typing import overload
 
-import cv2
 import numpy as np
 
 from ..inference.core.protocols import Cavity, Incoming, Port
@@ -26,23 +25,24 @@ from ..inference.filters.linear_motion import kinematic
 from ..inference.objects.blob_geometry import (
     FRESH,
     THINNEST,
+    around,
     box_densities,
     fitted,
-    halves,
     is_hidden,
     likely_size,
-    merged,
     without_crumbs,
 )
 from ..inference.objects.blob_scene import BlobScene, cut_out
-from ..inference.objects.blobs import Blob, BlobState, Map
+from ..inference.objects.blobs import Blob, BlobState
+from ..inference.objects.ghosts import ghost_layer, inherited, weighed
+from ..inference.objects.groups import halves, merged
 from ..inference.objects.registration import front_to_back, registered
 from ..models.background.layers import Layer, LayerStack
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
-from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.short_repr import short_repr
-from ..models.objects.kernels.blobs import Patch, learn, outline_contrast
+from ..models.objects.box_message import BoxMessage
+from ..models.objects.kernels.blobs import learn
 from ..models.objects.kernels.masks import fade_beyond
 from ..models.objects.object_boxes import ObjectBoxes
 
@@ -63,9 +63,6 @@ SWEEP = 0.8
 
 FADING = 0.06
 """s, time constant with which a mask fades where it reaches too far."""
-
-OUTLINE_TIME = 0.1
-"""s after which a comparison of outlines is worth a whole new one."""
 
 
 @short_repr
@@ -99,9 +96,8 @@ class BlobTracker:
     confirmed_time
         s for which an object must have been seen before it is reported, in every frame.
     ghost_evidence
-        nats from which on a blob is taken for a ghost: log ratio of the contrast across its outline in the
-        background's picture and in the image, less 0.25, summed over comparisons every 0.1 s and never
-        below 0.
+        nats from which on a blob is taken for a ghost: log ratio of an outline that is an edge of the
+        background's picture and one that is an edge of the image (see `inference.objects.ghosts`).
     parting_time
         s for which a blob's mask must have had a waist before it becomes two.
     size_time
@@ -120,7 +116,7 @@ class BlobTracker:
     patience: float = 0.6
     hidden_patience: float = 3.0
     confirmed_time: float = 0.35
-    ghost_evidence: float = 1.25
+    ghost_evidence: float = 5.0
     parting_time: float = 0.4
     size_time: float = 2.0
     name: str = "blobs"
@@ -157,10 +153,10 @@ class BlobTracker:
     @overload
     def message(self, state: BlobState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
     @overload
-    def message(self, state: BlobState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage: ...
+    def message(self, state: BlobState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage: ...
     def message(
         self, state: BlobState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
-    ) -> PixelMessage | GaussianMessage:
+    ) -> PixelMessage | BoxMessage:
         """What objects say to a feature (mu_{S -> F}).
 
         To pixels: where they cover them and with which colours, front to back. To boxes: where they stand and
@@ -173,7 +169,7 @@ class BlobTracker:
         shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.seen >= FRESH]
         if pixels.image is None or not shown:
             return feature.uniform()
-        return box_densities(shown)
+        return BoxMessage(box_densities(shown))
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Objects after the frame: registered, learned from, born and ended."""
@@ -187,7 +183,8 @@ class BlobTracker:
         numbers = count(state.born + 1)
         kept = merged([part for blob in kept for part in self._parted(blob, numbers, scene)])
         for corner, mask, planes in scene.unexplained(kept, self._least_area(scene)):
-            kept.append(Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread))
+            new = Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread)
+            kept.append(new.changed(past_views=inherited(new, kept)))
         return replace(state, blobs=tuple(kept), born=next(numbers) - 1, elapsed=0.0)
 
     def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[list[Blob], LayerStack]:
@@ -198,11 +195,9 @@ class BlobTracker:
         return blobs, LayerStack([self._layer(blob) for blob in blobs])
 
     def _layer(self, blob: Blob) -> Layer:
-        top, left = blob.corner
         if blob.ghost_evidence >= self.ghost_evidence:
-            shape = cv2.dilate((blob.mask > 0.25).astype(np.float32), np.ones((5, 5), np.uint8))
-            return Layer(top, left, np.asarray(shape, np.float32), None, ghost=True)
-        return Layer(top, left, blob.mask, blob.appearance, blob.spread, self.outliers, self.strength)
+            return ghost_layer(blob)
+        return Layer(*blob.corner, blob.mask, blob.appearance, blob.spread, self.outliers, self.strength)
 
     def _learned(self, blob: Blob, in_front: Sequence[Blob], scene: BlobScene) -> Blob:
         """Mask and colours after the frame, and how much of the blob was seen."""
@@ -237,6 +232,7 @@ class BlobTracker:
         spread = blob.spread + follow * (2 * variance - blob.spread)
         grown = 1 - math.exp(-scene.elapsed / (self.mask_time if blob.seen < FRESH else self.size_time))
         size = blob.size + grown * (np.array(blob.box[:1:-1]) - blob.size)
+        view, past_views = weighed(blob, mask, patch, scene, self.temper)
         return blob.changed(
             mask=mask,
             appearance=appearance,
@@ -246,18 +242,10 @@ class BlobTracker:
             unseen=0.0,
             still=blob.still + scene.elapsed if speed < max(2.0, 0.06 * blob.length) else 0.0,
             confidence=confidence,
-            ghost_evidence=self._ghostly(blob, mask, patch, scene) if speed < blob.length else 0.0,
+            view=view,
+            past_views=past_views,
+            origin=blob.origin if blob.seen >= FRESH else around(blob.origin, blob.box),
         )
-
-    def _ghostly(self, blob: Blob, mask: Map, patch: Patch, scene: BlobScene) -> float:
-        """Evidence that the outline is an edge of the remembered background instead of one of the image."""
-        picture = scene.picture(*blob.corner, mask.shape)
-        in_image, in_picture, length = outline_contrast(patch.planes, picture, patch.free, mask, 2)
-        if length < 8:
-            return blob.ghost_evidence
-        worth = min(scene.elapsed / OUTLINE_TIME, 1.0)
-        found = worth * (math.log((in_picture + 3) / (in_image + 3)) - 0.25)
-        return max(blob.ghost_evidence + found, 0.0)
 
     def _least_area(self, scene: BlobScene) -> float:
         """px of the smallest object."""
@@ -286,7 +274,7 @@ class BlobTracker:
             due = blob.seen // SWEEP > (blob.seen - scene.elapsed) // SWEEP
             return [blob.changed(mask=without_crumbs(blob.mask)) if due else blob]
         larger, smaller = halves(blob)
-        blob = blob.changed(parting=0.0, still=0.0, ghost_evidence=0.0)
+        blob = blob.changed(parting=0.0, still=0.0)
         return [
             blob.changed(mask=larger, size=likely_size(larger)),
             blob.changed(mask=smaller, size=likely_size(smaller), identity=next(numbers)),

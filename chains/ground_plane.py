@@ -30,12 +30,16 @@ from ..inference.objects.ground_plane import (
     usual_heights,
 )
 from ..models.core.frame import Frame
-from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.short_repr import short_repr
-from ..models.objects.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH, ObjectBoxes
+from ..models.objects.box_detector import FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from ..models.objects.box_message import BoxMessage
+from ..models.objects.object_boxes import ObjectBoxes
 
 FIRST_TRUST, MOST_TRUST = 1.4, 4.0
 """Log odds that an object stands on the plane: before its first observation, and as sure as one can get."""
+
+MOST_ASPECTS = 50.0
+"""Observations that are remembered of everybody's width over height."""
 
 
 @short_repr
@@ -105,6 +109,7 @@ class GroundPlane:
             variation=float(np.hypot(self.stature, self.spread)),
             scene=np.array([0.25 * height, 0.3]),
             scene_covariance=np.diag([(0.5 * height) ** 2, 0.5**2]),
+            everybody=np.array([1.0, 0.5, 0.3**2]),
             identities=np.zeros(0, np.int64),
             feet=np.zeros((0, 2, 2)),
             feet_covariance=np.zeros((0, 2, 2, 2)),
@@ -121,15 +126,16 @@ class GroundPlane:
         feet, covariance = kinematic(2, dt).moved(state.feet, state.feet_covariance, force)
         return replace(state, feet=feet, feet_covariance=covariance, unseen=state.unseen + dt)
 
-    def message(self, state: GroundState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage:
-        """Every known object's box (mu_{ground -> objects}), uniform when nobody is known."""
+    def message(self, state: GroundState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage:
+        """Every known object's box, and that of somebody new (mu_{ground -> objects})."""
+        newcomers = state.newcomers()
         if not len(state.identities):
-            return feature.uniform()
-        return state.boxes(self.spread, self.foot_spread)
+            return BoxMessage(newcomers=newcomers)
+        return BoxMessage(state.boxes(self.spread, self.foot_spread), newcomers=newcomers)
 
     def update(self, state: GroundState, incoming: Incoming) -> GroundState:
         """Perspective and objects given what others say of the boxes."""
-        identities, boxes, covariances = incoming[ObjectBoxes].moments
+        identities, boxes, covariances = incoming[ObjectBoxes].objects.moments
         state = self._joined(state, identities, boxes)
         if not len(identities):
             return state
@@ -165,8 +171,9 @@ class GroundPlane:
         all_heights[seen] = heights
         unseen[seen] = 0.0
         aspects, aspect_variances = state.aspects.copy(), state.aspect_variances.copy()
+        observed = boxes[:, WIDTH] / np.maximum(height, 1.0)
         rate = 0.3 * whole * good * worth
-        change = boxes[:, WIDTH] / np.maximum(height, 1.0) - aspects[seen]
+        change = observed - aspects[seen]
         aspects[seen] += rate * change
         aspect_variances[seen] = (1 - rate) * (aspect_variances[seen] + rate * change**2)
         reliable = np.where(whole, 1 - on_plane * (1 - good), 0.0)
@@ -175,6 +182,7 @@ class GroundPlane:
             state,
             scene=scene,
             scene_covariance=0.5 * (scene_covariance + scene_covariance.T),
+            everybody=_with(state.everybody, observed, whole * on_plane * good * worth),
             feet=feet,
             feet_covariance=feet_covariance,
             heights=all_heights,
@@ -258,3 +266,15 @@ class GroundPlane:
             trust=sorted_with(state.trust, np.full(n_new, FIRST_TRUST)),
             unseen=sorted_with(state.unseen, np.full(n_new, self.observation_time)),
         )
+
+
+def _with(moments: Numbers, values: Numbers, weights: Numbers) -> Numbers:
+    """Weight, mean and variance of what was observed, with more values; the last `MOST_ASPECTS` count."""
+    weight, mean, variance = moments.tolist()
+    added = float(weights.sum())
+    share = added / (weight + added)
+    off = values - mean
+    shift = share * float((weights * off).sum()) / max(added, 1e-9)
+    squares = float((weights * off**2).sum()) / max(added, 1e-9)
+    variance = (1 - share) * variance + share * squares - shift**2
+    return np.array([min(weight + added, MOST_ASPECTS), mean + shift, variance])

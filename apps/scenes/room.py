@@ -61,7 +61,7 @@ class Room(Scene):
         )
         beside = _moved(own, 0.26 * width, -0.04 * height)
         out[top:bottom, left:right] = beside[top:bottom, left:right]
-        return cv2.GaussianBlur(out, (0, 0), 0.008 * height)
+        return np.asarray(cv2.GaussianBlur(out, (0, 0), 0.008 * height), np.float32)
 
 
 def standing_in_a_room(

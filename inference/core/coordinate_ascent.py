@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf
+from math import inf, nan
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints, overload
 
@@ -23,7 +23,7 @@ from .protocols import (
     name_of,
     require,
 )
-from .sequence import TimeSlices
+from .sequence import LazyFrames, TimeSlices
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,8 @@ class Round:
     objective
         sum over the chains of the log density of their trajectories, and over all features and frames of the
         log mass of the product of evidence and messages: the log of the model's density at the trajectories,
-        with the features integrated out, as far as messages are the exact p(F | X).
+        with the features integrated out, as far as messages are the exact p(F | X). NaN where rounds are not
+        compared.
     smoothed
         names of the chains that were worked out anew; a chain that would hear the same again is not.
     """
@@ -129,7 +130,9 @@ class CoordinateAscent:
     most_rounds
         wall on the number of rounds.
     tolerance
-        share of the objective's size by which it has to rise for the ascent to go on.
+        share of the objective's size by which it has to rise for the ascent to go on; `None` for rounds that
+        are not compared: the last one is taken, and the objective, which costs a pass over the film, is not
+        worked out.
 
     Raises
     ------
@@ -139,7 +142,7 @@ class CoordinateAscent:
         if one of the chains is none for batches.
     """
 
-    def __init__(self, model: MultiChain, most_rounds: int = 20, tolerance: float = 1e-5) -> None:
+    def __init__(self, model: MultiChain, most_rounds: int = 20, tolerance: float | None = 1e-5) -> None:
         require_model(model)
         for name, chain in model.chains.items():
             require(f"chain {name!r}", chain, BatchChain)
@@ -159,7 +162,8 @@ class CoordinateAscent:
         Parameters
         ----------
         frames
-            all of them; `Frame`s, or plain images `dt` seconds apart (`None` for a missing one).
+            all of them; `Frame`s, or plain images `dt` seconds apart (`None` for a missing one), which are
+            held. `LazyFrames` are not held but read again in every pass.
         dt
             seconds from one plain image to the next.
 
@@ -200,12 +204,12 @@ class CoordinateAscent:
             if not smoothed:
                 yield Solution(best, slices, tuple(reports), converged=True)
                 return
-            objective = slices.objective()
-            if not reports or objective > max(report.objective for report in reports):
+            objective = nan if self.tolerance is None else slices.objective()
+            if self.tolerance is None or not reports or objective > max(each.objective for each in reports):
                 best = slices
             reports.append(Round(len(reports) + 1, objective, smoothed))
             before = reports[-2].objective if len(reports) > 1 else -inf
-            converged = objective < before + self.tolerance * abs(before)
+            converged = self.tolerance is not None and objective < before + self.tolerance * abs(before)
             yield Solution(best, slices, tuple(reports), converged)
             if converged or len(reports) == self.most_rounds:
                 return
@@ -303,7 +307,9 @@ class CoordinateAscent:
         }
 
 
-def _as_frames(items: Iterable[Frame | NDArray[np.uint8] | None], dt: float) -> list[Frame]:
+def _as_frames(items: Iterable[Frame | NDArray[np.uint8] | None], dt: float) -> Sequence[Frame]:
+    if isinstance(items, LazyFrames):
+        return items
     frames = [
         item
         if isinstance(item, Frame)

@@ -7,10 +7,10 @@ import numpy as np
 
 from ...models.background.layers import LayerStack
 from ...models.background.pixel_labels import PixelMessage
-from ...models.core.gaussian_message import GaussianMessage
+from ...models.objects.box_detector import HEIGHT, WIDTH
+from ...models.objects.box_message import BoxMessage
 from ...models.objects.kernels.blobs import Patch, count_foreground, gather
 from ...models.objects.kernels.masks import clear_blocks
-from ...models.objects.object_boxes import HEIGHT, WIDTH
 from .blob_geometry import THINNEST, cover_by, paste
 from .blobs import MARGIN, Blob, Map, Pair
 
@@ -48,7 +48,7 @@ class BlobScene:
     """
 
     def __init__(
-        self, pixels: PixelMessage, layers: LayerStack, boxes: GaussianMessage | None, elapsed: float
+        self, pixels: PixelMessage, layers: LayerStack, boxes: BoxMessage | None, elapsed: float
     ) -> None:
         self.pixels = pixels
         self.size = pixels.size
@@ -56,7 +56,7 @@ class BlobScene:
         self._expected: dict[int, tuple[Pair, Pair]] = {}
         if boxes is not None:
             sides = [HEIGHT, WIDTH]
-            for identity, mean, covariance in zip(*boxes.moments, strict=True):
+            for identity, mean, covariance in zip(*boxes.objects.moments, strict=True):
                 self._expected[int(identity)] = (mean[sides], covariance.diagonal()[sides])
         self._regions = layers.regions(pixels.image, self.size)
 

@@ -16,6 +16,7 @@ from ...models.objects.kernels.masks import MaskShape, shape_of
 
 Map = NDArray[np.float32]
 Pair = NDArray[np.float64]
+Box = tuple[float, float, float, float]
 
 MARGIN = 6
 """px of empty border in a blob's patch, into which its mask can grow."""
@@ -40,7 +41,7 @@ class Track:
     """
 
     identity: int
-    box: tuple[float, float, float, float]
+    box: Box
     confidence: float
     velocity: tuple[float, float]
 
@@ -70,8 +71,11 @@ class Blob:
         s since it was last seen, and for which it has not moved.
     confidence
         share of its visible part that was seen in the last frame.
-    ghost_evidence
-        nats, how much more of its outline was found in the background's picture than in the image.
+    view, past_views
+        nats, log ratio of being a ghost and being real by its outline as it is now, and by how it was before
+        (see `ghosts`).
+    origin
+        x, y, width, height px of where it appeared.
     parting
         s for which its mask has had a waist between two upright parts.
     size
@@ -89,13 +93,21 @@ class Blob:
     unseen: float
     still: float
     confidence: float
-    ghost_evidence: float
+    view: float
+    past_views: float
+    origin: Box
     parting: float
     size: Pair
 
     @classmethod
     def newborn(
-        cls, identity: int, corner: Pair, mask: Map, planes: Map, first_speed: float, spread: float
+        cls,
+        identity: int,
+        corner: Pair,
+        mask: Map,
+        planes: Map,
+        first_speed: float,
+        spread: float,
     ) -> Self:
         """An object that was never seen before.
 
@@ -127,7 +139,9 @@ class Blob:
             unseen=0.0,
             still=0.0,
             confidence=1.0,
-            ghost_evidence=0.0,
+            view=0.0,
+            past_views=0.0,
+            origin=(float(corner[1]) + MARGIN, float(corner[0]) + MARGIN, float(size[1]), float(size[0])),
             parting=0.0,
             size=size,
         )
@@ -143,13 +157,18 @@ class Blob:
         return shape_of(self.mask)
 
     @cached_property
-    def box(self) -> tuple[float, float, float, float]:
+    def box(self) -> Box:
         """x, y, width, height px of what the mask likely covers, or else of its patch."""
         top, left, bottom, right = self.shape[1:5]
         if bottom == 0 or right == 0:
             (top, left), (bottom, right) = (0, 0), self.mask.shape
         y, x = self.position.tolist()
         return x + left, y + top, float(right - left), float(bottom - top)
+
+    @property
+    def ghost_evidence(self) -> float:
+        """nats, log ratio of being a ghost and being real."""
+        return self.view + self.past_views
 
     @property
     def foot(self) -> float:

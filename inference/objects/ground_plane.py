@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
-from ...models.objects.object_boxes import FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from ...models.objects.box_detector import FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from ...models.objects.box_message import Newcomers
 
 Numbers = NDArray[np.float64]
 
@@ -37,6 +38,8 @@ class GroundState:
         object's share.
     scene_covariance
         `(2 + n_objects, 2 + n_objects)`.
+    everybody
+        `(3,)`: weight, mean and variance of the width over height of all who were seen.
     identities
         `(n_objects,)` int64, increasing.
     feet
@@ -57,6 +60,7 @@ class GroundState:
     variation: float
     scene: Numbers
     scene_covariance: Numbers
+    everybody: Numbers
     identities: NDArray[np.int64]
     feet: Numbers
     feet_covariance: Numbers
@@ -71,21 +75,16 @@ class GroundState:
         """px, middle row of the picture."""
         return 0.5 * self.size[0]
 
+    def newcomers(self) -> Newcomers:
+        """Box of somebody new; as long as nobody was seen, heights deviate by about the picture's."""
+        _, aspect, variance = self.everybody.tolist()
+        return Newcomers(
+            self.size, self.scene[:2], self.scene_covariance[:2, :2], self.variation, aspect, variance
+        )
+
     def expected_height(self, foot_y: ArrayLike) -> tuple[Numbers, Numbers]:
-        """Height of somebody new.
-
-        Parameters
-        ----------
-        foot_y
-            rows of their feet, px, any shape.
-
-        Returns
-        -------
-        mean, standard deviation
-            px, in that shape. As long as nobody was seen the deviation is about the picture's height.
-        """
-        mean, variance = self.plane(np.asarray(foot_y, np.float64))
-        return mean, np.sqrt(variance + (self.variation * mean) ** 2)
+        """Mean and standard deviation px of the height of somebody new, with feet in these rows."""
+        return self.newcomers().height(foot_y)
 
     def plane(self, foot_y: Numbers) -> tuple[Numbers, Numbers]:
         """Mean px and variance px^2 of the height of somebody of average stature, any shape."""

@@ -1,9 +1,10 @@
 """Boxes of objects as a feature node: where each one stands and how large it looks, by identity.
 
-This is where what follows single objects through the pixels meets what knows the scene that they move in.
+This is where what follows single objects through the pixels meets what knows the scene that they move in, and
+what a detector has found of them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -11,13 +12,10 @@ from numpy.typing import NDArray
 
 from ..core.drawing import FARTHEST, draw_region
 from ..core.frame import Frame
-from ..core.gaussian_message import GaussianMessage
 from ..core.short_repr import short_repr
-
-FOOT_X, FOOT_Y, WIDTH, HEIGHT = range(4)
-"""Order of a box's numbers (px): middle of its bottom edge, as column and row, then its size."""
-
-BOX = 4
+from .box_detector import BoxDetector
+from .box_likelihood import associate
+from .box_message import BoxMessage
 
 COLOUR = (255, 190, 40)
 """BGR, of boxes that are drawn."""
@@ -26,27 +24,39 @@ COLOUR = (255, 190, 40)
 @short_repr
 @dataclass(frozen=True)
 class ObjectBoxes:
-    """Feature node of the boxes of objects, shared by trackers and by what knows the scene.
+    """Feature node of the boxes of objects, shared by trackers, by what knows the scene, and by detectors.
 
-    Its messages hold a Gaussian over the four numbers of each object's box. Images say nothing of them by
-    themselves: what they show of objects comes through the chain that also speaks to the pixels.
+    An image says nothing of boxes by itself: what it shows of objects comes through the chain that also
+    speaks to the pixels. A frame that comes with the boxes of a detector does.
+
+    Parameters
+    ----------
+    detector
+        how the detector behaves, as long as no chain knows it better.
     """
 
+    detector: BoxDetector = field(default_factory=BoxDetector)
     name: str = "objects"
 
-    searches = False
+    searches = True
 
-    def uniform(self) -> GaussianMessage:
+    def uniform(self) -> BoxMessage:
         """The message that mentions no object."""
-        return GaussianMessage.uniform(BOX)
+        return BoxMessage()
 
-    def evidence(self, frame: Frame, prior: GaussianMessage) -> GaussianMessage:
-        """Nothing."""
-        return self.uniform()
+    def evidence(self, frame: Frame, prior: BoxMessage) -> BoxMessage:
+        """Likelihood of what the detector has found, given the objects that `prior` knows (see `associate`).
 
-    def draw(self, picture: NDArray[np.uint8], belief: GaussianMessage) -> None:
+        Where the detector did not run, nothing is said; where it ran and found nothing, everybody who should
+        have been found is there less likely.
+        """
+        if frame.boxes is None:
+            return self.uniform()
+        return associate(frame, prior, prior.detector or self.detector)
+
+    def draw(self, picture: NDArray[np.uint8], belief: BoxMessage) -> None:
         """Draw the mean boxes into a BGR picture, and where their feet are to 90 %."""
-        _, means, covariances = belief.moments
+        _, means, covariances = belief.objects.moments
         for (x, y, width, height), covariance in zip(means, covariances, strict=True):
             left, top = (max(round(each), -FARTHEST) for each in (x - width / 2, y - height))
             right, bottom = (min(round(each), FARTHEST) for each in (x + width / 2, y))

@@ -348,11 +348,11 @@ def test_a_start_needs_an_image():
 def test_three_chains_compose_and_the_ground_hears_of_boxes(walk):
     beliefs = run(walk, ground=True)
     assert identities(beliefs) == {1}
-    assert not len(beliefs[5]["objects"])
+    assert not len(beliefs[5]["objects"].objects)
     for number in range(32, 64):
         (track,) = tracks_of(beliefs[number])
         assert track.box == pytest.approx((-20 + 60 * number * DT, 50, 16, 40), abs=3)
-        mean, covariance = beliefs[number]["objects"].marginal(1)
+        mean, covariance = beliefs[number]["objects"].objects.marginal(1)
         x, y, width, height = track.box
         assert mean == pytest.approx((x + width / 2, y + height, width, height), abs=3)
         assert (covariance.diagonal() > 0).all()

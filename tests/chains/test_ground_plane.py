@@ -17,6 +17,7 @@ from rsmcm.models import ObjectBoxes, PixelLabels
 from rsmcm.models.background.pixel_labels import PixelMessage
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_message import GaussianMessage
+from rsmcm.models.objects.box_message import BoxMessage
 from scipy.ndimage import find_objects, label
 from scipy.stats import chi2
 
@@ -80,17 +81,18 @@ class Detections(ObjectBoxes):
     """Boxes that were measured in each frame, as the image's evidence."""
 
     def __init__(self, measured: Table) -> None:
-        super().__init__("detections")
+        super().__init__(name="detections")
         object.__setattr__(self, "measured", measured)
 
-    def evidence(self, frame: Frame, prior: GaussianMessage) -> GaussianMessage:
+    def evidence(self, frame: Frame, prior: BoxMessage) -> BoxMessage:
         boxes = self.measured[frame.number - 1]  # type: ignore[attr-defined]
         boxes = boxes[~np.isnan(boxes[:, 0])]
         return boxes_of(np.arange(1, len(boxes) + 1), boxes)
 
 
-def boxes_of(identities: NDArray[np.integer[Any]], boxes: Table, noise: Table = NOISE) -> GaussianMessage:
-    return GaussianMessage.from_moments(identities, boxes, np.broadcast_to(noise, (len(boxes), 4, 4)))
+def boxes_of(identities: NDArray[np.integer[Any]], boxes: Table, noise: Table = NOISE) -> BoxMessage:
+    covariances = np.broadcast_to(noise, (len(boxes), 4, 4))
+    return BoxMessage(GaussianMessage.from_moments(identities, boxes, covariances))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +117,10 @@ class WanderingBoxes:
     def predict(self, state: WanderingState, dt: float) -> WanderingState:
         return replace(state, covariances=state.covariances + dt * self.wander)
 
-    def predicted(self, state: WanderingState) -> GaussianMessage:
-        return GaussianMessage.from_moments(state.identities, state.means, state.covariances)
+    def predicted(self, state: WanderingState) -> BoxMessage:
+        return BoxMessage(GaussianMessage.from_moments(state.identities, state.means, state.covariances))
 
-    def message(self, state: WanderingState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage:
+    def message(self, state: WanderingState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage:
         others = incoming.by_name(ObjectBoxes)
         other = "objects" if feature.name == "detections" else "detections"
         return self.predicted(state) * others.get(other, UNIFORM)
@@ -127,7 +129,7 @@ class WanderingBoxes:
         product = self.predicted(state)
         for message in incoming.by_name(ObjectBoxes).values():
             product = product * message
-        return WanderingState(*product.moments)
+        return WanderingState(*product.objects.moments)
 
 
 def tracker() -> WanderingBoxes:
@@ -147,7 +149,7 @@ def run(world: World, ground: GroundPlane | None) -> list[Belief]:
 
 def rmse(world: World, beliefs: Sequence[Belief], when: NDArray[np.bool_]) -> Table:
     """px of foot x, foot y, width, height."""
-    found = np.stack([belief[OBJECTS].moments[1] for belief in beliefs])
+    found = np.stack([belief[OBJECTS].objects.moments[1] for belief in beliefs])
     error: Table = np.sqrt(((found - world.truth) ** 2)[when].mean(axis=0))
     return error
 
@@ -165,9 +167,9 @@ def walk(request: pytest.FixtureRequest) -> tuple[World, list[Belief], list[Beli
 
 
 def predicted(belief: Belief) -> GaussianMessage:
-    """What the chain sends in the next frame."""
+    """What the chain sends of known objects in the next frame."""
     ground = GroundPlane()
-    return ground.message(ground.predict(belief["ground"], DT), OBJECTS, Incoming({}))
+    return ground.message(ground.predict(belief["ground"], DT), OBJECTS, Incoming({})).objects
 
 
 def test_boxes_are_known_better_with_the_plane(walk: tuple[World, list[Belief], list[Belief]]) -> None:
@@ -208,10 +210,12 @@ def test_whole_boxes_are_predicted_better(walk: tuple[World, list[Belief], list[
     for frame in range(50, len(frames) - 1):
         if world.hidden[frame - 12 : frame + 2].any():
             continue
-        image = evidence.evidence(frames[frame + 1], UNIFORM)
-        first = boxes.predicted(boxes.predict(without[frame]["boxes"], DT))
+        image = evidence.evidence(frames[frame + 1], UNIFORM).objects
+        first = boxes.predicted(boxes.predict(without[frame]["boxes"], DT)).objects
         alone += (first * image).log_mass
-        both = boxes.predicted(boxes.predict(with_ground[frame]["boxes"], DT)) * predicted(with_ground[frame])
+        both = boxes.predicted(boxes.predict(with_ground[frame]["boxes"], DT)).objects * predicted(
+            with_ground[frame]
+        )
         together += (both * image).log_mass - both.log_mass
         count += 6
     assert count > 100
@@ -253,7 +257,7 @@ def test_says_nothing_of_nobody() -> None:
     ground = GroundPlane()
     state = ground.predict(ground.initial(Frame(BLANK, 0.0, 1)), DT)
     told = Incoming({OBJECTS: boxes_of(np.array([1]), np.array([[100.0, 300.0, 30.0, 80.0]]))})
-    assert not len(ground.message(state, OBJECTS, told))
+    assert not len(ground.message(state, OBJECTS, told).objects)
     assert ground.update(state, Incoming({OBJECTS: UNIFORM})) is state
 
 
@@ -261,10 +265,10 @@ def test_message_is_a_density_from_the_past_alone(walk: tuple[World, list[Belief
     """It integrates to 1 and does not depend on what others say now."""
     state = walk[2][-1]["ground"]
     ground = GroundPlane()
-    message = ground.message(state, OBJECTS, Incoming({}))
+    message = ground.message(state, OBJECTS, Incoming({})).objects
     assert message.log_mass == pytest.approx(0, abs=1e-6)
     told = Incoming({OBJECTS: boxes_of(state.identities, np.full((6, 4), 50.0))})
-    again = ground.message(state, OBJECTS, told)
+    again = ground.message(state, OBJECTS, told).objects
     np.testing.assert_array_equal(again.information, message.information)
     np.testing.assert_array_equal(again.vector, message.vector)
 
@@ -273,7 +277,7 @@ def test_message_is_the_chain_of_its_conditionals(walk: tuple[World, list[Belief
     """Moments against sampling foot, height at the foot, width at the height: 200,000 draws, 5 sigma."""
     state: GroundState = walk[2][-1]["ground"]
     ground = GroundPlane()
-    _, means, covariances = ground.message(state, OBJECTS, Incoming({})).moments
+    _, means, covariances = ground.message(state, OBJECTS, Incoming({})).objects.moments
     random = np.random.default_rng(0)
     n_draws, person = 200_000, 2
     scale = state.heights[person]
@@ -348,7 +352,7 @@ def test_what_does_not_fit_the_plane_is_not_forced_onto_it(
         state = ground.predict(state, DT)
         state = ground.update(state, Incoming({OBJECTS: boxes_of(np.array([50]), car)}))
     assert state.expected_height(300.0)[0] == pytest.approx(before, rel=0.02)
-    _, covariance = ground.message(state, OBJECTS, Incoming({})).marginal(50)
+    _, covariance = ground.message(state, OBJECTS, Incoming({})).objects.marginal(50)
     assert covariance[3, 3] > 30**2
 
 
@@ -371,7 +375,7 @@ def test_who_is_gone_is_forgotten_after_a_while() -> None:
     for _ in range(9):
         state = ground.update(ground.predict(state, DT), only_second)
     np.testing.assert_array_equal(state.identities, [1, 2])
-    spread = [ground.message(state, OBJECTS, only_second).marginal(k)[1][0, 0] for k in (1, 2)]
+    spread = [ground.message(state, OBJECTS, only_second).objects.marginal(k)[1][0, 0] for k in (1, 2)]
     assert spread[0] > 10 * spread[1]
     for _ in range(3):
         state = ground.update(ground.predict(state, DT), only_second)
@@ -380,7 +384,7 @@ def test_who_is_gone_is_forgotten_after_a_while() -> None:
     for _ in range(30):
         state = ground.update(ground.predict(state, DT), Incoming({OBJECTS: UNIFORM}))
     assert not len(state.identities)
-    assert not len(ground.message(state, OBJECTS, only_second))
+    assert not len(ground.message(state, OBJECTS, only_second).objects)
 
 
 def test_somebody_unseen_for_some_frames_is_predicted_on() -> None:
@@ -391,7 +395,7 @@ def test_somebody_unseen_for_some_frames_is_predicted_on() -> None:
     boxes = tracker()
     model.connect(boxes, detections).connect(boxes, OBJECTS).connect(ground, OBJECTS)
     beliefs = list(RecursiveBP(model).run(world.frames()[:64]))
-    mean, covariance = beliefs[-1][OBJECTS].marginal(6)
+    mean, covariance = beliefs[-1][OBJECTS].objects.marginal(6)
     off = world.truth[63, 5] - mean
     assert off @ np.linalg.solve(covariance, off) < chi2(4).ppf(0.999)
 
@@ -427,10 +431,10 @@ class ForegroundBoxes:
     @overload
     def message(self, state: int, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
     @overload
-    def message(self, state: int, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage: ...
+    def message(self, state: int, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage: ...
     def message(
         self, state: int, feature: PixelLabels | ObjectBoxes, incoming: Incoming
-    ) -> GaussianMessage | PixelMessage:
+    ) -> BoxMessage | PixelMessage:
         if isinstance(feature, PixelLabels):
             return feature.uniform()
         told = incoming[PixelLabels]
@@ -478,7 +482,7 @@ def test_three_chains_compose() -> None:
     mean, _ = last["ground"].expected_height([60.0, 90.0])
     np.testing.assert_allclose(mean, [20.0, 32.0], rtol=0.1)
     for identity, foot in ((1, 88.0), (2, 108.0)):
-        found, _ = last[OBJECTS].marginal(identity)
+        found, _ = last[OBJECTS].objects.marginal(identity)
         np.testing.assert_allclose(found[[1, 3]], [foot, 0.4 * (foot - 10)], atol=2.5)
 
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm import chains
-from rsmcm.apps.scenes.talking_face import face
+from rsmcm.apps.scenes import face, shaken, sleeping_man
 from rsmcm.chains import (
     AdaptiveBackground,
     ArticulatedPose,
     BlobTracker,
+    CameraMotion,
     FleshTracker,
     GFlow,
     GroundPlane,
@@ -24,7 +25,7 @@ from rsmcm.chains import (
 from rsmcm.chains.condensation import Condensation
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.body.samples import BodySamples
-from rsmcm.models import Frame, ObjectBoxes, PixelLabels, PointTracks
+from rsmcm.models import Frame, ObjectBoxes, PixelLabels, PointTracks, ScenePixels
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import GivenPoints
@@ -63,6 +64,13 @@ def mixture() -> Prediction:
     return chain, chain.initial(BLANK)
 
 
+def shaken_camera() -> Prediction:
+    chain = CameraMotion()
+    engine = RecursiveBP(MultiChain().connect(chain, ScenePixels()))
+    *_, last = engine.run(shaken(sleeping_man(6, size=(160, 120), noise=0.0), noise=3.0))
+    return chain, last[chain.name]
+
+
 def turning_points(chain: Any) -> Prediction:
     """A chain that follows points of a turning cloud, after 3 s."""
     random, points = np.random.default_rng(0), PointTracks()
@@ -95,6 +103,7 @@ CASES: dict[str, Callable[[], Prediction]] = {
     "BlobTracker": lambda: walkers()["BlobTracker"],
     "GroundPlane": lambda: walkers()["GroundPlane"],
     "MixtureBackground": mixture,
+    "CameraMotion": shaken_camera,
     "PointTracker": lambda: turning_points(PointTracker()),
     "RecursiveStructure": lambda: turning_points(RecursiveStructure()),
     "FleshTracker": flesh,

@@ -15,26 +15,26 @@ CHAINS = """
 from typing import overload
 from rsmcm.inference import BatchIncoming, Belief, MultiChain, Smoothed, Solution
 from rsmcm.models import ObjectBoxes
-from rsmcm.models.core.gaussian_message import GaussianMessage
+from rsmcm.models.objects.box_message import BoxMessage
 
 
 class Wrong(Door):
     def message(  # type: ignore[override]
         self, state: DoorState, feature: PixelLabels, incoming: Incoming
-    ) -> GaussianMessage:
-        return GaussianMessage.uniform(4)
+    ) -> BoxMessage:
+        return BoxMessage()
 
 
 class Both(Door):
     @overload
     def message(self, state: DoorState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
     @overload
-    def message(self, state: DoorState, feature: ObjectBoxes, incoming: Incoming) -> GaussianMessage: ...
+    def message(self, state: DoorState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage: ...
     def message(
         self, state: DoorState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
-    ) -> PixelMessage | GaussianMessage:
+    ) -> PixelMessage | BoxMessage:
         reveal_type(incoming[PixelLabels])  # PixelMessage
-        reveal_type(incoming.get(ObjectBoxes))  # GaussianMessage | None
+        reveal_type(incoming.get(ObjectBoxes))  # BoxMessage | None
         return feature.uniform()
 
 
@@ -51,7 +51,9 @@ class Batch:
     ) -> Smoothed[Path]:
         return Smoothed(Path())
 
-    def messages(self, trajectory: Path, feature: ObjectBoxes) -> Sequence[GaussianMessage]:
+    def messages(
+        self, trajectory: Path, feature: ObjectBoxes, incoming_over_time: Sequence[BatchIncoming]
+    ) -> Sequence[BoxMessage]:
         return []
 
 
@@ -69,8 +71,8 @@ def asked(belief: Belief, solution: Solution) -> None:
     reveal_type(belief[Door(box)])  # DoorState
     reveal_type(belief[PixelLabels()])  # PixelMessage
     reveal_type(solution[Batch()])  # Path
-    reveal_type(solution[ObjectBoxes()])  # list[GaussianMessage]
-    reveal_type(solution.evidence(ObjectBoxes()))  # list[GaussianMessage]
+    reveal_type(solution[ObjectBoxes()])  # list[BoxMessage]
+    reveal_type(solution.evidence(ObjectBoxes()))  # list[BoxMessage]
 """
 
 

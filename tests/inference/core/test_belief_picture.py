@@ -11,6 +11,7 @@ from rsmcm.models import BodyParts, ObjectBoxes, PixelLabels, PointTracks
 from rsmcm.models.body.parts import PartMessage
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
+from rsmcm.models.objects.box_message import BoxMessage
 from rsmcm.models.points.point_tracks import PointMessage
 
 
@@ -50,7 +51,7 @@ def test_points_boxes_and_parts_are_drawn_where_they_are() -> None:
 
     picture = blank()
     box = GaussianMessage.from_moments([1], [[40.0, 50.0, 20.0, 30.0]], np.eye(4)[None])
-    ObjectBoxes().draw(picture, box)
+    ObjectBoxes().draw(picture, BoxMessage(box))
     assert picture[20:51, 30].all(axis=0).any()
     assert not picture[:, :25].any()
 

@@ -245,6 +245,42 @@ def test_over_all_images_densities_sum_to_the_mass_without_one(strength, ghost):
     assert logsumexp(densities) == pytest.approx(PixelMessage(scene, layers).log_mass, abs=0.01)
 
 
+@pytest.mark.parametrize("with_background", [True, False])
+@pytest.mark.parametrize("strength", [1.0, 30.0])
+def test_densities_of_a_pixel_sum_to_one_over_all_images(with_background, strength):
+    def one(value):
+        return np.full(1, value, np.float32)
+
+    scene = background(
+        1, size=(1, 1), pixels=gaussian_kernels.Gaussians(one(130)[None], one(10), one(100)),
+        second=gaussian_kernels.SecondColours(np.zeros(1, np.uint8), np.zeros(1, np.uint16)),
+        light=LightField(np.ones((2, 2), np.float32), (1, 1)),
+    )  # fmt: skip
+    layers = LayerStack([Layer(0, 0, one(0.7)[None], np.full((1, 1, 1), 90, np.float32), strength=strength)])
+    message = PixelMessage(scene if with_background else None, layers)
+    densities = [
+        (message * PixelMessage(image=np.full((1, 1), value, np.uint8))).log_density(np.ones((1, 1), bool))
+        for value in range(256)
+    ]
+    assert logsumexp(densities) == pytest.approx(0.0, abs=0.01)
+    assert np.argmax(densities) == 90 if strength > 1 or not with_background else 130
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_densities_of_parts_of_a_picture_add_up_to_the_evidence(channels):
+    image = image_of(0, channels)
+    layers = [
+        Layer(one.top, one.left, one.mask, one.appearance[:channels]) for one in SCENES["two that overlap"]
+    ]
+    message = PixelMessage(background(channels), LayerStack(layers))
+    seen = message * PixelMessage(image=image)
+    part = np.random.default_rng(0).random(SIZE) < 0.3
+    whole = seen.log_mass - message.log_mass
+    assert seen.log_density(part) + seen.log_density(~part) == pytest.approx(whole, rel=1e-5)
+    with pytest.raises(ValueError, match="no image"):
+        message.log_density(part)
+
+
 BOXES = [(0, 0, *SIZE), (4, 7, 9, 11), (-3, -2, 8, 9), (25, 33, 20, 20), (50, 50, 3, 4), (-9, 3, 4, 4)]
 
 

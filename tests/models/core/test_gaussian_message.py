@@ -5,12 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models import ObjectBoxes
-from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from scipy.stats import multivariate_normal
 
-UNIFORM = ObjectBoxes().uniform()
+UNIFORM = GaussianMessage.uniform(4)
 
 
 def random_moments(
@@ -118,11 +116,6 @@ def test_objects_without_enough_information() -> None:
     np.testing.assert_array_equal(product.proper, [True, True, False])
     np.testing.assert_array_equal(product.moments[0], [1, 2])
     assert np.isfinite(product.log_mass)
-
-
-def test_images_say_nothing_by_themselves() -> None:
-    frame = Frame(np.zeros((4, 4), np.uint8), 0.0, 1)
-    assert not len(ObjectBoxes().evidence(frame, UNIFORM))
 
 
 @pytest.mark.parametrize(

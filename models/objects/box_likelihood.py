@@ -1,0 +1,132 @@
+"""Likelihood of the boxes that a detector has found, given the objects that are known."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.frame import Frame, GivenBoxes
+from ..core.gaussian_message import GaussianMessage
+from .association import Association, assignment_marginals
+from .box_detector import BOX, BoxDetector, feet, log_anywhere
+from .box_message import BoxMessage, Existence
+
+Numbers = NDArray[np.float64]
+
+DOUBLE = 4.0
+"""So many times as far off as its first box may the second one of an object be."""
+
+SURELY_NOT = 1e-4
+"""Probability of a pair below which nothing is learned from it."""
+
+
+def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMessage:
+    """What a frame's boxes say of each object that `prior` knows: its place and size, and that it exists.
+
+    Every box is one of an object that was expected, of somebody new, a second box of somebody, or false; no
+    object has two. Marginals over all such assignments (see `assignment_marginals`) weigh how much of which
+    box each object gets: the likelihood's logarithm is their mean, a Gaussian, so that an object between two
+    boxes is drawn to neither of them wholly, and one that was not found is told nothing of its place.
+
+    Parameters
+    ----------
+    frame
+        with boxes.
+    prior
+        what is expected, by whom nothing else is told than where to look.
+    detector
+        how it behaves.
+    """
+    given = frame.boxes
+    assert given is not None
+    boxes = feet(given.xyxy)
+    noise = detector.noise(boxes)
+    identities, means, covariances = prior.expected.moments
+    exists = 1 / (1 + np.exp(-prior.existence.of(identities)))
+    size = _picture(frame, prior, given)
+    expected = detector.found * visible_share(means, exists, size)
+    densities = _log_densities(boxes, means, covariances, detector.noise(means))
+    further = _log_densities(boxes, means, covariances, DOUBLE**2 * detector.noise(means))
+
+    area = float(size[0] * size[1])
+    score = np.exp(np.clip(detector.log_score_ratio(given.confidence, len(boxes)), -20, 20))
+    anywhere = log_anywhere(boxes, area)
+    somebody = anywhere if prior.newcomers is None else prior.newcomers.log_density(boxes, noise)
+    new = detector.newcomers * detector.found * np.exp(somebody) * score
+    false = detector.clutter * area * np.exp(anywhere)
+    doubles = detector.doubles * (exists * expected) @ np.exp(further)
+    alone = np.maximum(new + false + doubles, 1e-300)
+
+    weights = expected[:, None] * np.exp(densities) * score / alone
+    found = assignment_marginals(exists[:, None] * weights, 1 - exists * expected)
+    ratio = 1 - expected + (weights * found.open).sum(axis=1)
+    poisson = detector.newcomers * detector.found + detector.clutter * area
+    poisson += float(detector.doubles * exists @ expected)
+    association = Association(
+        boxes=boxes,
+        noise=noise,
+        scores=np.ones(len(boxes)) if given.confidence is None else given.confidence,
+        identities=identities,
+        pairs=found.pairs,
+        expected=expected,
+        missed=exists * (1 - expected) / (1 - exists + exists * ratio),
+        new=found.alone * new / alone,
+        double=found.alone * doubles / alone,
+        log_evidence=found.log_sum + float(np.log(alone).sum()) - poisson,
+    )
+    order = np.argsort(identities)
+    existence = Existence(identities[order], np.log(np.maximum(ratio, 1e-30))[order])
+    return BoxMessage(_drawn(association, means, covariances), existence=existence, association=association)
+
+
+def visible_share(boxes: Numbers, exists: Numbers, size: tuple[int, int]) -> Numbers:
+    """`(n,)` share of each box `(n, 4)` that is in the picture and that nobody in front of it covers.
+
+    Who stands lower in the picture is in front; who may not exist covers as much as is likely.
+    """
+    x, y, width, height = boxes.T
+    left, right, top = x - 0.5 * width, x + 0.5 * width, y - height
+    in_x = np.minimum(right, size[1]) - np.maximum(left, 0.0)
+    in_y = np.minimum(y, size[0]) - np.maximum(top, 0.0)
+    whole = np.maximum(width * height, 1.0)
+    inside = np.maximum(in_x, 0.0) * np.maximum(in_y, 0.0) / whole
+    across = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)
+    down = np.minimum(y[:, None], y) - np.maximum(top[:, None], top)
+    covered = np.maximum(across, 0.0) * np.maximum(down, 0.0) / whole[:, None]
+    in_front = (y > y[:, None]) * exists
+    share: Numbers = np.clip(inside, 0, 1) * np.prod(1 - np.minimum(covered, 1.0) * in_front, axis=1)
+    return share
+
+
+def _picture(frame: Frame, prior: BoxMessage, given: GivenBoxes) -> tuple[int, int]:
+    """`(height, width)` px; without an image or a plane, as far as the boxes reach."""
+    if frame.image is not None:
+        return frame.image.shape[0], frame.image.shape[1]
+    if prior.newcomers is not None:
+        return prior.newcomers.size
+    right, bottom = np.ceil(given.xyxy[:, 2:].max(axis=0, initial=1.0)).astype(int).tolist()
+    return bottom, right
+
+
+def _log_densities(boxes: Numbers, means: Numbers, covariances: Numbers, noise: Numbers) -> Numbers:
+    """`(n_objects, n_boxes)` nats: log N(box; mean, covariance + noise)."""
+    root = np.linalg.cholesky(covariances + noise[:, :, None] * np.eye(BOX))
+    off = np.linalg.solve(root, (boxes[None] - means[:, None]).swapaxes(1, 2))
+    scale = np.log(root.diagonal(axis1=1, axis2=2)).sum(axis=1) + 2 * np.log(2 * np.pi)
+    densities: Numbers = -0.5 * (off**2).sum(axis=1) - scale[:, None]
+    return densities
+
+
+def _drawn(association: Association, means: Numbers, covariances: Numbers) -> GaussianMessage:
+    """Where the boxes draw each object, of mass 1 with what was expected of it."""
+    share = association.pairs / np.maximum(association.pairs.sum(axis=1) + association.missed, 1e-30)[:, None]
+    precision = share @ (1 / association.noise)
+    vector = share @ (association.boxes / association.noise)
+    told = np.flatnonzero(share.sum(axis=1) > SURELY_NOT)
+    order = told[np.argsort(association.identities[told])]
+    precision, vector, means, covariances = precision[order], vector[order], means[order], covariances[order]
+    information = precision[:, :, None] * np.eye(BOX)
+    places = vector / precision
+    root = np.linalg.cholesky(covariances + (1 / precision)[:, :, None] * np.eye(BOX))
+    off = np.linalg.solve(root, (places - means)[:, :, None])[:, :, 0]
+    grown = np.log(root.diagonal(axis1=1, axis2=2)).sum(axis=1) + 0.5 * np.log(precision).sum(axis=1)
+    log_scale = grown + 0.5 * (off**2).sum(axis=1) - 0.5 * (vector * places).sum(axis=1)
+    return GaussianMessage(association.identities[order], information, vector, log_scale)

@@ -1,0 +1,151 @@
+"""What chains and detectors say to each other about the boxes of objects."""
+
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.gaussian_message import GaussianMessage
+from ..core.short_repr import short_repr
+from .association import Association
+from .box_detector import BOX, FOOT_Y, HEIGHT, WIDTH, BoxDetector
+
+Numbers = NDArray[np.float64]
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Existence:
+    """A product over objects k of exp(log_odds_k) where k exists as what detectors find, 1 where it does not.
+
+    Parameters
+    ----------
+    identities
+        `(n,)` int64, increasing.
+    log_odds
+        `(n,)` nats; of an object that is not mentioned they are 0.
+    """
+
+    identities: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    log_odds: Numbers = field(default_factory=lambda: np.zeros(0))
+
+    def __len__(self) -> int:
+        return len(self.identities)
+
+    def __mul__(self, other: Self) -> Self:
+        if not len(self) or not len(other):
+            return self if len(self) else other
+        union = np.union1d(self.identities, other.identities)
+        return type(self)(union, self.of(union) + other.of(union))
+
+    def of(self, identities: ArrayLike) -> Numbers:
+        """Log odds of objects, in their order."""
+        asked = np.asarray(identities, np.int64)
+        if not len(self):
+            return np.zeros(asked.shape)
+        place = np.minimum(np.searchsorted(self.identities, asked), len(self) - 1)
+        known: Numbers = np.where(self.identities[place] == asked, self.log_odds[place], 0.0)
+        return known
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Newcomers:
+    """Density of the box of somebody who is not known yet, wherever in the picture the feet are.
+
+    Height is Gaussian about a line in the foot's row, width over height is Gaussian.
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px of the picture.
+    line, line_covariance
+        `(2,)`, `(2, 2)`: px height with the foot in the middle row, and px it grows with each row.
+    variation
+        standard deviation of heights over what the line gives, as a share of that.
+    aspect, aspect_variance
+        of width over height.
+    """
+
+    size: tuple[int, int]
+    line: Numbers
+    line_covariance: Numbers
+    variation: float
+    aspect: float
+    aspect_variance: float
+
+    def height(self, foot_y: ArrayLike) -> tuple[Numbers, Numbers]:
+        """Mean and standard deviation px of the height with the feet in these rows, in their shape."""
+        below = np.asarray(foot_y, np.float64) - 0.5 * self.size[0]
+        covariance = self.line_covariance
+        mean = self.line[0] + self.line[1] * below
+        variance = covariance[0, 0] + 2 * below * covariance[0, 1] + below**2 * covariance[1, 1]
+        return mean, np.sqrt(variance + (self.variation * mean) ** 2)
+
+    def log_density(self, boxes: Numbers, noise: Numbers | None = None) -> Numbers:
+        """`(n,)` nats of `(n, 4)` boxes, in 1/px^4; `noise` `(n, 4)` px^2 is that of observed ones."""
+        more = np.zeros_like(boxes) if noise is None else noise
+        mean, deviation = self.height(boxes[:, FOOT_Y])
+        variance = deviation**2 + more[:, HEIGHT]
+        height = np.maximum(boxes[:, HEIGHT], 1.0)
+        across = height**2 * self.aspect_variance + more[:, WIDTH] + self.aspect**2 * more[:, HEIGHT]
+        off = (boxes[:, HEIGHT] - mean) ** 2 / variance
+        off += (boxes[:, WIDTH] - self.aspect * height) ** 2 / across
+        density: Numbers = -0.5 * (off + np.log(2 * np.pi * variance) + np.log(2 * np.pi * across))
+        density -= np.log(float(self.size[0] * self.size[1]))
+        return density
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class BoxMessage:
+    """A product of factors over the boxes of all objects.
+
+    Parameters
+    ----------
+    objects
+        boxes of objects that are seen or observed, by identity.
+    hidden
+        boxes of objects of which this frame's pixels show too little: as they are remembered. A detector may
+        find them; nobody learns from them.
+    existence
+        log odds, by identity, that an object is one of those that the detector is made to find.
+    newcomers
+        where and how large somebody new is; at most one sender.
+    detector
+        how reliable the detector is; at most one sender.
+    association
+        from the evidence: which detection belongs to whom; `None` where no detector has run.
+    """
+
+    objects: GaussianMessage = field(default_factory=lambda: GaussianMessage.uniform(BOX))
+    hidden: GaussianMessage = field(default_factory=lambda: GaussianMessage.uniform(BOX))
+    existence: Existence = field(default_factory=Existence)
+    newcomers: Newcomers | None = None
+    detector: BoxDetector | None = None
+    association: Association | None = None
+
+    def __mul__(self, other: Self) -> Self:
+        for name in ("newcomers", "detector", "association"):
+            if getattr(self, name) is not None and getattr(other, name) is not None:
+                raise ValueError(f"box message: got two factors {name}, expected at most one")
+        return type(self)(
+            self.objects * other.objects,
+            self.hidden * other.hidden,
+            self.existence * other.existence,
+            self.newcomers or other.newcomers,
+            self.detector or other.detector,
+            self.association or other.association,
+        )
+
+    @property
+    def expected(self) -> GaussianMessage:
+        """Boxes of all objects, seen or remembered."""
+        return self.objects * self.hidden
+
+    @property
+    def log_mass(self) -> float:
+        """Log of the integral over all boxes, and over who exists, each kind of knowledge on its own."""
+        detections = 0.0 if self.association is None else self.association.log_evidence
+        return self.objects.log_mass + self.hidden.log_mass + detections
