@@ -16,7 +16,10 @@ from ..runs.interruption import Interrupted, Interruption
 from ..runs.progress import Progress
 from .job import BackgroundJob
 
-PASSES = ("reading", "empty scene", "tracks")
+ROUNDS = 2
+"""Of the ascent: in the second one, the objects of the first are no part of the empty scene."""
+
+PASSES = ("reading", *(("empty scene", "tracks") * ROUNDS))
 """What is done in the passes over a film before the one in which its masks are written."""
 
 
@@ -86,11 +89,10 @@ def read_whole(
 
     scene, objects = SceneFilter(model), ObjectBoxes()
     film_model = MultiChain().connect(scene, PixelLabels()).connect(scene, objects)
-    film_model.connect(trajectories := ObjectTrajectories(), objects, feedback=False)
+    film_model.connect(trajectories := ObjectTrajectories(), objects)
     with Film(lambda: open_source(job.source, job.start, job.stop, job.step), passing) as film:
-        # nobody tells the filter what the trajectories are: the first round is the last
-        solution = CoordinateAscent(film_model, most_rounds=1).run(film)
-        return scene.start(solution[scene], film.time(0)), solution[trajectories]
+        solution = CoordinateAscent(film_model, most_rounds=ROUNDS, tolerance=None).run(film)
+        return scene.start(solution[scene]), solution[trajectories]
 
 
 def warmed_up(seconds: float, frames: Iterator[Frame], model: MultiChain) -> tuple[RunState, Iterator[Frame]]:
@@ -110,4 +112,4 @@ def warmed_up(seconds: float, frames: Iterator[Frame], model: MultiChain) -> tup
     if not images:
         return RunState(), chain(held, frames)
     every = -(-len(images) // scene.most(images[0].nbytes))
-    return scene.start(scene.begun(images[::every]), held[0].time), chain(held, frames)
+    return scene.before(scene.empty(images[::every]), held[0].time), chain(held, frames)

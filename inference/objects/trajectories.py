@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from ...models.objects.box_message import BoxMessage
 from ..filters.kalman import PointStates, filter_tracks, smooth
 
 Numbers = NDArray[np.float64]
@@ -75,6 +76,17 @@ class Boxes:
             variances=self.variances[rows],
         )
 
+    def mask(self, size: tuple[int, int], room: float) -> NDArray[np.bool_]:
+        """`(height, width)`: where any of the boxes is, with a share of its size around it."""
+        inside = np.zeros(size, bool)
+        for x, y, width, height in self.means.tolist():
+            top, bottom = y - (1 + room) * height, y + room * height
+            left, right = x - (0.5 + room) * width, x + (0.5 + room) * width
+            spans = [(top, bottom), (left, right)]
+            rows, columns = (slice(max(round(first), 0), max(round(end), 0)) for first, end in spans)
+            inside[rows, columns] = True
+        return inside
+
     def tracks(self) -> list[Self]:
         """Those of each object."""
         edges = np.flatnonzero(np.diff(self.identities)) + 1
@@ -92,6 +104,23 @@ class Boxes:
             np.concatenate([part.means for part in parts]),
             np.concatenate([part.variances for part in parts]),
         ).sorted()
+
+
+def messages_of(boxes: Boxes, n_frames: int) -> list[BoxMessage]:
+    """What boxes say in each of the frames."""
+    order = np.argsort(boxes.frames, kind="stable")
+    edges = np.searchsorted(boxes.frames[order], np.arange(n_frames + 1))
+    rows = [order[start:end] for start, end in pairwise(edges)]
+    return [
+        BoxMessage(
+            GaussianMessage.from_moments(
+                boxes.identities[some], boxes.means[some], boxes.variances[some][:, :, None] * np.eye(BOX)
+            )
+        )
+        if len(some)
+        else BoxMessage()
+        for some in rows
+    ]
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,12 @@ class EmptyScene:
         )
 
 
-def empty_scene(images: Sequence[Image], light: Sequence[LightField], noise: float) -> EmptyScene:
+def empty_scene(
+    images: Sequence[Image],
+    light: Sequence[LightField],
+    noise: float,
+    covered: Sequence[NDArray[np.bool_]] | None = None,
+) -> EmptyScene:
     """Find the empty scene.
 
     Parameters
@@ -69,6 +74,9 @@ def empty_scene(images: Sequence[Image], light: Sequence[LightField], noise: flo
         of every image, relative to the light of the mean; one for all of them where it does not change.
     noise
         squared grey levels of a single observation, as it is expected.
+    covered
+        `(height, width)` for every image: where objects are known to be, which does not count, unless they
+        always are.
     """
     light = light if len(light) == len(images) else [light[0]] * len(images)
     height, width = images[0].shape[:2]
@@ -76,13 +84,16 @@ def empty_scene(images: Sequence[Image], light: Sequence[LightField], noise: flo
     pixels = np.stack([image.reshape(-1) for image in images])
     mean = np.empty((channels, height * width), np.float32)
     scatter, support = (np.empty(height * width, np.float32) for _ in range(2))
+    behind = np.zeros((len(images), height * width), bool)
+    if covered is not None:
+        behind = np.stack([each.reshape(-1) for each in covered])
     rows = np.stack([field.along_rows.rows for field in light])
     positions = light[0].along_rows.positions
     # colours within two standard deviations of each other in all channels may be the same
     bandwidth = np.float32(8 * channels * noise)
 
     def find(first: int, end: int) -> None:
-        find_modes(first, end, pixels, rows, positions, bandwidth, channels, mean, scatter, support)
+        find_modes(first, end, pixels, behind, rows, positions, bandwidth, channels, mean, scatter, support)
 
     over_bands(find, height)
     seen = (support * scatter + PRIOR_FRAMES * noise) / (support + PRIOR_FRAMES)

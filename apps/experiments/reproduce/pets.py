@@ -33,6 +33,7 @@ from ..trials.baselines import (
 from ..trials.tracks import (
     MEASURES,
     NOISE_SEEDS,
+    WHOLE,
     Film,
     Scored,
     Tracks,
@@ -40,6 +41,7 @@ from ..trials.tracks import (
     detector_expectations,
     detector_trials,
     model_tracks,
+    pixel_trials,
     run_trials,
     score_trials,
     usual_tracks,
@@ -111,6 +113,13 @@ def reproduce_pets(out: Path, long: bool) -> None:
     expectations = [*_expectations(errors, scored), *_expectations_of_rates(tracks, film.truth)]
     expectations += detector_expectations(film.name, scored, (0.87, 0.87), 15)
     expectations += detector_expectations("TUD-Campus", crowd, (0.70, 0.62))
+    if crowd:
+        expectations += [
+            Expectation(
+                "TUD-Campus without a detector, whole film: IDF1", crowd[WHOLE].mean("idf1"), ">=", 0.5
+            ),
+            Expectation("the same: MOTA", crowd[WHOLE].mean("mota"), ">=", 0.3),
+        ]
     lines = [
         {
             "method": name,
@@ -175,7 +184,7 @@ def _errors(
 
 def _without_detector(film: Film, peers: Mapping[str, "Tried"]) -> list[Trial]:
     """The model, also at half the frame rate, and the usual pipelines that were found best."""
-    trials = [Trial(name, "", partial(model_tracks, film, engine, 1, None)) for name, engine in CHAINS]
+    trials = pixel_trials(film)
     trials.append(Trial(HALF, "", partial(model_tracks, film, "recursive-bp", 2, None)))
     for name, tried in peers.items():
         clean_up = replace(tried.row.clean_up, min_area=tried.min_area)
@@ -191,8 +200,7 @@ def _crowd() -> dict[str, Scored]:
         film = Film.read("TUD-Campus", folder / "img1", folder, folder / "det" / "det.txt")
     except FileNotFoundError:
         return {}
-    trials = [Trial(name, "", partial(model_tracks, film, engine, 1, None)) for name, engine in CHAINS]
-    trials += detector_trials(film)
+    trials = [*pixel_trials(film), *detector_trials(film)]
     return score_trials(trials, run_trials(film.name, trials), film.truth)
 
 

@@ -8,24 +8,31 @@ _f4 = np.float32
 
 
 @compiled
-def find_modes(first, end, pixels, light, positions, bandwidth, channels, mean, scatter, support):
+def find_modes(first, end, pixels, covered, light, positions, bandwidth, channels, mean, scatter, support):
     """Rows `first` to `end`: the densest colour of every pixel over a sample of frames.
 
     `pixels` is `(n_frames, channels * n_pixels)` uint8, `light` `(n_frames, block_rows + 1, width)` the rows
-    of every frame's `Light`, and `positions` those of all. The density at each colour that was seen is
-    sum(max(0, 1 - d^2 / bandwidth)) over all frames. `mean` `(channels,
-    n_pixels)` gets the mean of what is nearer to the densest one than the bandwidth, `scatter` the mean
-    square of their distance to it by channel, and `support` how many they are.
+    of every frame's `Light`, and `positions` those of all. Where `covered` `(n_frames, n_pixels)` bool is
+    true a frame does not count, unless all are. The density at each colour that was seen is sum(max(0,
+    1 - d^2 / bandwidth)) over all frames. `mean` `(channels, n_pixels)` gets the mean of what is nearer to
+    the densest one than the bandwidth, `scatter` the mean square of their distance to it by channel, and
+    `support` how many they are.
     """
     n_frames, width = pixels.shape[0], light.shape[2]
     values = np.empty((3, n_frames), np.float32)
-    closeness = np.empty(n_frames, np.float32)
+    closeness, weights = np.empty(n_frames, np.float32), np.empty(n_frames, np.float32)
     values[:] = _f4(0)
     for y in range(first, end):
         above = int(positions[y])
         share = positions[y] - _f4(above)
         for x in range(width):
             i = y * width + x
+            clear = _f4(0)
+            for frame in range(n_frames):
+                weights[frame] = _f4(0) if covered[frame, i] else _f4(1)
+                clear += weights[frame]
+            if clear == _f4(0):
+                weights[:] = _f4(1)
             for frame in range(n_frames):
                 upper, lower = light[frame, above, x], light[frame, above + 1, x]
                 dimmed = _f4(1) / (upper + share * (lower - upper))
@@ -48,15 +55,16 @@ def find_modes(first, end, pixels, light, positions, bandwidth, channels, mean, 
                     d0 = values[0, other] - values[0, frame]
                     d1 = values[1, other] - values[1, frame]
                     d2 = values[2, other] - values[2, frame]
-                    density += max(_f4(0), bandwidth - d0 * d0 - d1 * d1 - d2 * d2)
-                if density > highest:
+                    density += weights[other] * max(_f4(0), bandwidth - d0 * d0 - d1 * d1 - d2 * d2)
+                if weights[frame] * density > highest:
                     best, highest = frame, density
             count = _f4(0)
             for other in range(n_frames):
                 d0 = values[0, other] - values[0, best]
                 d1 = values[1, other] - values[1, best]
                 d2 = values[2, other] - values[2, best]
-                closeness[other] = _f4(1) if d0 * d0 + d1 * d1 + d2 * d2 < bandwidth else _f4(0)
+                near = d0 * d0 + d1 * d1 + d2 * d2 < bandwidth
+                closeness[other] = weights[other] if near else _f4(0)
                 count += closeness[other]
             squares = _f4(0)
             for channel in range(channels):

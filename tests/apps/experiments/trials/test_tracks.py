@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rsmcm.apps.background.application import run_background
 from rsmcm.apps.background.demo import write_scene
-from rsmcm.apps.evaluation.tracks import evaluate_tracks
+from rsmcm.apps.background.job import BackgroundJob
+from rsmcm.apps.evaluation.tracks import evaluate_tracks, track_rows
 from rsmcm.apps.experiments.reproduce.pets import reproduce_pets
 from rsmcm.apps.experiments.trials import tracks as trials
 from rsmcm.apps.experiments.trials.tracks import (
@@ -21,19 +23,21 @@ from rsmcm.apps.experiments.trials.tracks import (
     noisy,
     run_trials,
     score_trials,
+    whole_film_tracks,
 )
+from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
 
-N_FRAMES = 30
+N_FRAMES = 50
 
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Film:
     """Two people who walk past each other, by their boxes; the pictures are of somebody else."""
     folder = tmp_path_factory.mktemp("film")
-    write_scene(sleeping_man(N_FRAMES, size=(128, 96), enter=0), folder)
+    write_scene(sleeping_man(N_FRAMES, size=(192, 144), enter=0), folder)
     truth, found = "", ""
     for number in range(1, N_FRAMES + 1):
         for identity, (x, y) in enumerate(((20 + number, 20), (90 - number, 50)), start=1):
@@ -114,6 +118,20 @@ def test_trials_are_what_running_by_hand_gives(film: Film) -> None:
     assert asdict(scored["model"].scores[1]) == pytest.approx(by_hand, nan_ok=True)
 
 
+def test_a_film_as_a_whole_is_that_of_the_application(film: Film, tmp_path: Path) -> None:
+    """But for the noise, which is one level here and there: the tracks are nearly the same."""
+    job = BackgroundJob(film.source, out=tmp_path / "out", engine="coordinate-ascent", masks="none")
+    run_background(job)
+    written = track_rows(read_tracks(tmp_path / "out" / "tracks.txt"))
+    tracks = whole_film_tracks(film, None, 0)
+    assert len(tracks) > 10
+    assert len(tracks) == pytest.approx(len(written), rel=0.2)
+    assert set(tracks[:, 0]) <= set(range(1, N_FRAMES + 1))
+    for row in tracks[len(tracks) // 2 :: 5]:
+        same = written[written[:, 0] == row[0]]
+        assert np.abs(same[:, 2:] - row[2:]).max(axis=1).min() < 4
+
+
 def test_a_film_without_detections_has_no_trials_of_a_detector(film: Film, tmp_path: Path) -> None:
     folder = Path(film.source).parent
     bare = Film.read("bare", folder / "input", folder / "gt.txt", tmp_path / "none.txt")
@@ -136,7 +154,7 @@ def test_pets_on_a_small_film(
         "tud-campus/det/det.txt",
     ):
         (tmp_path / name).write_text((folder / Path(name).name).read_text())
-    scene = sleeping_man(N_FRAMES, size=(128, 96), enter=0)
+    scene = sleeping_man(N_FRAMES, size=(192, 144), enter=0)
     video = SegmentedVideo(tmp_path / "pets2009-s2l1" / "vtest.avi", 25.0, PLAYABLE)
     for frame in scene:
         assert frame.image is not None
