@@ -35,7 +35,7 @@ from ..inference.objects.blob_geometry import (
 from ..inference.objects.blob_scene import BlobScene, cut_out
 from ..inference.objects.blobs import Blob, BlobState
 from ..inference.objects.ghosts import ghost_layer, inherited, weighed
-from ..inference.objects.groups import fragment_time, halves, merged, parting_column, with_parts
+from ..inference.objects.groups import alone, fragment_time, halves, merged, parting_column, with_parts
 from ..inference.objects.registration import front_to_back, registered
 from ..models.background.layers import Layer, LayerStack
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
@@ -166,7 +166,7 @@ class BlobTracker:
         blobs, layers = incoming.once(self._registered, state, pixels)
         if isinstance(feature, PixelLabels):
             return PixelMessage(layers=layers)
-        shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.seen >= FRESH]
+        shown = [blob for blob in alone(blobs) if blob.confidence > 0.5 and blob.seen >= FRESH]
         if pixels.image is None or not shown:
             return feature.uniform()
         return BoxMessage(box_densities(shown))

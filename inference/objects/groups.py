@@ -1,6 +1,7 @@
 """Groups and halves: which blobs are parts of one object, and which blob is two."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from functools import reduce
 
@@ -77,6 +78,12 @@ def with_parts(blobs: Sequence[Blob], newcomers: Newcomers | None) -> list[Blob]
             if kept != given and set_off_together(result[k], result[other], newcomers):
                 result = [blob.changed(whole=kept) if blob.whole == given else blob for blob in result]
     return result
+
+
+def alone(blobs: Sequence[Blob]) -> list[Blob]:
+    """Blobs that are no parts of a thing together with others: what they measure is its."""
+    members = Counter(blob.whole for blob in blobs)
+    return [blob for blob in blobs if members[blob.whole] == 1]
 
 
 def are_one(parts: Sequence[Blob], newcomers: Newcomers | None) -> bool:
