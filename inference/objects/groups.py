@@ -81,9 +81,9 @@ def with_parts(blobs: Sequence[Blob], newcomers: Newcomers | None) -> list[Blob]
 
 
 def alone(blobs: Sequence[Blob]) -> list[Blob]:
-    """Blobs that are no parts of a thing together with others: what they measure is its."""
+    """Blobs that are no parts of a thing, whose size is not theirs; only two may be two things side by side."""
     members = Counter(blob.whole for blob in blobs)
-    return [blob for blob in blobs if members[blob.whole] == 1]
+    return [blob for blob in blobs if members[blob.whole] <= 2]
 
 
 def are_one(parts: Sequence[Blob], newcomers: Newcomers | None) -> bool:
