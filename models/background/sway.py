@@ -46,12 +46,14 @@ def learned_rates(
     times
         s for which the scene has been seen, and s since the frame before.
     """
-    counts = np.empty((2, *sway.rates.shape), np.int32)
+    counts = np.empty((*sway.rates.shape, 4), np.float32)
     count_moved(np.ascontiguousarray(image).reshape(-1), before, light, covered, sway.reach, counts)
     age, elapsed = times
     share = 1 - math.exp(-elapsed / (min(age, SWAY_TIME) + FIRST_TIME))
-    around = cv2.blur(counts.transpose(1, 2, 0).astype(np.float32), (3, 3), borderType=cv2.BORDER_REPLICATE)
-    seen = 9 * around[..., 0]
-    moved = around[..., 1] / np.maximum(around[..., 0], 1e-6)
-    rates = sway.rates + np.where(seen > LEAST_SEEN, share, 0) * (moved - sway.rates)
+    around = 9 * cv2.blur(counts, (3, 3), borderType=cv2.BORDER_REPLICATE)
+    seen, moved, brighter, changed = np.moveaxis(around, -1, 0)
+    # leaves change places, some get brighter and some darker; a shade and a person change all one way
+    moved = moved * (1 - np.abs(brighter) / np.maximum(changed, 1e-6))
+    now = moved / np.maximum(seen, 1)
+    rates = sway.rates + np.where(seen > LEAST_SEEN, share, 0) * (now - sway.rates)
     return np.asarray(rates, np.float32)

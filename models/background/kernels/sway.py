@@ -42,6 +42,15 @@ def squared_gap(pixels, mean, i, shown, light):
 
 
 @inlined
+def luma_gap(pixels, mean, i, light):
+    """Luma of pixel `i` of a picture less that of its background."""
+    if mean.shape[0] == 1:
+        return _f4(pixels[i]) - light * mean[0, i]
+    b, g, r = _f4(pixels[3 * i]), _f4(pixels[3 * i + 1]), _f4(pixels[3 * i + 2])
+    return _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r - light * mean[0, i]
+
+
+@inlined
 def _least_gap(pixels, mean, y, x, size, reach, light):
     """The least squared distance of a pixel from the background within `reach` px, on a grid of 7 x 7."""
     height, width = size
@@ -83,13 +92,15 @@ def recall_moved(first, end, pixels, before, light_field, model, sway, log_odds)
 
 @compiled
 def count_moved(pixels, before, light_field, covered, reach, counts):
-    """Per block `(2, block_rows, block_columns)`: pixels that nothing covers, and those that were moved.
+    """Counts per block, `(block_rows, block_columns, 4)`, of a sample of its pixels.
 
-    A pixel was moved if its own background does not explain what it shows, but that of a place nearby does.
+    Those that nothing covers; those that were moved; and of these the sum of differences in luma from the
+    background, and of their sizes. A pixel was moved if its own background does not explain what it shows,
+    but that of a place nearby does.
     """
     mean = before.mean
     height, width = light_field.positions.size, light_field.rows.shape[1]
-    block_rows, block_columns = counts.shape[1:]
+    block_rows, block_columns = counts.shape[:2]
     counts[:] = 0
     for y in range(SAMPLED // 2, height, SAMPLED):
         upper, lower, below_share = light_beside(light_field, y)
@@ -98,9 +109,13 @@ def count_moved(pixels, before, light_field, covered, reach, counts):
             if covered[i] != 0:
                 continue
             row, column = y * block_rows // height, x * block_columns // width
-            counts[0, row, column] += 1
+            counts[row, column, 0] += 1
             light = upper[x] + below_share * (lower[x] - upper[x])
             spread = before.noise[i] + light * light * before.variance[i]
             if squared_gap(pixels, mean, i, i, light) > _f4(SURPRISE) * spread:
                 gap = _least_gap(pixels, mean, y, x, (height, width), reach, light)
-                counts[1, row, column] += gap < _f4(SURPRISE) * spread
+                if gap < _f4(SURPRISE) * spread:
+                    brighter = luma_gap(pixels, mean, i, light)
+                    counts[row, column, 1] += 1
+                    counts[row, column, 2] += brighter
+                    counts[row, column, 3] += abs(brighter)
