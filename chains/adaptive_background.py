@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..inference.core.protocols import Cavity, Incoming, Port
 from ..models.background import colour
-from ..models.background.gaussian import BackgroundPrediction
+from ..models.background.gaussian import BackgroundPrediction, keep_old_colours
 from ..models.background.kernels.gaussian import (
     SETTLED,
     Gaussians,
@@ -27,7 +27,7 @@ from ..models.background.kernels.gaussian import (
     Settling,
     learn_second_colours,
 )
-from ..models.background.kernels.layers import update_behind
+from ..models.background.kernels.layers import REVEALED, update_behind
 from ..models.background.light import LightField, followed, light_grid, share_of_blocks
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
@@ -38,8 +38,11 @@ Planes = NDArray[np.float32]
 UNSURE_VARIANCE = 4.0
 """Variance of a value that was seen a few times only, and gives way easily in the beginning."""
 
-WIDEST_DRIFT = 255.0**2 / 12
-"""Squared grey levels: of a value that may be anything, as far as it can wander however long it is hidden."""
+WIDEST_VARIANCE = 255.0**2 / 12
+"""Squared grey levels: of a value that may be anything; so far it wanders at most, however long it hides."""
+
+FIRST_TIME = 0.5
+"""s in which those who were there from the first are found; what is behind them is not known then."""
 
 BOOTSTRAP_TIME = 3.0
 """s after which nothing that was there from the first is taken for the scene by mistake any more."""
@@ -201,6 +204,7 @@ class AdaptiveBackground:
                 prediction.pixels, light, prediction.model, after, covered,
             )  # fmt: skip
         second = SecondColours(state.candidate.copy(), state.seen.copy())
+        keep_old_colours(prediction.pixels, prediction.light, covered == REVEALED, second)
         if state.elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
             scale = SETTLED / self.settle_time
@@ -241,9 +245,10 @@ class AdaptiveBackground:
             pixels=Gaussians(state.mean, state.variance, state.noise),
             light=light,
             prior=self.prior,
-            drift=min(self.drift * state.elapsed, WIDEST_DRIFT),
+            drift=min(self.drift * state.elapsed, WIDEST_VARIANCE),
             noise_share=min(-math.expm1(-self.noise_rate * state.elapsed), MOST_NOISE_SHARE),
             first_variance=self.first_variance,
+            unknown_variance=WIDEST_VARIANCE if state.age < FIRST_TIME else 0.0,
             pooling=self.pooling,
             second=SecondColours(state.candidate, state.seen),
             tolerance=8.0 * len(state.mean) * self.noise,

@@ -39,6 +39,7 @@ def scene(channels, seed=0, size=(23, 37), prior=0.9, **changes):
         "drift": 1.5,
         "noise_share": 0.03,
         "first_variance": 20.0,
+        "unknown_variance": 0.0,
         "pooling": 0.3,
         "second": kernels.SecondColours(
             np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)
@@ -242,7 +243,7 @@ def test_a_lasting_colour_changes_places_with_the_mean(channels):
     mean, variance = observe(second)
     np.testing.assert_allclose(mean[0], 90 / 2, atol=1e-3)  # under a light of 2
     assert (variance == 20).all()
-    assert (second.seen == kernels.SETTLED // 2).all()
+    assert (second.seen == kernels.KNOWN).all()
     assert (second.colours == 255).all()  # 2 * 200, as it would look today
 
 
