@@ -86,10 +86,13 @@ def read_whole(
         if interruption.signal is not None:
             raise Interrupted(interruption.signal)
 
+    def reopened() -> Source:
+        return open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect)
+
     scene, objects = SceneFilter(model), ObjectBoxes()
     film_model = MultiChain().connect(scene, PixelLabels()).connect(scene, objects)
     film_model.connect(trajectories := ObjectTrajectories(), objects)
-    with Film(lambda: open_source(job.source, job.start, job.stop, job.step), passing) as film:
+    with Film(reopened, passing) as film:
         # a second round would cost two passes and gains nothing that is seen in the results
         solution = CoordinateAscent(film_model, most_rounds=1, tolerance=None).run(film)
         return scene.start(solution[scene]), solution[trajectories]
