@@ -76,6 +76,10 @@ class Blob:
         s for which its mask has had a waist between two upright parts.
     size
         `(2,)` px, its usual height and width.
+    existence
+        log odds that it is one of those that the detector is made to find, if there is one.
+    detected
+        its box for the detector; `None` as long as it has not found it.
     """
 
     identity: int
@@ -92,6 +96,8 @@ class Blob:
     ghost_evidence: float
     parting: float
     size: Pair
+    existence: float = 0.0
+    detected: DetectedBox | None = None
 
     @classmethod
     def newborn(
@@ -196,6 +202,8 @@ class BlobState:
         s since the last frame with an image.
     confirmed_time
         s for which an object must have been seen before it is reported.
+    detecting
+        whether a detector has run, which decides what is reported.
     """
 
     blobs: tuple[Blob, ...]
@@ -203,6 +211,7 @@ class BlobState:
     size: tuple[int, int]
     elapsed: float
     confirmed_time: float
+    detecting: bool = False
 
     def tracks(self) -> list[Track]:
         """Objects that are sure enough to be reported, by identity."""

@@ -1,6 +1,7 @@
 """Which detection belongs to which object: marginals over all ways to pair them, one to one."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -101,6 +102,16 @@ class Association:
 
     def __len__(self) -> int:
         return len(self.boxes)
+
+    @cached_property
+    def drawn(self) -> tuple[Numbers, Numbers]:
+        """Where the boxes draw each object: `(n_objects, 4)` 1/px^2 and, times it, px; 0 if it was missed.
+
+        That is the mean of the likelihood's logarithm over all assignments.
+        """
+        exists = np.maximum(self.pairs.sum(axis=1) + self.missed, 1e-30)
+        share = self.pairs / exists[:, None]
+        return share @ (1 / self.noise), share @ (self.boxes / self.noise)
 
     @property
     def true(self) -> Numbers:

@@ -117,10 +117,8 @@ def _log_densities(boxes: Numbers, means: Numbers, covariances: Numbers, noise: 
 
 def _drawn(association: Association, means: Numbers, covariances: Numbers) -> GaussianMessage:
     """Where the boxes draw each object, of mass 1 with what was expected of it."""
-    share = association.pairs / np.maximum(association.pairs.sum(axis=1) + association.missed, 1e-30)[:, None]
-    precision = share @ (1 / association.noise)
-    vector = share @ (association.boxes / association.noise)
-    told = np.flatnonzero(share.sum(axis=1) > SURELY_NOT)
+    precision, vector = association.drawn
+    told = np.flatnonzero(association.pairs.sum(axis=1) > SURELY_NOT)
     order = told[np.argsort(association.identities[told])]
     precision, vector, means, covariances = precision[order], vector[order], means[order], covariances[order]
     information = precision[:, :, None] * np.eye(BOX)
