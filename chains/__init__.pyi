@@ -2,6 +2,7 @@ from .adaptive_background import AdaptiveBackground
 from .articulated_pose import ArticulatedPose
 from .blob_tracker import BlobTracker
 from .condensation import Condensation
+from .detector_rates import DetectorRates
 from .factor_structure import FactorStructure
 from .flesh_tracker import FleshTracker
 from .gflow import GFlow
@@ -15,6 +16,7 @@ __all__ = [
     "ArticulatedPose",
     "BlobTracker",
     "Condensation",
+    "DetectorRates",
     "FactorStructure",
     "FleshTracker",
     "GFlow",

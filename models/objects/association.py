@@ -81,6 +81,8 @@ class Association:
         `(n_objects,)` probability with which the object, if it exists, would be found.
     missed
         `(n_objects,)` probability that the object exists and has no box.
+    visible
+        `(n_objects,)` share of each that is in sight.
     new
         `(n_boxes,)` probability that the box is of somebody not known before.
     double
@@ -96,6 +98,7 @@ class Association:
     pairs: Numbers
     expected: Numbers
     missed: Numbers
+    visible: Numbers
     new: Numbers
     double: Numbers
     log_evidence: float
@@ -112,6 +115,11 @@ class Association:
         exists = np.maximum(self.pairs.sum(axis=1) + self.missed, 1e-30)
         share = self.pairs / exists[:, None]
         return share @ (1 / self.noise), share @ (self.boxes / self.noise)
+
+    @property
+    def in_sight(self) -> float:
+        """How many objects were missed though they could be seen."""
+        return float((self.missed * self.visible).sum())
 
     @property
     def true(self) -> Numbers:
