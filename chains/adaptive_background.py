@@ -13,24 +13,22 @@ chains predict, the background stays as it is behind an object that they track.
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.core.protocols import Cavity, Incoming, Port
 from ..models.background import colour
-from ..models.background.gaussian import BackgroundPrediction, LightField
+from ..models.background.gaussian import BackgroundPrediction
 from ..models.background.kernels.gaussian import (
     SETTLED,
     Gaussians,
     SecondColours,
     Settling,
     learn_second_colours,
-    light_ratios,
 )
 from ..models.background.kernels.layers import update_behind
+from ..models.background.light import LightField, followed, light_grid, share_of_blocks
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
@@ -51,12 +49,6 @@ LEAST_TIME = 0.2
 
 MOST_NOISE_SHARE = 0.1
 """Of a single observation in a pixel's noise, however long ago the one before was."""
-
-FASTEST_LIGHT = 1.25
-"""Log of the most that light changes in a second; a lamp that is switched takes a few frames."""
-
-STEADY_LIGHT, LIGHT_TIME = 0.02, 0.2
-"""Log of a change below which it may be noise, and s, the time constant with which it is followed then."""
 
 
 @short_repr
@@ -173,8 +165,8 @@ class AdaptiveBackground:
             mean=colour.to_planes(image),
             variance=np.full(n_pixels, self.first_variance, np.float32),
             noise=np.full(n_pixels, self.noise, np.float32),
-            light=np.ones(_light_grid(height, width), np.float32),
-            covered=np.zeros(_light_grid(height, width), np.float32),
+            light=np.ones(light_grid(height, width), np.float32),
+            covered=np.zeros(light_grid(height, width), np.float32),
             candidate=np.zeros(image.size, np.uint8),
             seen=np.zeros(n_pixels, np.uint16),
             elapsed=0.0,
@@ -229,7 +221,7 @@ class AdaptiveBackground:
             variance=after.variance,
             noise=after.noise,
             light=prediction.light.blocks,
-            covered=_share_of_blocks(covered.reshape(state.size), state.light.shape),
+            covered=share_of_blocks(covered.reshape(state.size), state.light.shape),
             candidate=second.colours,
             seen=second.seen,
             elapsed=0.0,
@@ -241,11 +233,13 @@ class AdaptiveBackground:
         return incoming.once(self._prediction, state, image)
 
     def _prediction(self, state: BackgroundState, image: NDArray[np.uint8] | None) -> BackgroundPrediction:
-        light = state.light if image is None else self._light_now(state, image)
+        light = LightField(state.light, state.size)
+        if image is not None:
+            light = followed(light, image, state.mean, state.covered, state.elapsed)
         return BackgroundPrediction(
             size=state.size,
             pixels=Gaussians(state.mean, state.variance, state.noise),
-            light=LightField(light, state.size),
+            light=light,
             prior=self.prior,
             drift=min(self.drift * state.elapsed, WIDEST_DRIFT),
             noise_share=min(-math.expm1(-self.noise_rate * state.elapsed), MOST_NOISE_SHARE),
@@ -254,43 +248,3 @@ class AdaptiveBackground:
             second=SecondColours(state.candidate, state.seen),
             tolerance=8.0 * len(state.mean) * self.noise,
         )
-
-    def _light_now(self, state: BackgroundState, image: NDArray[np.uint8]) -> Planes:
-        """Light of this frame: smooth, and moved only by what most of a neighbourhood agrees on.
-
-        Objects change the ratio of seen to predicted brightness too: blocks behind known ones count little,
-        and a new one would have to fill most of three by three blocks with one and the same factor.
-        """
-        before = LightField(state.light, state.size)
-        ratios, agreement = np.empty_like(state.light), np.empty_like(state.light)
-        flat = np.ascontiguousarray(image).reshape(-1)
-        light_ratios(flat, state.mean, before.along_rows, ratios, agreement)
-        weight = np.where(agreement > 0.3, agreement, 0.0) * (1 - state.covered) ** 4 + 1e-3
-        change = np.log(ratios) * (agreement > 0.3)
-        around = _blurred(change * weight) / _blurred(weight)
-        change = np.where(weight > 0.1, change, around).astype(np.float32)
-        smooth = _blurred(
-            cv2.medianBlur(cv2.copyMakeBorder(change, 1, 1, 1, 1, cv2.BORDER_REFLECT_101), 3)[1:-1, 1:-1]
-        )
-        fastest = FASTEST_LIGHT * state.elapsed
-        follow = np.where(np.abs(smooth) > STEADY_LIGHT, 1.0, -math.expm1(-state.elapsed / LIGHT_TIME))
-        smooth = np.clip(smooth, -fastest, fastest)
-        light: Planes = np.clip(state.light * np.exp(follow * smooth), 0.1, 10.0).astype(np.float32)
-        return light
-
-
-def _share_of_blocks(covered: NDArray[np.uint8], grid: tuple[int, ...]) -> Planes:
-    share = cv2.resize(covered[::4, ::4], grid[::-1], interpolation=cv2.INTER_AREA)
-    return share.astype(np.float32) / np.float32(255)
-
-
-def _blurred(blocks: NDArray[Any]) -> Planes:
-    return np.asarray(
-        cv2.blur(blocks.astype(np.float32), (3, 3), borderType=cv2.BORDER_REFLECT_101), np.float32
-    )
-
-
-def _light_grid(height: int, width: int) -> tuple[int, int]:
-    """Blocks of light over a picture: 24 along its longer side, at least two each way."""
-    block = max(height, width) / 24
-    return max(round(height / block), 2), max(round(width / block), 2)

@@ -21,22 +21,20 @@ from typing import overload
 import numpy as np
 
 from ..inference.core.protocols import Cavity, Incoming, Port
-from ..inference.filters.linear_motion import kinematic
 from ..inference.objects import detections
 from ..inference.objects.blob_geometry import (
     FRESH,
     THINNEST,
-    box_densities,
+    around,
     fitted,
-    halves,
     is_hidden,
     likely_size,
-    merged,
     without_crumbs,
 )
 from ..inference.objects.blob_scene import BlobScene, cut_out
 from ..inference.objects.blobs import Blob, BlobState
-from ..inference.objects.ghosts import ghost_evidence, ghost_layer
+from ..inference.objects.ghosts import ghost_layer, inherited, weighed
+from ..inference.objects.groups import halves, merged
 from ..inference.objects.registration import front_to_back, registered
 from ..models.background.layers import Layer, LayerStack
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
@@ -97,9 +95,8 @@ class BlobTracker:
     confirmed_time
         s for which an object must have been seen before it is reported, in every frame.
     ghost_evidence
-        nats from which on a blob is taken for a ghost: log ratio of the contrast across its outline in the
-        background's picture and in the image, less 0.25, summed over comparisons every 0.1 s and never
-        below 0.
+        nats from which on a blob is taken for a ghost: log ratio of an outline that is an edge of the
+        background's picture and one that is an edge of the image (see `inference.objects.ghosts`).
     parting_time
         s for which a blob's mask must have had a waist before it becomes two.
     size_time
@@ -118,7 +115,7 @@ class BlobTracker:
     patience: float = 0.6
     hidden_patience: float = 3.0
     confirmed_time: float = 0.35
-    ghost_evidence: float = 1.25
+    ghost_evidence: float = 5.0
     parting_time: float = 0.4
     size_time: float = 2.0
     name: str = "blobs"
@@ -140,18 +137,7 @@ class BlobTracker:
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
         """First-order dynamics: velocity stays, but for a random force."""
-        blobs = state.blobs
-        if blobs:
-            means = np.stack([(blob.position, blob.velocity) for blob in blobs]).swapaxes(1, 2)
-            covariances = np.stack([blob.covariance for blob in blobs])
-            force = detections.force(blobs, self.acceleration)
-            means, covariances = kinematic(2, dt).moved(means, covariances, force)
-            blobs = tuple(
-                blob.changed(position=mean[:, 0], velocity=mean[:, 1], covariance=covariance)
-                for blob, mean, covariance in zip(blobs, means, covariances, strict=True)
-            )
-            if state.detecting:
-                blobs = tuple(detections.predicted(blob, dt) for blob in blobs)
+        blobs = detections.moved(state.blobs, dt, self.acceleration, state.detecting)
         return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
 
     @overload
@@ -170,11 +156,7 @@ class BlobTracker:
             return PixelMessage(layers=self._placed(state, incoming)[2])
         pixels = incoming[PixelLabels]
         blobs, _ = incoming.once(self._registered, state, pixels)
-        said = detections.expectations(blobs) if state.detecting else feature.uniform()
-        shown = [blob for blob in blobs if detections.is_shown(blob)]
-        if pixels.image is None or not shown:
-            return said
-        return said * BoxMessage(box_densities(shown))
+        return detections.said(blobs, state.detecting, pixels.image is not None)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Objects after the frame: registered, learned from, born and ended."""
@@ -192,7 +174,8 @@ class BlobTracker:
         kept += [scene.coloured(blob) for blob in newborn]
         kept = merged([part for blob in kept for part in self._parted(blob, numbers, scene)])
         for corner, mask, planes in scene.unexplained(kept, self._least_area(scene)):
-            kept.append(Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread))
+            new = Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread)
+            kept.append(new.changed(past_views=inherited(new, kept)))
         return replace(state, blobs=tuple(kept), born=next(numbers) - 1, elapsed=0.0)
 
     def _placed(self, state: BlobState, incoming: Incoming) -> tuple[list[Blob], list[Blob], LayerStack]:
@@ -260,6 +243,7 @@ class BlobTracker:
         spread = blob.spread + follow * (2 * variance - blob.spread)
         grown = 1 - math.exp(-scene.elapsed / (self.mask_time if blob.seen < FRESH else self.size_time))
         size = blob.size + grown * (np.array(blob.box[:1:-1]) - blob.size)
+        view, past_views = weighed(blob, mask, patch, scene, self.temper)
         return blob.changed(
             mask=mask,
             appearance=appearance,
@@ -269,7 +253,9 @@ class BlobTracker:
             unseen=0.0,
             still=blob.still + scene.elapsed if speed < max(2.0, 0.06 * blob.length) else 0.0,
             confidence=confidence,
-            ghost_evidence=ghost_evidence(blob, mask, patch, scene) if speed < blob.length else 0.0,
+            view=view,
+            past_views=past_views,
+            origin=blob.origin if blob.seen >= FRESH else around(blob.origin, blob.box),
         )
 
     def _least_area(self, scene: BlobScene) -> float:
@@ -301,7 +287,7 @@ class BlobTracker:
             due = blob.seen // SWEEP > (blob.seen - scene.elapsed) // SWEEP
             return [blob.changed(mask=without_crumbs(blob.mask)) if due else blob]
         larger, smaller = halves(blob)
-        blob = blob.changed(parting=0.0, still=0.0, ghost_evidence=0.0)
+        blob = blob.changed(parting=0.0, still=0.0)
         return [
             blob.changed(mask=larger, size=likely_size(larger)),
             blob.changed(mask=smaller, size=likely_size(smaller), identity=next(numbers)),

@@ -101,7 +101,12 @@ class FactorStructure:
         noise = fit.noise_variance * stated
         return Smoothed(StructureTrajectory(identities, point, fit, noise, max(noise - stated, 0.0)))
 
-    def messages(self, trajectory: StructureTrajectory, feature: PointTracks) -> list[PointMessage]:
+    def messages(
+        self,
+        trajectory: StructureTrajectory,
+        feature: PointTracks,
+        incoming_over_time: Sequence[BatchIncoming] = (),
+    ) -> list[PointMessage]:
         """Where the points of all tracks are in each frame, seen or not; nothing of tracks without one."""
         positions, covariances = predicted(trajectory.factorisation)
         covariances[..., [0, 1], [0, 1]] += trajectory.scatter + LEAST_SCATTER * trajectory.noise

@@ -149,7 +149,12 @@ class PointTracker:
             trajectory = self._smoothed(evidence, others, incoming_over_time)
         return Smoothed(trajectory, {incoming_over_time[0].node(PointTracks): evidence})
 
-    def messages(self, trajectory: PointTrajectory, feature: PointTracks) -> list[PointMessage]:
+    def messages(
+        self,
+        trajectory: PointTrajectory,
+        feature: PointTracks,
+        incoming_over_time: Sequence[BatchIncoming] = (),
+    ) -> list[PointMessage]:
         """Where the evidence of all other frames says that points are (mu_{X -> F}): nobody hears
         themselves."""
         return [PointMessage(positions) for positions in trajectory.messages()]

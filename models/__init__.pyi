@@ -3,6 +3,7 @@ from .background.pixel_labels import PixelLabels, PixelMessage
 from .body.parts import BodyParts
 from .body.poses import BodyPoses
 from .body.upper_body import UpperBody
+from .camera.scene_pixels import ScenePixels
 from .core.categorical import Categorical
 from .core.frame import Frame, GivenBoxes
 from .face.detectors import HaarFaces, YuNetFaces
@@ -26,6 +27,7 @@ __all__ = [
     "PixelMessage",
     "PointTracks",
     "Poses",
+    "ScenePixels",
     "UpperBody",
     "YuNetFaces",
 ]

@@ -1,18 +1,23 @@
 """The background application: from a source of frames to masks, tracks, pictures and a report."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...chains.object_trajectories import ObjectsOverTime
 from ...inference import Belief, MultiChain, RecursiveBP
-from ...models import Frame, ObjectBoxes, PixelLabels
+from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
 from ..drawing.boxes import OverlayWriter, draw_overlay
 from ..evaluation.scoring import Scoring
 from ..evaluation.tracks import track_rows
+from ..io.detections.attached import with_boxes
+from ..io.detections.read import digest, read_detections
+from ..io.detections.table import Detections
 from ..io.files import write_image
 from ..io.ground_truth import MaskTruth, common_frames, read_ground_truth
 from ..io.masks import MaskWriter
@@ -24,7 +29,8 @@ from ..runs.interruption import Outcome
 from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
-from .job import BackgroundJob, Engine
+from .job import WHOLE_FILM, BackgroundJob, Camera, Engine
+from .moving_camera import MOVES, CameraWatch
 from .parameters import (
     SECTIONS,
     Parameters,
@@ -35,28 +41,41 @@ from .parameters import (
 )
 from .record import RunRecord
 from .report import write_report
+from .whole_film import SeenObject, read_whole, warmed_up
 
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 
 COMPARISON = ("compare.json", "compare.csv", "compare-pictures.png", "compare-errors.png", "compare.html")
 """Files that a comparison writes beside the results."""
 
+CHANNELS = 3
+"""Bytes of a pixel in a picture that is held."""
+
+SAMPLE = 300
+"""Bytes per pixel, of the pictures in which the empty scene is found."""
+
 EVIDENCE_EVERY = 10
 """Frames between two values of log p(I) in the report: nothing else needs that pass over the pixels."""
 
 
-def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None = None) -> MultiChain:
+def build_model(
+    engine: Engine = "recursive-bp", parameters: Parameters | None = None, camera: Camera = "fixed"
+) -> MultiChain:
     """Connect the background application's chains.
 
     Parameters
     ----------
     engine
-        `"recursive-bp"`: background, blobs and ground plane correct each other. `"feed-forward"`: the same
-        chains, but the background hears nothing of the blobs. `"stand-alone"`: the background by itself.
+        `"recursive-bp"`: background, blobs, ground plane and a detector's rates correct each other.
+        `"feed-forward"`: the same chains, but the background hears nothing of the blobs. `"stand-alone"`: the
+        background by itself.
+        `"coordinate-ascent"`: the filter by which a whole film is read, the same as `"recursive-bp"`.
     parameters
         those of the chains that differ from their defaults, by section and name; a section's `model` says
         which chain it is. Chains of others are in the section `chains`, by the names under which they are
         announced, and are connected to the features that they meet.
+    camera
+        `"moving"`: a chain follows the camera, and all others hear of a scene that stands still.
 
     Raises
     ------
@@ -66,13 +85,20 @@ def build_model(engine: Engine = "recursive-bp", parameters: Parameters | None =
     """
     if engine not in ENGINES:
         raise ValueError(f"engine: got {engine!r}, expected one of {', '.join(ENGINES)}")
-    background, blobs, ground = (build_chain(section, parameters or {}) for section in SECTIONS)
-    pixels, objects = PixelLabels(), ObjectBoxes()
-    model = MultiChain().connect(background, pixels)
+    background, blobs, ground, detector, motion = (
+        build_chain(section, parameters or {}) for section in SECTIONS
+    )
+    objects, model = ObjectBoxes(), MultiChain()
+    pixels: PixelLabels = PixelLabels()
+    if camera == "moving":
+        pixels = scene_pixels = ScenePixels()
+        model.connect(motion, scene_pixels)
+    model.connect(background, pixels)
     if engine == "stand-alone":
         return model
-    feedback = engine == "recursive-bp"
+    feedback = engine in ("recursive-bp", WHOLE_FILM)
     model.connect(blobs, pixels, feedback=feedback).connect(blobs, objects).connect(ground, objects)
+    model.connect(detector, objects)
     for name, chain in other_chains(parameters or {}).items():
         met = [node for node in (pixels, objects) if any(isinstance(node, port.kind) for port in chain.ports)]
         if not met:
@@ -109,14 +135,23 @@ def found_in(belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | 
         `(width, height)` px.
     region
         `(height, width)` uint8: the mask is 0 where this is, and tracks that stand there are left out.
+
+    Returns
+    -------
+    found
+        where the frame shows it, whatever the camera has moved; the region moves along.
     """
     if not belief.states:  # no image yet
         return Found(np.zeros((size[1], size[0]), np.uint8), [])
-    foreground: NDArray[np.uint8] = belief["pixels"].foreground()
+    pixels: PixelMessage = belief["pixels"]
+    foreground = pixels.foreground()
     if region is not None:
         foreground &= region
-    tracks = belief["blobs"].tracks() if "blobs" in belief.states else []
-    return Found(foreground, inside(region, tracks))
+    tracks: list[Any] = inside(region, belief["blobs"].tracks() if "blobs" in belief.states else [])
+    if pixels.view is None:
+        return Found(foreground, tracks)
+    seen_by = pixels.view.map
+    return Found(seen_by.in_frame(foreground), [replace(each, box=seen_by.box(each.box)) for each in tracks])
 
 
 def run_background(job: BackgroundJob) -> Outcome:
@@ -129,16 +164,28 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     application = "background"
     blank_is_missing = False
-    kinds: ClassVar[dict[str, Any]] = {"record": Any, "scores": Any}
+    kinds: ClassVar[dict[str, Any]] = {
+        "record": Any,
+        "scores": Any,
+        "trajectories": ObjectsOverTime | None,
+    }
 
     def __init__(self, job: BackgroundJob) -> None:
         super().__init__(job)
         parameters = read_parameters(job.config, job.chain)
         self.settings |= with_defaults(parameters)
-        self.engine = RecursiveBP(build_model(job.engine, parameters))
+        if job.detections is not None:
+            self.settings["detections"] = {
+                "file": str(job.detections.resolve()),
+                "sha256": digest(job.detections),
+            }
+        self.engine = RecursiveBP(build_model(job.engine, parameters, job.camera))
         self.record = RunRecord()
         self._region: NDArray[np.uint8] | None = None
         self._scoring: Scoring | None = None
+        self._trajectories: ObjectsOverTime | None = None
+        self._detections: Detections | None = None
+        self._camera = CameraWatch(noticed=job.camera == "moving")
 
     @property
     def files(self) -> list[str]:
@@ -159,30 +206,58 @@ class BackgroundRun(FilmRun[BackgroundJob]):
     @property
     def bytes_needed(self) -> tuple[float, float]:
         """Depends on the model of the background."""
-        return BACKGROUND[self.settings["background"]["model"]], 0.0
+        per_pixel = BACKGROUND[self.settings["background"]["model"]]
+        if self.job.warm_up is not None:
+            per_pixel += CHANNELS * math.ceil(self.job.warm_up * self.source.rate / self.job.step)
+        return per_pixel + (SAMPLE if self.begins_settled else 0), 0.0
+
+    @property
+    def begins_settled(self) -> bool:
+        """Whether the empty scene is found before the first frame is answered."""
+        return self.job.warm_up is not None or self.job.engine == WHOLE_FILM
 
     def memory(self) -> dict[str, Any]:
-        """Record and scores."""
+        """Record and scores, and who was where in a film that was read as a whole."""
         scores = None if self._scoring is None else self._scoring.saved()
-        return {"record": self.record.saved(), "scores": scores}
+        return {"record": self.record.saved(), "scores": scores, "trajectories": self._trajectories}
+
+    def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """What a detector has found in the frames."""
+        self._detections = read_given(self.job, self.source)
+        return self._with_detections(frames)
+
+    def _with_detections(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        return frames if self._detections is None else with_boxes(frames, self._detections)
 
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """Read region and ground truth."""
-        job = self.job
-        self._region = read_region(job.roi, self.source.size) if job.roi else None
-        self._scoring = read_truth(job, self.source, self._region)
+        """Read region and ground truth; find the empty scene, where that is asked for."""
+        job, model = self.job, self.engine.model
+        self._read_masks()
+        if job.engine == WHOLE_FILM:
+            self.state, self._trajectories = read_whole(
+                job, self.source, model, self._with_detections, self.interruption
+            )
+        if job.warm_up is not None:
+            self.state, frames = warmed_up(job.warm_up, frames, model)
         return frames
+
+    def _read_masks(self) -> None:
+        self._region = read_region(self.job.roi, self.source.size) if self.job.roi else None
+        self._scoring = read_truth(self.job, self.source, self._region)
 
     def go_on(self, memory: Mapping[str, Any]) -> None:
         """Take up record and scores."""
-        self.begin(iter(()))
+        self._read_masks()
+        self._trajectories = memory["trajectories"]
         self.record = RunRecord.restored(memory["record"])
+        said = any(note.startswith(MOVES) for note in self.notes)
+        self._camera = CameraWatch(noticed=said or self.job.camera == "moving")
         if self._scoring is not None:
             self._scoring.restore(memory["scores"])
 
     def learn_from(self, saved: SavedRun) -> None:
         """The states are all there is to learn."""
-        self.begin(iter(()))
+        self._read_masks()
 
     def writers(self, rate: float, after: int) -> list[Writer]:
         """Tracks, masks and overlay."""
@@ -194,7 +269,11 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     def found(self, belief: Belief) -> Found:
         """Mask and tracks."""
-        return found_in(belief, self.source.size, self._region)
+        found = found_in(belief, self.source.size, self._region)
+        if self._trajectories is None:
+            return found
+        tracks = [SeenObject(*each) for each in self._trajectories.at(len(self.record.numbers))]
+        return Found(found.foreground, inside(self._region, tracks))
 
     def take_in(self, belief: Belief, found: Found, seconds: float) -> None:
         """Write mask and tracks, and note what the report wants."""
@@ -202,12 +281,16 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._tracks.write(frame.number, found.tracks)
         self._masks.write(found.foreground, frame.number, frame.time)
         self._overlay.add(frame, found.foreground, found.tracks)
+        if (said := self._camera.take_in(belief, found.foreground)) is not None:
+            self.notes.append(said)
         if self._scoring is not None:
             self._scoring.add(frame.number, found.foreground)
 
         def overlay() -> NDArray[np.uint8]:
             assert frame.image is not None
-            return draw_overlay(frame.image, found.foreground, found.tracks, {}, f"frame {frame.number}")
+            return draw_overlay(
+                frame.image, found.foreground, found.tracks, {}, f"frame {frame.number}", frame.boxes
+            )
 
         due = len(self.record.numbers) % EVIDENCE_EVERY == 0
         self.record.add(
@@ -227,7 +310,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             tracked = self.job.engine != "stand-alone"
             rows = track_rows(read_tracks(self.job.out / "tracks.txt")) if tracked else None
             metrics = self._scoring.measures(rows)
-        return {"tracks": len(self.record.tracks), "metrics": metrics}
+        given = None if self._detections is None else self._detections.counted(self.record.numbers)
+        return {"tracks": len(self.record.tracks), "detections": given, "metrics": metrics}
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the empty scene and the report."""
@@ -237,7 +321,13 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             write_image(job.out / "background.png", background)
             title = f"{Path(self.source.name).name}: {job.engine}"
             write_report(
-                job.out / "report.html", self.record, background, self.settings, summary["metrics"], title
+                job.out / "report.html",
+                self.record,
+                background,
+                self.settings,
+                summary["metrics"],
+                title,
+                summary["detections"],
             )
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
@@ -246,6 +336,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         words = f"{frames} frames, {rate:.1f} a second, {summary['tracks']} tracks"
         if summary["missing_frames"]:
             words += f", {summary['missing_frames']} frames missing or unreadable"
+        if summary["detections"]:
+            words += ", {boxes} detections in {frames} frames".format(**summary["detections"])
         if summary["truncated"]:
             words += ", the source ends before its announced end"
         return [words, *(f"{group}: {_listed(of)}" for group, of in (summary["metrics"] or {}).items())]
@@ -258,6 +350,28 @@ def _listed(measured: object) -> str:
         f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in measured.items()
     )
+
+
+def read_given(job: BackgroundJob, source: Source) -> Detections | None:
+    """Read the job's detections, if any, and make sure that they belong to this source.
+
+    Raises
+    ------
+    ValueError
+        if the source is live, or they are of frames or places that it does not have.
+    """
+    if job.detections is None:
+        return None
+    if source.live:
+        raise ValueError(f"--detections: {source.name} is live, so nobody has seen its frames before")
+    found = read_detections(job.detections, job.class_names, film=source.name, pictures=source.pictures)
+    last = None
+    if source.n_frames is not None:
+        last = job.start + source.n_frames * job.step - 1
+        if job.stop is not None and job.stop <= last:  # the film may go on behind it
+            last = None
+    found.check(source.name, source.size, last)
+    return found
 
 
 def read_truth(job: BackgroundJob, source: Source, region: NDArray[np.uint8] | None) -> Scoring | None:

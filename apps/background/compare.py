@@ -18,6 +18,7 @@ from ...models.files.atomic_files import write_text
 from ..drawing.mosaic import mosaic
 from ..evaluation.scoring import Scoring
 from ..experiments.trials.baselines import CleanUp, OpenCVSubtractor
+from ..io.detections.attached import with_boxes
 from ..io.files import write_image, write_json
 from ..io.sources.open_source import open_source
 from ..reports import page, plots, snapshots
@@ -26,7 +27,7 @@ from ..runs.interruption import Interruption, Outcome
 from ..runs.output_folder import output_folder
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
-from .application import COMPARISON, BackgroundRun, Found, read_truth
+from .application import COMPARISON, BackgroundRun, Found, read_given, read_truth
 from .job import BackgroundJob
 from .methods import Method, Model, Usual
 from .parameters import Parameters, read_parameters
@@ -89,7 +90,7 @@ ERRORS = {
     "ghosts": "ghosts",
     "missed and ghosts": "total",
 }
-TRACKS = {"idf1": "IDF1", "mota": "MOTA", "switches": "id switches"}
+TRACKS = {"idf1": "IDF1", "hota": "HOTA", "mota": "MOTA", "switches": "id switches"}
 
 
 @dataclass(frozen=True)
@@ -188,8 +189,10 @@ def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
         assert isinstance(alone, Model)
         assert isinstance(dual, Model)
         gallery, n_frames = Gallery(), 0
+        given = read_given(job, source)
+        frames = interruption.items(source)
         with Progress("comparison", source.n_frames) as progress:
-            for frame in interruption.items(source):
+            for frame in frames if given is None else with_boxes(frames, given):
                 found = {name: tally.add(frame, region) for name, tally in tallies.items()}
                 n_frames += 1
                 if frame.image is not None:

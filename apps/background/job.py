@@ -1,5 +1,6 @@
 """What the background application is asked for."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -8,7 +9,9 @@ from cyclopts import Parameter
 
 from ..options.job import FilmJob, Flag, resolved
 
-Engine = Literal["recursive-bp", "feed-forward", "stand-alone"]
+Camera = Literal["fixed", "moving"]
+Engine = Literal["recursive-bp", "feed-forward", "stand-alone", "coordinate-ascent"]
+WHOLE_FILM: Engine = "coordinate-ascent"
 Masks = Literal["none", "png", "video"]
 
 
@@ -20,10 +23,19 @@ class BackgroundJob(FilmJob):
     ----------
     engine
         recursive-bp: background and objects correct each other. feed-forward: the background hears nothing of
-        the objects. stand-alone: the background only, no tracks.
+        the objects. stand-alone: the background only, no tracks. coordinate-ascent: the whole film at once;
+        the empty scene is found from all of it, and tracks know what comes later. The source is read three
+        times, which a camera or stream cannot be.
+    camera
+        fixed, or moving: it shakes, turns or drifts a little about where it looks in the first frame, and
+        every frame is registered with that scene. Where a frame does not show it, nothing is known.
+    warm_up
+        Find the empty scene from the first so many seconds before any frame is answered, so that people who
+        are there from the beginning are no part of it. These frames are held in memory.
     config
         TOML file with options under their names, and with parameters of the chains, in sections [background],
-        [blobs], [ground], and [chains.NAME] for those of other packages; what is typed goes first.
+        [blobs], [ground], [camera-motion], and [chains.NAME] for those of other packages; what is typed goes
+        first.
     chain
         Connect a chain of another package as well, by the name under which it is announced (entry points
         rsmcm.chains); several times for several.
@@ -37,14 +49,23 @@ class BackgroundJob(FilmJob):
         Foreground masks as foreground/bin000001.png and so on, as one lossless foreground.mkv, or none.
     ground_truth
         A MOT gt.txt or a folder that holds one, or a CDnet folder with groundtruth/.
+    detections
+        What a detector has found in the film: MOT det.txt, COCO JSON, or CSV with a header (frame, x, y,
+        width, height, score, class).
+    classes
+        Names of classes of detections to take, with commas; all if not given.
     compare
         Also run the background by itself, feed-forward, MOG2 and KNN on the source, and draw the comparison.
     """
 
     engine: Engine = "recursive-bp"
+    camera: Camera = "fixed"
+    warm_up: float | None = None
     roi: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     masks: Masks = "png"
     ground_truth: Path | None = None
+    detections: Path | None = None
+    classes: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
     compare: Flag = False
     chain: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
 
@@ -52,13 +73,52 @@ class BackgroundJob(FilmJob):
         super().__post_init__()
         if self.chain and self.engine == "stand-alone":
             raise ValueError("--chain and --engine stand-alone: got both, expected one of them")
+        if self.detections is not None and self.camera == "moving":
+            raise ValueError("--detections and --camera moving: got both, expected one of them")
+        if self.detections is not None and self.engine == "stand-alone":
+            raise ValueError("--detections and --engine stand-alone: got both, expected one of them")
+        if self.classes and self.detections is None:
+            raise ValueError("--classes: got it without --detections, expected both")
+        if self.warm_up is not None:
+            if not 0 < self.warm_up < math.inf:
+                raise ValueError(f"--warm-up: got {self.warm_up:g}, expected seconds, more than 0")
+            if self.engine == WHOLE_FILM:
+                raise ValueError(
+                    "--warm-up and --engine coordinate-ascent: got both, expected one of them "
+                    "(the second finds the empty scene from the whole film)"
+                )
+        begun = {
+            "--warm-up": self.warm_up is not None,
+            f"--engine {WHOLE_FILM}": self.engine == WHOLE_FILM,
+        }
+        for option in (name for name, given in begun.items() if given):
+            if self.camera == "moving":
+                raise ValueError(f"{option} and --camera moving: got both, expected one of them")
+            if self.learned is not None:
+                raise ValueError(
+                    f"{option} and --from: got both, expected one of them (--from knows the empty scene)"
+                )
+            if self.compare:
+                raise ValueError(
+                    f"{option} and --compare: got both, expected one of them (all methods of a comparison "
+                    "begin with the first frame)"
+                )
+
+    @property
+    def class_names(self) -> list[str]:
+        """Of the detections to take."""
+        return [name.strip() for typed in self.classes for name in typed.split(",")]
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source and the chains' parameters."""
         return {
             **super().settings(),
             "engine": self.engine,
+            "camera": self.camera,
+            "warm_up": self.warm_up,
             "roi": self.roi,
             "masks": self.masks,
             "ground_truth": resolved(self.ground_truth),
+            "detections": resolved(self.detections),
+            "classes": self.class_names,
         }

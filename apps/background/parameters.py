@@ -6,17 +6,26 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from ...chains import AdaptiveBackground, BlobTracker, GroundPlane, MixtureBackground
+from ...chains import (
+    AdaptiveBackground,
+    BlobTracker,
+    CameraMotion,
+    DetectorRates,
+    GroundPlane,
+    MixtureBackground,
+)
 from ..options.complaints import meant
 from ..options.settings import make, plain_fields, read_fields, read_settings, top_level
 
 Parameters = Mapping[str, Mapping[str, Any]]
-"""Values by section ("background", "blobs", "ground") and name; below `OTHERS` by chain and name."""
+"""Values by section (those of `SECTIONS`) and name; below `OTHERS` by chain and name."""
 
 SECTIONS: dict[str, dict[str, type[Any]]] = {
     "background": {"gaussian": AdaptiveBackground, "mixture": MixtureBackground},
     "blobs": {"layers": BlobTracker},
     "ground": {"plane": GroundPlane},
+    "detector": {"rates": DetectorRates},
+    "camera-motion": {"affine": CameraMotion},
 }
 """Kinds of chain by section and by the value of its key `model`, the default first."""
 

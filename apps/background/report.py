@@ -27,6 +27,7 @@ def write_report(
     parameters: Mapping[str, object],
     metrics: Mapping[str, object] | None = None,
     title: str = "Background and tracks",
+    detections: Mapping[str, int] | None = None,
 ) -> None:
     """Write the report of a run as one HTML file.
 
@@ -44,6 +45,8 @@ def write_report(
         figures against the ground truth, if there was one.
     title
         heading of the page.
+    detections
+        how many `boxes` a detector has found, and in how many `frames` it looked, if it was given.
 
     Raises
     ------
@@ -61,7 +64,7 @@ def write_report(
     text = "Where the feet went, on the background at the end: from the ring to the dot with the number."
     sections.append(("Tracks", [picture(draw_tracks(background, record.tracks), text), _track_table(record)]))
     sections.append(("Over time", [_plots(record)]))
-    write_run_page(path, title, _summary(record, background), (), sections, parameters)
+    write_run_page(path, title, _summary(record, background, detections), (), sections, parameters)
 
 
 def draw_tracks(background: Image, tracks: Mapping[int, TrackHistory]) -> Image:
@@ -91,7 +94,7 @@ def draw_tracks(background: Image, tracks: Mapping[int, TrackHistory]) -> Image:
     return np.asarray(canvas, np.uint8)
 
 
-def _summary(record: RunRecord, background: Image) -> Markup:
+def _summary(record: RunRecord, background: Image, detections: Mapping[str, int] | None) -> Markup:
     spent = sum(record.seconds)
     figures = {
         "frames": f"{len(record.numbers)}",
@@ -102,6 +105,9 @@ def _summary(record: RunRecord, background: Image) -> Markup:
         "frames a second, model": f"{len(record.numbers) / spent:.1f}" if spent > 0 else "–",
         "tracks": f"{len(record.tracks)}",
     }
+    if detections is not None:
+        figures["detections, grey in the pictures"] = f"{detections['boxes']}"
+        figures["frames with a detector"] = f"{detections['frames']}"
     note = Markup("")
     if record.missing:
         listed = ", ".join(map(str, record.missing[:20])) + (", …" if len(record.missing) > 20 else "")

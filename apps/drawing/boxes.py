@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.frame import Frame
+from ...models.core.frame import Frame, GivenBoxes
 from ..io.mot import TrackedObject
 from .overlay_video import OverlayVideo, caption
 
@@ -17,6 +17,7 @@ AHEAD = 8  # frames that wait to be drawn while a run saves its state
 TRAIL_SECONDS = 2.0
 # BGR, added to the picture (`Any`: OpenCV's stubs know no scalars)
 MASK_TINT: Any = (-40.0, -40.0, 60.0, 0.0)
+GIVEN = (200, 200, 200)
 MASK_OUTLINE: Any = (-255.0, -255.0, 255.0, 0.0)
 
 
@@ -37,6 +38,7 @@ def draw_overlay(
     tracks: Sequence[TrackedObject],
     trails: dict[int, NDArray[np.float64]],
     caption: str,
+    given: GivenBoxes | None = None,
 ) -> NDArray[np.uint8]:
     """Draw what was found on a copy of the frame.
 
@@ -52,6 +54,8 @@ def draw_overlay(
         foot points `(n, 2)` px by identity.
     caption
         text in the upper left corner.
+    given
+        boxes of a detector: thin and grey, below the tracks.
 
     Returns
     -------
@@ -73,6 +77,8 @@ def draw_overlay(
                 thick,
                 cv2.LINE_AA,
             )
+    for left, top, right, bottom in np.rint(given.xyxy).astype(int).tolist() if given is not None else ():
+        cv2.rectangle(picture, (left, top), (right - 1, bottom - 1), GIVEN, max(1, thick // 2), cv2.LINE_AA)
     for track in tracks:
         x, y, w, h = track.box
         colour = identity_colour(track.identity)
@@ -153,4 +159,4 @@ class OverlayWriter(OverlayVideo):
             return None  # nothing seen yet, not even the size
         self._last_image = image
         trails = {identity: np.array(trail)[:, 1:] for identity, trail in self._trails.items()}
-        return draw_overlay(image, foreground, tracks, trails, caption(frame))
+        return draw_overlay(image, foreground, tracks, trails, caption(frame), frame.boxes)

@@ -1,6 +1,6 @@
 """How good tracks are: boxes with identities against true ones."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,14 +11,23 @@ from scipy.optimize import linear_sum_assignment
 from ..io.ground_truth import BoxTruth, Kind, MaskTruth
 from .masks import ratio
 
+Index = NDArray[np.int64]
+Seen = tuple[Index, Index, NDArray[np.float64]]
+"""Of a frame: which objects and which tracks are in it, and how much they overlap (IoU, `(n, m)`)."""
+
+ALPHAS = np.arange(1, 20) / 20
+"""Least overlaps over which HOTA is a mean."""
+
 
 @dataclass(frozen=True)
 class TrackScores:
-    """CLEAR-MOT and identity measures; a ratio whose denominator is zero is NaN.
+    """CLEAR-MOT, identity and HOTA measures; a ratio whose denominator is zero is NaN.
 
-    `motp` is the mean overlap (IoU) of the matches; `fragmentations` counts how often an object that is
-    found again later is lost; an object is mostly tracked when found in 80 % of its frames or more, mostly
-    lost when in less than 20 %; `n_truth` counts true boxes.
+    `motp` is the mean overlap (IoU) of the matches; `deta` and `assa` are HOTA's parts, the accuracy of
+    detection and of association, and means over least overlaps from 0.05 to 0.95 like `hota`, while all else
+    is at one; `fragmentations` counts how often an object that is found again later is lost; an object is
+    mostly tracked when found in 80 % of its frames or more, mostly lost when in less than 20 %; `n_truth`
+    counts true boxes.
     """
 
     mota: float
@@ -26,6 +35,9 @@ class TrackScores:
     idf1: float
     idp: float
     idr: float
+    hota: float
+    deta: float
+    assa: float
     switches: int
     fragmentations: int
     misses: int
@@ -37,7 +49,7 @@ class TrackScores:
 
     def __repr__(self) -> str:
         return (
-            f"TrackScores(MOTA {self.mota:.3f}, IDF1 {self.idf1:.3f}, MOTP {self.motp:.3f}: "
+            f"TrackScores(MOTA {self.mota:.3f}, IDF1 {self.idf1:.3f}, HOTA {self.hota:.3f}: "
             f"{self.misses} misses, {self.false_positives} false positives, {self.switches} switches, "
             f"{self.n_truth} boxes in {self.n_frames} frames)"
         )
@@ -70,7 +82,8 @@ def evaluate_tracks(
     (2008): a pair matched before stays matched while its boxes overlap enough, also after a gap; the rest is
     matched with the most pairs, then the least total distance. E. Ristani et al., *Performance measures and
     a data set for multi-target, multi-camera tracking* (2016): the pairing of whole tracks with the most
-    common frames (IDTP) gives IDF1.
+    common frames (IDTP) gives IDF1. J. Luiten et al., *HOTA: a higher order metric for evaluating
+    multi-object tracking* (2021), see `_hota`.
 
     Raises
     ------
@@ -83,25 +96,13 @@ def evaluate_tracks(
     frames = truth.frames if frames is None else frames
     true_index, n_objects = _positions(truth.identity)
     track_index, n_tracks = _positions(rows[:, 1])
+    seen = [_seen(number, truth, true_index, rows, track_index, iou) for number in sorted(frames)]
     common = np.zeros((n_objects, n_tracks), np.int64)
     history: list[list[bool]] = [[] for _ in range(n_objects)]
     partner = np.full(n_objects, -1)
-    switches = false_positives = matches = n_truth = n_found = 0
+    switches = matches = 0
     overlap_sum = 0.0
-    for number in sorted(frames):
-        true = slice(*np.searchsorted(truth.frame, [number, number + 1]))
-        columns = slice(*np.searchsorted(rows[:, 0], [number, number + 1]))
-        objects, found = true_index[true], track_index[columns]
-        overlap = box_overlap(truth.box[true], rows[columns, 2:])
-        ignored = truth.kind[true] == Kind.IGNORED
-        if ignored.any():
-            keep = np.ones(len(found), bool)
-            pairs = _match(overlap, iou)
-            keep[pairs[1][ignored[pairs[0]]]] = False
-            objects, found, overlap = objects[~ignored], found[keep], overlap[~ignored][:, keep]
-        n_truth += len(objects)
-        n_found += len(found)
-
+    for objects, found, overlap in seen:
         allowed = overlap >= iou
         first, second = np.nonzero(allowed)
         common[objects[first], found[second]] += 1
@@ -115,23 +116,26 @@ def evaluate_tracks(
         still[new] = True
         for thing, was_found in zip(objects, still.any(axis=1), strict=True):
             history[thing].append(bool(was_found))
-        matched = int(np.count_nonzero(still))
-        matches += matched
-        false_positives += len(found) - matched
+        matches += int(np.count_nonzero(still))
         overlap_sum += float(overlap[still].sum())
 
+    n_truth, n_found = (sum(len(one[side]) for one in seen) for side in (0, 1))
     paired = linear_sum_assignment(common, maximize=True)
     true_identities = int(common[paired].sum())
-    misses = n_truth - matches
-    share = np.array([np.mean(seen) for seen in history if seen])
+    misses, false_positives = n_truth - matches, n_found - matches
+    share = np.array([np.mean(times) for times in history if times])
+    hota, deta, assa = _hota(seen, n_objects, n_tracks)
     return TrackScores(
         mota=1 - ratio(misses + false_positives + switches, n_truth),
         motp=ratio(overlap_sum, matches),
         idf1=ratio(2 * true_identities, n_truth + n_found),
         idp=ratio(true_identities, n_found),
         idr=ratio(true_identities, n_truth),
+        hota=hota,
+        deta=deta,
+        assa=assa,
         switches=switches,
-        fragmentations=sum(_gaps(seen) for seen in history),
+        fragmentations=sum(_gaps(times) for times in history),
         misses=misses,
         false_positives=false_positives,
         mostly_tracked=int(np.count_nonzero(share >= 0.8)),
@@ -139,6 +143,63 @@ def evaluate_tracks(
         n_truth=n_truth,
         n_frames=len(frames),
     )
+
+
+def _seen(
+    number: int,
+    truth: BoxTruth,
+    true_index: Index,
+    rows: NDArray[np.float64],
+    track_index: Index,
+    iou: float,
+) -> Seen:
+    """What is in a frame; boxes to ignore, and the tracked ones that they explain best, are left out."""
+    true = slice(*np.searchsorted(truth.frame, [number, number + 1]))
+    columns = slice(*np.searchsorted(rows[:, 0], [number, number + 1]))
+    objects, found = true_index[true], track_index[columns]
+    overlap = box_overlap(truth.box[true], rows[columns, 2:])
+    ignored = truth.kind[true] == Kind.IGNORED
+    if not ignored.any():
+        return objects, found, overlap
+    keep = np.ones(len(found), bool)
+    pairs = _match(overlap, iou)
+    keep[pairs[1][ignored[pairs[0]]]] = False
+    return objects[~ignored], found[keep], overlap[~ignored][:, keep]
+
+
+def _hota(seen: Sequence[Seen], n_objects: int, n_tracks: int) -> tuple[float, float, float]:
+    """HOTA, DetA and AssA of Luiten et al. (2021), means over `ALPHAS`.
+
+    Boxes are paired by their overlap times how well the whole tracks fit, which counts shared frames by the
+    share of the overlap that is theirs alone; that pairing serves every least overlap. DetA is TP / (TP + FN
+    + FP); AssA is the mean over TP of TPA / (TPA + FNA + FPA) of the pair of tracks that it belongs to, 0
+    where there is none; HOTA at one least overlap is the geometric mean of both.
+    """
+    shared = np.zeros((n_objects, n_tracks))
+    lengths = np.zeros(n_objects), np.zeros(n_tracks)
+    for objects, found, overlap in seen:
+        either = overlap.sum(axis=1)[:, None] + overlap.sum(axis=0) - overlap
+        shared[np.ix_(objects, found)] += np.divide(overlap, either, np.zeros_like(overlap), where=either > 0)
+        lengths[0][objects] += 1
+        lengths[1][found] += 1
+    pairs, overlaps = [np.zeros(0, np.int64)], [np.zeros(0)]
+    for objects, found, overlap in seen:
+        common = shared[np.ix_(objects, found)]
+        union = lengths[0][objects][:, None] + lengths[1][found] - common
+        row, column = linear_sum_assignment(common / union * overlap, maximize=True)
+        pairs.append(objects[row] * n_tracks + found[column])
+        overlaps.append(overlap[row, column])
+    pair, paired_overlap = np.concatenate(pairs), np.concatenate(overlaps)
+    scores = []
+    for alpha in ALPHAS:
+        both, count = np.unique(pair[paired_overlap >= alpha - np.finfo(float).eps], return_counts=True)
+        n_matches = int(count.sum())
+        total = lengths[0][both // max(n_tracks, 1)] + lengths[1][both % max(n_tracks, 1)] - count
+        deta = ratio(n_matches, lengths[0].sum() + lengths[1].sum() - n_matches)
+        assa = float((count * count / total).sum()) / max(n_matches, 1)
+        scores.append((np.sqrt(deta * assa), deta, assa))
+    hota, deta, assa = np.mean(scores, axis=0).tolist()
+    return hota, deta, assa
 
 
 def track_rows(boxes: NDArray[np.void]) -> NDArray[np.float64]:

@@ -1,3 +1,6 @@
+from .detections.attached import with_boxes
+from .detections.read import read_detections
+from .detections.table import Detections
 from .ground_truth import BoxTruth, MaskTruth, read_ground_truth
 from .masks import MaskWriter
 from .mot import TrackWriter, read_tracks
@@ -7,13 +10,16 @@ from .track_files import frames_of_tracks
 
 __all__ = [
     "BoxTruth",
+    "Detections",
     "MaskTruth",
     "MaskWriter",
     "Source",
     "TrackWriter",
     "frames_of_tracks",
     "open_source",
+    "read_detections",
     "read_ground_truth",
     "read_points",
     "read_tracks",
+    "with_boxes",
 ]

@@ -107,6 +107,10 @@ class FilmRun(Run[F]):
     def writers(self, rate: float, after: int) -> Sequence[Writer]:
         """Files that grow with the frames, at `rate` frames a second, of those behind frame `after`."""
 
+    def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """The source's frames with what is known of them beforehand."""
+        return frames
+
     def found(self, belief: Belief) -> Any:
         """What is read from a belief, as part of the time of the frame."""
         return belief
@@ -189,7 +193,7 @@ class FilmRun(Run[F]):
     def _beginning(self, saved: SavedRun | None) -> Iterator[Frame]:
         """The frames to process, with the engine made."""
         self._frames = SeenFrames(
-            self.interruption.items(self.source), blank_is_missing=self.blank_is_missing
+            self.known(self.interruption.items(self.source)), blank_is_missing=self.blank_is_missing
         )
         frames = iter(self._frames)
         if saved is not None:

@@ -1,6 +1,7 @@
 """The region of interest: the part of the picture of which foreground and tracks are wanted."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +79,6 @@ def stands_inside(region: Mask, box: tuple[float, float, float, float]) -> bool:
     return bool(region[row, column])
 
 
-def inside(region: Mask | None, tracks: list[TrackedObject]) -> list[TrackedObject]:
+def inside(region: Mask | None, tracks: Sequence[TrackedObject]) -> list[TrackedObject]:
     """The tracks that stand in the region; all without one."""
-    return tracks if region is None else [track for track in tracks if stands_inside(region, track.box)]
+    return list(tracks) if region is None else [track for track in tracks if stands_inside(region, track.box)]

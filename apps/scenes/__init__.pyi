@@ -1,3 +1,5 @@
+from .room import Room, standing_in_a_room
+from .shaken import ShakenFilm, shaken
 from .signing.signer import SignerScene, signer
 from .street import Scene, TruthBox, sleeping_man
 from .talking_face import FaceScene, face
@@ -6,11 +8,15 @@ from .turning_cylinder import Cylinder, cylinder
 __all__ = [
     "Cylinder",
     "FaceScene",
+    "Room",
     "Scene",
+    "ShakenFilm",
     "SignerScene",
     "TruthBox",
     "cylinder",
     "face",
+    "shaken",
     "signer",
     "sleeping_man",
+    "standing_in_a_room",
 ]

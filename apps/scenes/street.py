@@ -97,9 +97,7 @@ class Scene(Sequence[Frame]):
 
     def render(self, index: int) -> Frame:
         """Frame `index` (from 0): `(height, width, 3)` uint8 BGR."""
-        picture = self._ground.copy()
-        for layer in self._layers(index):
-            layer.paint(picture)
+        picture = self._composed(index)
         picture *= np.float32(self._light(index))
         if self.clouds:
             picture *= self._shade(index)[..., None]
@@ -170,6 +168,13 @@ class Scene(Sequence[Frame]):
         return float((1 + drift) * (LIGHT_AFTER_JUMP if jumped else 1.0))
 
     # How it looks
+
+    def _composed(self, index: int) -> Pixels:
+        """`(height, width, 3)` float32 of frame `index` under even light, without noise."""
+        picture = self._ground.copy()
+        for layer in self._layers(index):
+            layer.paint(picture)
+        return picture
 
     @cached_property
     def _ground(self) -> Pixels:

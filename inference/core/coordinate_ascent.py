@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf
+from math import inf, nan
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints, overload
 
@@ -23,7 +23,7 @@ from .protocols import (
     name_of,
     require,
 )
-from .sequence import TimeSlices
+from .sequence import LazyFrames, TimeSlices
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,8 @@ class Round:
     objective
         sum over the chains of the log density of their trajectories, and over all features and frames of the
         log mass of the product of evidence and messages: the log of the model's density at the trajectories,
-        with the features integrated out, as far as messages are the exact p(F | X).
+        with the features integrated out, as far as messages are the exact p(F | X). NaN where `most_rounds`
+        is 1, and nothing is compared.
     smoothed
         names of the chains that were worked out anew; a chain that would hear the same again is not.
     """
@@ -159,7 +160,8 @@ class CoordinateAscent:
         Parameters
         ----------
         frames
-            all of them; `Frame`s, or plain images `dt` seconds apart (`None` for a missing one).
+            all of them; `Frame`s, or plain images `dt` seconds apart (`None` for a missing one), which are
+            held. `LazyFrames` are not held but read again in every pass.
         dt
             seconds from one plain image to the next.
 
@@ -200,7 +202,7 @@ class CoordinateAscent:
             if not smoothed:
                 yield Solution(best, slices, tuple(reports), converged=True)
                 return
-            objective = slices.objective()
+            objective = slices.objective() if self.most_rounds > 1 else nan
             if not reports or objective > max(report.objective for report in reports):
                 best = slices
             reports.append(Round(len(reports) + 1, objective, smoothed))
@@ -303,7 +305,9 @@ class CoordinateAscent:
         }
 
 
-def _as_frames(items: Iterable[Frame | NDArray[np.uint8] | None], dt: float) -> list[Frame]:
+def _as_frames(items: Iterable[Frame | NDArray[np.uint8] | None], dt: float) -> Sequence[Frame]:
+    if isinstance(items, LazyFrames):
+        return items
     frames = [
         item
         if isinstance(item, Frame)

@@ -10,6 +10,7 @@ import networkx as nx
 
 from .protocols import (
     BatchChain,
+    BatchIncoming,
     Cavity,
     Chain,
     FeatureNode,
@@ -70,7 +71,7 @@ class MultiChain:
     def connect(
         self,
         chain: Speaker[Callable[[Any, Never, Incoming], MessageType]]
-        | BatchSpeaker[Callable[[Any, Never], Sequence[MessageType]]],
+        | BatchSpeaker[Callable[[Any, Never, Sequence[BatchIncoming]], Sequence[MessageType]]],
         feature: FeatureNode[MessageType],
         feedback: bool = True,
     ) -> Self:

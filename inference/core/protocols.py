@@ -264,7 +264,15 @@ class BatchIncoming(Incoming, ABC):
     `incoming[f]` is the product of the evidence and of all other chains' messages at f, as in filtering.
     """
 
-    frame: Frame
+    @property
+    @abstractmethod
+    def frame(self) -> Frame:
+        """The frame, which may have to be read for it."""
+
+    @property
+    @abstractmethod
+    def time(self) -> float:
+        """s, that of the frame, which is not read for it."""
 
     @abstractmethod
     def others(self, feature: type[FeatureNode[MessageType]] | FeatureNode[MessageType], /) -> MessageType:
@@ -302,8 +310,14 @@ class BatchChain(Named, Protocol[TrajectoryType]):
         """
         ...
 
-    def messages(self, trajectory: TrajectoryType, feature: Never, /) -> Sequence[Message]:
-        """mu_{X -> F} for each frame: what the trajectory says of the feature."""
+    def messages(
+        self, trajectory: TrajectoryType, feature: Never, incoming_over_time: Sequence[BatchIncoming], /
+    ) -> Sequence[Message]:
+        """mu_{X -> F} for each frame: what the trajectory says of the feature.
+
+        `incoming_over_time` is what the trajectory goes by. Most chains have no need of it; one whose state
+        is too large to be kept for every frame works it out again, forwards, when messages are asked for.
+        """
         ...
 
 

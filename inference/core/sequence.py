@@ -1,13 +1,30 @@
-"""Messages of a whole sequence, while one chain after the other gets its best trajectory."""
+"""Messages of a whole sequence, while one chain after the other gets its best trajectory.
 
+Nothing of a frame is kept but what chains keep in their trajectories and what was searched for: frames are
+asked for one after the other, forwards, in every pass, and so are messages that chains work out when asked.
+"""
+
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from functools import reduce
 from operator import mul
-from typing import Any
+from typing import Any, overload
 
 from ...models.core.frame import Frame
 from .graph import MultiChain
 from .protocols import BatchIncoming, Message, Named, Smoothed
+
+
+class LazyFrames(Sequence[Frame]):
+    """Frames in order of time that are made when they are asked for, best one after the other.
+
+    A mark of sequences that `CoordinateAscent` must not hold: an engine asks for each frame once in a pass,
+    forwards. Those who make them see to their order.
+    """
+
+    @abstractmethod
+    def time(self, index: int, /) -> float:
+        """`Frame.time` of a frame, without making it."""
 
 
 class TimeSlices:
@@ -74,8 +91,7 @@ class TimeSlices:
         for name, chain in self.model.chains.items():
             if self._read.get(name) == self._inputs(name):
                 continue
-            incoming = [_BatchIncoming(self, name, time) for time in range(len(self.frames))]
-            result = chain.smooth(incoming, self.trajectories.get(name))
+            result = chain.smooth(_IncomingOverTime(self, name), self.trajectories.get(name))
             if not isinstance(result, Smoothed):
                 raise TypeError(f"chain {name!r}: smooth gave {type(result).__name__}, expected Smoothed")
             self.trajectories[name] = result.trajectory
@@ -95,13 +111,13 @@ class TimeSlices:
     def _send(self, chain: str) -> None:
         for feature in self.model.features_of(chain):
             node = self.model.features[feature]
-            messages = self.model.chains[chain].messages(self.trajectories[chain], node)
+            # what comes in is that of now, whatever others say later
+            incoming = _IncomingOverTime(self.copy(), chain)
+            messages = self.model.chains[chain].messages(self.trajectories[chain], node, incoming)
             if len(messages) != len(self.frames):
                 raise ValueError(
                     f"messages of {chain!r}: got {len(messages)}, expected {len(self.frames)}, one a frame"
                 )
-            for message in messages:
-                self.model.require_message(chain, feature, message)
             self.sent[chain, feature] = messages
 
     def _inputs(self, chain: str) -> tuple[int, ...]:
@@ -132,15 +148,19 @@ class TimeSlices:
 
     def messages(self, feature: str, time: int, without: str | None = None) -> Any:
         """Product of the chains' messages."""
-        factors = [
-            self.sent[name, feature][time]
-            for name in self.model.senders(feature)
-            if name != without and (name, feature) in self.sent
-        ]
+        factors = []
+        for name in self.model.senders(feature):
+            if name != without and (name, feature) in self.sent:
+                message = self.sent[name, feature][time]
+                self.model.require_message(name, feature, message)
+                factors.append(message)
         return reduce(mul, factors) if factors else self.model.features[feature].uniform()
 
     def evidence(self, feature: str, time: int) -> Any:
         """What was seen last, or what is seen where all messages so far have mass."""
+        node = self.model.features[feature]
+        if not node.searches and feature not in self._searching:
+            return self.search(feature, time, node.uniform())  # a function of the frame: not kept
         seen = self._evidence.setdefault(feature, [None] * len(self.frames))
         if seen[time] is None:
             seen[time] = self.search(feature, time, self.messages(feature, time))
@@ -152,11 +172,39 @@ class TimeSlices:
         return node.uniform() if frame.missing else node.evidence(frame, prior)
 
 
+class _IncomingOverTime(Sequence[BatchIncoming]):
+    """What reaches a chain at all times."""
+
+    def __init__(self, slices: TimeSlices, chain: str) -> None:
+        self._slices, self._chain = slices, chain
+
+    def __len__(self) -> int:
+        return len(self._slices.frames)
+
+    @overload
+    def __getitem__(self, time: int) -> BatchIncoming: ...
+    @overload
+    def __getitem__(self, time: slice) -> Sequence[BatchIncoming]: ...
+    def __getitem__(self, time: int | slice) -> BatchIncoming | Sequence[BatchIncoming]:
+        numbers = range(len(self))[time]  # which raises IndexError beyond the end
+        if isinstance(numbers, range):
+            return [_BatchIncoming(self._slices, self._chain, number) for number in numbers]
+        return _BatchIncoming(self._slices, self._chain, numbers)
+
+
 class _BatchIncoming(BatchIncoming):
     def __init__(self, slices: TimeSlices, chain: str, time: int) -> None:
         super().__init__(_Products(slices, chain, time))
         self._slices, self._chain, self._time = slices, chain, time
-        self.frame = slices.frames[time]
+
+    @property
+    def frame(self) -> Frame:
+        return self._slices.frames[self._time]
+
+    @property
+    def time(self) -> float:
+        frames = self._slices.frames
+        return frames.time(self._time) if isinstance(frames, LazyFrames) else frames[self._time].time
 
     def others(self, feature: Any, /) -> Any:
         return self._slices.messages(self.node(feature).name, self._time, without=self._chain)

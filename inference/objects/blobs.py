@@ -16,6 +16,7 @@ from ...models.objects.kernels.masks import MaskShape, shape_of
 
 Map = NDArray[np.float32]
 Pair = NDArray[np.float64]
+Box = tuple[float, float, float, float]
 
 HALF_OVERLAP = 0.37
 """Sum of a box's errors, each as a share of its side, at which it shares half of its area with the true one.
@@ -46,7 +47,7 @@ class Track:
     """
 
     identity: int
-    box: tuple[float, float, float, float]
+    box: Box
     confidence: float
     velocity: tuple[float, float]
 
@@ -93,8 +94,11 @@ class Blob:
         s since it was last seen, and for which it has not moved.
     confidence
         share of its visible part that was seen in the last frame.
-    ghost_evidence
-        nats, how much more of its outline was found in the background's picture than in the image.
+    view, past_views
+        nats, log ratio of being a ghost and being real by its outline as it is now, and by how it was before
+        (see `ghosts`).
+    origin
+        x, y, width, height px of where it appeared.
     parting
         s for which its mask has had a waist between two upright parts.
     size
@@ -118,7 +122,9 @@ class Blob:
     unseen: float
     still: float
     confidence: float
-    ghost_evidence: float
+    view: float
+    past_views: float
+    origin: Box
     parting: float
     size: Pair
     existence: float = 0.0
@@ -127,7 +133,13 @@ class Blob:
 
     @classmethod
     def newborn(
-        cls, identity: int, corner: Pair, mask: Map, planes: Map, first_speed: float, spread: float
+        cls,
+        identity: int,
+        corner: Pair,
+        mask: Map,
+        planes: Map,
+        first_speed: float,
+        spread: float,
     ) -> Self:
         """An object that was never seen before.
 
@@ -159,7 +171,9 @@ class Blob:
             unseen=0.0,
             still=0.0,
             confidence=1.0,
-            ghost_evidence=0.0,
+            view=0.0,
+            past_views=0.0,
+            origin=(float(corner[1]) + MARGIN, float(corner[0]) + MARGIN, float(size[1]), float(size[0])),
             parting=0.0,
             size=size,
         )
@@ -175,7 +189,7 @@ class Blob:
         return shape_of(self.mask)
 
     @cached_property
-    def box(self) -> tuple[float, float, float, float]:
+    def box(self) -> Box:
         """x, y, width, height px of what the mask likely covers, or else of its patch."""
         top, left, bottom, right = self.shape[1:5]
         if bottom == 0 or right == 0:
@@ -204,6 +218,12 @@ class Blob:
         mean, deviation = math.sqrt(2 / math.pi) * off.sum(), math.sqrt(1 - 2 / math.pi) * math.hypot(*off)
         near = 0.5 + 0.5 * math.erf((HALF_OVERLAP - mean) / (math.sqrt(2) * deviation))
         return near / (1 + math.exp(-self.existence)) > 0.5
+
+    @property
+    def ghost_evidence(self) -> float:
+        """nats, log ratio of being a ghost and being real; a detector finds what is real."""
+        real = 0.0 if self.detected is None else max(self.existence, 0.0)
+        return self.view + self.past_views - real
 
     @property
     def foot(self) -> float:

@@ -9,7 +9,8 @@ import numpy as np
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
 from ...models.objects.box_message import BoxMessage, LogOdds
-from .blob_geometry import FRESH
+from ..filters.linear_motion import kinematic
+from .blob_geometry import FRESH, box_densities
 from .blobs import MARGIN, Blob, DetectedBox, Map, Pair
 
 ACCELERATION = 0.4
@@ -49,7 +50,7 @@ GIVEN_UP = math.log(0.02 / 0.98)
 """Log odds of existence below which an object is forgotten."""
 
 
-def predicted(blob: Blob, dt: float) -> Blob:
+def _doubted(blob: Blob, dt: float) -> Blob:
     """What is known of an object's detections `dt` s later."""
     if blob.detected is None:
         return blob
@@ -65,11 +66,20 @@ def predicted(blob: Blob, dt: float) -> Blob:
     )
 
 
-def force(blobs: Sequence[Blob], acceleration: float) -> Pair:
-    """`(n,)` px^2/s^3: of each blob's random force, from its own lengths/s^2, or a walking person's."""
+def moved(blobs: Sequence[Blob], dt: float, acceleration: float, detecting: bool) -> tuple[Blob, ...]:
+    """Blobs `dt` s on: velocity stays, but for a random force of their own lengths/s^2, or a person's."""
+    if not blobs:
+        return ()
+    means = np.stack([(blob.position, blob.velocity) for blob in blobs]).swapaxes(1, 2)
+    covariances = np.stack([blob.covariance for blob in blobs])
     found = (ACCELERATION if blob.detected is not None else acceleration for blob in blobs)
     lengths = np.array([each * blob.length for each, blob in zip(found, blobs, strict=True)])
-    return np.asarray(0.5 * lengths**2)
+    means, covariances = kinematic(2, dt).moved(means, covariances, 0.5 * lengths**2)  # px^2/s^3
+    later = (
+        blob.changed(position=mean[:, 0], velocity=mean[:, 1], covariance=covariance)
+        for blob, mean, covariance in zip(blobs, means, covariances, strict=True)
+    )
+    return tuple(_doubted(blob, dt) if detecting else blob for blob in later)
 
 
 def is_shown(blob: Blob) -> bool:
@@ -77,8 +87,15 @@ def is_shown(blob: Blob) -> bool:
     return blob.confidence > 0.5 and blob.seen >= FRESH and blob.detected is None
 
 
-def expectations(blobs: Sequence[Blob]) -> BoxMessage:
-    """Which boxes a detector may find: of all objects, but the boxes of those that the pixels show well."""
+def said(blobs: Sequence[Blob], detecting: bool, image: bool) -> BoxMessage:
+    """What blobs say of boxes: of those that an image shows well, and what a detector may find of others."""
+    shown = [blob for blob in blobs if is_shown(blob)] if image else []
+    message = BoxMessage(box_densities(shown)) if shown else BoxMessage()
+    return message * _expectations(blobs) if detecting else message
+
+
+def _expectations(blobs: Sequence[Blob]) -> BoxMessage:
+    """That objects exist and are noticed, and boxes of those that a detector has found before."""
     blobs = sorted(blobs, key=lambda blob: blob.identity)
     identities = np.array([blob.identity for blob in blobs], np.int64)
     hidden = [blob for blob in blobs if blob.detected is not None]

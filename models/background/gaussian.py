@@ -6,7 +6,7 @@ result (log odds of "background", and the mean and variances that would follow) 
 """
 
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -18,58 +18,17 @@ from . import colour
 from .kernels.gaussian import (
     ODDS_STEPS,
     Gaussians,
-    Light,
     PixelModel,
     SecondColours,
-    interpolate,
     log_evidence,
     recall,
     smooth_log_odds,
     subtract_colour,
     subtract_grey,
 )
+from .light import LightField
 
 Planes = NDArray[np.float32]
-
-
-@short_repr
-@dataclass(frozen=True, eq=False)
-class LightField:
-    """How bright the scene is lit now, relative to the picture that is remembered, on a grid of blocks.
-
-    Parameters
-    ----------
-    blocks
-        `(block_rows, block_columns)` float32, 1 where the light is as it was.
-    size
-        `(height, width)` px of the picture.
-    """
-
-    blocks: Planes
-    size: tuple[int, int]
-
-    @cached_property
-    def along_rows(self) -> Light:
-        """The field interpolated along x at the blocks' centres, and where between them each row lies."""
-        left, share = _neighbours(self.size[1], self.blocks.shape[1])
-        rows: Planes = np.empty((self.blocks.shape[0] + 1, self.size[1]), np.float32)
-        interpolate(self.blocks, left, share, rows)
-        return Light(rows, _positions(self.size[0], self.blocks.shape[0]))
-
-
-@lru_cache(maxsize=16)
-def _positions(n_pixels: int, n_blocks: int) -> Planes:
-    """Where between the centres of blocks the centres of pixels lie, `(n_pixels,)` float32."""
-    position = (np.arange(n_pixels) + 0.5) * n_blocks / n_pixels - 0.5
-    return np.clip(position, 0, n_blocks - 1).astype(np.float32)
-
-
-@lru_cache(maxsize=16)
-def _neighbours(n_pixels: int, n_blocks: int) -> tuple[NDArray[np.intp], Planes]:
-    """The block left of every pixel, and the share of the one right of it."""
-    position = _positions(n_pixels, n_blocks)
-    left = np.minimum(position.astype(np.intp), n_blocks - 2)
-    return left, (position - left).astype(np.float32)
 
 
 @short_repr

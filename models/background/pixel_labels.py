@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera.view import View
 from ..core.frame import Frame
 from ..core.short_repr import short_repr
 from .gaussian import BackgroundFactor, Subtraction
@@ -19,6 +20,9 @@ from .kernels.gaussian import ODDS_STEPS
 from .layers import NO_LAYERS, LayerStack, Region
 
 Map = NDArray[np.float32]
+
+NEVER = -80.0
+"""Log odds of background that leave nothing of it."""
 
 TINT = 0.6
 TINT_COLOUR = (60, 60, 255)
@@ -45,6 +49,8 @@ class PixelMessage:
         of objects.
     image
         uint8 `(height, width[, 3])`, or `None`.
+    view
+        by which map the frame shows the scene; `None` where the camera stands still.
 
     Raises
     ------
@@ -55,6 +61,7 @@ class PixelMessage:
     background: BackgroundFactor | None = None
     layers: LayerStack = NO_LAYERS
     image: NDArray[np.uint8] | None = None
+    view: View | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.layers, LayerStack):
@@ -72,6 +79,7 @@ class PixelMessage:
             background=self.background or other.background,
             layers=self.layers * other.layers,
             image=self.image if other.image is None else other.image,
+            view=self.view * other.view if self.view and other.view else self.view or other.view,
         )
 
     @property
@@ -170,8 +178,12 @@ class PixelMessage:
 
         With an image, whose colours are then fixed, it is the log density of what it shows. Without one,
         colours are integrated out, and it is 0 as long as nobody else than the background has predicted
-        anything. Colours of several chains' layers at one pixel are taken for independent there.
+        anything. Colours of several chains' layers at one pixel are taken for independent there. Where a
+        moving camera does not show the scene, it shows as many pixels beside it instead, of any colour.
         """
+        return (0.0 if self.view is None else self.view.where.log_mass) + self._log_mass_of_pixels()
+
+    def _log_mass_of_pixels(self) -> float:
         background, image = self.background, self.image
         if background is None:
             return 0.0
@@ -179,13 +191,18 @@ class PixelMessage:
             clear, covered = background.prior, 1 - background.prior
             masses = (clear * region.clear + covered * region.explained for region in self.regions)
             return sum(float(np.log(mass, dtype=np.float64).sum()) for mass in masses)
-        if not self.layers:
+        hidden = None if self.view is None else self.view.hidden
+        if not self.layers and hidden is None:
             return background.log_likelihood(image)
         shift = np.zeros(self.size, np.float32)
         explained = 0.0
         for region in self.regions:
             shift[region.window] = region.shift
-            explained += float(np.log(region.explained, dtype=np.float64).sum())
+            seen = region.explained if hidden is None else region.explained[~hidden[region.window]]
+            explained += float(np.log(seen, dtype=np.float64).sum())
+        if hidden is not None:
+            shift[hidden] = NEVER
+            explained -= int(hidden.sum()) * float(np.log1p(-background.prior))
         return background.log_likelihood(image, shift.reshape(-1)) + explained
 
     def _log_odds(self) -> NDArray[np.int8]:
@@ -221,8 +238,13 @@ class PixelLabels:
 
     def draw(self, picture: NDArray[np.uint8], belief: PixelMessage) -> None:
         """Tint a BGR picture by P(B=0)."""
-        share = TINT * (1 - belief.background_probability()[..., None])
-        picture[...] = np.rint(picture + share * (np.array(TINT_COLOUR) - picture))
+        tint(picture, 1 - belief.background_probability())
+
+
+def tint(picture: NDArray[np.uint8], foreground: Map) -> None:
+    """Tint a BGR picture `(height, width, 3)` by the probability of foreground `(height, width)`."""
+    share = TINT * foreground[..., None]
+    picture[...] = np.rint(picture + share * (np.array(TINT_COLOUR) - picture))
 
 
 def _inside(box: Box, size: tuple[int, int]) -> tuple[Window, Window]:

@@ -1,6 +1,8 @@
 """A frame: an image, and what somebody else has found in it, with its time and its number."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +89,46 @@ class GivenBoxes:
                 )
         if self.confidence is not None and not np.isfinite(self.confidence).all():
             raise ValueError("boxes: got a confidence that is not finite, expected finite ones")
+
+    @classmethod
+    def of(cls, found: Any) -> Self:
+        """Take boxes as other libraries give them.
+
+        Parameters
+        ----------
+        found
+            anything with `xyxy` and perhaps `confidence`, `class_id`, `mask` and `data["class_name"]`, as
+            `supervision.Detections` has them; or an array `(n, 4)`, `(n, 5)` or `(n, 6)`: left, top, right,
+            bottom, score, number of the class; nothing in it is no box.
+
+        Raises
+        ------
+        ValueError
+            if it is neither, or as for `GivenBoxes`.
+        """
+        if isinstance(found, cls):
+            return found
+        if hasattr(found, "xyxy"):
+            confidence, number = (getattr(found, name, None) for name in ("confidence", "class_id"))
+            mask, data = (getattr(found, name, None) for name in ("mask", "data"))
+            name = data.get("class_name") if isinstance(data, Mapping) else None
+            classes = number if name is None else name
+            return cls(
+                np.asarray(found.xyxy, np.float64).reshape(-1, 4),
+                None if confidence is None else np.asarray(confidence, np.float64),
+                None if classes is None else np.asarray(classes),
+                None if mask is None else np.asarray(mask, np.bool_),
+            )
+        try:
+            rows = np.asarray(found, np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"boxes: got {type(found).__name__}, expected an array or xyxy") from None
+        if not rows.size:
+            rows = rows.reshape(0, 4)
+        if rows.ndim != 2 or rows.shape[1] not in (4, 5, 6):
+            raise ValueError(f"boxes: got {rows.shape}, expected (n, 4), (n, 5) or (n, 6)")
+        score = rows[:, 4] if rows.shape[1] > 4 else None
+        return cls(rows[:, :4], score, rows[:, 5].astype(np.int64) if rows.shape[1] > 5 else None)
 
     def __len__(self) -> int:
         return len(self.xyxy)

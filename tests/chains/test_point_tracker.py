@@ -227,7 +227,9 @@ class PlaneKnown:
         medians = np.array([np.median(points[k], axis=0) for k in identities.tolist()])
         return Smoothed(Places(identities, medians, 0.0))
 
-    def messages(self, trajectory: Places, feature: PointTracks) -> list[PointMessage]:
+    def messages(
+        self, trajectory: Places, feature: PointTracks, incoming_over_time: Sequence[BatchIncoming] = ()
+    ) -> list[PointMessage]:
         return [self._message(trajectory, DT * t, groups=True) for t in range(len(self.poses))]
 
 

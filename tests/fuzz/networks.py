@@ -1,6 +1,8 @@
-"""A tiny network with the inputs and outputs of OpenCV's YuNet, as an ONNX file."""
+"""Tiny networks as ONNX files: with the inputs and outputs of OpenCV's YuNet, and of a YOLO."""
 
 import struct
+
+import numpy as np
 
 STRIDES, OUTPUTS = (8, 16, 32), {"cls": 1, "obj": 1, "bbox": 4, "kps": 10}
 FLOAT, INT64 = 1, 7  # ONNX's types of elements
@@ -23,6 +25,35 @@ def tiny_network() -> bytes:
             nodes += _node("Reshape", [f"t{out}", f"s{out}"], out, b"")
             results += _field(12, _value(out, [1, (640 // stride) ** 2, columns]))
     graph = nodes + _field(2, b"g") + weights + _field(11, _value("input", [1, 3, 640, 640])) + results
+    return _number(1, 6) + _field(7, graph) + _field(8, _field(1, b"") + _number(2, 11))
+
+
+def bright_cells(size: int = 64, cell: int = 8, box: int = 12) -> bytes:
+    """A detector with the input and output of YOLOv8: a box about every cell, scored by its red and its blue.
+
+    Parameters
+    ----------
+    size, cell
+        px: width and height of the input, and of its cells.
+    box
+        px: width and height of the boxes, which overlap when they are larger than cells.
+    """
+    n_cells = size // cell
+    colours = np.zeros((6, 3), np.float32)  # rows: centre, size, and the scores of two classes; columns: RGB
+    colours[4, 0] = colours[5, 2] = 1
+    places = np.zeros((6, n_cells, n_cells), np.float32)
+    places[1], places[0] = (np.indices((n_cells, n_cells)) + 0.5) * cell
+    places[2:4] = box
+    kernel = _list("kernel_shape", cell, cell) + _list("strides", cell, cell)
+    nodes = _node("AveragePool", ["images"], "cells", kernel)
+    nodes += _node("Conv", ["cells", "colours"], "scores", _list("kernel_shape", 1, 1))
+    nodes += _node("Add", ["scores", "places"], "all", b"")
+    nodes += _node("Reshape", ["all", "shape"], "output0", b"")
+    weights = _field(5, _tensor("colours", [6, 3, 1, 1], FLOAT, colours.tobytes()))
+    weights += _field(5, _tensor("places", [1, 6, n_cells, n_cells], FLOAT, places.tobytes()))
+    weights += _field(5, _tensor("shape", [3], INT64, struct.pack("<3q", 1, 6, n_cells**2)))
+    result = _field(12, _value("output0", [1, 6, n_cells**2]))
+    graph = nodes + _field(2, b"g") + weights + _field(11, _value("images", [1, 3, size, size])) + result
     return _number(1, 6) + _field(7, graph) + _field(8, _field(1, b"") + _number(2, 11))
 
 

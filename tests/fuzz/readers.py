@@ -12,6 +12,7 @@ from rsmcm.apps.body.start import start_from_head
 from rsmcm.apps.evaluation.scoring import Scoring
 from rsmcm.apps.evaluation.tracks import track_rows
 from rsmcm.apps.evaluation.validity import report_validity
+from rsmcm.apps.io.detections.read import read_detections
 from rsmcm.apps.io.ground_truth import BoxTruth, read_ground_truth
 from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.point_files import read_points
@@ -86,6 +87,14 @@ def results(folder: Path) -> None:
     track_rows(read_tracks(folder / "gt.txt"))
 
 
+def detections(folder: Path) -> None:
+    """Boxes that a detector has found, checked against a film, and those of its frames."""
+    found = read_detections(_file(folder), film=str(folder))
+    found.check(str(folder), SIZE, MOST_FRAMES)
+    for number in range(20):
+        found.at(number)
+
+
 def parameters(folder: Path) -> None:
     """Parameters, as far as chains that have them."""
     read = read_parameters(_file(folder))
@@ -146,7 +155,7 @@ SLOW = {"detectors": 20}
 READERS: dict[str, Callable[[Path], None]] = {
     reader.__name__: reader
     for reader in (
-        films, pictures, masks, regions, boxes, results, parameters, tracks, landmarks, models,
+        films, pictures, masks, regions, boxes, results, detections, parameters, tracks, landmarks, models,
         correspondences, joints, states, predictions, detectors,
     )
 }  # fmt: skip

@@ -1,6 +1,7 @@
 """Sound inputs of every reader, small and made by code: files by their names in a folder."""
 
 import io
+import json
 import tempfile
 from collections.abc import Callable
 from fractions import Fraction
@@ -107,6 +108,24 @@ def _boxes(_: Path) -> list[Files]:
     ]
 
 
+def _detections(_: Path) -> list[Files]:
+    rows = [(frame, 3 + frame, 5, 10, 20, 0.5) for frame in range(1, 6) for _ in range(2)]
+    results = [{"image_id": row[0], "category_id": 1, "bbox": row[1:5], "score": row[5]} for row in rows]
+    data_set = {
+        "images": [{"id": frame, "file_name": f"a/{frame:06d}.jpg"} for frame in range(1, 8)],
+        "annotations": results,
+        "categories": [{"id": 1, "name": "person"}],
+    }
+    lines = "".join(f"{','.join(map(str, row))},person\n" for row in rows)
+    mot = "".join(f"{row[0]},-1,{','.join(map(str, row[1:]))},-1,-1,-1\n" for row in rows)
+    return [
+        {"det.txt": mot.encode()},
+        {"found.csv": f"frame,x,y,width,height,score,class\n{lines}".encode()},
+        {"results.json": json.dumps(results).encode()},
+        {"data_set.json": json.dumps(data_set, indent=1).encode()},
+    ]
+
+
 def _parameters(_: Path) -> list[Files]:
     return [
         {"a.toml": b"[background]\nprior = 0.9 # P\nsettle_time = 10.0\n\n[blobs]\nhidden_patience = 5.0\n"},
@@ -210,6 +229,7 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "regions": _regions,
     "boxes": _boxes,
     "results": _boxes,
+    "detections": _detections,
     "parameters": _parameters,
     "tracks": _points,
     "landmarks": _points,

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from rsmcm import chains as shipped
 from rsmcm.apps.experiments.trials.body import SignerFilm
-from rsmcm.apps.scenes import face, sleeping_man
+from rsmcm.apps.scenes import face, shaken, sleeping_man
 from rsmcm.chains import (
     AdaptiveBackground,
     ArticulatedPose,
     BlobTracker,
+    CameraMotion,
     FleshTracker,
     GFlow,
     GroundPlane,
@@ -23,12 +24,13 @@ from rsmcm.chains import (
     RecursiveStructure,
 )
 from rsmcm.inference import Belief, CoordinateAscent, MultiChain, RecursiveBP
-from rsmcm.models import Frame, ObjectBoxes, PixelLabels, PointTracks
+from rsmcm.models import Frame, ObjectBoxes, PixelLabels, PointTracks, ScenePixels
 from rsmcm.models.core.frame import GivenPoints
 
 from ..support.turning import turning
 
 PIXELS, BOXES, POINTS = PixelLabels(), ObjectBoxes(), PointTracks(noise=0.3)
+SCENE = ScenePixels(name="pixels")
 
 
 @cache
@@ -53,6 +55,10 @@ def links(name: str) -> tuple[list[Frame], list[tuple[object, object]]]:
     if name == "scene":
         background, blobs, ground = AdaptiveBackground(), BlobTracker(confirmed_time=0.1), GroundPlane()
         return street(), [(background, PIXELS), (blobs, PIXELS), (blobs, BOXES), (ground, BOXES)]
+    if name == "shaken scene":
+        frames = list(shaken(sleeping_man(40, size=(160, 120), enter=5), margin=8))
+        background, blobs = AdaptiveBackground(), BlobTracker(confirmed_time=0.1)
+        return frames, [(CameraMotion(), SCENE), (background, SCENE), (blobs, SCENE)]
     if name == "points":
         return shape(), [(PointTracker(), POINTS), (RecursiveStructure(), POINTS)]
     body, parts = signer().scene.body, signer().parts
@@ -82,7 +88,7 @@ def assert_same(one: Any, other: Any) -> None:
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("name", ["scene", "points", "body"])
+@pytest.mark.parametrize("name", ["scene", "shaken scene", "points", "body"])
 def test_any_order_of_connections_gives_the_same_bytes(name: str) -> None:
     frames, connected = links(name)
     usual = list(run(frames, connected))
@@ -91,13 +97,14 @@ def test_any_order_of_connections_gives_the_same_bytes(name: str) -> None:
             assert list(one.states) == list(other.states)
             assert_same(one.states, other.states)
             assert one.log_evidence == other.log_evidence
-            if name == "scene":
-                np.testing.assert_array_equal(one[PIXELS].foreground(), other[PIXELS].foreground())
+            if "scene" in name:
+                np.testing.assert_array_equal(one["pixels"].foreground(), other["pixels"].foreground())
 
 
 FILTERS = (
-    "AdaptiveBackground", "ArticulatedPose", "BlobTracker", "Condensation", "FleshTracker", "GFlow",
-    "GroundPlane", "MixtureBackground", "PointTracker", "RecursiveStructure",
+    "AdaptiveBackground", "ArticulatedPose", "BlobTracker", "CameraMotion", "Condensation",
+    "DetectorRates", "FleshTracker",
+    "GFlow", "GroundPlane", "MixtureBackground", "PointTracker", "RecursiveStructure",
 )  # fmt: skip
 
 
@@ -113,8 +120,10 @@ def alone(name: str) -> tuple[list[Frame], list[tuple[object, object]]]:
     if name == "GFlow":
         scene = face(3, 0, (192, 128))
         return list(scene), [(GFlow(scene.model, scene.poses[0], experts=2, texels=200), PIXELS)]
-    if name == "GroundPlane":
-        return street()[:12], [(GroundPlane(), BOXES)]
+    if name in ("DetectorRates", "GroundPlane"):
+        return street()[:12], [(kind(), BOXES)]
+    if name == "CameraMotion":
+        return street()[:12], [(kind(), SCENE), (AdaptiveBackground(), SCENE)]
     others = [(AdaptiveBackground(), PIXELS)] if name == "BlobTracker" else []
     return street()[:12], [(kind(), PIXELS), *others]
 

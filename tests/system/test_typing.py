@@ -51,7 +51,9 @@ class Batch:
     ) -> Smoothed[Path]:
         return Smoothed(Path())
 
-    def messages(self, trajectory: Path, feature: ObjectBoxes) -> Sequence[BoxMessage]:
+    def messages(
+        self, trajectory: Path, feature: ObjectBoxes, incoming_over_time: Sequence[BatchIncoming]
+    ) -> Sequence[BoxMessage]:
         return []
 
 

@@ -224,41 +224,49 @@ class KalmanHungarian:
         self._tracks: list[_BoxTrack] = []
         self._next_identity = 1
 
-    def update(self, boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+    def update(self, boxes: NDArray[np.float64] | None) -> NDArray[np.float64]:
         """Take the next frame's boxes.
 
         Parameters
         ----------
         boxes
-            `(n, 4)`: x, y, width, height (px).
+            `(n, 4)`: x, y, width, height (px); `None` where nobody has looked for any.
 
         Returns
         -------
-        `(m, 5)`: identity, x, y, width, height of the tracks found in this frame.
+        `(m, 5)`: identity, x, y, width, height of the tracks found in this frame, or where nobody has looked,
+        of those that were found when somebody did, where they should be now.
         """
         for track in self._tracks:
             track.predict()
+        if boxes is not None:
+            self._correct(boxes)
+        self._tracks = [track for track in self._tracks if track.age <= self._max_age]
+        found = [track for track in self._tracks if not track.lost and track.hits >= self._min_hits]
+        return np.array([[track.identity, *track.box()] for track in found]).reshape(-1, 5)
+
+    def _correct(self, boxes: NDArray[np.float64]) -> None:
         predicted = np.array([track.box() for track in self._tracks]).reshape(-1, 4)
         overlap = box_overlap(predicted, boxes)
         rows, columns = linear_sum_assignment(overlap, maximize=True)
         good = overlap[rows, columns] >= self._least_overlap
+        for track in self._tracks:
+            track.lost = True
         for row, column in zip(rows[good], columns[good], strict=True):
             self._tracks[row].correct(boxes[column])
         for column in np.setdiff1d(np.arange(len(boxes)), columns[good]):
             self._tracks.append(_BoxTrack(self._next_identity, boxes[column]))
             self._next_identity += 1
-        self._tracks = [track for track in self._tracks if track.age <= self._max_age]
-        found = [track for track in self._tracks if track.age == 0 and track.hits >= self._min_hits]
-        return np.array([[track.identity, *track.box()] for track in found]).reshape(-1, 5)
 
 
 class _BoxTrack:
-    """One box's filter, how often it was found, and how long ago."""
+    """One box's filter, how often it was found, how long ago, and whether it was missed the last time."""
 
     def __init__(self, identity: int, box: NDArray[np.float64]):
         self.identity = identity
         self.hits = 1
         self.age = 0
+        self.lost = False
         self._filter = KalmanFilter(dim_x=6, dim_z=4)
         self._filter.x[:4, 0] = _centre_and_size(box)
         self._filter.F[[0, 1], [4, 5]] = 1
@@ -276,6 +284,7 @@ class _BoxTrack:
         self._filter.update(_centre_and_size(box))
         self.hits += 1
         self.age = 0
+        self.lost = False
 
     def box(self) -> NDArray[np.float64]:
         state = self._filter.x[:, 0]

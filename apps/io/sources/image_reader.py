@@ -6,7 +6,7 @@ import math
 import os
 import re
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,7 @@ class ImageReader:
             raise ValueError(f"{source}: got {self.rate} frames per second, expected more than 0")
         self.last_number = len(files)
         self.notes: list[str] = []
+        self.pictures: Sequence[str] = [path.name for path in files]
         self._files = files
 
     def frames(self, selection: Selection, _stopping: threading.Event) -> Iterator[Frame]:

@@ -110,6 +110,7 @@ class LiveReader:
     total: int | None = None
     truncated = False
     notes: tuple[str, ...] = ()
+    pictures: tuple[str, ...] = ()
 
     def __init__(self, feed: Feed, connect: Callable[[], Feed], reconnect: float | None) -> None:
         self.name = feed.name

@@ -61,6 +61,8 @@ class Source:
         frames per second of the source, before `step`.
     size
         `(width, height)` px.
+    pictures
+        names of the images' files in order, where it consists of such.
     skipped
         numbers of the frames so far that could not be read and came as `Frame(None, ...)`.
     truncated
@@ -104,6 +106,7 @@ class Source:
         self.live = reader.live
         self.rate = reader.rate
         self.size = reader.header_size
+        self.pictures = reader.pictures
         self.n_frames = None if reader.total is None else len(selection.numbers(reader.total))
         while isinstance(item, Frame):
             self._decoded.append(item)

@@ -98,6 +98,10 @@ class Reader(Protocol):
         """`(width, height)` px, 0 where only a picture tells."""
 
     @property
+    def pictures(self) -> Sequence[str]:
+        """Names of the images' files in order, where it consists of such."""
+
+    @property
     def gaps(self) -> Sequence[Gap]:
         """In which the connection was lost, so far."""
 

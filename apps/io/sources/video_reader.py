@@ -52,6 +52,7 @@ class VideoReader:
     live = False
     gaps: tuple[Gap, ...] = ()
     notes: tuple[str, ...] = ()
+    pictures: tuple[str, ...] = ()
 
     def __init__(self, source: str, *, network: bool, reconnect: float | None = None) -> None:
         self.name = without_password(source)

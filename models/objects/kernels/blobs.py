@@ -279,35 +279,48 @@ def learn(patch, explained, sprite, strength, mask_share, colour_share, least_ke
 
 
 @compiled
-def outline_contrast(planes, picture, free, mask, reach):
-    """Mean contrast across a mask's outline in the image and in the background picture.
+def outline_contrasts(planes, free, mask, reach, out):
+    """Contrasts of planes `(channels, height, width)` about a mask's outline: across it, and right outside.
 
-    Both are compared `reach` px inside and outside the outline.
+    They compare colours `reach` px inside of every step of the outline (right inside, where the mask is
+    thinner) and as far outside, and the latter with one twice as far again. Steps whose three places are not
+    all free are left out.
+
+    Returns
+    -------
+    count
+        of the columns of `out` `(2, 4 * height * width)` that were filled, grey levels: across, outside.
     """
     channels, rows, columns = planes.shape
-    in_image = in_picture = 0.0
     count = 0
     for y in range(reach, rows - reach):
         for x in range(reach, columns - reach):
-            if mask[y, x] <= 0.5:
+            if mask[y, x] <= _f4(0.5):
                 continue
             for direction in range(4):
                 down = (1, -1, 0, 0)[direction]
                 right = (0, 0, 1, -1)[direction]
-                if mask[y + down, x + right] > 0.5:
+                if mask[y + down, x + right] > _f4(0.5):
                     continue
                 y1, x1 = y - reach * down, x - reach * right
+                if mask[y1, x1] <= _f4(0.5):
+                    y1, x1 = y, x
                 y2, x2 = y + reach * down, x + reach * right
-                if free[y1, x1] < 0.5 or free[y2, x2] < 0.5:
+                y3, x3 = y + 3 * reach * down, x + 3 * reach * right
+                if not (0 <= y3 < rows and 0 <= x3 < columns):
+                    y3, x3 = y2 + 2 * reach * right, x2 + 2 * reach * down
+                if not (0 <= y3 < rows and 0 <= x3 < columns):
                     continue
-                seen = remembered = 0.0
+                if min(free[y1, x1], free[y2, x2], free[y3, x3]) < _f4(0.5):
+                    continue
+                across = outside = _f4(0)
                 for channel in range(channels):
-                    seen += (planes[channel, y1, x1] - planes[channel, y2, x2]) ** 2
-                    remembered += (picture[channel, y1, x1] - picture[channel, y2, x2]) ** 2
-                in_image += np.sqrt(seen)
-                in_picture += np.sqrt(remembered)
+                    middle = planes[channel, y2, x2]
+                    across += (planes[channel, y1, x1] - middle) ** 2
+                    outside += (planes[channel, y3, x3] - middle) ** 2
+                out[0, count], out[1, count] = np.sqrt(across), np.sqrt(outside)
                 count += 1
-    return in_image / max(count, 1), in_picture / max(count, 1), count
+    return count
 
 
 @compiled

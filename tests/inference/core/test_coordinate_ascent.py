@@ -73,7 +73,9 @@ class Quadratic:
         values = np.linalg.solve(information, vector)
         return Smoothed(Path(values, float(self.pull @ values - 0.5 * values @ self.precision @ values)))
 
-    def messages(self, trajectory: Path, feature: Level) -> list[GaussianMessage]:
+    def messages(
+        self, trajectory: Path, feature: Level, incoming_over_time: Sequence[BatchIncoming] = ()
+    ) -> list[GaussianMessage]:
         return [gaussian(value, self.spread) for value in trajectory.values]
 
 
@@ -137,11 +139,15 @@ def test_order_of_connection_changes_no_byte(chains: tuple[Quadratic, ...]) -> N
 
 def test_what_is_no_answer_is_refused() -> None:
     class Short(Quadratic):
-        def messages(self, trajectory: Path, feature: Level) -> list[GaussianMessage]:
+        def messages(
+            self, trajectory: Path, feature: Level, incoming_over_time: Sequence[BatchIncoming] = ()
+        ) -> list[GaussianMessage]:
             return super().messages(trajectory, feature)[1:]
 
     class Mute(Quadratic):
-        def messages(self, trajectory: Path, feature: Level) -> Any:
+        def messages(
+            self, trajectory: Path, feature: Level, incoming_over_time: Sequence[BatchIncoming] = ()
+        ) -> Any:
             return [None] * N_FRAMES
 
     class Bare(Quadratic):
@@ -200,7 +206,9 @@ class Searching:
         self.seen.append(sum(len(message) for message in evidence))
         return Smoothed(Path(np.zeros(N_FRAMES), 0.0), {incoming_over_time[0].node(Level): evidence})
 
-    def messages(self, trajectory: Path, feature: Level) -> list[GaussianMessage]:
+    def messages(
+        self, trajectory: Path, feature: Level, incoming_over_time: Sequence[BatchIncoming] = ()
+    ) -> list[GaussianMessage]:
         return [feature.uniform() for _ in trajectory.values]
 
 

@@ -163,15 +163,24 @@ def test_learn(channels, columns):
     assert 0 < learned.mean() < 1
 
 
-def test_an_outline_is_an_edge_of_what_shows_the_object():
-    mask = np.zeros((30, 30), F4)
-    mask[10:20, 12:18] = 1
-    with_object = np.full((1, 30, 30), 50, F4)
-    with_object[0][mask > 0] = 150
-    empty, free = np.full((1, 30, 30), 50, F4), np.ones((30, 30), F4)
-    assert kernels.outline_contrast(with_object, empty, free, mask, 2) == (100, 0, 32)
-    assert kernels.outline_contrast(empty, with_object, free, mask, 2) == (0, 100, 32)
-    assert kernels.outline_contrast(empty, with_object, 0 * free, mask, 2) == (0, 0, 0)
+@pytest.mark.parametrize(("width", "reach"), [(6, 1), (6, 2), (2, 2), (1, 3)])
+def test_contrasts_across_an_outline_and_beside_it(width, reach):
+    mask, out = np.zeros((30, 40), F4), np.empty((2, 4 * 1200), F4)
+    mask[12:20, 17 : 17 + width] = 1
+    planes = np.full((2, 30, 40), 50, F4)
+    planes[:, mask > 0] = [[150], [90]]
+    free = np.ones((30, 40), F4)
+    count = kernels.outline_contrasts(planes, free, mask, reach, out)
+    assert count == 2 * (8 + width)
+    np.testing.assert_allclose(out[0, :count], np.hypot(100, 40))
+    np.testing.assert_array_equal(out[1, :count], 0)
+    planes[:] = 3 * np.arange(40)
+    assert kernels.outline_contrasts(planes, free, mask, reach, out) == count
+    slopes = np.unique(out[1, :count])
+    np.testing.assert_allclose(slopes, [0, 6 * reach * np.sqrt(2)], rtol=1e-6)
+    free[:, :17] = 0  # what covers the left side hides its outline, and places above and below next to it
+    assert kernels.outline_contrasts(planes, free, mask, reach, out) == count - 8
+    assert kernels.outline_contrasts(planes, 0 * free, mask, reach, out) == 0
 
 
 @pytest.mark.parametrize("size", [(40, 60), (7, 5), (33, 65)])

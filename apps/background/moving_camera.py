@@ -1,0 +1,68 @@
+"""Notice that a camera moves which is taken to stand still."""
+
+import logging
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference import Belief
+from ...models.camera.affine_map import AffineMap
+from ...models.camera.registration import ScenePicture
+from ...models.core.grey import grey_of
+
+_log = logging.getLogger(__name__)
+
+MOVES = "the camera moves or shakes"
+"""With which the notice begins."""
+
+SUSPICIOUS = 0.02
+"""Share of the picture that is foreground from which on the camera may be the cause."""
+
+LOOK_TIME = 0.3
+"""s between two looks at the camera, as long as there is that much foreground."""
+
+MOST = 0.5
+"""Share of the differences between frame and empty scene that one map has to explain."""
+
+LEAST_MOTION = 0.4
+"""px, root mean square over the picture, below which a map is no motion that matters."""
+
+
+class CameraWatch:
+    """Registers suspicious frames with the empty scene, and says once that the camera moves.
+
+    A light that is switched, or somebody who fills the picture, makes most of it foreground too; but then no
+    map of the picture takes the differences away.
+
+    Parameters
+    ----------
+    noticed
+        whether there is nothing to say any more.
+    """
+
+    def __init__(self, *, noticed: bool = False) -> None:
+        self.noticed = noticed
+        self._looked = -inf
+
+    def take_in(self, belief: Belief, foreground: NDArray[np.uint8]) -> str | None:
+        """What is to be said, and is logged, after this frame with its mask `(height, width)`."""
+        frame = belief.frame
+        if self.noticed or frame.image is None or frame.time < self._looked + LOOK_TIME:
+            return None
+        if np.count_nonzero(foreground) < SUSPICIOUS * foreground.size:
+            return None
+        self._looked = frame.time
+        background = belief["pixels"].background
+        empty = background.mean[0].reshape(background.size)
+        found = ScenePicture(empty).register(grey_of(frame.image), AffineMap.identity(background.size))
+        moved = found.map.displacement
+        if found.explained < MOST or moved < LEAST_MOTION:
+            return None
+        self.noticed = True
+        said = (
+            f"{MOVES}: in frame {frame.number} the scene is seen {moved:.1f} px from where "
+            f"it was, which is {found.explained:.0%} of what has changed; --camera moving follows it"
+        )
+        _log.warning("%s", said)
+        return said

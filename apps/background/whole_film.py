@@ -1,0 +1,113 @@
+"""What is known of a film before its first frame is answered: from all of it, or from its first seconds."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+
+from ...chains.object_trajectories import ObjectsOverTime, ObjectTrajectories
+from ...chains.scene_filter import SceneFilter
+from ...inference import CoordinateAscent, MultiChain
+from ...inference.core.recursive_bp import RunState
+from ...models import Frame, ObjectBoxes, PixelLabels
+from ...models.core.short_repr import short_repr
+from ..io.film import Film
+from ..io.sources.open_source import Source, open_source
+from ..runs.interruption import Interrupted, Interruption
+from ..runs.progress import Progress
+from .job import BackgroundJob
+
+PASSES = ("reading", "empty scene", "tracks")
+"""What is done in the passes over a film before the one in which its masks are written."""
+
+
+@short_repr
+@dataclass(frozen=True)
+class SeenObject:
+    """An object in a frame, as it is reported.
+
+    Parameters
+    ----------
+    identity
+        from 1.
+    box
+        x, y, width, height px.
+    confidence
+        1 throughout: doubtful ones are left out.
+    """
+
+    identity: int
+    box: tuple[float, float, float, float]
+    confidence: float = 1.0
+
+
+def read_whole(
+    job: BackgroundJob,
+    source: Source,
+    model: MultiChain,
+    known: Callable[[Iterator[Frame]], Iterator[Frame]],
+    interruption: Interruption,
+) -> tuple[RunState, ObjectsOverTime]:
+    """The state before a film's first frame, and who was where in it, given all of it.
+
+    Parameters
+    ----------
+    job
+        what is asked for.
+    source
+        the film, opened; here it is opened again for every pass.
+    model
+        the filter that will write the masks.
+    known
+        puts to frames what is known of them beforehand.
+    interruption
+        asked between frames.
+
+    Raises
+    ------
+    ValueError
+        if the source is live, or the model's background cannot begin with an empty scene.
+    Interrupted
+        if a signal came meanwhile.
+    """
+    if source.live:
+        raise ValueError(
+            f"--engine {job.engine}: {source.name} is live and cannot be read more than once, expected a "
+            "file or images (--warm-up SECONDS finds the empty scene of a stream)"
+        )
+    names = iter(PASSES)
+
+    def passing(frames: Iterator[Frame]) -> Iterator[Frame]:
+        with Progress(next(names), source.n_frames) as progress:
+            for frame in interruption.items(known(frames)):
+                yield frame
+                progress.update()
+        if interruption.signal is not None:
+            raise Interrupted(interruption.signal)
+
+    scene, objects = SceneFilter(model), ObjectBoxes()
+    film_model = MultiChain().connect(scene, PixelLabels()).connect(scene, objects)
+    film_model.connect(trajectories := ObjectTrajectories(), objects, feedback=False)
+    with Film(lambda: open_source(job.source, job.start, job.stop, job.step), passing) as film:
+        # nobody tells the filter what the trajectories are: the first round is the last
+        solution = CoordinateAscent(film_model, most_rounds=1).run(film)
+        return scene.start(solution[scene], film.time(0)), solution[trajectories]
+
+
+def warmed_up(seconds: float, frames: Iterator[Frame], model: MultiChain) -> tuple[RunState, Iterator[Frame]]:
+    """The state before the first frame, given the first `seconds` of frames, and all frames again.
+
+    Raises
+    ------
+    ValueError
+        if the model's background cannot begin with an empty scene.
+    """
+    scene, held = SceneFilter(model), []
+    for frame in frames:
+        held.append(frame)
+        if frame.time - held[0].time >= seconds:
+            break
+    images = [frame.image for frame in held if frame.image is not None]
+    if not images:
+        return RunState(), chain(held, frames)
+    every = -(-len(images) // scene.most(images[0].nbytes))
+    return scene.start(scene.begun(images[::every]), held[0].time), chain(held, frames)

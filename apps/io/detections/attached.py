@@ -1,0 +1,51 @@
+"""Frames with what a detector finds in them."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from typing import Any
+
+from ....models.core.frame import Frame, GivenBoxes
+
+
+def with_boxes(frames: Iterable[Frame], detector: Callable[[Frame], Any], every: int = 1) -> Iterator[Frame]:
+    """Frames with the boxes that a detector finds in them.
+
+    Parameters
+    ----------
+    frames
+        in order, as `open_source` gives them; one without an image stays without boxes.
+    detector
+        is called with a frame. It returns what `GivenBoxes.of` takes (`supervision.Detections`, an array
+        `(n, 4)` to `(n, 6)`), or `None`: it has not looked. `Detections` of a file are such a detector.
+    every
+        it is called for every so many frames with an image, the first among them.
+
+    Raises
+    ------
+    ValueError
+        if `every` is below 1; or naming the frame, if what the detector returns are no boxes.
+    TypeError
+        if the detector cannot be called.
+    """
+    if every < 1:
+        raise ValueError(f"every: got {every}, expected 1 or more frames")
+    if not callable(detector):
+        raise TypeError(f"detector: got {type(detector).__name__}, expected something to call with a frame")
+    return _attached(frames, detector, every)
+
+
+def _attached(frames: Iterable[Frame], detector: Callable[[Frame], Any], every: int) -> Iterator[Frame]:
+    count = 0
+    for frame in frames:
+        found = None
+        if frame.image is not None:
+            found = detector(frame) if count % every == 0 else None
+            count += 1
+        if found is None:
+            yield frame
+            continue
+        try:
+            boxes = GivenBoxes.of(found)
+        except ValueError as error:
+            raise ValueError(f"frame {frame.number}: {error}") from None
+        yield replace(frame, boxes=boxes)

@@ -1,0 +1,121 @@
+"""A steady film as a camera that shakes would have taken it, with every frame's map."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import overload
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.camera.affine_map import UNKNOWNS, AffineMap
+from ...models.core.frame import Frame
+
+Picture = NDArray[np.uint8] | NDArray[np.float32]
+
+SHAKE_TIME = 0.15
+"""s, time constant of the shake."""
+
+TURNING = 0.25
+"""Of the shake's px: how far rotation, zoom and shear move the corners."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShakenFilm(Sequence[Frame]):
+    """What a shaking camera shows of a film; build it with `shaken`, which explains the parameters."""
+
+    film: Sequence[Frame]
+    amount: float
+    seed: int
+    margin: int
+    noise: float
+
+    def __len__(self) -> int:
+        return len(self.film)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        frame = self.film[index]
+        if frame.image is None:
+            return frame
+        number = range(len(self))[index]
+        image = self._seen(frame.image, number, cv2.INTER_CUBIC).astype(np.float32)
+        if self.noise > 0:
+            generator = np.random.default_rng([self.seed, 1, number])
+            image += self.noise * generator.standard_normal(image.shape, np.float32)
+        return Frame(np.clip(np.rint(image), 0, 255).astype(np.uint8), frame.time, frame.number)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[index] for index in range(len(self)))
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """`(width, height)` px of its frames."""
+        image = next(frame.image for frame in self.film if frame.image is not None)
+        return image.shape[1] - 2 * self.margin, image.shape[0] - 2 * self.margin
+
+    @cached_property
+    def views(self) -> list[AffineMap]:
+        """By which map each frame shows the middle of the steady film's picture."""
+        random = np.random.default_rng([self.seed, 0])
+        shares = self.amount * np.where(np.arange(UNKNOWNS) % 3 == 0, 1.0, TURNING)
+        parameters, views, before = np.zeros(UNKNOWNS), [], self.film[0].time
+        for frame in self.film:
+            stays = np.exp(-(frame.time - before) / SHAKE_TIME)
+            parameters = stays * parameters + np.sqrt(1 - stays**2) * shares * random.normal(size=UNKNOWNS)
+            views.append(AffineMap(parameters, self.size[::-1]))
+            before = frame.time
+        return views
+
+    def mask(self, steady: NDArray[np.bool_], index: int) -> NDArray[np.bool_]:
+        """The foreground `(height, width)` that frame `index` shows of a mask of the steady film."""
+        return self._seen(steady.astype(np.float32), index, cv2.INTER_LINEAR) > 0.5
+
+    def _seen(
+        self, picture: NDArray[np.uint8] | NDArray[np.float32], index: int, how: int
+    ) -> NDArray[np.float32]:
+        back = cv2.invertAffineTransform(self.views[index].matrix)
+        back[:, 2] += self.margin
+        shown = cv2.warpAffine(
+            picture, back, self.size, flags=how | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
+        )
+        return np.asarray(shown)
+
+
+def shaken(
+    film: Sequence[Frame], amount: float = 3.0, seed: int = 0, margin: int = 16, noise: float = 0.0
+) -> ShakenFilm:
+    """Take a steady film with a camera that shakes.
+
+    The first frame is as it was. The map from the scene to a frame (see `AffineMap`) is an
+    Ornstein-Uhlenbeck process of 0.15 s: shifts, and a quarter as much of rotation, zoom and shear.
+
+    Parameters
+    ----------
+    film
+        frames with images of one size.
+    amount
+        px, standard deviation of the shifts along each axis.
+    seed
+        decides shake and noise.
+    margin
+        px that its picture is smaller on each side, out of which the camera looks when it shakes.
+    noise
+        standard deviation of the sensor's noise, grey levels, if the film has none of its own.
+
+    Raises
+    ------
+    ValueError
+        if a number is negative, or the film is empty.
+    """
+    if amount < 0 or margin < 0 or noise < 0:
+        raise ValueError(f"amount, margin, noise: got {amount}, {margin}, {noise}, expected 0 or more")
+    if not len(film):
+        raise ValueError("film: got no frame, expected one at least")
+    return ShakenFilm(film, amount, seed, margin, noise)

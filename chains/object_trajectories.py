@@ -1,0 +1,128 @@
+"""Trajectories of objects as a batch chain: who was where in every frame of a film, given all of it.
+
+Of objects j with feet x_j and sizes w_j, in units of their own height:
+
+    p(x_t | x_t-1), p(w_t | w_t-1): constant velocity but for white acceleration
+    p(b_t | x_t, w_t) = N(b_t; (x_t, w_t), what the tracker says of its errors)
+    mu_{trajectories -> boxes}(b_j) = N(b_j; smoothed box, its variance)
+
+A tracker says where its blobs are as frames come. This chain knows what came after: it smooths every track
+both ways, joins tracks over gaps into one identity (all at once, as an assignment), begins each one with the
+first frame in which it was seen, and leaves out what was not seen for long enough to be believed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..inference.core.protocols import BatchIncoming, Port, Smoothed
+from ..inference.objects.trajectories import Boxes, Comings, Motion, joined, joins, smoothed
+from ..models.core.gaussian_message import GaussianMessage
+from ..models.core.short_repr import short_repr
+from ..models.objects.box_detector import FOOT_Y, HEIGHT, WIDTH
+from ..models.objects.box_message import BoxMessage
+from ..models.objects.object_boxes import ObjectBoxes
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class ObjectsOverTime:
+    """Who was where, in every frame.
+
+    Parameters
+    ----------
+    boxes
+        of all objects in all frames, with one identity for each object.
+    """
+
+    boxes: Boxes
+
+    def at(self, index: int) -> list[tuple[int, tuple[float, float, float, float]]]:
+        """Identity and box (x, y, width, height px) of every object in a frame, by index from 0."""
+        rows = self.boxes[self.boxes.frames == index]
+        corners = rows.means - np.outer(rows.means[:, WIDTH], [0.5, 0, 0, 0])
+        corners[:, FOOT_Y] -= rows.means[:, HEIGHT]
+        return [
+            (identity, (x, y, width, height))
+            for identity, (x, y, width, height) in zip(
+                rows.identities.tolist(), corners.tolist(), strict=True
+            )
+        ]
+
+    @property
+    def log_prior(self) -> float:
+        """0: what the dynamics cost is part of the smoothing."""
+        return 0.0
+
+
+@short_repr
+@dataclass(frozen=True)
+class ObjectTrajectories:
+    """Batch chain over the boxes of objects.
+
+    Parameters
+    ----------
+    acceleration
+        heights/s^2, standard deviation of what moves a foot out of its straight way; it lasts half a second.
+    growth
+        heights/s^2, the same of a width or height.
+    first_speed
+        heights/s, standard deviation of a velocity.
+    patience
+        s, for which somebody may be out of sight and still be the same.
+    least_seen
+        s for which an object must have been seen in all.
+    """
+
+    acceleration: float = 0.9
+    growth: float = 0.5
+    first_speed: float = 1.0
+    patience: float = 3.0
+    least_seen: float = 0.35
+    name: str = "trajectories"
+
+    ports = (Port(ObjectBoxes),)
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: ObjectsOverTime | None = None
+    ) -> Smoothed[ObjectsOverTime]:
+        """Trajectories given what others say of boxes in all frames."""
+        size = next(
+            (each.frame.image.shape[:2] for each in incoming_over_time if each.frame.image is not None),
+            (1, 1),
+        )
+        times = np.array([each.time for each in incoming_over_time])
+        boxes = Boxes.of([each.others(ObjectBoxes).objects for each in incoming_over_time])
+        motion = Motion(0.5 * self.acceleration**2, 0.5 * self.growth**2, self.first_speed)
+        interval = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        tracks = [smoothed(track, times, motion) for track in boxes.tracks()]
+        known = [track for track in tracks if track.seen.sum() * interval >= self.least_seen]
+        comings = Comings(size, len(known) / max(times[-1] - times[0], 1.0), self.patience)
+        next_of = joins(known, times, motion, comings)
+        together = joined(boxes, known, next_of).tracks()
+        found = [smoothed(track, times, motion).boxes() for track in together]
+        return Smoothed(ObjectsOverTime(Boxes.together(found)))
+
+    def messages(
+        self,
+        trajectory: ObjectsOverTime,
+        feature: ObjectBoxes,
+        incoming_over_time: Sequence[BatchIncoming],
+    ) -> list[BoxMessage]:
+        """Where every object is in each frame (mu_{trajectories -> boxes})."""
+        boxes = trajectory.boxes
+        order = np.argsort(boxes.frames, kind="stable")
+        edges = np.searchsorted(boxes.frames[order], np.arange(len(incoming_over_time) + 1))
+        rows = [order[start:end] for start, end in pairwise(edges)]
+        return [
+            BoxMessage(
+                GaussianMessage.from_moments(
+                    boxes.identities[some], boxes.means[some], boxes.variances[some][:, :, None] * np.eye(4)
+                )
+            )
+            if len(some)
+            else feature.uniform()
+            for some in rows
+        ]

@@ -1,0 +1,219 @@
+"""Scene filter as a batch chain: background and objects of a whole film, filtered from its empty scene.
+
+Of the chains in its model (the background R, objects S, and what knows them):
+
+    p(R_1, S_1, ..., R_T, S_T) = p(R_1) p(S_1) prod_t p(R_t | R_t-1) p(S_t | S_t-1)
+    mu_{scene -> F_t} = product of what the chains in the model say of F_t, given the frames until then
+
+In coordinate ascent (RSMCM paper, Algorithm 2) each chain in turn gets its best trajectory, the others held
+fixed. Background and objects are too close for that: an object that stands is background as long as the
+objects' chain is held where it has not found it, and is not found as long as the background's is held where
+it has swallowed it. So the two are one coordinate here. Its best trajectory is found by the initial state:
+R_1 comes from all of the film (see `models.background.empty_scene`); the rest follows from it forwards, by
+Algorithm 1, so that light, things that are left and cars that park are followed as ever. What is kept is
+R_1 alone, and messages are worked out again in each pass.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..inference.core.forward_pass import ForwardPass
+from ..inference.core.graph import MultiChain
+from ..inference.core.protocols import BatchIncoming, Incoming, Port, Smoothed
+from ..inference.core.recursive_bp import Belief, RecursiveBP, RunState
+from ..inference.objects.blob_geometry import box_densities
+from ..inference.objects.blobs import BlobState
+from ..models.background.empty_scene import EmptyScene, empty_scene
+from ..models.background.light import LightField
+from ..models.background.pixel_labels import PixelLabels, PixelMessage
+from ..models.core.frame import Frame
+from ..models.core.short_repr import short_repr
+from ..models.objects.box_message import BoxMessage
+from ..models.objects.object_boxes import ObjectBoxes
+
+Numbers = NDArray[np.float64]
+
+SCENE = {"mean", "variance", "noise", "light"}
+"""Fields of the state of a background of which the empty scene can be found."""
+
+LONG = 60.0
+"""s, in which any light can come about."""
+
+FEWEST_FRAMES = 9
+"""From which an empty scene is found, however large they are."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class SceneTrajectory:
+    """From what all the rest follows.
+
+    Parameters
+    ----------
+    empty
+        the empty scene before the first frame.
+    """
+
+    empty: EmptyScene
+
+    @property
+    def log_prior(self) -> float:
+        """0: every scene is as likely beforehand."""
+        return 0.0
+
+
+@short_repr
+@dataclass(frozen=True)
+class SceneFilter:
+    """Batch chain of what is seen pixel by pixel.
+
+    Parameters
+    ----------
+    model
+        of filtering chains over one `PixelLabels` and perhaps one `ObjectBoxes`, an `AdaptiveBackground`
+        among them (or a chain whose state has `mean`, `variance`, `noise` and `light` too).
+    memory
+        s, for which the beginning of the film says more of its first scene than what comes later: frames
+        that are so much later count 1/e. Cars park and leave, and light changes.
+    most_frames
+        from how many frames the empty scene is found, as long as they take less than `most_bytes`.
+    most_bytes
+        of pictures at once.
+
+    Raises
+    ------
+    ValueError
+        if the model has no such background.
+    """
+
+    model: MultiChain
+    memory: float = 30.0
+    most_frames: int = 48
+    most_bytes: int = 1 << 28
+    name: str = "scene"
+
+    ports = (Port(PixelLabels, sole="background"), Port(ObjectBoxes, optional=True))
+
+    def __post_init__(self) -> None:
+        if self._background() is None:
+            raise ValueError(
+                f"scene filter: got chains {', '.join(self.model.chains)}, expected a background with mean, "
+                "variance, noise and light, of which the empty scene can be found (model gaussian)"
+            )
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: SceneTrajectory | None = None
+    ) -> Smoothed[SceneTrajectory]:
+        """The empty scene from frames all over the film.
+
+        Raises
+        ------
+        ValueError
+            if no frame has an image.
+        """
+        first = next((each.frame for each in incoming_over_time if each.frame.image is not None), None)
+        if first is None or first.image is None:
+            raise ValueError("frames: got no image, expected one at least")
+        times = np.array([each.time for each in incoming_over_time])
+        most = self.most(first.image.nbytes)
+        seen = (incoming_over_time[index].frame.image for index in sample_of(times, most, self.memory))
+        images = [image for image in seen if image is not None] or [first.image]
+        return Smoothed(self.begun(images))
+
+    def most(self, n_bytes: int) -> int:
+        """From how many pictures of `n_bytes` the empty scene is found."""
+        return max(min(self.most_frames, self.most_bytes // n_bytes), FEWEST_FRAMES)
+
+    def begun(self, images: Sequence[NDArray[np.uint8]]) -> SceneTrajectory:
+        """What a sample of images, in order of time, shows of the empty scene.
+
+        The scene is found twice: without knowing how the light changes from image to image, and then with
+        what the background's chain says of that.
+        """
+        chain = self.model.chains[self._background() or ""]
+        first = chain.initial(Frame(images[0], 0.0, 1))
+        steady = LightField(first.light, first.size)
+        noise = float(chain.noise)
+        rough = empty_scene(images, [steady], noise)
+        return SceneTrajectory(
+            empty_scene(images, [self._light(chain, rough, image) for image in images], noise)
+        )
+
+    def _background(self) -> str | None:
+        """Name of the chain that knows the empty scene."""
+        blank = Frame(np.zeros((4, 4), np.uint8), 0.0, 1)
+        for name, chain in self.model.chains.items():
+            if any(issubclass(PixelLabels, port.kind) for port in chain.ports):
+                state = chain.initial(blank)
+                if is_dataclass(state) and {field.name for field in fields(state)} >= SCENE:
+                    return name
+        return None
+
+    def _light(self, chain: Any, scene: EmptyScene, image: NDArray[np.uint8]) -> LightField:
+        """The light of an image, by the background's chain, which has had all the time to follow it."""
+        state = scene.known_to(chain.initial(Frame(image, 0.0, 1)))
+        pixels = PixelLabels()
+        incoming = Incoming({pixels: PixelMessage(image=image)})
+        message = chain.message(chain.predict(state, LONG), pixels, incoming)
+        light: LightField = message.background.light
+        return light
+
+    @overload
+    def messages(
+        self, trajectory: SceneTrajectory, feature: PixelLabels, incoming: Sequence[BatchIncoming]
+    ) -> Sequence[PixelMessage]: ...
+    @overload
+    def messages(
+        self, trajectory: SceneTrajectory, feature: ObjectBoxes, incoming: Sequence[BatchIncoming]
+    ) -> Sequence[BoxMessage]: ...
+    def messages(
+        self,
+        trajectory: SceneTrajectory,
+        feature: PixelLabels | ObjectBoxes,
+        incoming: Sequence[BatchIncoming],
+    ) -> Sequence[PixelMessage] | Sequence[BoxMessage]:
+        """What the filter says of each frame (mu_{scene -> F}).
+
+        To pixels: background and layers. To boxes: where every object is that the frame shows, also before
+        it is confirmed.
+        """
+        engine = RecursiveBP(self.model)
+        start = self.start(trajectory, incoming[0].time)
+
+        def pixels(belief: Belief) -> PixelMessage:
+            (labels,) = (node for node in self.model.features.values() if isinstance(node, PixelLabels))
+            return replace(belief[labels], image=None)
+
+        def boxes(belief: Belief) -> BoxMessage:
+            states = (belief.states[name] for name in self.model.chains)
+            blobs = [blob for state in states if isinstance(state, BlobState) for blob in state.blobs]
+            found = [blob for blob in blobs if blob.unseen == 0 and not belief.frame.missing]
+            return BoxMessage(box_densities(found)) if found else BoxMessage()
+
+        if isinstance(feature, PixelLabels):
+            return ForwardPass(engine, start, incoming, pixels)
+        return ForwardPass(engine, start, incoming, boxes)
+
+    def start(self, trajectory: SceneTrajectory, time: float) -> RunState:
+        """State of the filter before the first frame, at `time` s: nobody there, the empty scene known."""
+        shape = trajectory.empty.shape
+        blank = Frame(np.zeros(shape, np.uint8), time, 1)
+        states: dict[str, Any] = {name: chain.initial(blank) for name, chain in self.model.chains.items()}
+        name = self._background() or ""
+        states[name] = trajectory.empty.known_to(states[name])
+        return RunState(states, 0, math.nextafter(time, -math.inf), shape)
+
+
+def sample_of(times: Numbers, most: int, memory: float) -> list[int]:
+    """Indices of `most` frames at most, all over a film and the fewer the later, by exp(-time / memory)."""
+    share = (np.arange(most) + 0.5) / most
+    wanted = times[0] - memory * np.log1p(share * np.expm1((times[0] - times[-1]) / memory))
+    after = np.searchsorted(times, wanted).clip(max=len(times) - 1)
+    before = (after - 1).clip(min=0)
+    nearest = np.where(wanted - times[before] < times[after] - wanted, before, after)
+    return [int(index) for index in np.unique(nearest)]

@@ -1,0 +1,1 @@
+"""Where a camera looks: maps from a scene's picture to the frames that show it."""

@@ -1,0 +1,185 @@
+"""Detections in a run: for the right frames, in all results, and refused in one line where they cannot be."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.apps.background import application
+from rsmcm.apps.background.application import run_background
+from rsmcm.apps.background.compare import run_compare
+from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.background.job import BackgroundJob
+from rsmcm.apps.scenes import sleeping_man
+from rsmcm.inference import Belief
+
+from ...conftest import Command, summary_of
+
+SIZE = (128, 96)
+N_FRAMES = 12
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """In CDnet's layout, with a `found.csv` of two boxes in every frame."""
+    folder = tmp_path_factory.mktemp("scene")
+    write_scene(sleeping_man(N_FRAMES, size=SIZE, enter=0, car_leaves=20), folder)
+    lines = ["frame,x,y,width,height,score,class"]
+    for number in range(1, N_FRAMES + 1):
+        lines += [f"{number},90,40,10.5,30,0.5,person", f"{number},{number},20,30,40,0.25,car"]
+    (folder / "found.csv").write_text("\n".join(lines))
+    return folder
+
+
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> dict[int, int | None]:
+    """How many boxes the frames have that the model takes in, by number."""
+    counts: dict[int, int | None] = {}
+    original = application.found_in
+
+    def found_in(belief: Belief, *arguments: object) -> application.Found:
+        boxes = belief.frame.boxes
+        counts[belief.frame.number] = None if boxes is None else len(boxes)
+        return original(belief, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(application, "found_in", found_in)
+    return counts
+
+
+def job_of(scene: Path, out: Path) -> BackgroundJob:
+    return BackgroundJob(
+        str(scene / "input"), out=out, masks="none", detections=scene / "found.csv", classes=("car",)
+    )
+
+
+def test_frames_keep_their_numbers(scene: Path, tmp_path: Path, seen: dict[int, int | None]) -> None:
+    job = replace(job_of(scene, tmp_path), detections=scene / "third.csv", start=4, step=2, stop=10)
+    lines = (scene / "found.csv").read_text().splitlines()
+    third = [line for line in lines[1:] if int(line.partition(",")[0]) % 3 == 1]
+    (scene / "third.csv").write_text("\n".join([lines[0], *third]))
+    outcome = run_background(job)
+    assert seen == {4: 1, 6: None, 8: None, 10: 1}
+    assert outcome.summary["detections"] == {"boxes": 2, "frames": 2}
+    assert "2 detections in 2 frames" in outcome.words[0]
+
+
+def test_all_results_tell_of_them(scene: Path, tmp_path: Path) -> None:
+    job = job_of(scene, tmp_path)
+    run_background(job)
+    summary = summary_of(tmp_path)
+    assert summary["detections"] == {"boxes": N_FRAMES, "frames": N_FRAMES}
+    assert summary["parameters"]["detections"]["file"] == str(scene / "found.csv")
+    assert summary["parameters"]["classes"] == ["car"]
+    assert "frames with a detector" in (tmp_path / "report.html").read_text()
+    video = cv2.VideoCapture(str(tmp_path / "overlay.mp4"))
+    _, shown = video.read()
+    video.release()
+    run_background(replace(job, out=tmp_path / "without", detections=None, classes=()))
+    video = cv2.VideoCapture(str(tmp_path / "without" / "overlay.mp4"))
+    _, plain = video.read()
+    video.release()
+    changed = np.argwhere(np.abs(shown.astype(int) - plain).max(axis=2) > 60)
+    assert summary_of(tmp_path / "without")["detections"] is None
+    assert len(changed) > 60, "a thin box"
+    assert changed.min(axis=0).tolist() == pytest.approx([20, 1], abs=2)
+    assert changed.max(axis=0).tolist() == pytest.approx([59, 30], abs=2)
+
+
+def test_a_run_goes_on_only_with_the_same_detections(scene: Path, tmp_path: Path) -> None:
+    other = tmp_path / "found.csv"
+    content = (scene / "found.csv").read_text()
+    other.write_text(content)
+    job = replace(job_of(scene, tmp_path / "out"), detections=other)
+    run_background(job)
+    run_background(replace(job, resume=True))
+    other.write_text(content + "\n12,1,1,5,5,0.5,car")
+    with pytest.raises(ValueError, match=r"--resume: other parameters .*: detections\.sha256 was "):
+        run_background(replace(job, resume=True))
+    other.write_text(content)
+    with pytest.raises(ValueError, match=r"--resume: other parameters .*: classes was"):
+        run_background(replace(job, resume=True, classes=("person",)))
+
+
+def test_a_comparison_has_them_too(
+    scene: Path, tmp_path: Path, seen: dict[int, int | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rsmcm.apps.background import methods
+
+    monkeypatch.setattr(methods, "found_in", application.found_in)
+    run_compare(job_of(scene, tmp_path))
+    assert seen == dict.fromkeys(range(1, N_FRAMES + 1), 1)
+
+
+def test_options_come_from_a_file_as_well(scene: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text(f'detections = "{scene / "found.csv"}"\nclasses = ["car", "person"]\n')
+    arguments = (scene / "input", "--out", tmp_path / "out", "--masks", "none", "--stop", 3, "--config", path)
+    assert Command("background")(*arguments) == 0
+    assert summary_of(tmp_path / "out")["detections"] == {"boxes": 6, "frames": 3}
+    assert Command("background")(*arguments, "--classes", "car,person", "--overwrite") == 0
+    assert summary_of(tmp_path / "out")["parameters"]["classes"] == ["car", "person"]
+
+
+@pytest.mark.parametrize(
+    ("content", "arguments", "complaint"),
+    [
+        ("13,1,1,5,5,1,car", (), "line 2: got frame 13, but"),
+        (
+            "1,128,1,5,5,1,car",
+            (),
+            "line 2: got a box from 128, 1, 133, 6 (left, top, ",
+        ),
+        ("1,1,1,-5,5,1,car", (), "line 2: got a box of -5 x 5 px"),
+        ("1,1,1,5,nan,1,car", (), "line 2: got height 'nan'"),
+        ("1,1,1,5,5,1,car", ("--classes", "dog"), "--classes: got 'dog', but"),
+        ("1,1,1,5,5,1,car", ("--engine", "stand-alone"), "--detections and --engine stand-alone: got both"),
+    ],
+)
+def test_what_cannot_be_is_one_line(
+    content: str,
+    arguments: tuple[str, ...],
+    complaint: str,
+    scene: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / "found.csv"
+    path.write_text(f"frame,x,y,width,height,score,class\n{content}\n")
+    out = tmp_path / "out"
+    message = Command("background").complaint(
+        capfd, scene / "input", "--out", out, "--detections", path, *arguments
+    )
+    assert complaint in message
+    assert not out.exists()
+
+
+def test_detections_of_the_whole_film_serve_a_part(scene: Path, tmp_path: Path) -> None:
+    outcome = run_background(replace(job_of(scene, tmp_path), start=2, stop=3))
+    assert outcome.summary["detections"] == {"boxes": 2, "frames": 2}
+
+
+def test_detections_that_are_not_there(
+    scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    command, out = Command("background"), tmp_path / "out"
+    message = command.complaint(capfd, scene / "input", "--out", out, "--detections", tmp_path / "no.txt")
+    assert message.endswith("no.txt: No such file or directory\n")
+    assert "--classes: got it without --detections" in command.complaint(
+        capfd, scene / "input", "--out", out, "--classes", "car"
+    )
+
+
+def test_pictures_are_matched_by_name(scene: Path, tmp_path: Path, seen: dict[int, int | None]) -> None:
+    """The data set lists some, in any order."""
+    names = [f"in{number:06d}.png" for number in (7, 2, 3)]
+    content = {
+        "images": [{"id": index, "file_name": f"elsewhere/{name}"} for index, name in enumerate(names)],
+        "annotations": [{"image_id": 1, "category_id": 1, "bbox": [1, 2, 30, 40], "score": 1}],
+        "categories": [{"id": 1, "name": "car"}],
+    }
+    path = tmp_path / "coco.json"
+    path.write_text(json.dumps(content))
+    run_background(replace(job_of(scene, tmp_path / "out"), detections=path, start=2, stop=7))
+    assert seen == {2: 1, 3: 0, 4: None, 5: None, 6: None, 7: 0}

@@ -1,0 +1,242 @@
+"""Files of detections: every form says the same, and what is wrong with one is a line that says where."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rsmcm.apps.io import Detections, read_detections
+
+Row = tuple[int, tuple[float, float, float, float], float, str]
+CLASSES = ["person", "car"]
+
+
+def mot(rows: list[Row]) -> str:
+    return "".join(
+        f"{frame},-1,{x + 1},{y + 1},{w},{h},{score},-1,-1,-1\n" for frame, (x, y, w, h), score, _ in rows
+    )
+
+
+def sizes(rows: list[Row]) -> str:
+    lines = [f"{score};{h};{w};{y};{x};{name};{frame}\n" for frame, (x, y, w, h), score, name in rows]
+    return "".join(["Score;Height;Width;Y;X;Class;Frame\n", *lines])
+
+
+def edges(rows: list[Row]) -> str:
+    lines = [f"{frame},{x},{y},{x + w},{y + h},{name},{score}\n" for frame, (x, y, w, h), score, name in rows]
+    return "".join(["frame,x_min,y_min,x_max,y_max,class_name,confidence\n", *lines])
+
+
+def results(rows: list[Row]) -> str:
+    return json.dumps(
+        [
+            {"image_id": frame, "category_id": CLASSES.index(name), "bbox": box, "score": score}
+            for frame, box, score, name in rows
+        ]
+    )
+
+
+def data_set(rows: list[Row]) -> str:
+    frames = sorted({row[0] for row in rows})
+    return json.dumps(
+        {
+            "annotations": [
+                {"image_id": 70 + frame, "category_id": CLASSES.index(name), "bbox": box, "score": score}
+                for frame, box, score, name in rows
+            ],
+            "info": {"date": "today", "tags": [1, [2]]},
+            "categories": [{"id": index, "name": name} for index, name in enumerate(CLASSES)],
+            "images": [{"id": 70 + frame, "file_name": f"img1/{frame:06d}.jpg"} for frame in frames],
+        },
+        indent=1,
+    )
+
+
+whole = st.integers(0, 400).map(float)
+rows_of_a_film = st.lists(
+    st.tuples(
+        st.integers(1, 30),
+        st.tuples(whole, whole, whole.map(lambda v: v + 1), whole.map(lambda v: v + 0.5)),
+        st.floats(-9, 9).map(lambda v: round(v, 3)),
+        st.sampled_from(CLASSES),
+    ),
+    min_size=1,
+    max_size=12,
+)
+
+
+def written(folder: Path, text: str, name: str = "found") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def found_in(detections: Detections, numbers: range) -> list[tuple[int, list[float], float]]:
+    found = []
+    for number in numbers:
+        boxes = detections.at(number)
+        if boxes is not None:
+            assert boxes.confidence is not None
+            found += [
+                (number, xyxy, score)
+                for xyxy, score in zip(boxes.xyxy.tolist(), boxes.confidence.tolist(), strict=True)
+            ]
+    return found
+
+
+@pytest.mark.parametrize("form", [mot, sizes, edges, results, data_set])
+@given(rows=rows_of_a_film)
+def test_every_form_says_the_same(
+    form: Callable[[list[Row]], str], tmp_path_factory: pytest.TempPathFactory, rows: list[Row]
+) -> None:
+    detections = read_detections(written(tmp_path_factory.mktemp("found"), form(rows)))
+    expected = [
+        (frame, [x, y, x + w, y + h], score)
+        for frame, (x, y, w, h), score, _ in sorted(rows, key=lambda row: row[0])
+    ]
+    assert len(detections) == len(rows)
+    assert found_in(detections, range(1, 31)) == expected
+
+
+@pytest.mark.parametrize("form", [sizes, edges, data_set])
+def test_classes_are_kept_by_name(form: Callable[[list[Row]], str], tmp_path: Path) -> None:
+    """The detector has run on frames in which it found only other ones."""
+    box = (1.0, 2.0, 3.0, 4.0)
+    path = written(tmp_path, form([(1, box, 0.5, "person"), (2, box, 0.7, "car"), (2, box, 0.9, "person")]))
+    cars = read_detections(path, ["car"])
+    assert cars.at(1) is not None
+    assert found_in(cars, range(1, 4)) == [(2, [1, 2, 4, 6], 0.7)]
+    (boxes,) = [read_detections(path).at(2)]
+    assert boxes is not None
+    assert boxes.classes is not None
+    assert boxes.classes.tolist() == ["car", "person"]
+    with pytest.raises(ValueError, match=r"--classes: got 'cat', but .*found has person, car"):
+        read_detections(path, ["person", "cat"])
+
+
+def test_classes_of_results_are_numbers(tmp_path: Path) -> None:
+    path = written(tmp_path, results([(1, (1, 2, 3, 4), 0.5, "person"), (1, (1, 2, 3, 4), 0.6, "car")]))
+    assert found_in(read_detections(path, ["1"]), range(2)) == [(1, [1, 2, 4, 6], 0.6)]
+    with pytest.raises(ValueError, match=r"got 'person', but .* has 0, 1"):
+        read_detections(path, ["person"])
+
+
+def test_a_file_without_classes_has_none_to_choose(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"--classes: got 'person', but .* tells no classes"):
+        read_detections(written(tmp_path, "1,-1,5,5,10,10,0.5\n"), ["person"])
+
+
+def test_scores_may_be_left_out(tmp_path: Path) -> None:
+    boxes = read_detections(written(tmp_path, "1 -1 5 5 10 10\n")).at(1)
+    assert boxes is not None
+    assert boxes.confidence is None
+    assert boxes.classes is None
+
+
+# --- where a detector ran --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("listed", "looked"),
+    [
+        ([1, 2, 5], {1, 2, 3, 4, 5}),  # dense: nothing was found in 3 and 4
+        ([4, 9, 19], {4, 9, 14, 19}),  # every fifth frame
+        ([1, 6, 10, 15], {1, 6, 10, 15}),  # every 0.19 s of 25 frames a second: irregular
+        ([7], {7}),
+    ],
+)
+def test_frames_that_are_not_listed(listed: list[int], looked: set[int], tmp_path: Path) -> None:
+    path = written(tmp_path, "".join(f"{number},-1,5,5,10,10,1\n" for number in listed[::-1]))
+    detections = read_detections(path)
+    assert {number for number in range(30) if detections.at(number) is not None} == looked
+    assert {number for number in looked if len(detections.at(number) or ())} == set(listed)
+
+
+def test_a_data_set_lists_the_frames_in_which_nothing_was_found(tmp_path: Path) -> None:
+    content = {"images": [{"id": 5, "file_name": "b.png"}, {"id": 6, "file_name": "x/a.png"}]}
+    detections = read_detections(
+        written(tmp_path, json.dumps(content | {"annotations": []})), pictures=["0.png", "a.png", "b.png"]
+    )
+    assert len(detections) == 0
+    assert [detections.at(number) is None for number in (1, 2, 3)] == [True, False, False]
+
+
+def test_a_thousand_results_a_frame_are_read_in_pieces(tmp_path: Path) -> None:
+    """More than is read at once; a value may lie on the border of two pieces."""
+    rows: list[Row] = [(1 + k // 1000, (k % 997, 2, 3, 4), k / 1e4, "person") for k in range(30_000)]
+    for form in (results, data_set):
+        detections = read_detections(written(tmp_path, form(rows)))
+        assert len(detections) == 30_000
+        np.testing.assert_array_equal(detections.xyxy[:, 0], [row[1][0] for row in rows])
+
+
+# --- what is wrong ---------------------------------------------------------------------------------------
+
+GOOD = '{"image_id": 1, "bbox": [1, 2, 3, 4], "score": 1}'
+HEADER = "frame,x,y,width,height,score\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "found: holds nothing, expected MOT's"),
+        (" \n\n", "found: holds nothing, expected MOT's"),
+        ("a\0b", "found: got binary data"),
+        ("hello\n", r"found, line 1: got 'hello', expected MOT's det\.txt, CSV with a header"),
+        (HEADER, "found: holds no detections"),
+        ("[]", "found: holds no detections"),
+        ("1,-1,5,5,10,10,1\n1,-1,5,5,0,10,1\n", "found, line 2: got a box of 0 x 10 px"),
+        ("1,-1,5,5,10,10,1\n\n1,-1,5,5,-3,10,1\n", "found, line 3: got a box of -3 x 10 pixels"),
+        ("1,-1,5,5,10,nan,1\n", "found, line 1: got .*expected frame,identity"),
+        ("1,-1,5,5,10,10,nan\n", "found, line 1: got a score of nan"),
+        ("1,-1,5,5,10,10,1\n2,-1,5,5,10,10\n", "found, line 2: got scores or classes for some boxes only"),
+        ("0,-1,5,5,10,10,1\n", "found, line 1: got frame 0"),
+        ("1,-1,5,5,10,10,1\n2,-1,5", "found, line 2: got '2,-1,5', expected"),
+        ("frame,x,y\n1,2,3\n", "found, line 1: got columns 'frame,? x, y', expected frame and either"),
+        (HEADER + "1,2,3,4,5,1\n1,2,3\n", "found, line 3: got 3 columns, expected width in column 4"),
+        (HEADER + "1,2,3,4,high,1\n", "found, line 2: got height 'high', expected a number"),
+        (HEADER + "1,2,3,4,nan,1\n", "found, line 2: got height 'nan'"),
+        (HEADER + "1.5,2,3,4,5,1\n", "found, line 2: got frame 1.5"),
+        (HEADER + "1,2,3,-4,5,1\n", "found, line 2: got a box of -4 x 5 px"),
+        (HEADER + "1,2,3,4,1e300,1\n", "found, line 2: got a box at 2, 3"),
+        (HEADER + '1,2,3,4,5,"1\n', "found, line 2: got a quote that does not end"),
+        (f"[{GOOD},\n{GOOD}", "found, line 2: got a part of a file"),
+        (f'[{GOOD},\n{{"image_id": 1, "bbo', "found, line 2: got no JSON, or a part of it"),
+        (f"[{GOOD}] 1", "found, line 1: got more behind the end"),
+        (f"[{GOOD}, 7]", "found, result 2: got 7, expected an object"),
+        (f'[{GOOD}, {{"bbox": [1, 2, 3, 4]}}]', "found, result 2: got no image_id"),
+        ('[{"image_id": 1, "bbox": [1, 2, 3]}]', "found, result 1: got bbox"),
+        ('[{"image_id": 1, "bbox": [1, 2, 3, NaN]}]', "found, result 1: got a box of 3 x nan px"),
+        ('[{"image_id": 1, "bbox": [1, 2, 0, 4]}]', "found, result 1: got a box of 0 x 4 px"),
+        (
+            '[{"image_id": 0, "bbox": [1, 2, 3, 4]}]',
+            "found, result 1: got image '0', expected a frame from 1",
+        ),
+        ('[{"image_id": "cat", "bbox": [1, 2, 3, 4]}]', "found, result 1: got image 'cat'"),
+        ('{"annotations": []}', "found: got an object without images"),
+        ('{"images": []}', "found: holds no detections"),
+        (
+            '{"images": [], "annotations": [{"image_id": 3, "bbox": [1, 2, 3, 4]}]}',
+            "found, annotation 1: got image_id 3, expected one of the images listed",
+        ),
+        ('{"images": [{"id": 3}]}', "found, image 1: got no file_name"),
+        ('{"shapes": "a labelled picture"}', "found: got an object without images"),
+        ("[" * 100_000, "found, line 1: got no value of a file of detections"),
+        (f"[{'9' * 10_000}]", "found, line 1: got no value of a file of detections"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_place(text: str, complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_detections(written(tmp_path, text))
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path / "found") in str(caught.value)
+
+
+def test_pictures_that_the_film_does_not_have(tmp_path: Path) -> None:
+    path = written(tmp_path, '[{"image_id": "b.png", "bbox": [1, 2, 3, 4]}]')
+    assert len(read_detections(path, pictures=["a.png", "b.png"]).at(2) or ()) == 1
+    with pytest.raises(ValueError, match=r"result 1: got image 'b\.png', expected a picture of street"):
+        read_detections(path, film="street", pictures=["a.png"])

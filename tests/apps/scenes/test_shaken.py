@@ -1,0 +1,48 @@
+"""Films of a camera that shakes."""
+
+import numpy as np
+import pytest
+from rsmcm.apps.scenes import shaken, sleeping_man
+
+
+def test_frames_show_the_scene_where_the_maps_say() -> None:
+    scene = sleeping_man(12, size=(160, 120), enter=0, noise=0.0, light_drift=0.0)
+    film = shaken(scene, 2.0, seed=1, margin=12)
+    assert film.size == (136, 96)
+    first = film[0].image
+    assert first is not None
+    assert (first == scene[0].image[12:-12, 12:-12]).all(), "the first frame is as it was"
+    for index in (3, 11):
+        steady, image = scene[index].image[12:-12, 12:-12], film[index].image
+        assert np.abs(film.views[index].parameters).max() > 0.5
+        back = film.views[index].in_scene(image, np.zeros_like(image))
+        inner = (slice(15, -15), slice(15, -15))
+        moved = np.abs(image[inner].astype(float) - steady[inner]).mean()
+        assert np.abs(back[inner].astype(float) - steady[inner]).mean() < 0.25 * moved
+
+
+def test_shake_is_as_large_as_asked_and_the_same_at_any_rate() -> None:
+    amounts = []
+    for step in (1, 2):
+        film = shaken(sleeping_man(400, size=(64, 48))[::step], 3.0, margin=8)
+        parameters = np.stack([view.parameters for view in film.views])
+        amounts.append(parameters.std(axis=0))
+        change = np.diff(parameters[:: 2 // step, 0]).std()
+        assert change == pytest.approx(3.0 * np.sqrt(2 * (1 - np.exp(-0.08 / 0.15))), rel=0.25)
+    for amount in amounts:
+        assert amount == pytest.approx(3.0 * np.array([1, 0.25, 0.25, 1, 0.25, 0.25]), rel=0.3)
+
+
+def test_masks_follow_the_frames() -> None:
+    scene = sleeping_man(1, size=(96, 72))
+    film = shaken(scene, 0.0, margin=6)
+    mask = np.zeros((72, 96), bool)
+    mask[20:40, 30:50] = True
+    assert (film.mask(mask, 0) == mask[6:-6, 6:-6]).all()
+
+
+def test_what_is_out_of_range_is_refused() -> None:
+    with pytest.raises(ValueError, match="amount"):
+        shaken(sleeping_man(2), -1.0)
+    with pytest.raises(ValueError, match="film"):
+        shaken([])

@@ -1,0 +1,111 @@
+"""The page on detectors: its commands and its Python run as printed, on a small film with a small network."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rsmcm.apps.command_line import main
+from rsmcm.apps.io import read_detections
+from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
+from rsmcm.models import Frame
+
+from ..fuzz.networks import bright_cells
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "detectors.md").read_text()
+N_FRAMES = 32
+SIDE = 24
+
+
+def place(number: int) -> tuple[int, int]:
+    """Where the square is in a frame: x and y of its upper left corner, px."""
+    return 10 + 3 * number, 40
+
+
+@pytest.fixture
+def film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to be in, with all that the page names: a bright square that moves over a dark noise."""
+    monkeypatch.chdir(tmp_path)
+    random = np.random.default_rng(0)
+    video = SegmentedVideo(Path("film.mp4"), 25.0, PLAYABLE)
+    mot, csv, results = "", "frame,x,y,width,height,score,class\n", []
+    for number in range(1, N_FRAMES + 1):
+        image = random.integers(0, 9, (96, 160, 3), dtype=np.uint8)
+        x, y = place(number)
+        image[y : y + SIDE, x : x + SIDE] = 255
+        video.write(image, number, (number - 1) / 25)
+        mot += f"{number},-1,{x + 1},{y + 1},{SIDE},{SIDE},40,-1,-1,-1\n"
+        csv += f"{number},{x},{y},{SIDE},{SIDE},0.9,{'car' if number % 2 else 'truck'}\n"
+        results.append({"image_id": number, "category_id": 1, "bbox": [x, y, SIDE, SIDE], "score": 0.8})
+    video.close(finished=True)
+    Path("det.txt").write_text(mot)
+    Path("found.csv").write_text(csv)
+    Path("results.json").write_text(json.dumps(results))
+    Path("network.onnx").write_bytes(bright_cells(640, 40, 60))
+    return tmp_path
+
+
+def test_commands(film: Path) -> None:
+    for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL):
+        for line in block.splitlines():
+            program, *arguments = shlex.split(line)
+            if program == "python":
+                script = ROOT / arguments.pop(0)
+                subprocess.run([sys.executable, script, *arguments], check=True, timeout=120)
+                continue
+            with pytest.raises(SystemExit) as ended:
+                main(arguments)
+            assert ended.value.code == 0, line
+    counts = {
+        name: json.loads(Path(f"results/{name}/summary.json").read_text())["detections"]
+        for name in ("film", "cars", "part", "network")
+    }
+    assert counts["film"] == counts["cars"] == {"boxes": N_FRAMES, "frames": N_FRAMES}
+    assert counts["part"] == {"boxes": 11, "frames": 11}
+    assert counts["network"]["frames"] == len(range(1, N_FRAMES + 1, 5))
+    found = read_detections("found.csv")  # by the network: whole cells, the brightest one near the middle
+    for number in range(1, N_FRAMES + 1, 5):
+        boxes = found.at(number)
+        assert boxes is not None
+        assert boxes.confidence is not None
+        left, top, right, bottom = boxes.xyxy[boxes.confidence.argmax()]
+        x, y = place(number)
+        assert abs((left + right) / 2 - (x + SIDE / 2)) < 10
+        assert abs((top + bottom) / 2 - (y + SIDE / 2)) < 10
+
+
+def test_python(film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "examples"))
+    names: dict[str, Any] = {"__name__": "detectors"}
+    seen = []
+    for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
+        exec(compile(block, "detectors.md", "exec"), names)  # the page's own code
+        seen.append(names["belief"].frame)
+    assert [frame.number for frame in seen] == [N_FRAMES] * 3
+    assert seen[0].boxes is not None
+    assert seen[1].boxes is seen[2].boxes is None, "32 is no fifth frame from 1"
+    (box,) = names["bright_things"](Frame(np.full((4, 6, 3), 255, np.uint8), 0.0, 1))
+    assert box[:4] == [0, 0, 6, 4]
+
+
+def test_boxes_of_a_class_that_overlap_become_one(film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Red is the first class, blue the second; boxes of cells are half as wide again as cells."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "examples"))
+    yolo = pytest.importorskip("yolo")
+    image = np.zeros((320, 640, 3), np.uint8)
+    image[40:80, 40:120, 2] = 255
+    image[160:200, 480:520, 0] = 128
+    detector = yolo.Yolo("network.onnx", least=0.47, overlap=0.15)
+    found = detector(Frame(image, 0.0, 1))
+    expected = [[30, 30, 90, 90, 1, 0], [470, 150, 530, 210, 0.502, 1]]
+    np.testing.assert_allclose(found[found[:, 0].argsort()], expected, atol=1e-3)
+    assert len(yolo.Yolo("network.onnx", least=0.47, overlap=0.9)(Frame(image, 0.0, 1))) == 3
+    grey = detector(Frame(image[..., 2], 0.0, 1))
+    assert set(grey[:, 5]) == {0}
+    assert detector(Frame(np.zeros((50, 30, 3), np.uint8), 0.0, 1)).shape == (0, 6)
