@@ -43,6 +43,9 @@ LEAST = np.array([-np.inf, -np.inf, 1.0, 1.0])
 SPREAD = 300.0
 """Squared grey levels: variance of a new object's colours about those that it shows first."""
 
+WHOLE = 0.25
+"""s after which a box of the same object is worth a whole new one: a detector errs alike for a while."""
+
 CANDIDATE = 0.1
 """Probability of being somebody new from which on a box is remembered as an object."""
 
@@ -60,7 +63,7 @@ def _doubted(blob: Blob, dt: float) -> Blob:
     stays, exists = math.exp(-dt / PHASE), math.exp(-dt / LIFE) * _probability(blob.existence)
     noticed = stays * _probability(blob.noticed) + (1 - stays) * USUALLY
     return blob.changed(
-        detected=replace(box, variance=box.variance + grown),
+        detected=replace(box, variance=box.variance + grown, unfound=box.unfound + dt),
         existence=_log_odds(exists),
         noticed=_log_odds(noticed),
     )
@@ -201,17 +204,20 @@ def _drawn(blob: Blob, place: Pair, noise: Pair) -> Blob:
     assert box is not None
     (along, both), (_, speed) = blob.covariance.tolist()
     off = place - _absolute(blob, box)
+    noise = noise / min(max(box.unfound, 1e-3) / WHOLE, 1.0)
     total = box.variance + noise
     total[:WIDTH] += along
     gain = box.variance / total
     middle = float(total[:WIDTH].mean())
     down_right = off[[FOOT_Y, FOOT_X]]
     kept = 1 - along / middle
+    mean = np.maximum(box.mean + gain * off, LEAST)
+    seen = DetectedBox(mean, (1 - gain) * box.variance)
     return blob.changed(
         position=blob.position + along / middle * down_right,
         velocity=blob.velocity + both / middle * down_right,
         covariance=np.array([[kept * along, kept * both], [kept * both, speed - both**2 / middle]]),
-        detected=DetectedBox(np.maximum(box.mean + gain * off, LEAST), (1 - gain) * box.variance),
+        detected=seen,
     )
 
 

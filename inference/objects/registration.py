@@ -10,7 +10,7 @@ from ...models.objects.kernels.blobs import Expected, density_without, search
 from .blob_scene import cut_out
 from .blobs import Blob
 
-ASTRAY, ASTRAY_TIME = 0.1, 0.3
+ASTRAY, ASTRAY_TIME = 0.05, 0.1
 """Lengths, and s for which, a mask is off the object that a detector finds."""
 
 
