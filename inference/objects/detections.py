@@ -149,11 +149,12 @@ def corrected(blobs: Sequence[Blob], boxes: BoxMessage) -> list[Blob]:
     return result
 
 
-def unexplained(boxes: BoxMessage) -> list[int]:
-    """Which boxes may be of somebody who is not known yet."""
-    assert boxes.association is not None
-    found: list[int] = np.flatnonzero(boxes.association.new > CANDIDATE).tolist()
-    return found
+def unexplained(boxes: BoxMessage, size: tuple[int, int]) -> list[int]:
+    """Which boxes, in the picture, may be of somebody who is not known yet."""
+    association = boxes.association
+    assert association is not None
+    likely: list[int] = np.flatnonzero(association.new > CANDIDATE).tolist()
+    return [k for k in likely if _inside(association.boxes[k], size)]
 
 
 def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
@@ -192,10 +193,16 @@ def is_kept(blob: Blob, size: tuple[int, int]) -> bool:
     """Whether an object that was detected once may still be there, in the picture; others may."""
     if blob.detected is None:
         return True
-    x, y, width, height = blob.reported_box
-    inside = x + 0.8 * width > 0 and y + 0.8 * height > 0
-    inside = inside and x + 0.2 * width < size[1] and y + 0.2 * height < size[0]
-    return inside and blob.existence > GIVEN_UP and blob.covariance[0, 0] < height**2
+    there = _inside(_absolute(blob, blob.detected), size) and blob.existence > GIVEN_UP
+    return there and blob.covariance[0, 0] < float(blob.detected.mean[HEIGHT]) ** 2
+
+
+def _inside(box: Pair, size: tuple[int, int]) -> bool:
+    """Whether a fifth of a box, along either axis, is in the picture."""
+    x, y, width, height = box.tolist()
+    across = min(x + 0.5 * width, size[1]) - max(x - 0.5 * width, 0.0)
+    down = min(y, size[0]) - max(y - height, 0.0)
+    return bool(across > 0.2 * width and down > 0.2 * height)
 
 
 def _drawn(blob: Blob, place: Pair, noise: Pair) -> Blob:
