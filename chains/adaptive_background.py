@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..inference.core.protocols import Cavity, Incoming, Port
 from ..models.background import colour
-from ..models.background.gaussian import BackgroundPrediction
+from ..models.background.gaussian import BackgroundPrediction, keep_old_colours
 from ..models.background.kernels.gaussian import (
     SETTLED,
     Gaussians,
@@ -27,9 +27,11 @@ from ..models.background.kernels.gaussian import (
     Settling,
     learn_second_colours,
 )
-from ..models.background.kernels.layers import update_behind
+from ..models.background.kernels.layers import REVEALED, update_behind
+from ..models.background.kernels.sway import Sway
 from ..models.background.light import LightField, followed, light_grid, share_of_blocks
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
+from ..models.background.sway import learned_rates, reach
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
 
@@ -38,8 +40,11 @@ Planes = NDArray[np.float32]
 UNSURE_VARIANCE = 4.0
 """Variance of a value that was seen a few times only, and gives way easily in the beginning."""
 
-WIDEST_DRIFT = 255.0**2 / 12
-"""Squared grey levels: of a value that may be anything, as far as it can wander however long it is hidden."""
+WIDEST_VARIANCE = 255.0**2 / 12
+"""Squared grey levels: of a value that may be anything; so far it wanders at most, however long it hides."""
+
+FIRST_TIME = 0.5
+"""s in which those who were there from the first are found; what is behind them is not known then."""
 
 BOOTSTRAP_TIME = 3.0
 """s after which nothing that was there from the first is taken for the scene by mistake any more."""
@@ -71,6 +76,8 @@ class BackgroundState:
         `(block_rows, block_columns)` float32: today's light relative to that of `mean`.
     covered
         `(block_rows, block_columns)` float32: share of the block behind known objects.
+    sway
+        `(block_rows, block_columns)` float32: how often its pixels show what is beside them, as leaves do.
     candidate, seen
         second hypothesis: `(n_pixels * channels,)` uint8 colour that is neither background nor an object,
         and `(n_pixels,)` uint16 how much of the settling time it has lasted (see `SecondColours`).
@@ -86,6 +93,7 @@ class BackgroundState:
     noise: Planes
     light: Planes
     covered: Planes
+    sway: Planes
     candidate: NDArray[np.uint8]
     seen: NDArray[np.uint16]
     elapsed: float
@@ -167,6 +175,7 @@ class AdaptiveBackground:
             noise=np.full(n_pixels, self.noise, np.float32),
             light=np.ones(light_grid(height, width), np.float32),
             covered=np.zeros(light_grid(height, width), np.float32),
+            sway=np.zeros(light_grid(height, width), np.float32),
             candidate=np.zeros(image.size, np.uint8),
             seen=np.zeros(n_pixels, np.uint16),
             elapsed=0.0,
@@ -200,7 +209,10 @@ class AdaptiveBackground:
                 region.top, region.left, region.shift, colour.patch(image, *region.box), subtraction.smoothed,
                 prediction.pixels, light, prediction.model, after, covered,
             )  # fmt: skip
+        times = state.age, state.elapsed
+        sway = learned_rates(prediction.sway, image, prediction.pixels, light, covered, times)
         second = SecondColours(state.candidate.copy(), state.seen.copy())
+        keep_old_colours(prediction.pixels, prediction.light, covered == REVEALED, second)
         if state.elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
             scale = SETTLED / self.settle_time
@@ -222,6 +234,7 @@ class AdaptiveBackground:
             noise=after.noise,
             light=prediction.light.blocks,
             covered=share_of_blocks(covered.reshape(state.size), state.light.shape),
+            sway=sway,
             candidate=second.colours,
             seen=second.seen,
             elapsed=0.0,
@@ -241,10 +254,12 @@ class AdaptiveBackground:
             pixels=Gaussians(state.mean, state.variance, state.noise),
             light=light,
             prior=self.prior,
-            drift=min(self.drift * state.elapsed, WIDEST_DRIFT),
+            drift=min(self.drift * state.elapsed, WIDEST_VARIANCE),
             noise_share=min(-math.expm1(-self.noise_rate * state.elapsed), MOST_NOISE_SHARE),
             first_variance=self.first_variance,
+            unknown_variance=WIDEST_VARIANCE if state.age < FIRST_TIME else 0.0,
             pooling=self.pooling,
             second=SecondColours(state.candidate, state.seen),
             tolerance=8.0 * len(state.mean) * self.noise,
+            sway=Sway(state.sway, reach(state.size)),
         )

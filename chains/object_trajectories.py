@@ -13,13 +13,11 @@ first frame in which it was seen, and leaves out what was not seen for long enou
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from ..inference.core.protocols import BatchIncoming, Port, Smoothed
-from ..inference.objects.trajectories import Boxes, Comings, Motion, joined, joins, smoothed
-from ..models.core.gaussian_message import GaussianMessage
+from ..inference.objects.trajectories import Boxes, Comings, Motion, joined, joins, messages_of, smoothed
 from ..models.core.short_repr import short_repr
 from ..models.objects.box_detector import FOOT_Y, HEIGHT, WIDTH
 from ..models.objects.box_message import BoxMessage
@@ -94,7 +92,7 @@ class ObjectTrajectories:
             (1, 1),
         )
         times = np.array([each.time for each in incoming_over_time])
-        boxes = Boxes.of([each.others(ObjectBoxes).objects for each in incoming_over_time])
+        boxes = Boxes.of(each.others(ObjectBoxes).objects for each in incoming_over_time)
         motion = Motion(0.5 * self.acceleration**2, 0.5 * self.growth**2, self.first_speed)
         interval = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         tracks = [smoothed(track, times, motion) for track in boxes.tracks()]
@@ -112,17 +110,4 @@ class ObjectTrajectories:
         incoming_over_time: Sequence[BatchIncoming],
     ) -> list[BoxMessage]:
         """Where every object is in each frame (mu_{trajectories -> boxes})."""
-        boxes = trajectory.boxes
-        order = np.argsort(boxes.frames, kind="stable")
-        edges = np.searchsorted(boxes.frames[order], np.arange(len(incoming_over_time) + 1))
-        rows = [order[start:end] for start, end in pairwise(edges)]
-        return [
-            BoxMessage(
-                GaussianMessage.from_moments(
-                    boxes.identities[some], boxes.means[some], boxes.variances[some][:, :, None] * np.eye(4)
-                )
-            )
-            if len(some)
-            else feature.uniform()
-            for some in rows
-        ]
+        return messages_of(trajectory.boxes, len(incoming_over_time))

@@ -28,6 +28,7 @@ from ..inference.core.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ..inference.core.recursive_bp import Belief, RecursiveBP, RunState
 from ..inference.objects.blob_geometry import box_densities
 from ..inference.objects.blobs import BlobState
+from ..inference.objects.trajectories import Boxes, messages_of
 from ..models.background.empty_scene import EmptyScene, empty_scene
 from ..models.background.light import LightField
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
@@ -41,8 +42,14 @@ Numbers = NDArray[np.float64]
 SCENE = {"mean", "variance", "noise", "light"}
 """Fields of the state of a background of which the empty scene can be found."""
 
+LIGHT_ROUNDS = 2
+"""How often scene and light are found in turn; from then on the scene's noise changes by 1 %."""
+
 LONG = 60.0
 """s, in which any light can come about."""
+
+ROOM = 0.1
+"""Of a box's size, around it: shadows, hair and feet that it leaves out."""
 
 FEWEST_FRAMES = 9
 """From which an empty scene is found, however large they are."""
@@ -57,9 +64,15 @@ class SceneTrajectory:
     ----------
     empty
         the empty scene before the first frame.
+    times
+        `(n_frames,)` s.
+    boxes
+        what others say of the objects in all frames.
     """
 
     empty: EmptyScene
+    times: Numbers
+    boxes: Boxes
 
     @property
     def log_prior(self) -> float:
@@ -111,38 +124,51 @@ class SceneFilter:
     ) -> Smoothed[SceneTrajectory]:
         """The empty scene from frames all over the film.
 
+        Where others know of objects, what is seen there does not count.
+
         Raises
         ------
         ValueError
             if no frame has an image.
         """
-        first = next((each.frame for each in incoming_over_time if each.frame.image is not None), None)
-        if first is None or first.image is None:
+        first = next((each.frame.image for each in incoming_over_time if each.frame.image is not None), None)
+        if first is None:
             raise ValueError("frames: got no image, expected one at least")
         times = np.array([each.time for each in incoming_over_time])
-        most = self.most(first.image.nbytes)
-        seen = (incoming_over_time[index].frame.image for index in sample_of(times, most, self.memory))
-        images = [image for image in seen if image is not None] or [first.image]
-        return Smoothed(self.begun(images))
+        boxes = Boxes.of(each.others(ObjectBoxes).objects for each in incoming_over_time)
+        images, covered, seen = [], [], []
+        for index in sample_of(times, self.most(first.nbytes), self.memory):
+            image = incoming_over_time[index].frame.image
+            if image is not None:
+                images.append(image)
+                seen.append(times[index])
+                covered.append(boxes[boxes.frames == index].mask(first.shape[:2], ROOM))
+        return Smoothed(SceneTrajectory(self.empty(images, np.array(seen), covered), times, boxes))
 
     def most(self, n_bytes: int) -> int:
         """From how many pictures of `n_bytes` the empty scene is found."""
         return max(min(self.most_frames, self.most_bytes // n_bytes), FEWEST_FRAMES)
 
-    def begun(self, images: Sequence[NDArray[np.uint8]]) -> SceneTrajectory:
+    def empty(
+        self,
+        images: Sequence[NDArray[np.uint8]],
+        times: Numbers,
+        covered: Sequence[NDArray[np.bool_]] | None = None,
+    ) -> EmptyScene:
         """What a sample of images, in order of time, shows of the empty scene.
 
-        The scene is found twice: without knowing how the light changes from image to image, and then with
-        what the background's chain says of that.
+        First without knowing how the light changes from image to image, and then again with what the
+        background's chain says of that, given the scene until then. Parameters are those of `empty_scene`.
         """
         chain = self.model.chains[self._background() or ""]
         first = chain.initial(Frame(images[0], 0.0, 1))
         steady = LightField(first.light, first.size)
         noise = float(chain.noise)
-        rough = empty_scene(images, [steady], noise)
-        return SceneTrajectory(
-            empty_scene(images, [self._light(chain, rough, image) for image in images], noise)
-        )
+        scene = empty_scene(images, times, [steady], noise, covered)
+        for _ in range(LIGHT_ROUNDS if len(images) > 1 else 0):
+            fields = [self._light(chain, scene, image) for image in images]
+            scene = empty_scene(images, times, fields, noise, covered)
+        return scene
 
     def _background(self) -> str | None:
         """Name of the chain that knows the empty scene."""
@@ -183,7 +209,7 @@ class SceneFilter:
         it is confirmed.
         """
         engine = RecursiveBP(self.model)
-        start = self.start(trajectory, incoming[0].time)
+        start = self.start(trajectory)
 
         def pixels(belief: Belief) -> PixelMessage:
             (labels,) = (node for node in self.model.features.values() if isinstance(node, PixelLabels))
@@ -199,14 +225,32 @@ class SceneFilter:
             return ForwardPass(engine, start, incoming, pixels)
         return ForwardPass(engine, start, incoming, boxes)
 
-    def start(self, trajectory: SceneTrajectory, time: float) -> RunState:
-        """State of the filter before the first frame, at `time` s: nobody there, the empty scene known."""
-        shape = trajectory.empty.shape
-        blank = Frame(np.zeros(shape, np.uint8), time, 1)
+    def start(self, trajectory: SceneTrajectory) -> RunState:
+        """State of the filter before the first frame.
+
+        Nobody is there, and the empty scene is known. Chains that know objects by their boxes alone have
+        heard all that is said of them, and what of it lasts: they know the scene that objects move in.
+        """
+        state = self.before(trajectory.empty, float(trajectory.times[0]))
+        states = dict(state.states)
+        messages = messages_of(trajectory.boxes, len(trajectory.times))
+        for name, chain in self.model.chains.items():
+            if len(trajectory.boxes) and all(issubclass(port.kind, ObjectBoxes) for port in chain.ports):
+                known, last = states[name], trajectory.times[0]
+                for time, message in zip(trajectory.times, messages, strict=True):
+                    known = chain.predict(known, time - last)
+                    known, last = chain.update(known, Incoming({ObjectBoxes(): message})), time
+                known = chain.predict(known, LONG)  # after which everybody is gone
+                states[name] = chain.update(known, Incoming({ObjectBoxes(): BoxMessage()}))
+        return replace(state, states=states)
+
+    def before(self, empty: EmptyScene, time: float) -> RunState:
+        """State before the first frame, at `time` s, of a filter that knows the empty scene alone."""
+        blank = Frame(np.zeros(empty.shape, np.uint8), time, 1)
         states: dict[str, Any] = {name: chain.initial(blank) for name, chain in self.model.chains.items()}
         name = self._background() or ""
-        states[name] = trajectory.empty.known_to(states[name])
-        return RunState(states, 0, math.nextafter(time, -math.inf), shape)
+        states[name] = empty.known_to(states[name])
+        return RunState(states, 0, math.nextafter(time, -math.inf), empty.shape)
 
 
 def sample_of(times: Numbers, most: int, memory: float) -> list[int]:

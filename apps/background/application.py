@@ -13,6 +13,7 @@ from ...chains.object_trajectories import ObjectsOverTime
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
 from ..drawing.boxes import OverlayWriter, draw_overlay
+from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring
 from ..evaluation.tracks import track_rows
 from ..io.detections.attached import with_boxes
@@ -39,6 +40,7 @@ from .parameters import (
     read_parameters,
     with_defaults,
 )
+from .predictions import Predictions
 from .record import RunRecord
 from .report import write_report
 from .whole_film import SeenObject, read_whole, warmed_up
@@ -168,6 +170,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         "record": Any,
         "scores": Any,
         "trajectories": ObjectsOverTime | None,
+        "predictions": Any,
     }
 
     def __init__(self, job: BackgroundJob) -> None:
@@ -186,6 +189,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._trajectories: ObjectsOverTime | None = None
         self._detections: Detections | None = None
         self._camera = CameraWatch(noticed=job.camera == "moving")
+        self._predictions = Predictions(self.engine.model) if self.predicts else None
 
     @property
     def files(self) -> list[str]:
@@ -196,7 +200,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             "video": ["foreground.mkv", segment_pattern("foreground.mkv")],
         }
         compared = COMPARISON if self.job.compare else ()
-        return ["tracks.txt", "background.png", *masks[self.job.masks], *compared]
+        predicted = (FILE,) if self.predicts else ()
+        return ["tracks.txt", "background.png", *predicted, *masks[self.job.masks], *compared]
 
     @property
     def chains(self) -> Mapping[str, Any]:
@@ -216,10 +221,20 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         """Whether the empty scene is found before the first frame is answered."""
         return self.job.warm_up is not None or self.job.engine == WHOLE_FILM
 
+    @property
+    def predicts(self) -> bool:
+        """Whether there are chains to compare, which have not heard of frames that they predict."""
+        return self.job.engine != "stand-alone" and not self.begins_settled
+
     def memory(self) -> dict[str, Any]:
-        """Record and scores, and who was where in a film that was read as a whole."""
+        """Record and scores, who was where in a film that was read as a whole, and what was predicted."""
         scores = None if self._scoring is None else self._scoring.saved()
-        return {"record": self.record.saved(), "scores": scores, "trajectories": self._trajectories}
+        return {
+            "record": self.record.saved(),
+            "scores": scores,
+            "trajectories": self._trajectories,
+            "predictions": None if self._predictions is None else self._predictions.saved(),
+        }
 
     def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """What a detector has found in the frames."""
@@ -254,6 +269,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._camera = CameraWatch(noticed=said or self.job.camera == "moving")
         if self._scoring is not None:
             self._scoring.restore(memory["scores"])
+        if self._predictions is not None:
+            self._predictions.restore(memory["predictions"], self.state)
 
     def learn_from(self, saved: SavedRun) -> None:
         """The states are all there is to learn."""
@@ -281,6 +298,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._tracks.write(frame.number, found.tracks)
         self._masks.write(found.foreground, frame.number, frame.time)
         self._overlay.add(frame, found.foreground, found.tracks)
+        if self._predictions is not None:
+            self._predictions.take_in(belief)
         if (said := self._camera.take_in(belief, found.foreground)) is not None:
             self.notes.append(said)
         if self._scoring is not None:
@@ -314,8 +333,10 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         return {"tracks": len(self.record.tracks), "detections": given, "metrics": metrics}
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write the empty scene and the report."""
+        """Write predictions, the empty scene and the report."""
         job = self.job
+        if self._predictions is not None:
+            write_predictions(job.out, self._predictions.records())
         if self.state.states:
             background = self.state.states["background"].picture()
             write_image(job.out / "background.png", background)

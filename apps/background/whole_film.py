@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 
+import numpy as np
+
 from ...chains.object_trajectories import ObjectsOverTime, ObjectTrajectories
 from ...chains.scene_filter import SceneFilter
 from ...inference import CoordinateAscent, MultiChain
@@ -77,20 +79,23 @@ def read_whole(
     names = iter(PASSES)
 
     def passing(frames: Iterator[Frame]) -> Iterator[Frame]:
-        with Progress(next(names), source.n_frames) as progress:
+        with Progress(next(names, PASSES[-1]), source.n_frames) as progress:
             for frame in interruption.items(known(frames)):
                 yield frame
                 progress.update()
         if interruption.signal is not None:
             raise Interrupted(interruption.signal)
 
+    def reopened() -> Source:
+        return open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect)
+
     scene, objects = SceneFilter(model), ObjectBoxes()
     film_model = MultiChain().connect(scene, PixelLabels()).connect(scene, objects)
-    film_model.connect(trajectories := ObjectTrajectories(), objects, feedback=False)
-    with Film(lambda: open_source(job.source, job.start, job.stop, job.step), passing) as film:
-        # nobody tells the filter what the trajectories are: the first round is the last
-        solution = CoordinateAscent(film_model, most_rounds=1).run(film)
-        return scene.start(solution[scene], film.time(0)), solution[trajectories]
+    film_model.connect(trajectories := ObjectTrajectories(), objects)
+    with Film(reopened, passing) as film:
+        # a second round would cost two passes and gains nothing that is seen in the results
+        solution = CoordinateAscent(film_model, most_rounds=1, tolerance=None).run(film)
+        return scene.start(solution[scene]), solution[trajectories]
 
 
 def warmed_up(seconds: float, frames: Iterator[Frame], model: MultiChain) -> tuple[RunState, Iterator[Frame]]:
@@ -106,8 +111,10 @@ def warmed_up(seconds: float, frames: Iterator[Frame], model: MultiChain) -> tup
         held.append(frame)
         if frame.time - held[0].time >= seconds:
             break
-    images = [frame.image for frame in held if frame.image is not None]
+    seen = [frame for frame in held if frame.image is not None]
+    images = [frame.image for frame in seen if frame.image is not None]
     if not images:
         return RunState(), chain(held, frames)
+    times = np.array([frame.time for frame in seen])
     every = -(-len(images) // scene.most(images[0].nbytes))
-    return scene.start(scene.begun(images[::every]), held[0].time), chain(held, frames)
+    return scene.before(scene.empty(images[::every], times[::every]), held[0].time), chain(held, frames)

@@ -1,11 +1,14 @@
 """What chains predicted of their common features while a run went on, recorded in `predictions.npz`.
 
 For every pair of chains and feature: both predictions of each point (or part, or box), made before it was
-observed, and what was then observed. `rsmcm validity` judges from it which chains help each other.
+observed, and what was then observed; or, where predictions are no Gaussians, the log densities that they gave
+to what was then observed. `rsmcm validity` judges from it which chains help each other.
 """
 
+import base64
+import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -67,23 +70,58 @@ class PairRecord:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class ScoreRecord:
+    """Log densities that a pair of chains and their product gave to what was observed.
+
+    Parameters
+    ----------
+    first, second, feature, unit
+        as in `PairRecord`; `unit` is what a row's score is of, such as "a pixel".
+    scores
+        `(n, 3)` nats: of the first chain, the second, and their product.
+    frames
+        `(n,)` int64, numbers of the frames.
+    """
+
+    first: str
+    second: str
+    feature: str
+    unit: str
+    scores: NDArray[np.float64]
+    frames: NDArray[np.int64]
+
+    def thinned(self, most: int) -> "ScoreRecord":
+        """At most so many rows, evenly chosen."""
+        if len(self.frames) <= most:
+            return self
+        kept = np.linspace(0, len(self.frames) - 1, most).round().astype(np.int64)
+        return replace(self, scores=self.scores[kept], frames=self.frames[kept])
+
+
+Record = PairRecord | ScoreRecord
+
+
 @dataclass(eq=False)
 class PairRecorder:
     """Gathers what two chains say of a feature of many points, frame by frame.
 
-    Memory is bounded: when there are more than two files' worth of rows, every other frame is dropped, and
-    from then on frames are taken half as often.
+    Memory is bounded: when there are more than `most` rows, every other frame is dropped, and from then on
+    frames are taken half as often.
 
     Parameters
     ----------
     first, second, feature, unit
         as in `PairRecord`.
+    most
+        rows; two files' worth if not given.
     """
 
     first: str
     second: str
     feature: str
     unit: str = "px"
+    most: int = 2 * MOST_ROWS
     _frames: list[tuple[int, NDArray[np.int64], list[NDArray[np.float64]]]] = field(default_factory=list)
     _every: int = 1
     _offered: int = 0
@@ -107,9 +145,24 @@ class PairRecorder:
             place = np.searchsorted(identities, common)
             arrays += [means[place], covariances[place]]
         self._frames.append((number, common, arrays))
-        if sum(len(identities) for _, identities, _ in self._frames) > 2 * MOST_ROWS:
+        if sum(len(identities) for _, identities, _ in self._frames) > self.most:
             self._frames = self._frames[::2]
             self._every *= 2
+
+    def saved(self) -> dict[str, Any]:
+        """Everything as plain JSON; arrays in base 64."""
+        frames = [
+            (number, *(_encoded(array) for array in (identities, *arrays)))
+            for number, identities, arrays in self._frames
+        ]
+        return {"every": self._every, "offered": self._offered, "frames": frames}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Take up what `saved` kept."""
+        self._every, self._offered, self._frames = saved["every"], saved["offered"], []
+        for number, *encoded in saved["frames"]:
+            identities, *arrays = map(_decoded, encoded)
+            self._frames.append((number, identities.astype(np.int64), arrays))
 
     def record(self) -> PairRecord | None:
         """Everything that was gathered; `None` if there was no common point in any frame."""
@@ -129,7 +182,18 @@ class PairRecorder:
         )
 
 
-def write_predictions(folder: Path, records: Sequence[PairRecord]) -> None:
+def _encoded(array: NDArray[Any]) -> str:
+    stream = io.BytesIO()
+    np.save(stream, array, allow_pickle=False)
+    return base64.b64encode(stream.getvalue()).decode()
+
+
+def _decoded(text: str) -> NDArray[Any]:
+    array: NDArray[Any] = np.load(io.BytesIO(base64.b64decode(text)), allow_pickle=False)
+    return array
+
+
+def write_predictions(folder: Path, records: Sequence[Record]) -> None:
     """Write `predictions.npz`, at most `MOST_ROWS` rows of each pair, evenly chosen; whole or not at all.
 
     Raises
@@ -138,20 +202,25 @@ def write_predictions(folder: Path, records: Sequence[PairRecord]) -> None:
         if the file cannot be written.
     """
     members: dict[str, NDArray[Any]] = {}
+    names: list[dict[str, str]] = []
     for number, record in enumerate(records):
         thin = record.thinned(MOST_ROWS)
-        members[f"{number}/tracks"], members[f"{number}/frames"] = thin.tracks, thin.frames
-        for part in fields(RecordedPredictions):
-            array = getattr(thin.predictions, part.name)
-            if array is not None:
-                members[f"{number}/{part.name}"] = array
-    names = [{name: getattr(record, name) for name in NAMES} for record in records]
+        arrays: dict[str, Any] = {"frames": thin.frames}
+        if isinstance(thin, ScoreRecord):
+            arrays["scores"] = thin.scores
+        else:
+            arrays["tracks"] = thin.tracks
+            arrays |= {
+                part.name: getattr(thin.predictions, part.name) for part in fields(RecordedPredictions)
+            }
+        members |= {f"{number}/{name}": array for name, array in arrays.items() if array is not None}
+        names.append({name: getattr(record, name) for name in NAMES})
     about = np.array(json.dumps({"format": FORMAT, "pairs": names}))
     with write_atomically(folder / FILE) as unfinished, unfinished.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, about=about, **members)
 
 
-def read_predictions(folder: Path) -> list[PairRecord]:
+def read_predictions(folder: Path) -> list[Record]:
     """Read what `write_predictions` wrote.
 
     Raises
@@ -171,9 +240,24 @@ def read_predictions(folder: Path) -> list[PairRecord]:
     if found != FORMAT:
         raise ValueError(f"{path}: got format {str(found)[:60]!r}, expected {FORMAT!r}")
     try:
-        return [_record(arrays, number, pair) for number, pair in enumerate(names)]
+        return [
+            (_scores if f"{number}/scores" in arrays else _record)(arrays, number, pair)
+            for number, pair in enumerate(names)
+        ]
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def _scores(arrays: dict[str, NDArray[Any]], number: int, names: dict[str, str]) -> ScoreRecord:
+    scores, frames = arrays[f"{number}/scores"], arrays[f"{number}/frames"]
+    if scores.dtype.kind not in "iuf" or not (np.abs(scores) <= LARGEST).all():
+        raise ValueError(f"pair {number}, scores: got {scores.dtype}, expected numbers up to {LARGEST:g}")
+    if scores.ndim != 2 or scores.shape[1] != 3 or frames.shape != scores.shape[:1]:
+        raise ValueError(
+            f"pair {number}: got scores {scores.shape} of frames {frames.shape}, expected (n, 3) and (n,)"
+        )
+    first, second, feature, unit = (str(names[name]) for name in NAMES)
+    return ScoreRecord(first, second, feature, unit, scores.astype(np.float64), frames)
 
 
 def _record(arrays: dict[str, NDArray[Any]], number: int, names: dict[str, str]) -> PairRecord:

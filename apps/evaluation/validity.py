@@ -7,15 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.validity.estimate import FEWEST_GROUPS, Comparison, Interval, compare
+from ...inference.validity.scores import ScoreComparison, compare_scores
 from ..reports.expectations import in_columns
-from .predictions import FILE, PairRecord, read_predictions
+from .predictions import FILE, PairRecord, ScoreRecord, read_predictions
 
-WRITTEN_BY = "rsmcm structure"
+WRITTEN_BY = "rsmcm structure, or background"
 STRETCHES = 40
 """Into how many stretches of frames a run is cut, whose errors are taken for independent."""
 
 HONEST = (0.8, 1.25)
 """Squared errors over stated variances between which a chain's covariances pass for honest."""
+
+SCORE_HEADER = ("chains", "feature", "frames", "score 1", "score 2", "product", "gain, nats", "verdict")
 
 HEADER = (
     "chains", "feature", "predictions", "error 1", "error 2", "correlation", "bearable", "gain, nats",
@@ -42,9 +45,15 @@ def report_validity(folder: Path) -> str:
     records = read_predictions(folder)
     if not records:
         return "No two chains of this run predicted the same feature."
-    found = [(record, judge(record)) for record in records]
-    table = in_columns(HEADER, [_row(record, comparison) for record, comparison in found])
-    return "\n\n".join([table, *(_in_words(record, comparison) for record, comparison in found)])
+    pairs = [(record, judge(record)) for record in records if isinstance(record, PairRecord)]
+    scores = [(record, judge_scores(record)) for record in records if isinstance(record, ScoreRecord)]
+    parts = []
+    if pairs:
+        parts.append(in_columns(HEADER, [_row(*each) for each in pairs]))
+    if scores:
+        parts.append(in_columns(SCORE_HEADER, [_score_row(*each) for each in scores]))
+    parts += [_in_words(*each) for each in pairs]
+    return "\n\n".join([*parts, *(_scores_in_words(*each) for each in scores)])
 
 
 def judge(record: PairRecord) -> Comparison:
@@ -54,9 +63,7 @@ def judge(record: PairRecord) -> Comparison:
     so that neither tracks nor frames are independent of each other: once tracks are resampled, once stretches
     of frames, and the wider interval counts.
     """
-    _, order = np.unique(record.frames, return_inverse=True)
-    n_frames = int(order.max()) + 1
-    groupings: list[NDArray[np.int64]] = [record.tracks, order * STRETCHES // max(n_frames, STRETCHES)]
+    groupings = [record.tracks, _stretches(record.frames)]
     enough = [labels for labels in groupings if len(np.unique(labels)) >= FEWEST_GROUPS]
     several = enough or [labels for labels in groupings if len(np.unique(labels)) > 1]
     if not several:
@@ -66,6 +73,18 @@ def judge(record: PairRecord) -> Comparison:
         )
     comparisons = [compare(record.predictions, labels) for labels in several]
     return max(comparisons, key=lambda comparison: comparison.gain.high - comparison.gain.low)
+
+
+def judge_scores(record: ScoreRecord) -> ScoreComparison:
+    """Compare a pair by its log densities; stretches of frames are taken for independent."""
+    return compare_scores(record.scores, _stretches(record.frames))
+
+
+def _stretches(frames: NDArray[np.int64]) -> NDArray[np.int64]:
+    """In which stretch of the run each row is, by its frame; of a short run, the frame itself."""
+    _, order = np.unique(frames, return_inverse=True)
+    stretches: NDArray[np.int64] = order * STRETCHES // max(int(order.max()) + 1, STRETCHES)
+    return stretches
 
 
 def _row(record: PairRecord, found: Comparison) -> tuple[object, ...]:
@@ -79,6 +98,24 @@ def _row(record: PairRecord, found: Comparison) -> tuple[object, ...]:
         f"{found.bearable_correlation:.2f}" if np.isfinite(found.bearable_correlation) else "any",
         f"{found.gain:.2g}",
         found.verdict,
+    )
+
+
+def _score_row(record: ScoreRecord, found: ScoreComparison) -> tuple[object, ...]:
+    return (
+        f"{record.first} + {record.second}",
+        record.feature,
+        str(found.count),
+        *(f"{score.estimate:.3f}" for score in (found.first, found.second, found.product)),
+        f"{found.gain:.2g}",
+        found.verdict,
+    )
+
+
+def _scores_in_words(record: ScoreRecord, found: ScoreComparison) -> str:
+    return (
+        f"{record.first} + {record.second} on {record.feature}: {found.verdict}. {found.reason}.\n"
+        f"Scores are log densities of what was then seen, nats {record.unit}."
     )
 
 

@@ -37,8 +37,8 @@ class Round:
     objective
         sum over the chains of the log density of their trajectories, and over all features and frames of the
         log mass of the product of evidence and messages: the log of the model's density at the trajectories,
-        with the features integrated out, as far as messages are the exact p(F | X). NaN where `most_rounds`
-        is 1, and nothing is compared.
+        with the features integrated out, as far as messages are the exact p(F | X). NaN where rounds are not
+        compared.
     smoothed
         names of the chains that were worked out anew; a chain that would hear the same again is not.
     """
@@ -130,7 +130,9 @@ class CoordinateAscent:
     most_rounds
         wall on the number of rounds.
     tolerance
-        share of the objective's size by which it has to rise for the ascent to go on.
+        share of the objective's size by which it has to rise for the ascent to go on; `None` for rounds that
+        are not compared: the last one is taken, and the objective, which costs a pass over the film, is not
+        worked out.
 
     Raises
     ------
@@ -140,7 +142,7 @@ class CoordinateAscent:
         if one of the chains is none for batches.
     """
 
-    def __init__(self, model: MultiChain, most_rounds: int = 20, tolerance: float = 1e-5) -> None:
+    def __init__(self, model: MultiChain, most_rounds: int = 20, tolerance: float | None = 1e-5) -> None:
         require_model(model)
         for name, chain in model.chains.items():
             require(f"chain {name!r}", chain, BatchChain)
@@ -202,12 +204,12 @@ class CoordinateAscent:
             if not smoothed:
                 yield Solution(best, slices, tuple(reports), converged=True)
                 return
-            objective = slices.objective() if self.most_rounds > 1 else nan
-            if not reports or objective > max(report.objective for report in reports):
+            objective = nan if self.tolerance is None else slices.objective()
+            if self.tolerance is None or not reports or objective > max(each.objective for each in reports):
                 best = slices
             reports.append(Round(len(reports) + 1, objective, smoothed))
             before = reports[-2].objective if len(reports) > 1 else -inf
-            converged = objective < before + self.tolerance * abs(before)
+            converged = self.tolerance is not None and objective < before + self.tolerance * abs(before)
             yield Solution(best, slices, tuple(reports), converged)
             if converged or len(reports) == self.most_rounds:
                 return

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from . import checkpoint
-from .graph import MultiChain, require_model
+from .graph import IMAGE, MultiChain, require_model
 from .protocols import Chain, FeatureNode, MessageType, Named, name_of, require
 from .time_slice import TimeSlice
 
@@ -125,6 +125,32 @@ class Belief:
         was decided on by its cavity is taken as it is.
         """
         return 0.0 if self._slice is None else self._slice.log_evidence()
+
+    def message(self, chain: Named | str, feature: FeatureNode[MessageType]) -> MessageType:
+        """What the chain said to the feature in this frame, before it heard what the image shows of it.
+
+        Raises
+        ------
+        KeyError
+            if it has not said anything there: it is not connected, or its message is cut.
+        """
+        return self._sent(name_of(chain), feature)
+
+    def evidence(self, feature: FeatureNode[MessageType]) -> MessageType:
+        """What the frame shows of the feature; nothing (uniform) where it is missing.
+
+        Raises
+        ------
+        KeyError
+            if the feature is not part of the model, or nothing is believed yet.
+        """
+        return feature.uniform() if self.frame.missing else self._sent(IMAGE, feature)
+
+    def _sent(self, sender: str, feature: FeatureNode[MessageType]) -> MessageType:
+        if self._slice is None:
+            raise KeyError(f"{feature.name}: nothing is said before the first frame that is not missing")
+        message: MessageType = self._slice.sent(sender, feature.name)
+        return message
 
     @overload
     def __getitem__(self, key: Chain[State], /) -> State: ...

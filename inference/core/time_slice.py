@@ -66,6 +66,18 @@ class TimeSlice:
         """All that reaches the chain by now except for its own messages."""
         return self._incoming({name: self._factors(name, chain) for name in self.model.features_of(chain)})
 
+    def sent(self, sender: str, feature: str) -> Any:
+        """The message of a chain, or of the image, to the feature.
+
+        Raises
+        ------
+        KeyError
+            if there is none.
+        """
+        if (sender, feature) not in self._sent:
+            raise KeyError(f"{sender!r} says nothing to {feature!r}")
+        return self._message(self._sent[sender, feature])
+
     def product(self, feature: str) -> Any:
         """Product of all that the feature has been sent by now."""
         return self._multiply(feature, self._factors(feature))

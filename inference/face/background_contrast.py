@@ -197,12 +197,14 @@ class SharedBackground:
         It goes up where what was predicted came true, and down where not.
         In pixels that may be `hidden` by the object, of the box, nothing is learned. What was behind it at
         first, `UNSEEN`, stays unknown until a pixel is found to differ from what the background remembers
-        there: as long as it does not, both may be the object.
+        there: as long as it does not, both may be the object. Where the background says that it does not
+        know the scene, it does not remember the object either.
         """
         came_true = self.ratio > 0
         after: Map = trust - np.float32(np.expm1(-elapsed / TRUST_TIME)) * (came_true - trust)
         after = np.where(trust < 0, np.where(came_true, trust, np.float32(0)), after)
         after[box.window][hidden] = trust[box.window][hidden]
+        after[(after < 0) & (np.abs(self.ratio) < 1 / ODDS_STEPS)] = 0
         return after
 
 

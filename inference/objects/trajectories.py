@@ -1,6 +1,6 @@
 """Trajectories of objects over a whole film: smoothed both ways, joined over gaps, and which to believe."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Self
@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from ...models.objects.box_message import BoxMessage
 from ..filters.kalman import PointStates, filter_tracks, smooth
 
 Numbers = NDArray[np.float64]
@@ -47,17 +48,15 @@ class Boxes:
     variances: Numbers
 
     @classmethod
-    def of(cls, messages: Sequence[GaussianMessage]) -> Self:
+    def of(cls, messages: Iterable[GaussianMessage]) -> "Boxes":
         """Boxes of messages, one a frame."""
-        frames, identities, means, variances = [], [], [], []
+        parts = []
         for index, message in enumerate(messages):
             known, mean, covariance = message.moments
-            frames.append(np.full(len(known), index, np.int64))
-            identities.append(np.asarray(known, np.int64))
-            means.append(mean.reshape(-1, BOX))
-            variances.append(covariance.diagonal(axis1=1, axis2=2).reshape(-1, BOX))
-        concatenated = [np.concatenate(parts) for parts in (means, variances)]
-        return cls(np.concatenate(frames), np.concatenate(identities), *concatenated).sorted()
+            frames = np.full(len(known), index, np.int64)
+            identities, variances = np.asarray(known, np.int64), covariance.diagonal(axis1=1, axis2=2)
+            parts.append(Boxes(frames, identities, mean.reshape(-1, BOX), variances.reshape(-1, BOX)))
+        return cls.together(parts)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -74,6 +73,17 @@ class Boxes:
             means=self.means[rows],
             variances=self.variances[rows],
         )
+
+    def mask(self, size: tuple[int, int], room: float) -> NDArray[np.bool_]:
+        """`(height, width)`: where any of the boxes is, with a share of its size around it."""
+        inside = np.zeros(size, bool)
+        for x, y, width, height in self.means.tolist():
+            top, bottom = y - (1 + room) * height, y + room * height
+            left, right = x - (0.5 + room) * width, x + (0.5 + room) * width
+            spans = [(top, bottom), (left, right)]
+            rows, columns = (slice(max(round(first), 0), max(round(end), 0)) for first, end in spans)
+            inside[rows, columns] = True
+        return inside
 
     def tracks(self) -> list[Self]:
         """Those of each object."""
@@ -92,6 +102,23 @@ class Boxes:
             np.concatenate([part.means for part in parts]),
             np.concatenate([part.variances for part in parts]),
         ).sorted()
+
+
+def messages_of(boxes: Boxes, n_frames: int) -> list[BoxMessage]:
+    """What boxes say in each of the frames."""
+    order = np.argsort(boxes.frames, kind="stable")
+    edges = np.searchsorted(boxes.frames[order], np.arange(n_frames + 1))
+    rows = [order[start:end] for start, end in pairwise(edges)]
+    return [
+        BoxMessage(
+            GaussianMessage.from_moments(
+                boxes.identities[some], boxes.means[some], boxes.variances[some][:, :, None] * np.eye(BOX)
+            )
+        )
+        if len(some)
+        else BoxMessage()
+        for some in rows
+    ]
 
 
 @dataclass(frozen=True)

@@ -239,7 +239,7 @@ def compare(
     if recorded.first_covariance is not None and recorded.second_covariance is not None:
         covariances = recorded.first_covariance, recorded.second_covariance
         columns.append(_measures_as_stated(of_first, of_second, *covariances, recorded.noise))
-    sums = _group_sums(np.hstack(columns), labels)
+    sums = group_sums(np.hstack(columns), labels)
     moments, noise, as_stated = np.split(sums.resampled(random, resamples), [4 * d**2, 5 * d**2], axis=1)
     errors = _without_noise(moments.reshape(-1, 2 * d, 2 * d), noise.reshape(-1, d, d))
     gain_first, gain_second = errors.gains
@@ -255,16 +255,16 @@ def compare(
         second=_interval_of_matrices(errors.second),
         cross=_interval_of_matrices(errors.cross),
         errors=PredictionErrors(*(getattr(errors, part.name)[0] for part in fields(errors))),
-        rms_first=_interval(_rms(errors.first)),
-        rms_second=_interval(_rms(errors.second)),
-        correlation=_interval(correlation),
+        rms_first=interval_of(_rms(errors.first)),
+        rms_second=interval_of(_rms(errors.second)),
+        correlation=interval_of(correlation),
         bearable_correlation=_bearable_correlation(float(correlation[0]), float(errors.bearable[0])),
-        worth_first=_interval(worth_first),
-        worth_second=_interval(worth_second),
-        worth_product=_interval(worth_first + gain_first),
-        gain_first=_interval(gain_first),
-        gain_second=_interval(gain_second),
-        gain=_interval(np.minimum(gain_first, gain_second)),
+        worth_first=interval_of(worth_first),
+        worth_second=interval_of(worth_second),
+        worth_product=interval_of(worth_first + gain_first),
+        gain_first=interval_of(gain_first),
+        gain_second=interval_of(gain_second),
+        gain=interval_of(np.minimum(gain_first, gain_second)),
         theorem_holds=bool(errors.theorem_holds[0]),
         stated=_summarised(as_stated) if as_stated.size else None,
     )
@@ -298,7 +298,14 @@ class GroupSums:
         return means
 
 
-def _group_sums(values: Numbers, labels: NDArray[np.generic]) -> GroupSums:
+def group_sums(values: Numbers, labels: NDArray[np.generic]) -> GroupSums:
+    """Sums of `values` `(n, k)` over the rows of each label `(n,)`.
+
+    Raises
+    ------
+    ValueError
+        if there are fewer than two groups.
+    """
     _, place, rows = np.unique(labels, return_inverse=True, return_counts=True)
     if len(rows) < 2:
         raise ValueError(f"groups: got {len(rows)} of {len(labels)} rows, expected two or more")
@@ -356,7 +363,7 @@ def _summarised(means: Numbers) -> StatedComparison:
     better_score = np.maximum(scores[:, 0], scores[:, 1])
     better_cost = np.minimum(costs[:, 0], costs[:, 1])
     gains = scores[:, 2] - better_score, better_cost - costs[:, 2]
-    return StatedComparison(*map(_interval, [*means[:, :6].T, *gains]))
+    return StatedComparison(*map(interval_of, [*means[:, :6].T, *gains]))
 
 
 def _judged(found: Comparison) -> tuple[Verdict, str]:
@@ -383,7 +390,8 @@ def _bearable_correlation(correlation: float, factor: float) -> float:
     return correlation * factor if correlation > 0 and np.isfinite(factor) else float("inf")
 
 
-def _interval(samples: Numbers) -> Interval[float]:
+def interval_of(samples: Numbers) -> Interval[float]:
+    """Of a number: the first of the samples, with quantiles of the others."""
     low, high = np.quantile(samples[1:], ENDS)
     return Interval(float(samples[0]), float(low), float(high))
 

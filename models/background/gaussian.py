@@ -16,6 +16,8 @@ from ..core.short_repr import short_repr
 from ..numerics.threads import over_bands
 from . import colour
 from .kernels.gaussian import (
+    HIGHEST_VARIANCE,
+    KNOWN,
     ODDS_STEPS,
     Gaussians,
     PixelModel,
@@ -26,6 +28,7 @@ from .kernels.gaussian import (
     subtract_colour,
     subtract_grey,
 )
+from .kernels.sway import LEAST_RATE, Sway, recall_moved
 from .light import LightField
 
 Planes = NDArray[np.float32]
@@ -99,12 +102,16 @@ class BackgroundPrediction:
         share by which the noise follows what is seen, 0 to keep it fixed.
     first_variance
         squared grey levels, of a value seen once.
+    unknown_variance
+        squared grey levels, of a value that others take for an object's (see `update_behind`); 0 for none.
     pooling
         weight of what the 5 x 5 pixels around a pixel show in its own log odds: neighbours mostly share their
         label, but are not independent observations. 0 makes every pixel decide for itself.
     second
-        second colour of every pixel: once known, what is within `tolerance` (squared grey levels) of it is
-        background too.
+        second colour of every pixel: once known, what is within `tolerance` (squared grey levels, four times
+        the variance of all channels) of it is background too.
+    sway
+        how often pixels show what is beside them.
     """
 
     size: tuple[int, int]
@@ -114,9 +121,11 @@ class BackgroundPrediction:
     drift: float
     noise_share: float
     first_variance: float
+    unknown_variance: float
     pooling: float
     second: SecondColours
     tolerance: float
+    sway: Sway
     _compared: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
     _updates: dict[int, Gaussians] = field(default_factory=dict)
 
@@ -135,9 +144,11 @@ class BackgroundPrediction:
         """What loops need to know beside the pixels."""
         numbers = (
             log_prior_odds(self.prior, self.channels),
+            np.log(self.prior) - np.log1p(-self.prior),
             self.drift,
             self.noise_share,
             self.first_variance,
+            self.unknown_variance,
         )
         return PixelModel(*map(np.float32, numbers))
 
@@ -175,13 +186,19 @@ class BackgroundPrediction:
         flat = np.ascontiguousarray(image).reshape(-1)
         kernel = subtract_colour if self.channels == 3 else subtract_grey
         light, model, tolerance = self.light.along_rows, self.model, np.float32(self.tolerance)
+        sways = self.sway.rates.max() >= LEAST_RATE
 
         def subtract(first: int, end: int) -> None:
             kernel(first, end, flat, self.pixels, light, model, after, log_odds)
-            recall(first * width, end * width, flat, self.second, self.channels, tolerance, log_odds)
+            recall(first * width, end * width, flat, self.second, tolerance, model, log_odds)
+            if sways:
+                recall_moved(first, end, flat, self.pixels, light, model, self.sway, log_odds)
 
         over_bands(subtract, height)
         smoothed = smooth(log_odds, self.size, self.prior, self.pooling)
+        if self.pixels.variance.max() > HIGHEST_VARIANCE:
+            # neighbours tell nothing of a value that nobody knows
+            smoothed[self.pixels.variance > HIGHEST_VARIANCE] = np.int8(model.label_odds * ODDS_STEPS)
         return Subtraction(log_odds, smoothed), after
 
 
@@ -208,3 +225,23 @@ def smooth(log_odds: NDArray[np.int8], size: tuple[int, int], prior: float, shar
         height,
     )
     return smoothed
+
+
+def keep_old_colours(
+    old: Gaussians, light: LightField, revealed: NDArray[np.bool_], second: SecondColours
+) -> None:
+    """What a pixel showed before something else was `revealed` `(n_pixels,)` there stays its second colour.
+
+    It is known at once, so that it is background again at once if the verdict was wrong; and it wears off as
+    any second colour does once something else lasts there.
+    """
+    (pixels,) = np.nonzero(revealed)
+    if not len(pixels):
+        return
+    channels, (row, column) = len(old.mean), np.divmod(pixels, light.size[1])
+    rows, position = light.along_rows
+    above = position[row].astype(np.intp)
+    glow = rows[above, column] + (position[row] - above) * (rows[above + 1, column] - rows[above, column])
+    shown = np.clip(np.rint(colour.to_pixels(channels) @ (glow * old.mean[:, pixels])), 0, 255)
+    second.colours.reshape(-1, channels)[pixels] = shown.T
+    second.seen[pixels] = KNOWN

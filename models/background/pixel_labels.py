@@ -194,6 +194,12 @@ class PixelMessage:
         hidden = None if self.view is None else self.view.hidden
         if not self.layers and hidden is None:
             return background.log_likelihood(image)
+        return self._log_mass_of_seen(background, image, hidden)
+
+    def _log_mass_of_seen(
+        self, background: BackgroundFactor, image: NDArray[np.uint8], hidden: NDArray[np.bool_] | None
+    ) -> float:
+        """Of the image; what is `hidden` `(height, width)` counts as pixels of any colour."""
         shift = np.zeros(self.size, np.float32)
         explained = 0.0
         for region in self.regions:
@@ -204,6 +210,38 @@ class PixelMessage:
             shift[hidden] = NEVER
             explained -= int(hidden.sum()) * float(np.log1p(-background.prior))
         return background.log_likelihood(image, shift.reshape(-1)) + explained
+
+    def log_density(self, among: NDArray[np.bool_]) -> float:
+        """Log of the probability (nats) of what the image shows at some pixels, given all other factors.
+
+        Over all images these probabilities sum to 1. Labels of which nobody has a prior are even.
+
+        Parameters
+        ----------
+        among
+            `(height, width)`: of which pixels.
+
+        Raises
+        ------
+        ValueError
+            if there is no image.
+        """
+        if self.image is None:
+            raise ValueError("pixel message: got no image, expected one whose density is asked for")
+        channels = 1 if self.image.ndim == 2 else self.image.shape[2]
+        uniform = -channels * float(np.log(256.0))
+        clear = 0.5 if self.background is None else self.background.prior
+        total = 0.0
+        for region in self.layers.regions(None, self.size):
+            mass = clear * region.clear + (1 - clear) * region.explained
+            total -= float(np.log(mass[among[region.window]], dtype=np.float64).sum())
+        if self.background is not None:
+            total += self._log_mass_of_seen(self.background, self.image, ~among)
+            return total - uniform * int((~among).sum())
+        for region in self.regions:
+            mass = 0.5 * region.clear + 0.5 * region.explained
+            total += float(np.log(mass[among[region.window]], dtype=np.float64).sum())
+        return total + uniform * int(among.sum())
 
     def _log_odds(self) -> NDArray[np.int8]:
         """`(height, width)` int8 log odds of background without the layers."""

@@ -12,7 +12,7 @@ import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rsmcm.apps.evaluation.predictions import FILE, PairRecord, write_predictions
+from rsmcm.apps.evaluation.predictions import FILE, PairRecord, ScoreRecord, write_predictions
 from rsmcm.inference import RecursiveBP
 from rsmcm.inference.validity.estimate import RecordedPredictions
 from rsmcm.models.body.upper_body import JOINTS
@@ -214,7 +214,8 @@ def _predictions(folder: Path) -> list[Files]:
     noise = np.tile(np.eye(2), (24, 1, 1))
     predictions = RecordedPredictions(first, second, observed, noise, noise, noise)
     tracks, frames = np.arange(24) % 6, np.arange(24) // 6 + 1
-    write_predictions(folder, [PairRecord("a", "b", "points", "px", predictions, tracks, frames)])
+    scores = ScoreRecord("a", "b", "pixels", "a pixel", random.normal(size=(24, 3)), frames)
+    write_predictions(folder, [PairRecord("a", "b", "points", "px", predictions, tracks, frames), scores])
     return [{FILE: (folder / FILE).read_bytes()}]
 
 

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....models.core.frame import Frame
-from ...background.job import Engine
-from ...background.methods import Model
+from ...background.application import build_model
+from ...background.job import WHOLE_FILM, BackgroundJob, Engine
+from ...background.methods import CHAINS, Model
+from ...background.whole_film import read_whole
 from ...evaluation.masks import ratio
 from ...evaluation.tracks import TrackScores, evaluate_tracks
 from ...io.detections.attached import with_boxes
@@ -24,6 +26,7 @@ from ...io.detections.table import Detections
 from ...io.ground_truth import BoxTruth, read_ground_truth
 from ...io.sources.open_source import open_source
 from ...reports.expectations import Expectation
+from ...runs.interruption import Interruption
 from ...runs.parallel import in_processes
 from .baselines import CleanUp, KalmanHungarian, Setting, component_boxes
 
@@ -37,7 +40,7 @@ MEASURES = {"IDF1": "idf1", "HOTA": "hota", "MOTA": "mota", "id switches": "swit
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class AnnotatedFilm:
     """A film whose objects are known.
 
     Parameters
@@ -76,11 +79,15 @@ class Film:
     def frames(self, seed: int, step: int = 1, every: int | None = None) -> Iterator[Frame]:
         """Its frames with noise; with the detector's boxes on every `every`-th, if that is given."""
         with open_source(self.source, step=step) as source:
-            frames: Iterable[Frame] = (noisy(frame, seed) for frame in source)
-            if every is not None:
-                assert self.detections is not None
-                frames = with_boxes(frames, self.detections, every)
-            yield from frames
+            yield from self.known(source, seed, every)
+
+    def known(self, frames: Iterable[Frame], seed: int, every: int | None) -> Iterator[Frame]:
+        """The same of frames that are open."""
+        shaken = (noisy(frame, seed) for frame in frames)
+        if every is None:
+            return shaken
+        assert self.detections is not None
+        return with_boxes(shaken, self.detections, every)
 
 
 @dataclass(frozen=True)
@@ -95,12 +102,20 @@ class Trial:
         makes tracks of a seed of noise; can be sent to another process.
     seeds
         one is enough for methods that see no pictures.
+    step
+        only every `step`-th frame is judged, where it sees no others.
     """
 
     name: str
     described: str
     tracks: Callable[[int], Tracks]
     seeds: Sequence[int] = NOISE_SEEDS
+    step: int = 1
+
+    def scored(self, tracks: Sequence[Tracks], truth: BoxTruth) -> "Scored":
+        """Its scores, given its tracks by seed."""
+        judged = [number for number in truth.frames if (number - 1) % self.step == 0]
+        return Scored(self.name, self.described, [evaluate_tracks(table, truth, judged) for table in tracks])
 
 
 @dataclass(frozen=True)
@@ -142,12 +157,7 @@ def score_trials(
     trials: Sequence[Trial], tracks: dict[str, list[Tracks]], truth: BoxTruth
 ) -> dict[str, Scored]:
     """Scores of all trials by name."""
-    return {
-        trial.name: Scored(
-            trial.name, trial.described, [evaluate_tracks(table, truth) for table in tracks[trial.name]]
-        )
-        for trial in trials
-    }
+    return {trial.name: trial.scored(tracks[trial.name], truth) for trial in trials}
 
 
 def noisy(frame: Frame, seed: int) -> Frame:
@@ -164,7 +174,7 @@ def noisy(frame: Frame, seed: int) -> Frame:
 # --- methods ------------------------------------------------------------------------------------------------
 
 
-def model_tracks(film: Film, engine: Engine, step: int, every: int | None, seed: int) -> Tracks:
+def model_tracks(film: AnnotatedFilm, engine: Engine, step: int, every: int | None, seed: int) -> Tracks:
     """Tracks by a multi-chain model, which sees every `step`-th frame, and the detector's boxes perhaps."""
     system: Model | None = None
     rows: list[tuple[float, ...]] = []
@@ -176,8 +186,26 @@ def model_tracks(film: Film, engine: Engine, step: int, every: int | None, seed:
     return _table(rows)
 
 
+def whole_film_tracks(film: AnnotatedFilm, every: int | None, seed: int) -> Tracks:
+    """Tracks by the model that reads the film as a whole, with the detector's boxes perhaps."""
+    job = BackgroundJob(film.source, out=Path(), engine=WHOLE_FILM)  # nothing is written
+    with open_source(film.source) as source:
+        _, objects = read_whole(
+            job,
+            source,
+            build_model(job.engine),
+            lambda frames: film.known(frames, seed, every),
+            Interruption(),
+        )
+        count = source.n_frames
+    assert count is not None
+    return _table(
+        [(index + 1, identity, *box) for index in range(count) for identity, box in objects.at(index)]
+    )
+
+
 def usual_tracks(
-    film: Film, setting: Setting, clean_up: CleanUp, parameters: tuple[float, int, int], seed: int
+    film: AnnotatedFilm, setting: Setting, clean_up: CleanUp, parameters: tuple[float, int, int], seed: int
 ) -> Tracks:
     """Tracks by a subtractor, a clean-up, Kalman filters and assignment."""
     subtractor, tracker = setting.make(), KalmanHungarian(*parameters)
@@ -197,7 +225,7 @@ ASSOCIATIONS = tuple(product((0.1, 0.3), (1, 3, 5), (10, 20)))
 
 
 def associated(
-    film: Film, every: int, quantile: float, parameters: tuple[float, int, int], seed: int = 0
+    film: AnnotatedFilm, every: int, quantile: float, parameters: tuple[float, int, int], seed: int = 0
 ) -> Tracks:
     """Tracks by Kalman filters and assignment of the detector's boxes on every `every`-th frame.
 
@@ -229,7 +257,7 @@ def associated(
     return _table(rows)
 
 
-def best_associations(film: Film, every: int) -> dict[str, tuple[str, partial[Tracks]]]:
+def best_associations(film: AnnotatedFilm, every: int) -> dict[str, tuple[str, partial[Tracks]]]:
     """What plain association is best with on this film, in IDF1 and in MOTA: in words, and its tracks."""
     combined = list(product(SCORE_QUANTILES, ASSOCIATIONS))
     work = [(_association_scores, (film, every, *each)) for each in combined]
@@ -245,7 +273,7 @@ def best_associations(film: Film, every: int) -> dict[str, tuple[str, partial[Tr
 
 
 def _association_scores(
-    film: Film, every: int, quantile: float, parameters: tuple[float, int, int]
+    film: AnnotatedFilm, every: int, quantile: float, parameters: tuple[float, int, int]
 ) -> TrackScores:
     return evaluate_tracks(associated(film, every, quantile, parameters), film.truth)
 
@@ -253,11 +281,18 @@ def _association_scores(
 # --- what is compared of a film with a detector -------------------------------------------------------------
 
 FIFTH = 5
+WHOLE, WHOLE_DETECTED = "RSMCM, whole film", "RSMCM, whole film, detector"
 DETECTED, CUT, RARE = "RSMCM, detector", "feed-forward, detector", "RSMCM, detector on every fifth frame"
 PLAIN, RARE_PLAIN = "association", "association, every fifth frame"
 
 
-def detector_trials(film: Film) -> list[Trial]:
+def pixel_trials(film: AnnotatedFilm) -> list[Trial]:
+    """The model without a detector: with and without feedback, and reading the film as a whole."""
+    trials = [Trial(name, "", partial(model_tracks, film, engine, 1, None)) for name, engine in CHAINS]
+    return [*trials, Trial(WHOLE, "", partial(whole_film_tracks, film, None))]
+
+
+def detector_trials(film: AnnotatedFilm) -> list[Trial]:
     """The model with the detector, on every frame and every fifth, and plain association of the same boxes.
 
     Nothing where there are no detections.
@@ -268,6 +303,7 @@ def detector_trials(film: Film) -> list[Trial]:
         Trial(DETECTED, "", partial(model_tracks, film, "recursive-bp", 1, 1)),
         Trial(CUT, "", partial(model_tracks, film, "feed-forward", 1, 1)),
         Trial(RARE, "", partial(model_tracks, film, "recursive-bp", 1, FIFTH)),
+        Trial(WHOLE_DETECTED, "", partial(whole_film_tracks, film, 1)),
     ]
     for name, every in ((PLAIN, 1), (RARE_PLAIN, FIFTH)):
         for title, (described, run) in best_associations(film, every).items():

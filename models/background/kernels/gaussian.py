@@ -23,6 +23,9 @@ LOWEST_NOISE, HIGHEST_NOISE = 20.0, 400.0
 SETTLED = 1 << 14
 """Steps of the settling time: a second colour seen for so long has settled."""
 
+KNOWN = SETTLED * 3 // 2
+"""Steps for what was the scene's colour before: it wears off after a quarter of the settling time."""
+
 _SIGNS = np.uint64(0x8080808080808080)
 
 Planes = NDArray[np.float32]
@@ -53,15 +56,19 @@ class Light(NamedTuple):
 class PixelModel(NamedTuple):
     """Numbers of the model that all pixels share, float32.
 
-    `log_prior_odds` of background before the image, in the units of the planes; `drift`, the variance that is
+    `log_prior_odds` of background before the image, in the units of the planes, and `label_odds`, the same
+    where the background may have any colour; `drift`, the variance that is
     added to a mean's since the last observation; `noise_share`, by which the noise follows what is seen;
-    `first_variance` of a value that was seen once.
+    `first_variance` of a value that was seen once; `unknown_variance`, of one that may be that of an object
+    which was there from the first frame on, 0 if there can be none any more.
     """
 
     log_prior_odds: np.float32
+    label_odds: np.float32
     drift: np.float32
     noise_share: np.float32
     first_variance: np.float32
+    unknown_variance: np.float32
 
 
 class SecondColours(NamedTuple):
@@ -107,14 +114,18 @@ def posterior(distance, light, variance, noise, model, channels):
     total = light * light * before + noise
     precision = _f4(1.0) / total
     odds = model.log_prior_odds - _f4(0.5) * (channels * logarithm(total) + distance * precision)
+    # a value that is not known at all may be any colour, as an object's
+    odds = odds if variance <= _f4(HIGHEST_VARIANCE) else model.label_odds
     odds = min(max(odds, _f4(-6.0)), _f4(6.0))
     weight = sigmoid(odds)
     gain = light * before * precision
     step = weight * gain
     per_channel = distance * (_f4(1.0) / channels)
     after = before - step * light * before + step * (gain - step) * per_channel
-    after = min(max(after, _f4(LOWEST_VARIANCE)), _f4(HIGHEST_VARIANCE))
-    noisier = noise + model.noise_share * weight * (per_channel - total)
+    after = min(max(after, _f4(LOWEST_VARIANCE)), max(variance, _f4(HIGHEST_VARIANCE)))
+    # of a value that was not known, an observation tells nothing of the noise
+    share = model.noise_share if variance <= _f4(HIGHEST_VARIANCE) else _f4(0)
+    noisier = noise + share * weight * (per_channel - total)
     noisier = min(max(noisier, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
     return odds, step, after, noisier
 
@@ -236,6 +247,7 @@ def log_evidence(pixels, before, light_field, model, shift):
             odds = model.log_prior_odds - _f4(0.5) * (
                 _f4(channels) * logarithm(spread) + distance[x] / spread
             )
+            odds = odds if variance[x] <= _f4(HIGHEST_VARIANCE) else model.label_odds
             odds += added[x]
             in_row += max(odds, _f4(0.0)) + logarithm(_f4(1.0) + exponential(-abs(odds)))
         total += in_row
@@ -283,18 +295,26 @@ def foreground_spans(log_odds, spans):
 
 
 @compiled
-def recall(first, end, pixels, second, channels, tolerance, log_odds):
+def recall(first, end, pixels, second, tolerance, model, log_odds):
     """Foreground that shows the second colour of a pixel known to have two is background after all.
 
-    It is known when it was seen for half the settling time. `first` and `end` are pixels.
+    A colour that was the scene's before counts as the mean does, one that was seen for half the settling time
+    just so much that a pixel by itself is background. `first` and `end` are pixels.
     """
+    channels = second.colours.size // second.seen.size
+    variance = tolerance * _f4(0.25) / _f4(channels)  # the tolerance is two standard deviations
+    best = model.log_prior_odds - _f4(0.5) * _f4(channels) * logarithm(variance)
     spans = np.empty((end - first) // 64 + 1, np.int64)
     for k in range(foreground_spans(log_odds[first:end], spans)):
         start = first + spans[k]
         for i in range(start, min(start + 64, end)):
-            known = log_odds[i] < 0 and 2 * second.seen[i] >= SETTLED
-            if known and colour_gap(pixels, second.colours, i, channels) < tolerance:
-                log_odds[i] = np.int8(ODDS_STEPS)
+            if log_odds[i] >= 0 or 2 * second.seen[i] < SETTLED:
+                continue
+            gap = colour_gap(pixels, second.colours, i, channels)
+            if gap < tolerance:
+                known = second.seen[i] >= SETTLED
+                odds = best - _f4(0.5) * gap / variance if known else _f4(1)
+                log_odds[i] = np.int8(min(max(odds, _f4(1)), _f4(6)) * _f4(ODDS_STEPS))
 
 
 @compiled
@@ -345,4 +365,4 @@ def learn_second_colours(
                     value += from_planes[channel, k] * old[k]
                 candidate[channels * i + channel] = np.uint8(min(max(value + _f4(0.5), _f4(0)), _f4(255)))
             variance[i] = settling.variance
-            seen[i] = 0 if unsure else SETTLED // 2
+            seen[i] = 0 if unsure else KNOWN

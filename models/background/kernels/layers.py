@@ -19,6 +19,9 @@ _f4 = np.float32
 
 LEAST_CLEAR = 1e-3
 
+REVEALED = 1
+"""Among what is covered: others are so sure of background that the picture was taken as it is."""
+
 _LEAST = _f4(1e-30)  # of a product of many layers; the logarithm wants normal numbers
 
 
@@ -92,7 +95,10 @@ def update_behind(top, left, shift, patch, log_odds, before, light, model, after
     """Background of one region again, now with what layers say of it.
 
     Pixels are weighted by their log odds and `shift`. Where others are sure of background that the
-    prediction contradicts, the picture is taken as it is. `covered` is 255 where an object is predicted.
+    prediction contradicts, the picture is taken as it is. Where they are sure of an object, in the beginning,
+    and it looks as the prediction does, that was learned from the object: the background is unknown there.
+
+    `covered` is 255 where an object is predicted, and `REVEALED` where the picture was taken as it is.
     """
     channels = before.mean.shape[0]
     n_channels = _f4(channels)
@@ -124,15 +130,22 @@ def update_behind(top, left, shift, patch, log_odds, before, light, model, after
             revealed = (others[x] > _f4(3)) & (distance[x] > _f4(9) * total)
             gain = glow[x] * wandered / total
             step = weight * gain
+            # "was seen" and "was covered" differ by so much there that a mean of both would be neither
+            wide = old_variance > _f4(HIGHEST_VARIANCE)
+            step = _f4(0) if wide & (weight < _f4(0.5)) else step
             steps[x] = _f4(1) / glow[x] if revealed else step
             per_channel = distance[x] / n_channels
             spread = wandered - step * glow[x] * wandered + step * (gain - step) * per_channel
-            spread = min(max(spread, _f4(LOWEST_VARIANCE)), _f4(HIGHEST_VARIANCE))
+            objects = (others[x] < _f4(-3)) & (distance[x] < _f4(9) * total)
+            unknown = model.unknown_variance if objects else _f4(0)
+            highest = max(max(old_variance, unknown), _f4(HIGHEST_VARIANCE))
+            spread = min(max(max(spread, unknown), _f4(LOWEST_VARIANCE)), highest)
             variance_after[x] = model.first_variance if revealed else spread
             noisier = old_noise + model.noise_share * weight * (per_channel - total)
             noisier = min(max(noisier, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
-            noise_after[x] = old_noise if revealed else noisier
-            covered_after[x] = np.uint8(255) if others[x] < _f4(-0.5) else np.uint8(0)
+            noise_after[x] = old_noise if revealed | wide else noisier
+            known = np.uint8(REVEALED) if revealed else np.uint8(0)
+            covered_after[x] = np.uint8(255) if others[x] < _f4(-0.5) else known
         for channel in range(channels):
             seen, expected = patch[channel, row], before.mean[channel, here]
             mean_after = after.mean[channel, here]

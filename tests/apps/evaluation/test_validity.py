@@ -462,6 +462,8 @@ def test_files_hold_what_was_recorded(tmp_path: Path) -> None:
     write_predictions(tmp_path, [pair(), bare])
     assert [path.name for path in tmp_path.iterdir()] == [FILE]
     first, second = read_predictions(tmp_path)
+    assert isinstance(first, PairRecord)
+    assert isinstance(second, PairRecord)
     assert (first.first, first.second, first.feature, first.unit) == ("chain-a", "chain-b", "points", "px")
     assert second.predictions.first_covariance is None
     for written, read in ((pair(), first), (bare, second)):

@@ -378,6 +378,20 @@ def test_a_belief_is_asked_by_object_or_name() -> None:
         belief["blobs"]
 
 
+def test_what_was_said_in_a_frame_can_be_asked_for() -> None:
+    model = cut([("a", "f"), ("b", "f"), ("b", "g")], ("b", "g"))
+    f, g = model.features["f"], model.features["g"]
+    beliefs = list(RecursiveBP(model).run(FRAMES))
+    for belief in beliefs:
+        said = belief.message("a", f) * belief.message(model.chains["b"], f) * belief.evidence(f)
+        np.testing.assert_allclose(said.probabilities(), belief[f].probabilities(), rtol=0, atol=EXACT)
+    np.testing.assert_array_equal(beliefs[2].evidence(f).log_weights, f.uniform().log_weights)
+    with pytest.raises(KeyError, match="'b' says nothing to 'g'"):
+        beliefs[0].message("b", g)
+    with pytest.raises(KeyError, match="before the first frame"):
+        RecursiveBP(model).step(RunState(), Frame(None, 0.0, 1)).message("a", f)
+
+
 def test_bad_frames_are_refused_with_their_number() -> None:
     engine = RecursiveBP(random_model(rng(), GRAPHS["one chain"]))
     state = engine.step(RunState(), Frame(image(1, 2), 1.0, 7)).state

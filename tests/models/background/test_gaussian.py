@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rsmcm.models.background.gaussian import BackgroundPrediction, colour
 from rsmcm.models.background.kernels import gaussian as kernels
+from rsmcm.models.background.kernels.sway import Sway
 from rsmcm.models.background.light import LightField
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.integrate import quad
@@ -39,11 +40,13 @@ def scene(channels, seed=0, size=(23, 37), prior=0.9, **changes):
         "drift": 1.5,
         "noise_share": 0.03,
         "first_variance": 20.0,
+        "unknown_variance": 0.0,
         "pooling": 0.3,
         "second": kernels.SecondColours(
             np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)
         ),
         "tolerance": 100.0,
+        "sway": Sway(np.zeros((3, 4), np.float32), 3),
     }
     image = np.clip(remembered + rng.normal(0, 6, shape), 0, 255)
     strange = image[5:15, 10:20]
@@ -242,7 +245,7 @@ def test_a_lasting_colour_changes_places_with_the_mean(channels):
     mean, variance = observe(second)
     np.testing.assert_allclose(mean[0], 90 / 2, atol=1e-3)  # under a light of 2
     assert (variance == 20).all()
-    assert (second.seen == kernels.SETTLED // 2).all()
+    assert (second.seen == kernels.KNOWN).all()
     assert (second.colours == 255).all()  # 2 * 200, as it would look today
 
 

@@ -12,6 +12,7 @@ from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.background.gaussian import BackgroundPrediction, LightField, colour
 from rsmcm.models.background.kernels import gaussian as gaussian_kernels
 from rsmcm.models.background.kernels import layers as layer_kernels
+from rsmcm.models.background.kernels.sway import Sway
 from rsmcm.models.background.layers import Layer, LayerStack
 from rsmcm.models.background.pixel_labels import PixelMessage
 from rsmcm.models.numerics.threads import set_threads, thread_count
@@ -41,11 +42,13 @@ def background(channels=3, **changes):
         "drift": 1.0,
         "noise_share": 0.0,
         "first_variance": 20.0,
+        "unknown_variance": 0.0,
         "pooling": 0.0,
         "second": gaussian_kernels.SecondColours(
             np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)
         ),
         "tolerance": 50.0,
+        "sway": Sway(np.zeros((3, 4), np.float32), 3),
     }
     return BackgroundPrediction(**{**values, **changes})
 
@@ -244,6 +247,42 @@ def test_over_all_images_densities_sum_to_the_mass_without_one(strength, ghost):
     assert logsumexp(densities) == pytest.approx(PixelMessage(scene, layers).log_mass, abs=0.01)
 
 
+@pytest.mark.parametrize("with_background", [True, False])
+@pytest.mark.parametrize("strength", [1.0, 30.0])
+def test_densities_of_a_pixel_sum_to_one_over_all_images(with_background, strength):
+    def one(value):
+        return np.full(1, value, np.float32)
+
+    scene = background(
+        1, size=(1, 1), pixels=gaussian_kernels.Gaussians(one(130)[None], one(10), one(100)),
+        second=gaussian_kernels.SecondColours(np.zeros(1, np.uint8), np.zeros(1, np.uint16)),
+        light=LightField(np.ones((2, 2), np.float32), (1, 1)),
+    )  # fmt: skip
+    layers = LayerStack([Layer(0, 0, one(0.7)[None], np.full((1, 1, 1), 90, np.float32), strength=strength)])
+    message = PixelMessage(scene if with_background else None, layers)
+    densities = [
+        (message * PixelMessage(image=np.full((1, 1), value, np.uint8))).log_density(np.ones((1, 1), bool))
+        for value in range(256)
+    ]
+    assert logsumexp(densities) == pytest.approx(0.0, abs=0.01)
+    assert np.argmax(densities) == 90 if strength > 1 or not with_background else 130
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_densities_of_parts_of_a_picture_add_up_to_the_evidence(channels):
+    image = image_of(0, channels)
+    layers = [
+        Layer(one.top, one.left, one.mask, one.appearance[:channels]) for one in SCENES["two that overlap"]
+    ]
+    message = PixelMessage(background(channels), LayerStack(layers))
+    seen = message * PixelMessage(image=image)
+    part = np.random.default_rng(0).random(SIZE) < 0.3
+    whole = seen.log_mass - message.log_mass
+    assert seen.log_density(part) + seen.log_density(~part) == pytest.approx(whole, rel=1e-5)
+    with pytest.raises(ValueError, match="no image"):
+        message.log_density(part)
+
+
 BOXES = [(0, 0, *SIZE), (4, 7, 9, 11), (-3, -2, 8, 9), (25, 33, 20, 20), (50, 50, 3, 4), (-9, 3, 4, 4)]
 
 
@@ -300,10 +339,13 @@ def test_without_a_background_labels_are_even():
     assert not message.foreground().any()
 
 
+@pytest.mark.parametrize("unknown", [0.0, 5000.0])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_the_background_behind_layers_is_updated_with_what_they_say(channels):
+def test_the_background_behind_layers_is_updated_with_what_they_say(channels, unknown):
     rng = np.random.default_rng(7)
-    scene, image = background(channels, noise_share=0.05), image_of(0, channels)
+    scene, image = background(channels, noise_share=0.05, unknown_variance=unknown), image_of(0, channels)
+    if unknown:
+        scene.pixels.variance[rng.random(1200) < 0.3] = 3000
     shift = rng.normal(0, 3, (11, 21)).astype(np.float32)
     pooled = rng.integers(-127, 128, HEIGHT * WIDTH).astype(np.int8)
     before = [rng.normal(size=shape).astype(np.float32) for shape in (scene.mean.shape, (1200,), (1200,))]
@@ -324,14 +366,21 @@ def test_the_background_behind_layers_is_updated_with_what_they_say(channels):
     mean = scene.mean.reshape(-1, *SIZE)[:, *box].astype(float)
     difference = colour.to_planes(image).reshape(-1, *SIZE)[:, *box] - light * mean
     square = (difference**2).mean(axis=0)
-    total = light**2 * 11 + 100
-    gain = light * 11 / total
+    variance = scene.pixels.variance.reshape(SIZE)[box].astype(float)
+    wandered, wide = variance + 1, variance > 60
+    total = light**2 * wandered + 100
+    gain = light * wandered / total
+    learned = np.where(wide & (weight < 0.5), 0, weight)
+    objects = (told < -3) & (square * channels < 9 * total)
     revealed = (told > 3) & (square * channels > 9 * total)
     assert revealed.any() or channels == 1
-    new_mean = mean + np.where(revealed, 1 / light, weight * gain) * difference
-    new_variance = (1 - weight * gain * light) * 11 + weight * (1 - weight) * gain**2 * square
-    new_variance = np.where(revealed, 20, np.clip(new_variance, 0.5, 60))
-    new_noise = np.where(revealed, 100, np.clip(100 + 0.05 * weight * (square - total), 20, 400))
+    new_mean = mean + np.where(revealed, 1 / light, learned * gain) * difference
+    new_variance = (1 - learned * gain * light) * wandered + learned * (1 - learned) * gain**2 * square
+    new_variance = np.clip(new_variance, 0.5, np.maximum(variance, 60))
+    new_variance = np.where(objects & (unknown > 0), np.maximum(new_variance, unknown), new_variance)
+    assert (objects & (new_variance > 4000)).any() == (unknown > 0)
+    new_variance = np.where(revealed, 20, new_variance)
+    new_noise = np.where(revealed | wide, 100, np.clip(100 + 0.05 * weight * (square - total), 20, 400))
     for got, old, expected in zip(after, before, (new_mean, new_variance, new_noise), strict=True):
         got, old = got.reshape(-1, *SIZE), old.reshape(-1, *SIZE)
         np.testing.assert_allclose(
@@ -340,7 +389,7 @@ def test_the_background_behind_layers_is_updated_with_what_they_say(channels):
         got[:, *box] = old[:, *box]
         np.testing.assert_array_equal(got, old)
     expected = np.zeros(SIZE, np.uint8)
-    expected[box] = np.where(told < -0.5, 255, 0)
+    expected[box] = np.where(told < -0.5, 255, np.where(revealed, layer_kernels.REVEALED, 0))
     np.testing.assert_array_equal(covered.reshape(SIZE), expected)
 
 
