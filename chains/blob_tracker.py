@@ -193,7 +193,7 @@ class BlobTracker:
         channels = 1 if pixels.image is None or pixels.image.ndim == 2 else 3
         new = [
             detections.newborn(number, boxes, k, channels)
-            for number, k in enumerate(detections.unexplained(boxes), state.born + 1)
+            for number, k in enumerate(detections.unexplained(boxes, state.size), state.born + 1)
         ]
         blobs = [blob for blob in blobs if not detections.is_part(blob, new)]
         return blobs, new, LayerStack([self._layer(blob) for blob in front_to_back([*blobs, *new])])

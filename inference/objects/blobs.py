@@ -1,7 +1,7 @@
 """Objects that move in front of a background, as soft masks with colours: what is known of them."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -63,10 +63,13 @@ class DetectedBox:
         `(4,)` px: foot x and y from the top left corner of the blob's patch, width, height.
     variance
         `(4,)` px^2.
+    unfound
+        s since a box was last found that may be its.
     """
 
     mean: Pair
     variance: Pair
+    unfound: float = 0.0
 
 
 @short_repr
@@ -246,7 +249,7 @@ class Blob:
         """The same with another top left corner, px down and right of the old; the mask must follow."""
         box = self.detected
         if box is not None:
-            box = DetectedBox(box.mean - (shift[1], shift[0], 0, 0), box.variance)
+            box = replace(box, mean=box.mean - (shift[1], shift[0], 0, 0))
         return self.changed(position=self.position + shift, detected=box)
 
     def changed(self, **values: Any) -> Self:

@@ -43,6 +43,9 @@ LEAST = np.array([-np.inf, -np.inf, 1.0, 1.0])
 SPREAD = 300.0
 """Squared grey levels: variance of a new object's colours about those that it shows first."""
 
+WHOLE = 0.25
+"""s after which a box of the same object is worth a whole new one: a detector errs alike for a while."""
+
 CANDIDATE = 0.1
 """Probability of being somebody new from which on a box is remembered as an object."""
 
@@ -60,7 +63,7 @@ def _doubted(blob: Blob, dt: float) -> Blob:
     stays, exists = math.exp(-dt / PHASE), math.exp(-dt / LIFE) * _probability(blob.existence)
     noticed = stays * _probability(blob.noticed) + (1 - stays) * USUALLY
     return blob.changed(
-        detected=replace(box, variance=box.variance + grown),
+        detected=replace(box, variance=box.variance + grown, unfound=box.unfound + dt),
         existence=_log_odds(exists),
         noticed=_log_odds(noticed),
     )
@@ -146,11 +149,12 @@ def corrected(blobs: Sequence[Blob], boxes: BoxMessage) -> list[Blob]:
     return result
 
 
-def unexplained(boxes: BoxMessage) -> list[int]:
-    """Which boxes may be of somebody who is not known yet."""
-    assert boxes.association is not None
-    found: list[int] = np.flatnonzero(boxes.association.new > CANDIDATE).tolist()
-    return found
+def unexplained(boxes: BoxMessage, size: tuple[int, int]) -> list[int]:
+    """Which boxes, in the picture, may be of somebody who is not known yet."""
+    association = boxes.association
+    assert association is not None
+    likely: list[int] = np.flatnonzero(association.new > CANDIDATE).tolist()
+    return [k for k in likely if _inside(association.boxes[k], size)]
 
 
 def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
@@ -189,10 +193,16 @@ def is_kept(blob: Blob, size: tuple[int, int]) -> bool:
     """Whether an object that was detected once may still be there, in the picture; others may."""
     if blob.detected is None:
         return True
-    x, y, width, height = blob.reported_box
-    inside = x + 0.8 * width > 0 and y + 0.8 * height > 0
-    inside = inside and x + 0.2 * width < size[1] and y + 0.2 * height < size[0]
-    return inside and blob.existence > GIVEN_UP and blob.covariance[0, 0] < height**2
+    there = _inside(_absolute(blob, blob.detected), size) and blob.existence > GIVEN_UP
+    return there and blob.covariance[0, 0] < float(blob.detected.mean[HEIGHT]) ** 2
+
+
+def _inside(box: Pair, size: tuple[int, int]) -> bool:
+    """Whether a fifth of a box, along either axis, is in the picture."""
+    x, y, width, height = box.tolist()
+    across = min(x + 0.5 * width, size[1]) - max(x - 0.5 * width, 0.0)
+    down = min(y, size[0]) - max(y - height, 0.0)
+    return bool(across > 0.2 * width and down > 0.2 * height)
 
 
 def _drawn(blob: Blob, place: Pair, noise: Pair) -> Blob:
@@ -201,17 +211,20 @@ def _drawn(blob: Blob, place: Pair, noise: Pair) -> Blob:
     assert box is not None
     (along, both), (_, speed) = blob.covariance.tolist()
     off = place - _absolute(blob, box)
+    noise = noise / min(max(box.unfound, 1e-3) / WHOLE, 1.0)
     total = box.variance + noise
     total[:WIDTH] += along
     gain = box.variance / total
     middle = float(total[:WIDTH].mean())
     down_right = off[[FOOT_Y, FOOT_X]]
     kept = 1 - along / middle
+    mean = np.maximum(box.mean + gain * off, LEAST)
+    seen = DetectedBox(mean, (1 - gain) * box.variance)
     return blob.changed(
         position=blob.position + along / middle * down_right,
         velocity=blob.velocity + both / middle * down_right,
         covariance=np.array([[kept * along, kept * both], [kept * both, speed - both**2 / middle]]),
-        detected=DetectedBox(np.maximum(box.mean + gain * off, LEAST), (1 - gain) * box.variance),
+        detected=seen,
     )
 
 

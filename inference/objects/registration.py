@@ -7,10 +7,11 @@ import numpy as np
 
 from ...models.background.pixel_labels import PixelMessage
 from ...models.objects.kernels.blobs import Expected, density_without, search
+from .blob_geometry import FRESH
 from .blob_scene import cut_out
 from .blobs import Blob
 
-ASTRAY, ASTRAY_TIME = 0.1, 0.3
+ASTRAY, ASTRAY_TIME = 0.05, 0.1
 """Lengths, and s for which, a mask is off the object that a detector finds."""
 
 
@@ -34,7 +35,7 @@ def registered(
     """
     placed: list[Blob] = []
     for blob in blobs:
-        if blob.detected is not None and blob.confidence < 0.5:
+        if blob.detected is not None and (blob.confidence < 0.5 or blob.seen < FRESH):
             placed.append(blob)  # its mask shows nothing that could be found again
             continue
         placed.append(_placed(blob, placed, pixels, outliers, temper, elapsed))
