@@ -38,8 +38,11 @@ def are_pieces(one: Blob, other: Blob) -> bool:
 
     What touches a blob right after it was born belongs to it if it is above, below or small, and the two
     together are not much larger than the larger (or the first is as new); so do blobs that have stood still
-    above each other for a while, or that move alike above each other and make one upright body together.
+    above each other for a while, or that move alike above each other and make one upright body together. What
+    a detector has found is whole.
     """
+    if one.detected is not None and other.detected is not None:
+        return False
     x, y, width, height = one.box
     other_x, other_y, other_width, other_height = other.box
     gap_y = max(y, other_y) - min(y + height, other_y + other_height)
@@ -69,9 +72,12 @@ def with_parts(blobs: Sequence[Blob], newcomers: Newcomers | None) -> list[Blob]
     result = list(blobs)
     for k, blob in enumerate(result):
         parts = [other for other in result if other.whole == blob.whole]
-        if len(parts) > 1 and (blob.seen >= SETTING_OFF or not are_one(parts, newcomers)):
+        grown = blob.seen >= SETTING_OFF or blob.detected is not None
+        if len(parts) > 1 and (grown or not are_one(parts, newcomers)):
             result[k] = blob.changed(whole=blob.identity)
-    young = [k for k, blob in enumerate(result) if FRESH / 2 < blob.seen < SETTING_OFF]
+    young = [
+        k for k, blob in enumerate(result) if blob.detected is None and FRESH / 2 < blob.seen < SETTING_OFF
+    ]
     for first, k in enumerate(young):
         for other in young[first + 1 :]:
             kept, given = sorted((result[k].whole, result[other].whole))
@@ -81,7 +87,7 @@ def with_parts(blobs: Sequence[Blob], newcomers: Newcomers | None) -> list[Blob]
 
 
 def alone(blobs: Sequence[Blob]) -> list[Blob]:
-    """Blobs that are no parts of a thing, whose size is not theirs; only two may be two things side by side."""
+    """Blobs that are no parts of a thing, whose size is not theirs; two may be two side by side."""
     members = Counter(blob.whole for blob in blobs)
     return [blob for blob in blobs if members[blob.whole] <= 2]
 
@@ -174,7 +180,7 @@ def halves(blob: Blob, column: int) -> tuple[Map, Map]:
 def merged(blobs: Sequence[Blob]) -> list[Blob]:
     """Pieces of one object become one blob again (see `are_pieces`), the one seen for the longest."""
     result: list[Blob] = []
-    for blob in sorted(blobs, key=lambda blob: (-blob.seen, blob.identity)):
+    for blob in sorted(blobs, key=lambda blob: (blob.detected is None, -blob.seen, blob.identity)):
         other = next((k for k, kept in enumerate(result) if are_pieces(kept, blob)), None)
         if other is None:
             result.append(blob)
@@ -196,8 +202,7 @@ def joined(one: Blob, other: Blob) -> Blob:
         better = blob.mask > mask[window]
         mask[window][better] = blob.mask[better]
         appearance[:, *window][:, better] = blob.appearance[:, better]
-    return one.changed(
-        position=one.position + (first - corners[0]),
+    return one.moved_patch(first - corners[0]).changed(
         mask=mask,
         appearance=appearance,
         size=likely_size(mask),
