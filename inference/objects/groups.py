@@ -82,7 +82,15 @@ def with_parts(blobs: Sequence[Blob], newcomers: Newcomers | None) -> list[Blob]
         for other in young[first + 1 :]:
             kept, given = sorted((result[k].whole, result[other].whole))
             if kept != given and set_off_together(result[k], result[other], newcomers):
-                result = [blob.changed(whole=kept) if blob.whole == given else blob for blob in result]
+                # where any of them appeared, each may still be one with what they have left
+                members = [blob for blob in result if blob.whole in (kept, given)]
+                origin = reduce(around, (blob.origin for blob in members))
+                result = [
+                    blob.changed(whole=kept, origin=origin, past_views=0.0)
+                    if blob.whole in (kept, given)
+                    else blob
+                    for blob in result
+                ]
     return result
 
 
