@@ -92,7 +92,7 @@ class ObjectTrajectories:
             (1, 1),
         )
         times = np.array([each.time for each in incoming_over_time])
-        boxes = Boxes.of([each.others(ObjectBoxes).objects for each in incoming_over_time])
+        boxes = Boxes.of(each.others(ObjectBoxes).objects for each in incoming_over_time)
         motion = Motion(0.5 * self.acceleration**2, 0.5 * self.growth**2, self.first_speed)
         interval = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         tracks = [smoothed(track, times, motion) for track in boxes.tracks()]

@@ -42,6 +42,9 @@ Numbers = NDArray[np.float64]
 SCENE = {"mean", "variance", "noise", "light"}
 """Fields of the state of a background of which the empty scene can be found."""
 
+LIGHT_ROUNDS = 2
+"""How often scene and light are found in turn; from then on the scene's noise changes by 1 %."""
+
 LONG = 60.0
 """s, in which any light can come about."""
 
@@ -132,34 +135,40 @@ class SceneFilter:
         if first is None:
             raise ValueError("frames: got no image, expected one at least")
         times = np.array([each.time for each in incoming_over_time])
-        boxes = Boxes.of([each.others(ObjectBoxes).objects for each in incoming_over_time])
-        images, covered = [], []
+        boxes = Boxes.of(each.others(ObjectBoxes).objects for each in incoming_over_time)
+        images, covered, seen = [], [], []
         for index in sample_of(times, self.most(first.nbytes), self.memory):
             image = incoming_over_time[index].frame.image
             if image is not None:
                 images.append(image)
+                seen.append(times[index])
                 covered.append(boxes[boxes.frames == index].mask(first.shape[:2], ROOM))
-        return Smoothed(SceneTrajectory(self.empty(images or [first], covered or None), times, boxes))
+        return Smoothed(SceneTrajectory(self.empty(images, np.array(seen), covered), times, boxes))
 
     def most(self, n_bytes: int) -> int:
         """From how many pictures of `n_bytes` the empty scene is found."""
         return max(min(self.most_frames, self.most_bytes // n_bytes), FEWEST_FRAMES)
 
     def empty(
-        self, images: Sequence[NDArray[np.uint8]], covered: Sequence[NDArray[np.bool_]] | None = None
+        self,
+        images: Sequence[NDArray[np.uint8]],
+        times: Numbers,
+        covered: Sequence[NDArray[np.bool_]] | None = None,
     ) -> EmptyScene:
         """What a sample of images, in order of time, shows of the empty scene.
 
-        The scene is found twice: without knowing how the light changes from image to image, and then with
-        what the background's chain says of that. `covered` is that of `empty_scene`.
+        First without knowing how the light changes from image to image, and then again with what the
+        background's chain says of that, given the scene until then. Parameters are those of `empty_scene`.
         """
         chain = self.model.chains[self._background() or ""]
         first = chain.initial(Frame(images[0], 0.0, 1))
         steady = LightField(first.light, first.size)
         noise = float(chain.noise)
-        rough = empty_scene(images, [steady], noise, covered)
-        fields = [self._light(chain, rough, image) for image in images]
-        return empty_scene(images, fields, noise, covered)
+        scene = empty_scene(images, times, [steady], noise, covered)
+        for _ in range(LIGHT_ROUNDS if len(images) > 1 else 0):
+            fields = [self._light(chain, scene, image) for image in images]
+            scene = empty_scene(images, times, fields, noise, covered)
+        return scene
 
     def _background(self) -> str | None:
         """Name of the chain that knows the empty scene."""

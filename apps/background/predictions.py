@@ -11,13 +11,22 @@ from ...inference import Belief, Incoming, MultiChain
 from ...inference.core.recursive_bp import RunState
 from ...models.background.layers import LayerStack
 from ...models.background.pixel_labels import PixelMessage
-from ..evaluation.predictions import Record, ScoreRecord
+from ...models.core.gaussian_message import GaussianMessage
+from ...models.objects.box_message import BoxMessage
+from ...models.objects.object_boxes import ObjectBoxes
+from ..evaluation.predictions import PairRecorder, Record, ScoreRecord
 
 EVERY = 0.4
 """s between two frames whose pixels are recorded."""
 
 COVERED = 0.05
 """Probability of being covered by a blob above which a pixel may be."""
+
+MOST_BOXES = 4000
+"""That are held, as many."""
+
+SURE = 0.9
+"""Probability from which on a detection counts as an observation of the object that it is given to."""
 
 MOST_FRAMES = 4000
 """Of which scores are held: when there are more, every other one is dropped."""
@@ -35,24 +44,33 @@ class Predictions:
     def __init__(self, model: MultiChain) -> None:
         self._before = RunState()
         self._pixels = PixelScores(model)
+        self._objects: ObjectBoxes = model.features["objects"]
+        self._boxes = PairRecorder("blobs", "ground", "boxes", most=MOST_BOXES)
 
     def take_in(self, belief: Belief) -> None:
         """Note what was predicted of a frame."""
         self._pixels.take_in(self._before, belief)
         self._before = belief.state
+        observed = None if belief.frame.boxes is None else _observed(belief.evidence(self._objects))
+        if observed is not None:
+            # pixels and the past are all that they have heard of: a detector is new to both
+            blobs, ground = (belief.message(name, self._objects) for name in ("blobs", "ground"))
+            self._boxes.add(belief.frame.number, blobs.objects, ground.objects, observed)
 
     def records(self) -> list[Record]:
         """Everything that was gathered."""
-        return self._pixels.record()
+        boxes = self._boxes.record()
+        return [*([] if boxes is None else [boxes]), *self._pixels.record()]
 
     def saved(self) -> dict[str, Any]:
         """Everything as plain JSON."""
-        return {"pixels": self._pixels.saved()}
+        return {"pixels": self._pixels.saved(), "boxes": self._boxes.saved()}
 
     def restore(self, saved: Mapping[str, Any], before: RunState) -> None:
         """Take up what `saved` kept; the run goes on from the state `before`."""
         self._before = before
         self._pixels.restore(saved["pixels"])
+        self._boxes.restore(saved["boxes"])
 
 
 class PixelScores:
@@ -118,6 +136,17 @@ class PixelScores:
         state = chain.predict(before.states[chain.name], time - before.time)
         message: PixelMessage = chain.message(state, self._pixels, Incoming({self._pixels: PixelMessage()}))
         return message
+
+
+def _observed(evidence: BoxMessage) -> GaussianMessage | None:
+    """Boxes of the objects that a detector has found for sure."""
+    found = evidence.association
+    if found is None or not len(found) or not len(found.identities):
+        return None
+    best = found.pairs.argmax(axis=1)
+    sure = np.flatnonzero(found.pairs.max(axis=1) > SURE)
+    noise = found.noise[best[sure]][:, :, None] * np.eye(found.noise.shape[1])
+    return GaussianMessage.from_moments(found.identities[sure], found.boxes[best[sure]], noise)
 
 
 def _covered(layers: LayerStack, size: tuple[int, int]) -> NDArray[np.bool_]:

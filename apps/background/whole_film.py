@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 
+import numpy as np
+
 from ...chains.object_trajectories import ObjectsOverTime, ObjectTrajectories
 from ...chains.scene_filter import SceneFilter
 from ...inference import CoordinateAscent, MultiChain
@@ -108,8 +110,10 @@ def warmed_up(seconds: float, frames: Iterator[Frame], model: MultiChain) -> tup
         held.append(frame)
         if frame.time - held[0].time >= seconds:
             break
-    images = [frame.image for frame in held if frame.image is not None]
+    seen = [frame for frame in held if frame.image is not None]
+    images = [frame.image for frame in seen if frame.image is not None]
     if not images:
         return RunState(), chain(held, frames)
+    times = np.array([frame.time for frame in seen])
     every = -(-len(images) // scene.most(images[0].nbytes))
-    return scene.before(scene.empty(images[::every]), held[0].time), chain(held, frames)
+    return scene.before(scene.empty(images[::every], times[::every]), held[0].time), chain(held, frames)

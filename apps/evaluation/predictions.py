@@ -5,8 +5,10 @@ observed, and what was then observed; or, where predictions are no Gaussians, th
 to what was then observed. `rsmcm validity` judges from it which chains help each other.
 """
 
+import base64
+import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -104,19 +106,22 @@ Record = PairRecord | ScoreRecord
 class PairRecorder:
     """Gathers what two chains say of a feature of many points, frame by frame.
 
-    Memory is bounded: when there are more than two files' worth of rows, every other frame is dropped, and
-    from then on frames are taken half as often.
+    Memory is bounded: when there are more than `most` rows, every other frame is dropped, and from then on
+    frames are taken half as often.
 
     Parameters
     ----------
     first, second, feature, unit
         as in `PairRecord`.
+    most
+        rows; two files' worth if not given.
     """
 
     first: str
     second: str
     feature: str
     unit: str = "px"
+    most: int = 2 * MOST_ROWS
     _frames: list[tuple[int, NDArray[np.int64], list[NDArray[np.float64]]]] = field(default_factory=list)
     _every: int = 1
     _offered: int = 0
@@ -140,9 +145,24 @@ class PairRecorder:
             place = np.searchsorted(identities, common)
             arrays += [means[place], covariances[place]]
         self._frames.append((number, common, arrays))
-        if sum(len(identities) for _, identities, _ in self._frames) > 2 * MOST_ROWS:
+        if sum(len(identities) for _, identities, _ in self._frames) > self.most:
             self._frames = self._frames[::2]
             self._every *= 2
+
+    def saved(self) -> dict[str, Any]:
+        """Everything as plain JSON; arrays in base 64."""
+        frames = [
+            (number, *(_encoded(array) for array in (identities, *arrays)))
+            for number, identities, arrays in self._frames
+        ]
+        return {"every": self._every, "offered": self._offered, "frames": frames}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Take up what `saved` kept."""
+        self._every, self._offered, self._frames = saved["every"], saved["offered"], []
+        for number, *encoded in saved["frames"]:
+            identities, *arrays = map(_decoded, encoded)
+            self._frames.append((number, identities.astype(np.int64), arrays))
 
     def record(self) -> PairRecord | None:
         """Everything that was gathered; `None` if there was no common point in any frame."""
@@ -160,6 +180,17 @@ class PairRecorder:
             np.concatenate([identities for _, identities, _ in self._frames]),
             np.concatenate([np.full(len(identities), number) for number, identities, _ in self._frames]),
         )
+
+
+def _encoded(array: NDArray[Any]) -> str:
+    stream = io.BytesIO()
+    np.save(stream, array, allow_pickle=False)
+    return base64.b64encode(stream.getvalue()).decode()
+
+
+def _decoded(text: str) -> NDArray[Any]:
+    array: NDArray[Any] = np.load(io.BytesIO(base64.b64decode(text)), allow_pickle=False)
+    return array
 
 
 def write_predictions(folder: Path, records: Sequence[Record]) -> None:

@@ -1,6 +1,6 @@
 """Trajectories of objects over a whole film: smoothed both ways, joined over gaps, and which to believe."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Self
@@ -48,17 +48,15 @@ class Boxes:
     variances: Numbers
 
     @classmethod
-    def of(cls, messages: Sequence[GaussianMessage]) -> Self:
+    def of(cls, messages: Iterable[GaussianMessage]) -> "Boxes":
         """Boxes of messages, one a frame."""
-        frames, identities, means, variances = [], [], [], []
+        parts = []
         for index, message in enumerate(messages):
             known, mean, covariance = message.moments
-            frames.append(np.full(len(known), index, np.int64))
-            identities.append(np.asarray(known, np.int64))
-            means.append(mean.reshape(-1, BOX))
-            variances.append(covariance.diagonal(axis1=1, axis2=2).reshape(-1, BOX))
-        concatenated = [np.concatenate(parts) for parts in (means, variances)]
-        return cls(np.concatenate(frames), np.concatenate(identities), *concatenated).sorted()
+            frames = np.full(len(known), index, np.int64)
+            identities, variances = np.asarray(known, np.int64), covariance.diagonal(axis1=1, axis2=2)
+            parts.append(Boxes(frames, identities, mean.reshape(-1, BOX), variances.reshape(-1, BOX)))
+        return cls.together(parts)
 
     def __len__(self) -> int:
         return len(self.frames)

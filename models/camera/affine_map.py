@@ -101,6 +101,13 @@ class AffineMap:
         )
         return out
 
+    @property
+    def shown(self) -> NDArray[np.bool_]:
+        """`(height, width)`: places of the scene that lie in the frame."""
+        frame = np.ones(self.size, np.uint8)
+        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        return np.asarray(cv2.warpAffine(frame, self.matrix, self.size[::-1], flags=flags), bool)
+
     def in_frame(self, mask: NDArray[Value]) -> NDArray[Value]:
         """What is said of the scene's places, `(height, width)`, as the frame shows it; 0 beyond."""
         seen = cv2.warpAffine(mask, self.matrix, self.size[::-1], flags=cv2.INTER_NEAREST)

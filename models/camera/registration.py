@@ -22,8 +22,9 @@ Floats = NDArray[np.float32]
 POINTS = 3000
 """By which pictures are registered, at most, on each level."""
 
-COARSEST = 48
-"""px, the least length of a side of the coarsest level."""
+COARSEST, FINEST = 48, 640
+"""px, the least length of a side of the coarsest level, and the largest one of the finest: half as fine is
+half as exact, and a fortieth of a pixel."""
 
 LOCAL_MEAN = 15
 """px, side of the square about a pixel whose mean is taken off its value."""
@@ -53,7 +54,7 @@ class Level:
     scale
         px of the picture in one of this level's.
     places, about
-        `(n, 2)` float32: in px of this level, and from its middle in units of its radius.
+        `(n, 2)` float32: in px of this level, and from the picture's middle in units of its radius.
     values, gradients
         `(n,)` and `(n, 2)` float32 of the band-passed picture.
     """
@@ -65,8 +66,8 @@ class Level:
     gradients: Floats
 
     @classmethod
-    def of(cls, picture: Floats, scale: float) -> Self:
-        """The points of a band-passed picture."""
+    def of(cls, picture: Floats, scale: float, size: tuple[int, int]) -> Self:
+        """The points of a band-passed picture, `scale` times as small as one of `size`."""
         across, down = (
             cv2.Sobel(picture, cv2.CV_32F, dx, dy, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
             for dx, dy in ((1, 0), (0, 1))
@@ -76,8 +77,8 @@ class Level:
         places = np.empty((height * width // cell**2 + 1, 2), np.float32)
         places = places[: kernels.strongest(across, down, cell, 2, places)]
         x, y = places.T.astype(np.intp)
-        middle, radius = np.array([width - 1, height - 1]) / 2, np.hypot(height, width) / 2
-        about = ((places - middle) / radius).astype(np.float32)
+        whole = AffineMap.identity(size)
+        about = ((scale * places - np.array(whole.middle)) / whole.radius).astype(np.float32)
         return cls(scale, places, about, picture[y, x], np.column_stack([across[y, x], down[y, x]]))
 
 
@@ -119,7 +120,9 @@ class ScenePicture:
     def __init__(self, grey: NDArray[np.uint8] | Floats) -> None:
         self.size = (grey.shape[0], grey.shape[1])
         self._bands = _pyramid(grey)
-        self._levels = [Level.of(band, 2.0**k) for k, band in enumerate(self._bands)]
+        # halves of odd sizes are rounded up, and keep the places of every other pixel
+        finest = 2.0 ** round(np.log2(max(self.size) / max(self._bands[0].shape)))
+        self._levels = [Level.of(band, finest * 2.0**k, self.size) for k, band in enumerate(self._bands)]
 
     def register(self, grey: NDArray[np.uint8], start: AffineMap) -> Registration:
         """Find the map by which a frame shows this scene.
@@ -159,6 +162,8 @@ class ScenePicture:
 
 def _pyramid(grey: NDArray[np.uint8] | Floats) -> list[Floats]:
     """Band-passed levels, the finest first."""
+    while max(grey.shape) > FINEST:
+        grey = cv2.pyrDown(grey)  # type: ignore[assignment]
     levels = [np.asarray(grey, np.float32)]
     while min(levels[-1].shape) >= 2 * COARSEST:
         levels.append(np.asarray(cv2.pyrDown(levels[-1]), np.float32))

@@ -63,7 +63,7 @@ class View:
     @cached_property
     def hidden(self) -> NDArray[np.bool_]:
         """`(height, width)`: places of the scene that the frame does not show."""
-        return self.map.in_scene(np.full(self.size, 255, np.uint8), np.zeros(self.size, np.uint8)) < 128
+        return ~self.map.shown
 
     def register(self, image: Image) -> tuple[Self, Image]:
         """The likelihood of the map, and the image as the scene's picture.

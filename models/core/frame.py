@@ -97,9 +97,10 @@ class GivenBoxes:
         Parameters
         ----------
         found
-            anything with `xyxy` and perhaps `confidence`, `class_id`, `mask` and `data["class_name"]`, as
-            `supervision.Detections` has them; or an array `(n, 4)`, `(n, 5)` or `(n, 6)`: left, top, right,
-            bottom, score, number of the class; nothing in it is no box.
+            anything with `xyxy` and perhaps scores (`confidence` or `conf`), classes (`data["class_name"]`,
+            `class_id` or `cls`) and `mask`, as `supervision.Detections` or the boxes of Ultralytics; or an
+            array `(n, 4)`, `(n, 5)` or `(n, 6)`: left, top, right, bottom, score, number of the class;
+            nothing in it is no box. The values are copied.
 
         Raises
         ------
@@ -109,18 +110,18 @@ class GivenBoxes:
         if isinstance(found, cls):
             return found
         if hasattr(found, "xyxy"):
-            confidence, number = (getattr(found, name, None) for name in ("confidence", "class_id"))
-            mask, data = (getattr(found, name, None) for name in ("mask", "data"))
-            name = data.get("class_name") if isinstance(data, Mapping) else None
-            classes = number if name is None else name
+            data = getattr(found, "data", None)
+            named = data.get("class_name") if isinstance(data, Mapping) else None
+            classes = _told(found, "class_id", "cls") if named is None else np.array(named)
+            confidence, masks = _told(found, "confidence", "conf"), _told(found, "mask")
             return cls(
-                np.asarray(found.xyxy, np.float64).reshape(-1, 4),
-                None if confidence is None else np.asarray(confidence, np.float64),
-                None if classes is None else np.asarray(classes),
-                None if mask is None else np.asarray(mask, np.bool_),
+                np.array(found.xyxy, np.float64).reshape(-1, 4),
+                None if confidence is None else confidence.astype(np.float64),
+                classes.astype(np.int64) if classes is not None and classes.dtype.kind == "f" else classes,
+                None if masks is None else masks.astype(np.bool_),
             )
         try:
-            rows = np.asarray(found, np.float64)
+            rows = np.array(found, np.float64)
         except (TypeError, ValueError):
             raise ValueError(f"boxes: got {type(found).__name__}, expected an array or xyxy") from None
         if not rows.size:
@@ -132,6 +133,12 @@ class GivenBoxes:
 
     def __len__(self) -> int:
         return len(self.xyxy)
+
+
+def _told(found: Any, *names: str) -> NDArray[Any] | None:
+    """The first of some attributes that is there, as an array."""
+    values = (getattr(found, name, None) for name in names)
+    return next((np.array(each) for each in values if each is not None), None)
 
 
 @short_repr

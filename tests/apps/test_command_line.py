@@ -75,7 +75,7 @@ def write(path: Path, content: bytes | str) -> Path:
         (["--out="], "--out: got no value, expected one"),
         (
             ["--out", "OUT", "--engine", "magic"],
-            "--engine: got 'magic', expected recursive-bp, feed-forward or",
+            "--engine: got 'magic', expected recursive-bp, feed-forward,",
         ),
         (["--out", "OUT", "--frobnicate"], "unknown option --frobnicate"),
         (["--out", "OUT", "--overwrit"], "unknown option --overwrit, did you mean --overwrite?"),

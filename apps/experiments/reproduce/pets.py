@@ -34,7 +34,7 @@ from ..trials.tracks import (
     MEASURES,
     NOISE_SEEDS,
     WHOLE,
-    Film,
+    AnnotatedFilm,
     Scored,
     Tracks,
     Trial,
@@ -95,7 +95,7 @@ def reproduce_pets(out: Path, long: bool) -> None:
         if the sequence cannot be found or fetched, or the folder cannot be written to.
     """
     folder = data_folder("pets2009-s2l1")
-    film = Film.read("PETS2009 S2.L1", folder / "vtest.avi", folder, folder / "det.txt")
+    film = AnnotatedFilm.read("PETS2009 S2.L1", folder / "vtest.avi", folder, folder / "det.txt")
     out.mkdir(parents=True, exist_ok=True)
     with open_source(film.source) as source:
         size, rate, n_frames = source.size, source.rate, source.n_frames or 795
@@ -152,7 +152,12 @@ def reproduce_pets(out: Path, long: bool) -> None:
 
 
 def _errors(
-    film: Film, settings: Sequence[Setting], long: bool, size: tuple[int, int], rate: float, n_frames: int
+    film: AnnotatedFilm,
+    settings: Sequence[Setting],
+    long: bool,
+    size: tuple[int, int],
+    rate: float,
+    n_frames: int,
 ) -> dict[str, list[Row[ErrorClasses]]]:
     """What is wrong with the components of each method, the best clean-up first."""
     clean_ups = [each for each in CLEAN_UPS if long or each.min_area in MIDDLE_AREAS]
@@ -182,7 +187,7 @@ def _errors(
     return ranked
 
 
-def _without_detector(film: Film, peers: Mapping[str, "Tried"]) -> list[Trial]:
+def _without_detector(film: AnnotatedFilm, peers: Mapping[str, "Tried"]) -> list[Trial]:
     """The model, also at half the frame rate, and the usual pipelines that were found best."""
     trials = pixel_trials(film)
     trials.append(Trial(HALF, "", partial(model_tracks, film, "recursive-bp", 2, None)))
@@ -197,7 +202,7 @@ def _crowd() -> dict[str, Scored]:
     """Scores on TUD-Campus; nothing where it is not there."""
     try:
         folder = data_folder("tud-campus")
-        film = Film.read("TUD-Campus", folder / "img1", folder, folder / "det" / "det.txt")
+        film = AnnotatedFilm.read("TUD-Campus", folder / "img1", folder, folder / "det" / "det.txt")
     except FileNotFoundError:
         return {}
     trials = [*pixel_trials(film), *detector_trials(film)]
@@ -249,7 +254,7 @@ def _expectations_of_rates(tracks: Mapping[str, Sequence[Tracks]], truth: BoxTru
     ]
 
 
-def _gallery(film: Film, size: tuple[int, int]) -> Gallery:
+def _gallery(film: AnnotatedFilm, size: tuple[int, int]) -> Gallery:
     """Moments of the film as it is, of the background by itself and of the model."""
     gallery = Gallery()
     alone = Model("alone", "stand-alone", size, {"background": {"prior": SHOWN_PRIOR}})
@@ -296,7 +301,7 @@ def best_usual(tried: Sequence[Tried]) -> dict[str, Tried]:
     return best if most_accurate in best.values() else {**best, BEST_MOTA: most_accurate}
 
 
-def _tracks_of_usual(film: Film, settings: Sequence[Setting], long: bool) -> list[Tried]:
+def _tracks_of_usual(film: AnnotatedFilm, settings: Sequence[Setting], long: bool) -> list[Tried]:
     """Track measures of subtractors with Kalman filters and assignment behind them, on the film as it is."""
     truth = film.truth
 

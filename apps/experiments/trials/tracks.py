@@ -40,7 +40,7 @@ MEASURES = {"IDF1": "idf1", "HOTA": "hota", "MOTA": "mota", "id switches": "swit
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class AnnotatedFilm:
     """A film whose objects are known.
 
     Parameters
@@ -171,7 +171,7 @@ def noisy(frame: Frame, seed: int) -> Frame:
 # --- methods ------------------------------------------------------------------------------------------------
 
 
-def model_tracks(film: Film, engine: Engine, step: int, every: int | None, seed: int) -> Tracks:
+def model_tracks(film: AnnotatedFilm, engine: Engine, step: int, every: int | None, seed: int) -> Tracks:
     """Tracks by a multi-chain model, which sees every `step`-th frame, and the detector's boxes perhaps."""
     system: Model | None = None
     rows: list[tuple[float, ...]] = []
@@ -183,7 +183,7 @@ def model_tracks(film: Film, engine: Engine, step: int, every: int | None, seed:
     return _table(rows)
 
 
-def whole_film_tracks(film: Film, every: int | None, seed: int) -> Tracks:
+def whole_film_tracks(film: AnnotatedFilm, every: int | None, seed: int) -> Tracks:
     """Tracks by the model that reads the film as a whole, with the detector's boxes perhaps."""
     job = BackgroundJob(film.source, out=Path(), engine=WHOLE_FILM)  # nothing is written
     with open_source(film.source) as source:
@@ -202,7 +202,7 @@ def whole_film_tracks(film: Film, every: int | None, seed: int) -> Tracks:
 
 
 def usual_tracks(
-    film: Film, setting: Setting, clean_up: CleanUp, parameters: tuple[float, int, int], seed: int
+    film: AnnotatedFilm, setting: Setting, clean_up: CleanUp, parameters: tuple[float, int, int], seed: int
 ) -> Tracks:
     """Tracks by a subtractor, a clean-up, Kalman filters and assignment."""
     subtractor, tracker = setting.make(), KalmanHungarian(*parameters)
@@ -222,7 +222,7 @@ ASSOCIATIONS = tuple(product((0.1, 0.3), (1, 3, 5), (10, 20)))
 
 
 def associated(
-    film: Film, every: int, quantile: float, parameters: tuple[float, int, int], seed: int = 0
+    film: AnnotatedFilm, every: int, quantile: float, parameters: tuple[float, int, int], seed: int = 0
 ) -> Tracks:
     """Tracks by Kalman filters and assignment of the detector's boxes on every `every`-th frame.
 
@@ -254,7 +254,7 @@ def associated(
     return _table(rows)
 
 
-def best_associations(film: Film, every: int) -> dict[str, tuple[str, partial[Tracks]]]:
+def best_associations(film: AnnotatedFilm, every: int) -> dict[str, tuple[str, partial[Tracks]]]:
     """What plain association is best with on this film, in IDF1 and in MOTA: in words, and its tracks."""
     combined = list(product(SCORE_QUANTILES, ASSOCIATIONS))
     work = [(_association_scores, (film, every, *each)) for each in combined]
@@ -270,7 +270,7 @@ def best_associations(film: Film, every: int) -> dict[str, tuple[str, partial[Tr
 
 
 def _association_scores(
-    film: Film, every: int, quantile: float, parameters: tuple[float, int, int]
+    film: AnnotatedFilm, every: int, quantile: float, parameters: tuple[float, int, int]
 ) -> TrackScores:
     return evaluate_tracks(associated(film, every, quantile, parameters), film.truth)
 
@@ -283,13 +283,13 @@ DETECTED, CUT, RARE = "RSMCM, detector", "feed-forward, detector", "RSMCM, detec
 PLAIN, RARE_PLAIN = "association", "association, every fifth frame"
 
 
-def pixel_trials(film: Film) -> list[Trial]:
+def pixel_trials(film: AnnotatedFilm) -> list[Trial]:
     """The model without a detector: with and without feedback, and reading the film as a whole."""
     trials = [Trial(name, "", partial(model_tracks, film, engine, 1, None)) for name, engine in CHAINS]
     return [*trials, Trial(WHOLE, "", partial(whole_film_tracks, film, None))]
 
 
-def detector_trials(film: Film) -> list[Trial]:
+def detector_trials(film: AnnotatedFilm) -> list[Trial]:
     """The model with the detector, on every frame and every fifth, and plain association of the same boxes.
 
     Nothing where there are no detections.

@@ -25,7 +25,7 @@ def with_boxes(frames: Iterable[Frame], detector: Callable[[Frame], Any], every:
     ValueError
         if `every` is below 1; or naming the frame, if what the detector returns are no boxes.
     TypeError
-        if the detector cannot be called.
+        if the detector cannot be called, or what comes are no frames.
     """
     if every < 1:
         raise ValueError(f"every: got {every}, expected 1 or more frames")
@@ -37,6 +37,8 @@ def with_boxes(frames: Iterable[Frame], detector: Callable[[Frame], Any], every:
 def _attached(frames: Iterable[Frame], detector: Callable[[Frame], Any], every: int) -> Iterator[Frame]:
     count = 0
     for frame in frames:
+        if not isinstance(frame, Frame):
+            raise TypeError(f"frames: got {type(frame).__name__}, expected Frame, as open_source gives them")
         found = None
         if frame.image is not None:
             found = detector(frame) if count % every == 0 else None

@@ -25,3 +25,30 @@ def test_a_frame_of_boxes_alone_is_not_missing() -> None:
 def test_boxes_that_cannot_be_are_refused_in_one_line(xyxy, confidence, complaint) -> None:
     with pytest.raises(ValueError, match=complaint):
         GivenBoxes(xyxy, confidence)
+
+
+class Boxes:
+    """As Ultralytics has them."""
+
+    xyxy = np.array([[1, 2, 3, 4]], np.float32)
+    conf = np.array([0.5], np.float32)
+    cls = np.array([3.0], np.float32)
+    data = np.array([[1, 2, 3, 4, 0.5, 3]], np.float32)
+
+
+def test_boxes_of_other_libraries_keep_scores_and_classes() -> None:
+    taken = GivenBoxes.of(Boxes())
+    assert taken.confidence is not None
+    assert taken.classes is not None
+    assert (taken.confidence.tolist(), taken.classes.tolist()) == ([0.5], [3])
+    assert taken.confidence.dtype == np.float64
+    assert taken.classes.dtype == np.int64
+    assert GivenBoxes.of(taken) is taken
+
+
+def test_boxes_are_those_of_the_moment_they_were_taken() -> None:
+    """A detector may use its memory again."""
+    memory = np.array([[1.0, 2, 3, 4, 0.5]])
+    taken = GivenBoxes.of(memory)
+    memory[:] = 7
+    assert taken.xyxy.tolist() == [[1, 2, 3, 4]]

@@ -13,7 +13,7 @@ from rsmcm.apps.evaluation.tracks import evaluate_tracks, track_rows
 from rsmcm.apps.experiments.reproduce.pets import reproduce_pets
 from rsmcm.apps.experiments.trials import tracks as trials
 from rsmcm.apps.experiments.trials.tracks import (
-    Film,
+    AnnotatedFilm,
     Scored,
     Trial,
     associated,
@@ -34,7 +34,7 @@ N_FRAMES = 50
 
 
 @pytest.fixture(scope="module")
-def film(tmp_path_factory: pytest.TempPathFactory) -> Film:
+def film(tmp_path_factory: pytest.TempPathFactory) -> AnnotatedFilm:
     """Two people who walk past each other, by their boxes; the pictures are of somebody else."""
     folder = tmp_path_factory.mktemp("film")
     write_scene(sleeping_man(N_FRAMES, size=(192, 144), enter=0), folder)
@@ -46,7 +46,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Film:
         found += f"{number},-1,{1 + 37 * number % 90},{1 + 53 * number % 60},9,9,{number % 7},-1,-1,-1\n"
     (folder / "gt.txt").write_text(truth)
     (folder / "det.txt").write_text(found)
-    return Film.read("two", folder / "input", folder / "gt.txt", folder / "det.txt")
+    return AnnotatedFilm.read("two", folder / "input", folder / "gt.txt", folder / "det.txt")
 
 
 def test_noise_is_one_level_in_one_of_a_thousand_pixels() -> None:
@@ -61,7 +61,7 @@ def test_noise_is_one_level_in_one_of_a_thousand_pixels() -> None:
     assert set(np.unique(difference)) == {-1, 0, 1}
 
 
-def test_the_detector_looks_at_every_fifth_frame(film: Film) -> None:
+def test_the_detector_looks_at_every_fifth_frame(film: AnnotatedFilm) -> None:
     counts = {frame.number: frame.boxes for frame in film.frames(0, every=5)}
     looked = [number for number, boxes in counts.items() if boxes is not None]
     assert looked == list(range(1, N_FRAMES + 1, 5))
@@ -70,7 +70,7 @@ def test_the_detector_looks_at_every_fifth_frame(film: Film) -> None:
 
 
 @pytest.mark.parametrize("every", [1, 5])
-def test_plain_association_follows_what_is_detected(film: Film, every: int) -> None:
+def test_plain_association_follows_what_is_detected(film: AnnotatedFilm, every: int) -> None:
     """Boxes with low scores are left out; between the looks, the filters go on at a constant speed."""
     tracks = associated(film, every, 0.34, (0.1, 1, 10))
     scores = evaluate_tracks(tracks, film.truth)
@@ -79,7 +79,7 @@ def test_plain_association_follows_what_is_detected(film: Film, every: int) -> N
     assert evaluate_tracks(associated(film, every, 0.0, (0.1, 1, 10)), film.truth).idf1 < scores.idf1
 
 
-def test_the_best_association_is_the_best(film: Film, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_best_association_is_the_best(film: AnnotatedFilm, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trials, "SCORE_QUANTILES", (0.0, 0.34))
     monkeypatch.setattr(trials, "ASSOCIATIONS", ((0.1, 1, 10), (0.1, 5, 10)))
     every = {
@@ -93,7 +93,7 @@ def test_the_best_association_is_the_best(film: Film, monkeypatch: pytest.Monkey
         assert getattr(chosen, measure) == max(getattr(each, measure) for each in every.values())
 
 
-def test_scores_are_means_with_their_spread(film: Film) -> None:
+def test_scores_are_means_with_their_spread(film: AnnotatedFilm) -> None:
     runs = [associated(film, 1, 0.34, (0.1, hits, 10)) for hits in (1, 3, 5)]
     scored = Scored("a", "", [evaluate_tracks(run, film.truth) for run in runs])
     values = [evaluate_tracks(run, film.truth).idf1 for run in runs]
@@ -103,7 +103,7 @@ def test_scores_are_means_with_their_spread(film: Film) -> None:
     assert "±" not in Scored("b", "", scored.scores[:1]).cells["IDF1"]
 
 
-def test_trials_are_what_running_by_hand_gives(film: Film) -> None:
+def test_trials_are_what_running_by_hand_gives(film: AnnotatedFilm) -> None:
     """In other processes, with the same noise."""
     run = partial(model_tracks, film, "recursive-bp", 1, 1)
     chosen = [
@@ -118,7 +118,7 @@ def test_trials_are_what_running_by_hand_gives(film: Film) -> None:
     assert asdict(scored["model"].scores[1]) == pytest.approx(by_hand, nan_ok=True)
 
 
-def test_a_film_as_a_whole_is_that_of_the_application(film: Film, tmp_path: Path) -> None:
+def test_a_film_as_a_whole_is_that_of_the_application(film: AnnotatedFilm, tmp_path: Path) -> None:
     """But for the noise, which is one level here and there: the tracks are nearly the same."""
     job = BackgroundJob(film.source, out=tmp_path / "out", engine="coordinate-ascent", masks="none")
     run_background(job)
@@ -132,15 +132,15 @@ def test_a_film_as_a_whole_is_that_of_the_application(film: Film, tmp_path: Path
         assert np.abs(same[:, 2:] - row[2:]).max(axis=1).min() < 4
 
 
-def test_a_film_without_detections_has_no_trials_of_a_detector(film: Film, tmp_path: Path) -> None:
+def test_a_film_without_detections_has_no_trials_of_a_detector(film: AnnotatedFilm, tmp_path: Path) -> None:
     folder = Path(film.source).parent
-    bare = Film.read("bare", folder / "input", folder / "gt.txt", tmp_path / "none.txt")
+    bare = AnnotatedFilm.read("bare", folder / "input", folder / "gt.txt", tmp_path / "none.txt")
     assert detector_trials(bare) == []
 
 
 @pytest.mark.slow
 def test_pets_on_a_small_film(
-    film: Film, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    film: AnnotatedFilm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The whole experiment, on films that have the names and files of the real ones."""
     folder = Path(film.source).parent

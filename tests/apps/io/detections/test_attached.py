@@ -98,6 +98,11 @@ def test_what_a_detector_returns_wrongly_is_said(found: Any, complaint: str) -> 
         list(with_boxes(FRAMES, lambda _: found))
 
 
+def test_what_is_no_frame() -> None:
+    with pytest.raises(TypeError, match="frames: got ndarray, expected Frame"):
+        next(with_boxes([IMAGE], lambda _: None))  # type: ignore[list-item]
+
+
 @pytest.mark.parametrize(
     ("arguments", "error", "complaint"),
     [

@@ -1,0 +1,264 @@
+"""The background application on a whole film at once, and after a warm-up."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.apps.background.application import BackgroundRun, run_background
+from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.background.job import BackgroundJob
+from rsmcm.apps.background.whole_film import warmed_up
+from rsmcm.apps.io.mot import read_tracks
+from rsmcm.apps.io.sources.open_source import Source
+from rsmcm.apps.runs.interruption import Interrupted, Interruption
+from rsmcm.apps.scenes import sleeping_man
+from rsmcm.models.core.frame import Frame
+
+from ...conftest import Command
+
+SIZE = (160, 120)
+FIRST, LAST = 41, 100
+N_FRAMES = LAST - FIRST + 1
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Somebody walks through the picture, and is there in the first frame; in CDnet's layout."""
+    folder = tmp_path_factory.mktemp("scene")
+    write_scene(sleeping_man(LAST, size=SIZE, enter=1, stand=1, car_leaves=200), folder)
+    for path in sorted((folder / "input").iterdir())[: FIRST - 1]:
+        path.unlink()
+    for kind, letters in (("input", "in"), ("groundtruth", "gt")):
+        for number in range(FIRST, LAST + 1):
+            path = folder / kind / f"{letters}{number:06d}.png"
+            path.rename(path.with_name(f"{letters}{number - FIRST + 1:06d}.png"))
+    return folder
+
+
+def job_of(scene: Path, out: Path, **options: Any) -> BackgroundJob:
+    return BackgroundJob(str(scene / "input"), out=out, ground_truth=scene, every=10, **options)
+
+
+def masks_of(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((folder / "foreground").glob("*.png"))}
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return content
+
+
+def shown_in_first_frame(folder: Path, scene: Path) -> float:
+    """Share of whom the first frame shows that is foreground."""
+    truth = cv2.imread(str(scene / "groundtruth" / "gt000001.png"), cv2.IMREAD_GRAYSCALE)
+    found = cv2.imread(str(folder / "foreground" / "bin000001.png"), cv2.IMREAD_GRAYSCALE)
+    assert truth is not None
+    assert found is not None
+    return float(np.mean(found[truth == 255] > 0))
+
+
+@pytest.fixture(scope="module")
+def whole(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("whole")
+    assert run_background(job_of(scene, out, engine="coordinate-ascent")).signal is None
+    return out
+
+
+def test_the_whole_film_shows_who_is_there_in_the_first_frame(scene: Path, whole: Path) -> None:
+    assert shown_in_first_frame(whole, scene) > 0.7
+    tracks = read_tracks(whole / "tracks.txt")
+    assert tracks["frame"].min() == 1  # though nobody is sure of anybody by then
+    assert (whole / "overlay.mp4").exists()
+    summary = summary_of(whole)
+    assert summary["frames"] == len(masks_of(whole)) == N_FRAMES
+    assert summary["tracks"] == len(set(tracks["id"].tolist()))
+    assert "coordinate-ascent" in (whole / "report.html").read_text()
+    assert summary["metrics"]["pixels"]["F"] > 0.8
+
+
+def test_before_the_masks_it_begins_anew_after_a_signal(
+    scene: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    items, passes = Interruption.items, []
+
+    def interrupted(self: Interruption, source: Iterator[Frame]) -> Iterator[Frame]:
+        passes.append(source)
+        for count, frame in enumerate(items(self, source), 1):
+            yield frame
+            if len(passes) == 4 and count == 17:
+                signal.raise_signal(signal.SIGINT)
+
+    job = job_of(scene, tmp_path, engine="coordinate-ascent")
+    with monkeypatch.context() as patch:
+        patch.setattr(Interruption, "items", interrupted)
+        with pytest.raises(Interrupted):
+            run_background(job)
+    assert run_background(replace(job, resume=True)).signal is None
+    assert masks_of(tmp_path) == masks_of(whole)
+
+
+def test_the_masks_go_on_after_a_signal_to_the_same_bytes(
+    scene: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = job_of(scene, tmp_path, engine="coordinate-ascent")
+    take_in, taken = BackgroundRun.take_in, []
+
+    def interrupted(self: BackgroundRun, *arguments: Any) -> None:
+        taken.append(arguments)
+        take_in(self, *arguments)
+        if len(taken) == 17:
+            signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(BackgroundRun, "take_in", interrupted)
+        assert run_background(job).signal == signal.SIGINT
+    assert summary_of(tmp_path)["frames"] == 17
+    assert run_background(replace(job, resume=True)).signal is None
+    assert masks_of(tmp_path) == masks_of(whole)
+    assert (tmp_path / "tracks.txt").read_bytes() == (whole / "tracks.txt").read_bytes()
+
+
+@pytest.mark.parametrize("engine", ["recursive-bp", "feed-forward", "stand-alone"])
+def test_a_warm_up_shows_who_is_there_in_the_first_frame(scene: Path, tmp_path: Path, engine: Any) -> None:
+    run_background(job_of(scene, tmp_path / "cold", engine=engine))
+    run_background(job_of(scene, tmp_path / "warm", engine=engine, warm_up=1.5))
+    assert len(masks_of(tmp_path / "warm")) == N_FRAMES
+    assert shown_in_first_frame(tmp_path / "cold", scene) == 0
+    assert shown_in_first_frame(tmp_path / "warm", scene) > 0.7
+    pixels = [summary_of(tmp_path / name)["metrics"]["pixels"]["F"] for name in ("warm", "cold")]
+    assert pixels[0] > pixels[1]
+
+
+def test_a_warm_up_longer_than_the_film_answers_all_frames(scene: Path, tmp_path: Path) -> None:
+    run_background(job_of(scene, tmp_path, warm_up=100.0))
+    assert len(masks_of(tmp_path)) == N_FRAMES
+
+
+def test_a_run_with_a_warm_up_goes_on(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_background(job_of(scene, tmp_path / "whole", warm_up=1.0))
+    take_in, taken = BackgroundRun.take_in, []
+
+    def interrupted(self: BackgroundRun, *arguments: Any) -> None:
+        taken.append(arguments)
+        take_in(self, *arguments)
+        if len(taken) == 12:  # of the 26 that wait
+            signal.raise_signal(signal.SIGINT)
+
+    job = job_of(scene, tmp_path / "parts", warm_up=1.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(BackgroundRun, "take_in", interrupted)
+        assert run_background(job).signal == signal.SIGINT
+    assert run_background(replace(job, resume=True)).signal is None
+    assert masks_of(tmp_path / "parts") == masks_of(tmp_path / "whole")
+
+
+def test_frames_of_a_warm_up_come_again_in_order() -> None:
+    from rsmcm.apps.background.application import build_model
+
+    def frames() -> Iterator[Frame]:
+        for number in range(1, 30):
+            image = None if number in (1, 2, 7) else np.full((24, 32), 90, np.uint8)
+            yield Frame(image, number / 10, number)
+
+    state, again = warmed_up(1.0, frames(), build_model())
+    assert state.time < 0.1
+    assert [frame.number for frame in again] == list(range(1, 30))
+    nothing, again = warmed_up(0.05, frames(), build_model())
+    assert not nothing.states  # both frames of it are missing
+    assert [frame.number for frame in again] == list(range(1, 30))
+
+
+class Live:
+    """A camera, as far as the run asks before it reads."""
+
+    name, live, n_frames, rate, size = "camera 0", True, None, 25.0, (32, 24)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--warm-up", "0"], "--warm-up: got 0, expected seconds, more than 0"),
+        (["--warm-up", "nan"], "--warm-up: got nan, expected seconds"),
+        (["--engine", "coordinate-ascent", "--warm-up", "2"], "--warm-up and --engine coordinate-ascent"),
+        (
+            ["--engine", "coordinate-ascent", "--compare"],
+            "--engine coordinate-ascent and --compare: got both",
+        ),
+        (["--warm-up", "2", "--compare"], "--warm-up and --compare: got both"),
+        (["--warm-up", "2", "--from", "state.npz"], "--warm-up and --from: got both"),
+        (["--engine", "coordinate-ascent", "--from", "state.npz"], "coordinate-ascent and --from: got both"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_line(
+    scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], options: list[str], complaint: str
+) -> None:
+    command = Command("background")
+    assert complaint in command.complaint(capfd, scene / "input", "--out", tmp_path / "out", *options)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("options", [["--engine", "coordinate-ascent"], ["--warm-up", "1"]])
+def test_another_model_of_the_background_is_refused(
+    scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    config = tmp_path / "job.toml"
+    config.write_text('[background]\nmodel = "mixture"\n')
+    arguments = [scene / "input", "--out", tmp_path / "out", "--config", config, *options]
+    complaint = Command("background").complaint(capfd, *arguments)
+    assert "expected a background with mean, variance, noise and light" in complaint
+
+
+def test_a_live_source_is_refused_with_a_way_out(tmp_path: Path) -> None:
+    from rsmcm.apps.background.application import build_model
+    from rsmcm.apps.background.whole_film import read_whole
+
+    job = BackgroundJob("0", out=tmp_path, engine="coordinate-ascent")
+    with pytest.raises(ValueError, match=r"camera 0 is live and cannot be read .*--warm-up SECONDS"):
+        read_whole(job, cast(Source, Live()), build_model(), iter, Interruption())
+
+
+def test_the_engine_stands_in_toml_too(scene: Path, tmp_path: Path, whole: Path) -> None:
+    config = tmp_path / "job.toml"
+    config.write_text('engine = "coordinate-ascent"\n')
+    command = Command("background")
+    assert command(scene / "input", "--out", tmp_path / "out", "--config", config) == 0
+    assert masks_of(tmp_path / "out") == masks_of(whole)
+
+
+PEAK = """
+import resource, sys
+from pathlib import Path
+from rsmcm.apps.background.application import run_background
+from rsmcm.apps.background.job import BackgroundJob
+run_background(BackgroundJob(sys.argv[1], out=Path(sys.argv[2]), engine="coordinate-ascent", masks="none"))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def test_memory_does_not_grow_with_the_film(tmp_path: Path) -> None:
+    """Four times as long a film takes 45 MB more where its pictures are held."""
+    short, long = tmp_path / "short", tmp_path / "long"
+    for folder in (short, long):
+        folder.mkdir()
+    n_frames, size = 65, (320, 240)
+    for frame in sleeping_man(n_frames, size=size, enter=1, stand=1, car_leaves=200):
+        assert frame.image is not None
+        names = [f"in{frame.number + part * n_frames:05d}.png" for part in range(4)]
+        cv2.imwrite(str(short / names[0]), frame.image)
+        for name in names:
+            shutil.copy(short / names[0], long / name)
+    peaks = []
+    for folder in (short, long):
+        command = [sys.executable, "-c", PEAK, str(folder), str(folder) + "-out"]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        peaks.append(int(done.stdout.split()[-1]) / 1024)
+    assert peaks[1] < peaks[0] + 20, peaks

@@ -1,0 +1,84 @@
+"""A film that is read again for every pass: the same frames in any order, however it ends."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.apps.io.film import Film
+from rsmcm.apps.io.sources.open_source import Source, open_source
+from rsmcm.models import Frame
+
+N_FRAMES = 7
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> Path:
+    for number in range(1, N_FRAMES + 1):
+        cv2.imwrite(str(tmp_path / f"in{number}.png"), np.full((8, 8, 3), 20 * number, np.uint8))
+    return tmp_path
+
+
+def test_frames_come_in_any_order(images: Path) -> None:
+    passes = []
+
+    def passing(frames: Iterator[Frame]) -> Iterator[Frame]:
+        passes.append(0)
+        for frame in frames:
+            passes[-1] += 1
+            yield frame
+
+    with (
+        open_source(str(images), start=2, step=2) as source,
+        Film(lambda: open_source(str(images), start=2, step=2), passing) as film,
+    ):
+        expected = list(source)
+        assert len(film) == len(expected) == 3
+        for index in (0, 1, 2, 2, 1, 0, 2, -1):
+            frame, other = film[index], expected[index]
+            assert (frame.number, frame.time) == (other.number, other.time)
+            assert film.time(index) == other.time
+            np.testing.assert_array_equal(frame.image, other.image)
+        assert [frame.number for frame in film[1:]] == [4, 6]
+        with pytest.raises(IndexError):
+            film[3]
+    assert passes[0] == 3  # to know the times
+    assert passes[1] == 3  # one pass forwards, however often a frame is asked for
+
+
+class Breaking:
+    """A source that breaks behind its frames."""
+
+    def __init__(self, n_frames: int, error: Exception) -> None:
+        self.n_frames, self.error = n_frames, error
+
+    def __iter__(self) -> Iterator[Frame]:
+        for number in range(1, self.n_frames + 1):
+            yield Frame(np.zeros((4, 4), np.uint8), number / 25, number)
+        raise self.error
+
+    def close(self) -> None:
+        pass
+
+
+def broken(n_frames: int) -> Callable[[], Source]:
+    return lambda: cast(Any, Breaking(n_frames, OSError("film: torn")))
+
+
+def test_a_film_that_breaks_ends_there() -> None:
+    film = Film(broken(3), iter)
+    assert len(film) == 3
+    assert str(film.error) == "film: torn"
+    assert [frame.number for frame in film] == [1, 2, 3]
+    with pytest.raises(OSError, match="film: torn"):
+        Film(broken(0), iter)
+
+
+def test_a_film_that_has_become_shorter_is_told() -> None:
+    lengths = iter([5, 3])
+    film = Film(lambda: cast(Any, Breaking(next(lengths), OSError("torn"))), iter)
+    assert len(film) == 5
+    with pytest.raises(OSError, match="torn"):
+        film[4]
