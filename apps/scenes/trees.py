@@ -5,7 +5,6 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from .random_fields import Array, wander
 from .street import Scene
@@ -49,7 +48,7 @@ class Trees(Scene):
     def _wind(self) -> tuple[Array, Array]:
         """What moves the leaves: places `(12, 2, height, width)` and times `(12, n_frames)`."""
         generator = np.random.default_rng([self.seed, 5])
-        times: NDArray[np.float64] = np.arange(self.n_frames) * self.dt
+        times = np.arange(self.n_frames, dtype=np.float64) * self.dt
         fields = [mottle(self.size, 0.15 * self.size[1], generator) for _ in range(24)]
         soft = [cv2.GaussianBlur(field, (0, 0), 0.06 * self.size[1]) for field in fields]
         places = np.stack([field / field.std() for field in soft]).reshape(12, 2, *fields[0].shape)
