@@ -8,7 +8,8 @@ Of pixel k with label B_k and colour L_k, under the light g of the frame:
 
 The RSMCM paper's low-level chain (§4.2): a Gaussian per pixel, whose posterior after a frame is a mixture of
 "the pixel was seen" and "it was covered", collapsed by its moments. Since P(B) is multiplied with what other
-chains predict, the background stays as it is behind an object that they track.
+chains predict, the background stays as it is behind an object that they track; where that stood from the
+first frame on, m_k is unknown. Where things are seen to sway, p(L_k | B_k = 1) has a share of what is beside.
 """
 
 import math

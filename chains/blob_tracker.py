@@ -34,7 +34,7 @@ from ..inference.objects.blob_geometry import (
 from ..inference.objects.blob_scene import BlobScene, cut_out
 from ..inference.objects.blobs import Blob, BlobState
 from ..inference.objects.ghosts import ghost_layer, inherited, weighed
-from ..inference.objects.groups import halves, merged
+from ..inference.objects.groups import fragment_time, halves, merged, parting_column, with_parts
 from ..inference.objects.registration import front_to_back, registered
 from ..models.background.layers import Layer, LayerStack
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
@@ -98,7 +98,7 @@ class BlobTracker:
         nats from which on a blob is taken for a ghost: log ratio of an outline that is an edge of the
         background's picture and one that is an edge of the image (see `inference.objects.ghosts`).
     parting_time
-        s for which a blob's mask must have had a waist before it becomes two.
+        s for which a blob must have had a waist, or the width of two people, before it becomes two.
     size_time
         s in which a blob's usual size follows its box; its mask does not reach much further.
     """
@@ -173,6 +173,8 @@ class BlobTracker:
         numbers = count(state.born + 1)
         kept += [scene.coloured(blob) for blob in newborn]
         kept = merged([part for blob in kept for part in self._parted(blob, numbers, scene)])
+        kept = with_parts(kept, scene.newcomers)
+        kept = [blob.changed(fragment_time=fragment_time(blob, scene)) for blob in kept]
         for corner, mask, planes in scene.unexplained(kept, self._least_area(scene)):
             new = Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread)
             kept.append(new.changed(past_views=inherited(new, kept)))
@@ -276,19 +278,19 @@ class BlobTracker:
         return blob.unseen < (self.hidden_patience if hidden else self.patience)
 
     def _parted(self, blob: Blob, numbers: Iterator[int], scene: BlobScene) -> list[Blob]:
-        """A blob that has had a waist between two heads for a while is two; crumbs are swept away."""
+        """A blob that has had a waist or the width of two for a while is two; crumbs are swept away."""
         if blob.unseen > 0 or blob.detected is not None:
             return [blob]
-        parting = blob.parting + scene.elapsed if blob.shape.waist_depth < 0.5 else 0.0
-        left, right = blob.shape.mass_left, blob.shape.mass - blob.shape.mass_left
+        waist = parting_column(blob, scene.newcomers)
+        parting = 0.0 if waist is None else blob.parting + scene.elapsed
         blob = blob.changed(parting=parting)
-        least = max(self._least_area(scene), 0.25 * max(left, right))
-        if parting < self.parting_time or min(left, right) < least:
-            due = blob.seen // SWEEP > (blob.seen - scene.elapsed) // SWEEP
-            return [blob.changed(mask=without_crumbs(blob.mask)) if due else blob]
-        larger, smaller = halves(blob)
-        blob = blob.changed(parting=0.0, still=0.0)
-        return [
-            blob.changed(mask=larger, size=likely_size(larger)),
-            blob.changed(mask=smaller, size=likely_size(smaller), identity=next(numbers)),
-        ]
+        if waist is not None and parting >= self.parting_time:
+            larger, smaller = halves(blob, waist)
+            if smaller.sum() >= max(self._least_area(scene), 0.25 * larger.sum()):
+                blob, new = blob.changed(parting=0.0, still=0.0), next(numbers)
+                return [
+                    blob.changed(mask=larger, size=likely_size(larger)),
+                    blob.changed(mask=smaller, size=likely_size(smaller), identity=new, whole=new),
+                ]
+        due = blob.seen // SWEEP > (blob.seen - scene.elapsed) // SWEEP
+        return [blob.changed(mask=without_crumbs(blob.mask)) if due else blob]

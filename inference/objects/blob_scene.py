@@ -53,6 +53,7 @@ class BlobScene:
         self.pixels = pixels
         self.size = pixels.size
         self.elapsed = elapsed
+        self.newcomers = None if boxes is None else boxes.newcomers
         self._expected: dict[int, tuple[Pair, Pair]] = {}
         if boxes is not None:
             sides = [HEIGHT, WIDTH]

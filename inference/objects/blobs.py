@@ -1,6 +1,7 @@
 """Objects that move in front of a background, as soft masks with colours: what is known of them."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -26,6 +27,10 @@ Two boxes of one size that are off by a and b of their sides share (1 - a) (1 - 
 
 MARGIN = 6
 """px of empty border in a blob's patch, into which its mask can grow."""
+
+
+OWN_WAY = 3.0
+"""s after which what still moves, as small as it is, is somebody by itself."""
 
 
 @short_repr
@@ -100,10 +105,14 @@ class Blob:
     view, past_views
         nats, log ratio of being a ghost and being real by its outline as it is now, and by how it was before
         (see `ghosts`).
+    fragment_time
+        s for which it has been much smaller than anybody where it stands.
+    whole
+        identity of the object that it is a part of; its own if it is one itself.
     origin
         x, y, width, height px of where it appeared.
     parting
-        s for which its mask has had a waist between two upright parts.
+        s for which it has seemed to be two beside each other.
     size
         `(2,)` px, its usual height and width.
     existence
@@ -127,6 +136,8 @@ class Blob:
     confidence: float
     view: float
     past_views: float
+    fragment_time: float
+    whole: int
     origin: Box
     parting: float
     size: Pair
@@ -176,6 +187,8 @@ class Blob:
             confidence=1.0,
             view=0.0,
             past_views=0.0,
+            fragment_time=0.0,
+            whole=identity,
             origin=(float(corner[1]) + MARGIN, float(corner[0]) + MARGIN, float(size[1]), float(size[0])),
             parting=0.0,
             size=size,
@@ -239,6 +252,11 @@ class Blob:
         """px, the longer side of the box."""
         return max(self.reported_box[2:])
 
+    @property
+    def is_fragment(self) -> bool:
+        """Whether it is a piece of somebody: what is that small by nature has moved on its own for long."""
+        return self.fragment_time > 0 and not (self.fragment_time > OWN_WAY and self.still == 0)
+
     def sprite(self, outliers: float) -> Sprite:
         """Mask and colours for loops over pixels, with the share of pixels that look otherwise."""
         log_ratio = log_density_ratio(len(self.appearance), self.spread)
@@ -296,18 +314,22 @@ class BlobState:
         """Objects that are sure enough to be reported, by identity.
 
         Once a detector has run, they are those that it has found, and that likely exist where they are said
-        to be.
+        to be; before, pieces of one object are reported as one.
         """
-        if self.detecting:
-            found = [blob for blob in self.blobs if blob.is_likely]
-        else:
-            found = [blob for blob in self.blobs if blob.seen >= self.confirmed_time]
-        return [
-            Track(
-                blob.identity,
-                blob.reported_box,
-                blob.confidence,
-                (float(blob.velocity[1]), float(blob.velocity[0])),
-            )
-            for blob in sorted(found, key=lambda blob: blob.identity)
-        ]
+        found: dict[int, list[Blob]] = {}
+        for blob in self.blobs:
+            if self.detecting:
+                if blob.is_likely:
+                    found[blob.identity] = [blob]
+            elif blob.seen >= self.confirmed_time and not blob.is_fragment:
+                found.setdefault(blob.whole, []).append(blob)
+        return [_track(identity, parts) for identity, parts in sorted(found.items())]
+
+
+def _track(identity: int, parts: Sequence[Blob]) -> Track:
+    largest = max(parts, key=lambda blob: blob.shape.mass)
+    boxes = [part.reported_box for part in parts]
+    left, top = min(box[0] for box in boxes), min(box[1] for box in boxes)
+    right, bottom = max(box[0] + box[2] for box in boxes), max(box[1] + box[3] for box in boxes)
+    speed_y, speed_x = largest.velocity.tolist()
+    return Track(identity, (left, top, right - left, bottom - top), largest.confidence, (speed_x, speed_y))
