@@ -8,7 +8,8 @@ Of pixel k with label B_k and colour L_k, under the light g of the frame:
 
 The RSMCM paper's low-level chain (§4.2): a Gaussian per pixel, whose posterior after a frame is a mixture of
 "the pixel was seen" and "it was covered", collapsed by its moments. Since P(B) is multiplied with what other
-chains predict, the background stays as it is behind an object that they track.
+chains predict, the background stays as it is behind an object that they track; where that stood from the
+first frame on, m_k is unknown. Where things are seen to sway, p(L_k | B_k = 1) has a share of what is beside.
 """
 
 import math
@@ -212,7 +213,8 @@ class AdaptiveBackground:
         times = state.age, state.elapsed
         sway = learned_rates(prediction.sway, image, prediction.pixels, light, covered, times)
         second = SecondColours(state.candidate.copy(), state.seen.copy())
-        keep_old_colours(prediction.pixels, prediction.light, covered == REVEALED, second)
+        if others.regions:
+            keep_old_colours(prediction.pixels, prediction.light, covered == REVEALED, second)
         if state.elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
             scale = SETTLED / self.settle_time

@@ -55,7 +55,7 @@ class Predictions:
         if observed is not None:
             # pixels and the past are all that they have heard of: a detector is new to both
             blobs, ground = (belief.message(name, self._objects) for name in ("blobs", "ground"))
-            self._boxes.add(belief.frame.number, blobs.objects, ground.objects, observed)
+            self._boxes.add(belief.frame.number, blobs.expected, ground.expected, observed)
 
     def records(self) -> list[Record]:
         """Everything that was gathered."""
