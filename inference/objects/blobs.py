@@ -46,7 +46,8 @@ class Track:
         x, y, width, height px; x, y is the top left corner, 0 at the picture's.
     confidence
         share of the object's visible part that was seen, 0 to 1; 0 while it is hidden or not found. A missing
-        frame leaves it as it was.
+        frame leaves it as it was. Of who was detected it is
+        the probability that there is such an object.
     velocity
         px/s to the right and down.
     """
@@ -332,4 +333,5 @@ def _track(identity: int, parts: Sequence[Blob]) -> Track:
     left, top = min(box[0] for box in boxes), min(box[1] for box in boxes)
     right, bottom = max(box[0] + box[2] for box in boxes), max(box[1] + box[3] for box in boxes)
     speed_y, speed_x = largest.velocity.tolist()
-    return Track(identity, (left, top, right - left, bottom - top), largest.confidence, (speed_x, speed_y))
+    confidence = largest.confidence if largest.detected is None else 1 / (1 + math.exp(-largest.existence))
+    return Track(identity, (left, top, right - left, bottom - top), confidence, (speed_x, speed_y))

@@ -143,6 +143,7 @@ def corrected(blobs: Sequence[Blob], boxes: BoxMessage) -> list[Blob]:
     association = boxes.association
     assert association is not None
     precision, vector = association.drawn
+    existence, noticed = (odds.of(association.identities) for odds in (boxes.existence, boxes.noticed))
     places = {int(identity): k for k, identity in enumerate(association.identities)}
     result = []
     for blob in blobs:
@@ -150,8 +151,9 @@ def corrected(blobs: Sequence[Blob], boxes: BoxMessage) -> list[Blob]:
         if k is None:
             result.append(blob)
             continue
-        existence, noticed = (float(odds.of(blob.identity)) for odds in (boxes.existence, boxes.noticed))
-        blob = blob.changed(existence=blob.existence + existence, noticed=blob.noticed + noticed)
+        blob = blob.changed(
+            existence=blob.existence + float(existence[k]), noticed=blob.noticed + float(noticed[k])
+        )
         share = float(association.pairs[k].sum())
         if blob.detected is None and share > 0.5:
             blob = blob.changed(detected=from_mask(blob))
