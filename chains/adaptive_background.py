@@ -213,7 +213,8 @@ class AdaptiveBackground:
         times = state.age, state.elapsed
         sway = learned_rates(prediction.sway, image, prediction.pixels, light, covered, times)
         second = SecondColours(state.candidate.copy(), state.seen.copy())
-        keep_old_colours(prediction.pixels, prediction.light, covered == REVEALED, second)
+        if others.regions:
+            keep_old_colours(prediction.pixels, prediction.light, covered == REVEALED, second)
         if state.elapsed > 0 and np.isfinite(self.settle_time):
             channels = len(state.mean)
             scale = SETTLED / self.settle_time

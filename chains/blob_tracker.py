@@ -34,7 +34,7 @@ from ..inference.objects.blob_geometry import (
 from ..inference.objects.blob_scene import BlobScene, cut_out
 from ..inference.objects.blobs import Blob, BlobState
 from ..inference.objects.ghosts import ghost_layer, inherited, weighed
-from ..inference.objects.groups import fragment_time, halves, merged, parting_column, with_parts
+from ..inference.objects.groups import alone, fragment_time, halves, merged, parting_column, with_parts
 from ..inference.objects.registration import front_to_back, registered
 from ..models.background.layers import Layer, LayerStack
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
@@ -156,7 +156,7 @@ class BlobTracker:
             return PixelMessage(layers=self._placed(state, incoming)[2])
         pixels = incoming[PixelLabels]
         blobs, _ = incoming.once(self._registered, state, pixels)
-        return detections.said(blobs, state.detecting, pixels.image is not None)
+        return detections.said(alone(blobs), state.detecting, pixels.image is not None)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Objects after the frame: registered, learned from, born and ended."""

@@ -100,7 +100,7 @@ class ObjectTrajectories:
         comings = Comings(size, len(known) / max(times[-1] - times[0], 1.0), self.patience)
         next_of = joins(known, times, motion, comings)
         together = joined(boxes, known, next_of).tracks()
-        found = [smoothed(track, times, motion).boxes() for track in together]
+        found = [smoothed(track, times, motion).known() for track in together]
         return Smoothed(ObjectsOverTime(Boxes.together(found)))
 
     def messages(

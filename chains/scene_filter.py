@@ -27,7 +27,7 @@ from ..inference.core.graph import MultiChain
 from ..inference.core.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ..inference.core.recursive_bp import Belief, RecursiveBP, RunState
 from ..inference.objects.blob_geometry import box_densities
-from ..inference.objects.blobs import BlobState
+from ..inference.objects.blobs import Blob, BlobState, Track
 from ..inference.objects.trajectories import Boxes, messages_of
 from ..models.background.empty_scene import EmptyScene, empty_scene
 from ..models.background.light import LightField
@@ -217,9 +217,8 @@ class SceneFilter:
 
         def boxes(belief: Belief) -> BoxMessage:
             states = (belief.states[name] for name in self.model.chains)
-            blobs = [blob for state in states if isinstance(state, BlobState) for blob in state.blobs]
-            found = [blob for blob in blobs if blob.unseen == 0 and not belief.frame.missing]
-            return BoxMessage(box_densities(found)) if found else BoxMessage()
+            seen = [each for state in states if isinstance(state, BlobState) for each in _seen(state)]
+            return BoxMessage(box_densities(seen)) if seen and not belief.frame.missing else BoxMessage()
 
         if isinstance(feature, PixelLabels):
             return ForwardPass(engine, start, incoming, pixels)
@@ -251,6 +250,11 @@ class SceneFilter:
         name = self._background() or ""
         states[name] = empty.known_to(states[name])
         return RunState(states, 0, math.nextafter(time, -math.inf), empty.shape)
+
+
+def _seen(state: BlobState) -> Sequence[Blob | Track]:
+    """Objects that the frame shows, also before they are confirmed; with a detector, those it confirms."""
+    return state.tracks() if state.detecting else [blob for blob in state.blobs if blob.unseen == 0]
 
 
 def sample_of(times: Numbers, most: int, memory: float) -> list[int]:

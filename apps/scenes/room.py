@@ -24,6 +24,10 @@ class Room(Scene):
     shadow: float = 0.35
     reflection: float = 0.4
 
+    @property
+    def _body(self) -> float:
+        return 0.78 * self.size[1]
+
     @cached_property
     def _ground(self) -> Pixels:
         return paint_room(self.size, np.random.default_rng([self.seed, 0]))
@@ -31,7 +35,7 @@ class Room(Scene):
     def _layers(self, index: int) -> tuple[Layer, Layer]:
         height = self.size[1]
         _, feet, walked, gait = self._visit(index)
-        person = self._figure.posed(feet, 0.9 * height, walked, gait, index * self.dt)
+        person = self._figure.posed(feet, 0.95 * height, walked, gait, index * self.dt)
         return Layer(np.zeros((1, 1, 4), np.float32), 0, 0), person
 
     def _composed(self, index: int) -> Pixels:
@@ -52,7 +56,7 @@ class Room(Scene):
     def _mirrored(self, own: Pixels) -> Pixels:
         """What floor and shiny door show of the person, `(height, width, 4)`, premultiplied."""
         height, width = own.shape[:2]
-        feet = round(0.9 * height)
+        feet = round(0.95 * height)
         out = np.zeros_like(own)
         below = own[2 * feet - height : feet][::-1]
         out[feet:] = below * np.linspace(1, 0.3, len(below), dtype=np.float32)[:, None, None]

@@ -8,7 +8,7 @@ import numpy as np
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.objects.kernels.blobs import UNKNOWN_COLOUR, cover
 from ...models.objects.kernels.masks import shape_of
-from .blobs import MARGIN, Blob, Box, Map, Pair
+from .blobs import MARGIN, Blob, Box, Map, Pair, Track
 
 THINNEST = 0.08
 """Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
@@ -33,7 +33,7 @@ def is_hidden(blob: Blob, in_front: Sequence[Blob]) -> bool:
     return float((free * blob.mask).sum()) < 0.5 * float(blob.mask.sum())
 
 
-def box_densities(blobs: Sequence[Blob]) -> GaussianMessage:
+def box_densities(blobs: Sequence[Blob | Track]) -> GaussianMessage:
     """Where blobs stand and how large they look, as a message to `ObjectBoxes`."""
     x, y, width, height = np.array([blob.box for blob in blobs]).T
     deviations = np.stack([0.05 * width, 0.03 * height, 0.15 * width, 0.08 * height], axis=1) + 1

@@ -315,14 +315,12 @@ class BlobState:
         """Objects that are sure enough to be reported, by identity.
 
         Once a detector has run, they are those that it has found, and that likely exist where they are said
-        to be; before, pieces of one object are reported as one.
+        to be.
         """
         found: dict[int, list[Blob]] = {}
         for blob in self.blobs:
-            if self.detecting:
-                if blob.is_likely:
-                    found[blob.identity] = [blob]
-            elif blob.seen >= self.confirmed_time and not blob.is_fragment:
+            sure = blob.is_likely if self.detecting else blob.seen >= self.confirmed_time
+            if sure and (blob.detected is not None or not blob.is_fragment):
                 found.setdefault(blob.whole, []).append(blob)
         return [_track(identity, parts) for identity, parts in sorted(found.items())]
 
@@ -332,6 +330,7 @@ def _track(identity: int, parts: Sequence[Blob]) -> Track:
     boxes = [part.reported_box for part in parts]
     left, top = min(box[0] for box in boxes), min(box[1] for box in boxes)
     right, bottom = max(box[0] + box[2] for box in boxes), max(box[1] + box[3] for box in boxes)
+    box = boxes[0] if len(boxes) == 1 else (left, top, right - left, bottom - top)
     speed_y, speed_x = largest.velocity.tolist()
     confidence = largest.confidence if largest.detected is None else 1 / (1 + math.exp(-largest.existence))
-    return Track(identity, (left, top, right - left, bottom - top), confidence, (speed_x, speed_y))
+    return Track(identity, box, confidence, (speed_x, speed_y))

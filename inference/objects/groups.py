@@ -1,6 +1,7 @@
 """Groups and halves: which blobs are parts of one object, and which blob is two."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from functools import reduce
 
@@ -71,15 +72,24 @@ def with_parts(blobs: Sequence[Blob], newcomers: Newcomers | None) -> list[Blob]
     result = list(blobs)
     for k, blob in enumerate(result):
         parts = [other for other in result if other.whole == blob.whole]
-        if len(parts) > 1 and (blob.seen >= SETTING_OFF or not are_one(parts, newcomers)):
+        grown = blob.seen >= SETTING_OFF or blob.detected is not None
+        if len(parts) > 1 and (grown or not are_one(parts, newcomers)):
             result[k] = blob.changed(whole=blob.identity)
-    young = [k for k, blob in enumerate(result) if FRESH / 2 < blob.seen < SETTING_OFF]
+    young = [
+        k for k, blob in enumerate(result) if blob.detected is None and FRESH / 2 < blob.seen < SETTING_OFF
+    ]
     for first, k in enumerate(young):
         for other in young[first + 1 :]:
             kept, given = sorted((result[k].whole, result[other].whole))
             if kept != given and set_off_together(result[k], result[other], newcomers):
                 result = [blob.changed(whole=kept) if blob.whole == given else blob for blob in result]
     return result
+
+
+def alone(blobs: Sequence[Blob]) -> list[Blob]:
+    """Blobs that are no parts of a thing, whose size is not theirs; two may be two side by side."""
+    members = Counter(blob.whole for blob in blobs)
+    return [blob for blob in blobs if members[blob.whole] <= 2]
 
 
 def are_one(parts: Sequence[Blob], newcomers: Newcomers | None) -> bool:

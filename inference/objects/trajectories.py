@@ -17,6 +17,9 @@ from ..filters.kalman import PointStates, filter_tracks, smooth
 
 Numbers = NDArray[np.float64]
 
+KNOWN = 0.25
+"""Widths: standard deviation of a place up to which somebody out of sight is reported there."""
+
 EDGE = 0.25
 """Heights within which the picture's edge is near."""
 
@@ -177,6 +180,12 @@ class Smooth:
         variances = np.concatenate([part.diagonal(axis1=1, axis2=2)[:, :2] for part in parts], axis=1)
         frames = np.arange(self.first, self.last + 1)
         return Boxes(frames, np.full(len(frames), self.identity), means, variances)
+
+    def known(self) -> Boxes:
+        """In the frames in which it was seen, or is known to be all the same."""
+        boxes = self.boxes()
+        unsure = np.sqrt(boxes.variances[:, [FOOT_X, FOOT_Y]].max(axis=1))
+        return boxes[self.seen | (unsure < KNOWN * boxes.means[:, WIDTH])]
 
 
 def smoothed(track: Boxes, times: Numbers, motion: Motion) -> Smooth:

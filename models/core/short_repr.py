@@ -78,8 +78,10 @@ def _set(value: object) -> Iterator[tuple[str, object]]:
 
 
 def _is_default(field: Field[Any], member: object) -> bool:
-    default = field.default if field.default_factory is MISSING else field.default_factory()
-    return member is default or (type(member) is type(default) and np.array_equal(member, default))
+    default: Any = field.default if field.default_factory is MISSING else field.default_factory()
+    if isinstance(default, np.ndarray):
+        return isinstance(member, np.ndarray) and np.array_equal(member, default)
+    return member is default or (type(member) is type(default) and bool(member == default))
 
 
 def _flat(members: Collection[object]) -> bool:

@@ -4,6 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from rsmcm.apps.scenes import sleeping_man
 from rsmcm.chains import AdaptiveBackground, BlobTracker, GroundPlane
 from rsmcm.chains.blob_tracker import POSITIVE
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
@@ -357,3 +358,12 @@ def test_three_chains_compose_and_the_ground_hears_of_boxes(walk):
         assert mean == pytest.approx((x + width / 2, y + height, width, height), abs=3)
         assert (covariance.diagonal() > 0).all()
         assert list(beliefs[number]["ground"].identities) == [1]
+
+
+def test_a_parked_car_that_leaves_is_a_few_tracks_and_no_ghost():
+    """Its edges set off as eight blobs; those of its parts that it leaves over are reported for a moment."""
+    scene = sleeping_man(80, enter=1000, car_leaves=10)
+    beliefs = list(engine(ground=True).run(scene))
+    assert 1 <= len(identities(beliefs)) <= 4
+    assert not tracks_of(beliefs[-1])
+    assert (beliefs[-1]["pixels"].foreground() > 0).mean() < 0.01

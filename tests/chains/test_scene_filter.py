@@ -1,6 +1,7 @@
 """The scene filter: the empty scene of a whole film, and what follows from it, none of it kept."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from rsmcm.chains import MixtureBackground, ObjectTrajectories, SceneFilter
 from rsmcm.chains.scene_filter import sample_of
 from rsmcm.inference import CoordinateAscent, MultiChain, RecursiveBP, Solution
 from rsmcm.inference.core.sequence import LazyFrames
-from rsmcm.models import Frame, ObjectBoxes, PixelLabels
+from rsmcm.models import Frame, GivenBoxes, ObjectBoxes, PixelLabels
 
 N_FRAMES = 70
 SCENE = sleeping_man(130, size=(160, 120), enter=1, stand=1, car_leaves=200)
@@ -130,3 +131,16 @@ def test_a_film_without_a_picture_is_refused() -> None:
     _, _, model = film_model()
     with pytest.raises(ValueError, match="got no image"):
         CoordinateAscent(model).run([Frame(None, 0.0, 1), Frame(None, 0.1, 2)])
+
+
+def test_with_a_detector_the_objects_are_those_that_it_confirms() -> None:
+    scene, _, model = film_model()
+    frames = [
+        replace(frame, boxes=GivenBoxes(np.array([[60.0, 20, 80, 100]]))) for frame in Counted()
+    ]  # one that stands where nobody walks
+    solution = CoordinateAscent(model, most_rounds=1, tolerance=None).run(frames)
+    start = scene.start(solution[scene])
+    said = solution.messages(scene, BOXES)
+    for time, belief in enumerate(RecursiveBP(scene.model).run(frames, state=start)):
+        expected = [track.identity for track in belief["blobs"].tracks()]
+        assert said[time].objects.identities.tolist() == expected

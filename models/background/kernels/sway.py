@@ -16,7 +16,7 @@ LEAST_RATE = 0.02
 SURPRISE = 11.3
 """Squared distance over the variance that a pixel in a hundred exceeds by noise (three channels)."""
 
-SAMPLED = 3
+SAMPLED = 5
 """px between the pixels of which the rates are learned."""
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from rsmcm.inference.objects import ghosts
+from rsmcm.inference.objects.blobs import Blob
 from rsmcm.models.objects.kernels.blobs import Patch
 
 F4 = np.float32
@@ -62,3 +63,60 @@ def test_an_outline_that_others_hide_tells_nothing():
     empty, with_object = pair(3, 40, 0)
     hidden = patch(with_object)._replace(free=np.zeros(SIZE, F4))
     assert ghosts.outline_evidence(hidden, empty, outline()) == 0
+
+
+class Scene:
+    """What `weighed` needs of a frame."""
+
+    elapsed = 0.04
+
+    def __init__(self, planes):
+        self.planes = planes
+
+    def picture(self, top, left, shape):
+        return self.planes
+
+
+def moving(speed, origin_x):
+    blob = Blob.newborn(1, np.zeros(2), outline(), np.zeros((3, *SIZE), F4), 2.0, 300.0)
+    return blob.changed(velocity=np.array([0.0, speed]), origin=(origin_x, 14.0, 10.0, 30.0))
+
+
+def looked_at(blob, image, picture, frames):
+    for _ in range(frames):
+        view, past = ghosts.weighed(blob, outline(), patch(image), Scene(picture), 0.15)
+        blob = blob.changed(view=view, past_views=past)
+    return blob
+
+
+def test_what_has_come_from_elsewhere_is_real_for_good_and_what_appeared_here_may_be_a_ghost():
+    empty, with_object = pair(3, 60, 4)
+    walked = looked_at(moving(30, 200.0), with_object, empty, 50)
+    assert walked.past_views == -ghosts.MOST_EVIDENCE
+    stood = looked_at(walked.changed(velocity=np.zeros(2)), with_object, empty, 250)
+    assert stood.past_views == -ghosts.MOST_EVIDENCE
+    # a few frames with the wrong outline change little, and many do not add up beyond what one view is worth
+    wrong = looked_at(stood, empty, with_object, 3)
+    assert wrong.ghost_evidence < -15
+    single = 0.15 * ghosts.outline_evidence(patch(empty), with_object, outline())
+    assert looked_at(wrong, empty, with_object, 500).ghost_evidence == pytest.approx(single - 20, abs=0.1)
+    appeared = looked_at(moving(0, 18.0), empty, with_object, 500)
+    assert appeared.ghost_evidence == pytest.approx(single, abs=0.1)
+    assert single > 5
+    assert looked_at(moving(30, 18.0), with_object, empty, 50).past_views == 0
+
+
+def test_a_view_is_a_function_of_time():
+    empty, with_object = pair(3, 60, 4)
+    blob, slow = moving(0, 18.0), Scene(with_object)
+    slow.elapsed = 0.4
+    view, _ = ghosts.weighed(blob, outline(), patch(empty), slow, 0.15)
+    assert looked_at(blob, empty, with_object, 10).view == pytest.approx(view)
+
+
+def test_a_newborn_that_touches_somebody_is_as_likely_as_not_a_part_of_them():
+    walker = moving(30, 200.0).changed(past_views=-16.0)
+    beside = moving(0, 18.0).changed(position=np.array([0.0, 18.0]))
+    assert ghosts.inherited(beside, [walker]) == -8
+    assert ghosts.inherited(beside.changed(position=np.array([0.0, 60.0])), [walker]) == 0
+    assert ghosts.inherited(beside, []) == 0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rsmcm.inference.objects.blobs import MARGIN, Blob, BlobState
 from rsmcm.inference.objects.groups import (
+    alone,
     fragment_time,
     halves,
     merged,
@@ -107,6 +108,8 @@ def test_edges_of_a_thing_that_sets_off_are_one_track_for_a_while():
     parts = [blob(k, 30 + 20 * k, 50, 12, 14, 25, 0.5) for k in (1, 2, 3)]
     assert wholes(*parts) == [1, 1, 1]
     together = with_parts(parts, None)
+    assert alone(together) == []
+    assert len(alone(together[:2])) == 2
     (track,) = BlobState(tuple(together), 3, (120, 160), 0.0, 0.35).tracks()
     assert track.box == pytest.approx((50, 50, 52, 14))
     assert track.velocity == (25, 0)

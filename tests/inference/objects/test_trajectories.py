@@ -55,6 +55,16 @@ def test_smoothing_follows_a_straight_walk_through_gaps() -> None:
     assert (hidden[:2] > 2 * found.variances[30 - 5][:2]).all()
 
 
+def test_in_a_long_gap_nobody_is_reported_in_the_middle() -> None:
+    seen = np.r_[5:40, 115:150]
+    track = smoothed(walk(3, seen, (100, 200), (40, 10)), TIMES, MOTION)
+    known = set(track.known().frames.tolist())
+    assert set(seen.tolist()) < known < set(range(5, 150))
+    assert 41 in known
+    assert 113 in known
+    assert not known & set(range(70, 85))
+
+
 def test_smoothing_takes_noise_away_and_says_how_much_is_left() -> None:
     errors, stated, raw = [], [], []
     for seed in range(20):
