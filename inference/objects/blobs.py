@@ -46,7 +46,8 @@ class Track:
         x, y, width, height px; x, y is the top left corner, 0 at the picture's.
     confidence
         share of the object's visible part that was seen, 0 to 1; 0 while it is hidden or not found. A missing
-        frame leaves it as it was.
+        frame leaves it as it was. Of who was detected it is
+        the probability that there is such an object.
     velocity
         px/s to the right and down.
     """
@@ -331,4 +332,5 @@ def _track(identity: int, parts: Sequence[Blob]) -> Track:
     right, bottom = max(box[0] + box[2] for box in boxes), max(box[1] + box[3] for box in boxes)
     box = boxes[0] if len(boxes) == 1 else (left, top, right - left, bottom - top)
     speed_y, speed_x = largest.velocity.tolist()
-    return Track(identity, box, largest.confidence, (speed_x, speed_y))
+    confidence = largest.confidence if largest.detected is None else 1 / (1 + math.exp(-largest.existence))
+    return Track(identity, box, confidence, (speed_x, speed_y))

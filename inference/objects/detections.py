@@ -1,4 +1,16 @@
-"""What detections do to objects: they correct, start, confirm and doubt them."""
+"""What detections do to objects: they correct, start, confirm and doubt them.
+
+Of an object j with its blob at x_j and its box d_j within that, which exists (e_j) and is noticed (n_j):
+
+    p(z | j) = N(z; d_j about x_j, detector's noise), d_j a random walk
+    p(e_t | e_t-1): it leaves after LIFE s on average; p(n_t | n_t-1): a Markov chain of two states, PHASE s
+    p(j found | e_j, n_j) = its visible share, times NOTICED or UNNOTICED
+
+Existence and association are those of joint integrated probabilistic data association (D. Musicki, R. Evans,
+2004), with marginals by belief propagation (see `models.objects.association`). We depart in what a box of
+uncertain origin does: the mean of the log likelihood over assignments updates place and size, which does not
+widen them, and keeps objects that are close to each other apart better than the mixture's mean does.
+"""
 
 import math
 from collections.abc import Sequence
@@ -131,6 +143,7 @@ def corrected(blobs: Sequence[Blob], boxes: BoxMessage) -> list[Blob]:
     association = boxes.association
     assert association is not None
     precision, vector = association.drawn
+    existence, noticed = (odds.of(association.identities) for odds in (boxes.existence, boxes.noticed))
     places = {int(identity): k for k, identity in enumerate(association.identities)}
     result = []
     for blob in blobs:
@@ -138,8 +151,9 @@ def corrected(blobs: Sequence[Blob], boxes: BoxMessage) -> list[Blob]:
         if k is None:
             result.append(blob)
             continue
-        existence, noticed = (float(odds.of(blob.identity)) for odds in (boxes.existence, boxes.noticed))
-        blob = blob.changed(existence=blob.existence + existence, noticed=blob.noticed + noticed)
+        blob = blob.changed(
+            existence=blob.existence + float(existence[k]), noticed=blob.noticed + float(noticed[k])
+        )
         share = float(association.pairs[k].sum())
         if blob.detected is None and share > 0.5:
             blob = blob.changed(detected=from_mask(blob))

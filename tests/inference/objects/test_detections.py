@@ -138,6 +138,7 @@ def test_who_is_found_keeps_one_identity_and_who_is_not_is_not_reported() -> Non
         (track,) = beliefs[number]["blobs"].tracks()
         assert track.box == pytest.approx((-16 + 40 * number * DT, 50, 16, 40), abs=3)
         assert track.identity == beliefs[15]["blobs"].tracks()[0].identity
+        assert track.confidence > 0.95
     assert len(beliefs[30]["blobs"].blobs) >= 2
 
 
