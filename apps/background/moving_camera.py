@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...inference import Belief
 from ...models.camera.affine_map import AffineMap
-from ...models.camera.registration import ScenePicture
+from ...models.camera.registration import ScenePicture, is_thin
 from ...models.core.grey import grey_of
 
 _log = logging.getLogger(__name__)
@@ -54,6 +54,8 @@ class CameraWatch:
             return None
         self._looked = frame.time
         background = belief["pixels"].background
+        if is_thin(background.size):
+            return None
         empty = background.mean[0].reshape(background.size)
         found = ScenePicture(empty).register(grey_of(frame.image), AffineMap.identity(background.size))
         moved = found.map.displacement

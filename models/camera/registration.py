@@ -26,6 +26,9 @@ COARSEST, FINEST = 48, 640
 """px, the least length of a side of the coarsest level, and the largest one of the finest: half as fine is
 half as exact, and a fortieth of a pixel."""
 
+THINNEST = 16
+"""px, of a side of the finest level, below which a picture is too thin to be registered."""
+
 LOCAL_MEAN = 15
 """px, side of the square about a pixel whose mean is taken off its value."""
 
@@ -115,10 +118,20 @@ class ScenePicture:
     ----------
     grey
         `(height, width)` uint8 or float32.
+
+    Raises
+    ------
+    ValueError
+        if a side is below `THINNEST` px when the picture is as small as `FINEST`: nothing can be recognised.
     """
 
     def __init__(self, grey: NDArray[np.uint8] | Floats) -> None:
         self.size = (grey.shape[0], grey.shape[1])
+        if is_thin(self.size):
+            raise ValueError(
+                f"camera: got pictures of {self.size[1]}x{self.size[0]} px, expected wider and higher ones "
+                f"(neither side below {THINNEST} px when the longer one is {FINEST})"
+            )
         self._bands = _pyramid(grey)
         # halves of odd sizes are rounded up, and keep the places of every other pixel
         finest = 2.0 ** round(np.log2(max(self.size) / max(self._bands[0].shape)))
@@ -158,6 +171,11 @@ class ScenePicture:
             refined, _ = _refined(band, level, parameters)
             costs.append((_cost(_residuals(band, level, refined)), refined))
         return min(costs, key=lambda each: each[0])[1]
+
+
+def is_thin(size: tuple[int, int]) -> bool:
+    """Whether pictures of `(height, width)` px are too small or too thin to be registered."""
+    return min(size) < THINNEST * max(1.0, max(size) / FINEST)
 
 
 def _pyramid(grey: NDArray[np.uint8] | Floats) -> list[Floats]:

@@ -111,3 +111,9 @@ def test_a_picture_without_texture_is_like_none() -> None:
         assert np.isfinite(found.covariance).all()
         assert found.explained < 0.4
         assert found.correlation < 0.3
+
+
+@pytest.mark.parametrize("size", [(2, 4000), (4000, 2), (8, 8), (20, 4000)])
+def test_pictures_too_thin_to_be_registered_are_refused_in_one_line(size) -> None:
+    with pytest.raises(ValueError, match=f"got pictures of {size[1]}x{size[0]} px"):
+        ScenePicture(np.zeros(size, np.uint8))
