@@ -135,7 +135,8 @@ class GroundPlane:
 
     def update(self, state: GroundState, incoming: Incoming) -> GroundState:
         """Perspective and objects given what others say of the boxes."""
-        identities, boxes, covariances = incoming[ObjectBoxes].objects.moments
+        message = incoming[ObjectBoxes]
+        identities, boxes, covariances = message.objects.moments
         state = self._joined(state, identities, boxes)
         if not len(identities):
             return state
@@ -159,6 +160,8 @@ class GroundPlane:
         good = probability(np.log(ratio * (1 / self.outliers - 1)))
         whole = state.whole(boxes)
         on_plane = probability(state.trust[seen])
+        if len(message.existence):
+            on_plane *= probability(message.existence.of(identities))
         worth = np.minimum(np.maximum(state.unseen[seen], 1e-6) / self.observation_time, 1.0)
 
         weight = np.maximum(whole * on_plane * good * worth, 1e-9)
