@@ -22,7 +22,7 @@ from ...models.core.gaussian_message import GaussianMessage
 from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
 from ...models.objects.box_message import BoxMessage, LogOdds
 from ..filters.linear_motion import kinematic
-from .blob_geometry import FRESH, box_densities
+from .blob_geometry import FRESH, box_densities, paste
 from .blobs import MARGIN, Blob, DetectedBox, Map, Pair
 
 ACCELERATION = 0.4
@@ -57,6 +57,9 @@ SPREAD = 300.0
 
 WHOLE = 0.25
 """s after which a box of the same object is worth a whole new one: a detector errs alike for a while."""
+
+SURE_COVER = np.float32(0.9)
+"""Probability that a pixel well inside of what a detector shows of an object is the object's."""
 
 CANDIDATE = 0.1
 """Probability of being somebody new from which on a box is remembered as an object."""
@@ -178,6 +181,12 @@ def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
     x, y, width, height = association.boxes[k].tolist()
     corner = np.array([y - height - MARGIN, x - 0.5 * width - MARGIN])
     mask = _ellipse(width, height)
+    if association.outlines is not None:
+        top, left = (math.floor(start + 0.5) for start in corner.tolist())
+        outline = np.zeros(mask.shape, np.float32)
+        paste(outline, top, left, association.outlines[k], 0, 0)
+        if outline.any():  # in a detector's outline nearly everything is the object's
+            mask = SURE_COVER * outline
     planes = np.zeros((channels, *mask.shape), np.float32)
     mean = np.array([x - corner[1], y - corner[0], width, height])
     return Blob.newborn(identity, corner, mask, planes, FIRST_SPEED, SPREAD).changed(
@@ -254,7 +263,7 @@ def _ellipse(width: float, height: float) -> Map:
     y = (np.arange(rows) - 0.5 * (rows - 1)) / (0.5 * height)
     x = (np.arange(columns) - 0.5 * (columns - 1)) / (0.5 * width)
     square = y[:, None] ** 2 + x**2
-    return np.asarray(0.9 / (1 + np.exp(8 * (square - 1))), np.float32)
+    return np.asarray(SURE_COVER / (1 + np.exp(8 * (square - 1))), np.float32)
 
 
 def _probability(log_odds: float) -> float:

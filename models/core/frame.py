@@ -163,7 +163,8 @@ class Frame:
     Raises
     ------
     ValueError
-        if the image is neither `None` nor such an array, or the number is below 1.
+        if the image is neither `None` nor such an array, outlines of objects are of another size than it, or
+        the number is below 1.
     """
 
     image: NDArray[np.uint8] | None
@@ -180,6 +181,11 @@ class Frame:
             raise ValueError(
                 f"image: got {image.shape} {image.dtype} at frame {self.number}, "
                 "expected (height, width) or (height, width, 3) uint8"
+            )
+        outlines = None if self.boxes is None else self.boxes.masks
+        if image is not None and outlines is not None and outlines.shape[1:] != image.shape[:2]:
+            raise ValueError(
+                f"boxes: got masks {outlines.shape[1:]} at frame {self.number}, expected {image.shape[:2]}"
             )
         if self.number < 1:
             raise ValueError(f"number: got {self.number}, expected 1 or more (frames count from 1)")

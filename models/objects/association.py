@@ -89,6 +89,8 @@ class Association:
         `(n_boxes,)` probability that the box is a second one of somebody who has another.
     log_evidence
         log density of all boxes together, given who was expected.
+    outlines
+        `(n_boxes, height, width)` bool over the picture, if the detector gives them.
     """
 
     boxes: Numbers
@@ -102,6 +104,7 @@ class Association:
     new: Numbers
     double: Numbers
     log_evidence: float
+    outlines: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.boxes)

@@ -86,6 +86,7 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
         new=found.alone * new / alone,
         double=found.alone * doubles / alone,
         log_evidence=found.log_sum + float(np.log(alone).sum()) - poisson,
+        outlines=given.masks,
     )
     order = np.argsort(identities)
     return BoxMessage(

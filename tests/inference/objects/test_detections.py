@@ -95,6 +95,20 @@ def test_a_box_corrects_place_velocity_and_size_as_a_dense_filter_does() -> None
     assert after.existence == 2.5
 
 
+def test_somebody_new_has_the_outline_that_the_detector_gives() -> None:
+    box, noise = np.array([60.0, 90.0, 20.0, 40.0]), np.array([6.0, 6.0, 10.0, 12.0])
+    picture = np.zeros((1, 120, 160), bool)
+    picture[0, 52:88, 55:62] = True
+    message = told(box, noise)
+    assert message.association is not None
+    outlined = replace(message, association=replace(message.association, new=np.ones(1), outlines=picture))
+    blob = detections.newborn(1, outlined, 0, 3)
+    top, left = blob.corner
+    placed = np.zeros((120, 160), np.float32)
+    placed[top : top + blob.mask.shape[0], left : left + blob.mask.shape[1]] = blob.mask
+    np.testing.assert_allclose(placed, 0.9 * picture[0])
+
+
 def test_boxes_that_follow_each_other_soon_are_worth_less() -> None:
     blob, noise = blob_at(100.0, 50.0), np.array([6.0, 6.0, 10.0, 12.0])
     assert blob.detected is not None

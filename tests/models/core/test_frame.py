@@ -52,3 +52,10 @@ def test_boxes_are_those_of_the_moment_they_were_taken() -> None:
     taken = GivenBoxes.of(memory)
     memory[:] = 7
     assert taken.xyxy.tolist() == [[1, 2, 3, 4]]
+
+
+def test_outlines_of_another_size_than_the_picture_are_refused() -> None:
+    boxes = GivenBoxes(np.array([[0.0, 0, 5, 5]]), masks=np.zeros((1, 10, 12), bool))
+    Frame(np.zeros((10, 12), np.uint8), 0.0, 1, boxes=boxes)
+    with pytest.raises(ValueError, match=r"got masks \(10, 12\) at frame 3, expected \(12, 10\)"):
+        Frame(np.zeros((12, 10), np.uint8), 0.0, 3, boxes=boxes)
