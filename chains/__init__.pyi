@@ -3,6 +3,7 @@ from .articulated_pose import ArticulatedPose
 from .blob_tracker import BlobTracker
 from .camera_motion import CameraMotion
 from .condensation import Condensation
+from .detector_rates import DetectorRates
 from .factor_structure import FactorStructure
 from .flesh_tracker import FleshTracker
 from .gflow import GFlow
@@ -19,6 +20,7 @@ __all__ = [
     "BlobTracker",
     "CameraMotion",
     "Condensation",
+    "DetectorRates",
     "FactorStructure",
     "FleshTracker",
     "GFlow",

@@ -28,8 +28,10 @@ from ..models.background.kernels.gaussian import (
     learn_second_colours,
 )
 from ..models.background.kernels.layers import REVEALED, update_behind
+from ..models.background.kernels.sway import Sway
 from ..models.background.light import LightField, followed, light_grid, share_of_blocks
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
+from ..models.background.sway import learned_rates, reach
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
 
@@ -74,6 +76,8 @@ class BackgroundState:
         `(block_rows, block_columns)` float32: today's light relative to that of `mean`.
     covered
         `(block_rows, block_columns)` float32: share of the block behind known objects.
+    sway
+        `(block_rows, block_columns)` float32: how often its pixels show what is beside them, as leaves do.
     candidate, seen
         second hypothesis: `(n_pixels * channels,)` uint8 colour that is neither background nor an object,
         and `(n_pixels,)` uint16 how much of the settling time it has lasted (see `SecondColours`).
@@ -89,6 +93,7 @@ class BackgroundState:
     noise: Planes
     light: Planes
     covered: Planes
+    sway: Planes
     candidate: NDArray[np.uint8]
     seen: NDArray[np.uint16]
     elapsed: float
@@ -170,6 +175,7 @@ class AdaptiveBackground:
             noise=np.full(n_pixels, self.noise, np.float32),
             light=np.ones(light_grid(height, width), np.float32),
             covered=np.zeros(light_grid(height, width), np.float32),
+            sway=np.zeros(light_grid(height, width), np.float32),
             candidate=np.zeros(image.size, np.uint8),
             seen=np.zeros(n_pixels, np.uint16),
             elapsed=0.0,
@@ -203,6 +209,8 @@ class AdaptiveBackground:
                 region.top, region.left, region.shift, colour.patch(image, *region.box), subtraction.smoothed,
                 prediction.pixels, light, prediction.model, after, covered,
             )  # fmt: skip
+        times = state.age, state.elapsed
+        sway = learned_rates(prediction.sway, image, prediction.pixels, light, covered, times)
         second = SecondColours(state.candidate.copy(), state.seen.copy())
         keep_old_colours(prediction.pixels, prediction.light, covered == REVEALED, second)
         if state.elapsed > 0 and np.isfinite(self.settle_time):
@@ -226,6 +234,7 @@ class AdaptiveBackground:
             noise=after.noise,
             light=prediction.light.blocks,
             covered=share_of_blocks(covered.reshape(state.size), state.light.shape),
+            sway=sway,
             candidate=second.colours,
             seen=second.seen,
             elapsed=0.0,
@@ -252,4 +261,5 @@ class AdaptiveBackground:
             pooling=self.pooling,
             second=SecondColours(state.candidate, state.seen),
             tolerance=8.0 * len(state.mean) * self.noise,
+            sway=Sway(state.sway, reach(state.size)),
         )

@@ -21,12 +21,11 @@ from typing import overload
 import numpy as np
 
 from ..inference.core.protocols import Cavity, Incoming, Port
-from ..inference.filters.linear_motion import kinematic
+from ..inference.objects import detections
 from ..inference.objects.blob_geometry import (
     FRESH,
     THINNEST,
     around,
-    box_densities,
     fitted,
     is_hidden,
     likely_size,
@@ -138,16 +137,7 @@ class BlobTracker:
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
         """First-order dynamics: velocity stays, but for a random force."""
-        blobs = state.blobs
-        if blobs:
-            means = np.stack([(blob.position, blob.velocity) for blob in blobs]).swapaxes(1, 2)
-            covariances = np.stack([blob.covariance for blob in blobs])
-            force = 0.5 * (self.acceleration * np.array([blob.length for blob in blobs])) ** 2  # px^2/s^3
-            means, covariances = kinematic(2, dt).moved(means, covariances, force)
-            blobs = tuple(
-                blob.changed(position=mean[:, 0], velocity=mean[:, 1], covariance=covariance)
-                for blob, mean, covariance in zip(blobs, means, covariances, strict=True)
-            )
+        blobs = detections.moved(state.blobs, dt, self.acceleration, state.detecting)
         return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
 
     @overload
@@ -162,36 +152,57 @@ class BlobTracker:
         To pixels: where they cover them and with which colours, front to back. To boxes: where they stand and
         how large they look, of those that were well seen in the last frame.
         """
-        pixels = incoming[PixelLabels]
-        blobs, layers = incoming.once(self._registered, state, pixels)
         if isinstance(feature, PixelLabels):
-            return PixelMessage(layers=layers)
-        shown = [blob for blob in blobs if blob.confidence > 0.5 and blob.seen >= FRESH]
-        if pixels.image is None or not shown:
-            return feature.uniform()
-        return BoxMessage(box_densities(shown))
+            return PixelMessage(layers=self._placed(state, incoming)[2])
+        pixels = incoming[PixelLabels]
+        blobs, _ = incoming.once(self._registered, state, pixels)
+        return detections.said(blobs, state.detecting, pixels.image is not None)
 
     def update(self, state: BlobState, incoming: Incoming) -> BlobState:
         """Objects after the frame: registered, learned from, born and ended."""
-        pixels = incoming[PixelLabels]
+        pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
+        blobs, newborn, layers = self._placed(state, incoming)
+        if boxes is not None and boxes.association is not None:
+            blobs = [blob for blob in blobs if detections.is_kept(blob, state.size)]
+            state = replace(state, blobs=(*blobs, *newborn), born=state.born + len(newborn), detecting=True)
         if pixels.subtraction is None:
             return state
-        blobs, layers = incoming.once(self._registered, state, pixels)
-        scene = BlobScene(pixels, layers, incoming.get(ObjectBoxes), state.elapsed)
+        scene = BlobScene(pixels, layers, boxes, state.elapsed)
         learned = [self._learned(blob, blobs[:rank], scene) for rank, blob in enumerate(blobs)]
         kept = [blob for rank, blob in enumerate(learned) if self._lives(blob, blobs[:rank], scene)]
         numbers = count(state.born + 1)
+        kept += [scene.coloured(blob) for blob in newborn]
         kept = merged([part for blob in kept for part in self._parted(blob, numbers, scene)])
         for corner, mask, planes in scene.unexplained(kept, self._least_area(scene)):
             new = Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread)
             kept.append(new.changed(past_views=inherited(new, kept)))
         return replace(state, blobs=tuple(kept), born=next(numbers) - 1, elapsed=0.0)
 
+    def _placed(self, state: BlobState, incoming: Incoming) -> tuple[list[Blob], list[Blob], LayerStack]:
+        """Blobs front to back where pixels and detections show them, those that are new, and the layers."""
+        pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
+        registered = incoming.once(self._registered, state, pixels)
+        if boxes is None or boxes.association is None:
+            return registered[0], [], registered[1]
+        return incoming.once(self._detected, state, pixels, boxes, registered)
+
+    def _detected(
+        self, state: BlobState, pixels: PixelMessage, boxes: BoxMessage, found: tuple[list[Blob], LayerStack]
+    ) -> tuple[list[Blob], list[Blob], LayerStack]:
+        blobs = front_to_back(detections.corrected(found[0], boxes))
+        channels = 1 if pixels.image is None or pixels.image.ndim == 2 else 3
+        new = [
+            detections.newborn(number, boxes, k, channels)
+            for number, k in enumerate(detections.unexplained(boxes, state.size), state.born + 1)
+        ]
+        blobs = [blob for blob in blobs if not detections.is_part(blob, new)]
+        return blobs, new, LayerStack([self._layer(blob) for blob in front_to_back([*blobs, *new])])
+
     def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[list[Blob], LayerStack]:
         """Blobs front to back at the place where this frame shows them, and their layers."""
         blobs = front_to_back(state.blobs)
         if pixels.subtraction is not None:
-            blobs = registered(blobs, pixels, self.outliers, self.temper)
+            blobs = registered(blobs, pixels, self.outliers, self.temper, state.elapsed)
         return blobs, LayerStack([self._layer(blob) for blob in blobs])
 
     def _layer(self, blob: Blob) -> Layer:
@@ -252,6 +263,8 @@ class BlobTracker:
         return self.smallest * scene.size[0] * scene.size[1]
 
     def _lives(self, blob: Blob, in_front: Sequence[Blob], scene: BlobScene) -> bool:
+        if blob.detected is not None:
+            return True
         mass = blob.shape.mass
         thin = mass < THINNEST * blob.length**2 * (1.0 if blob.seen < FRESH else 0.5)
         outside = float(blob.mask[scene.inside(blob)].sum()) < 0.1 * mass
@@ -264,7 +277,7 @@ class BlobTracker:
 
     def _parted(self, blob: Blob, numbers: Iterator[int], scene: BlobScene) -> list[Blob]:
         """A blob that has had a waist between two heads for a while is two; crumbs are swept away."""
-        if blob.unseen > 0:
+        if blob.unseen > 0 or blob.detected is not None:
             return [blob]
         parting = blob.parting + scene.elapsed if blob.shape.waist_depth < 0.5 else 0.0
         left, right = blob.shape.mass_left, blob.shape.mass - blob.shape.mass_left

@@ -68,8 +68,9 @@ def build_model(
     Parameters
     ----------
     engine
-        `"recursive-bp"`: background, blobs and ground plane correct each other. `"feed-forward"`: the same
-        chains, but the background hears nothing of the blobs. `"stand-alone"`: the background by itself.
+        `"recursive-bp"`: background, blobs, ground plane and a detector's rates correct each other.
+        `"feed-forward"`: the same chains, but the background hears nothing of the blobs. `"stand-alone"`: the
+        background by itself.
         `"coordinate-ascent"`: the filter by which a whole film is read, the same as `"recursive-bp"`.
     parameters
         those of the chains that differ from their defaults, by section and name; a section's `model` says
@@ -86,7 +87,9 @@ def build_model(
     """
     if engine not in ENGINES:
         raise ValueError(f"engine: got {engine!r}, expected one of {', '.join(ENGINES)}")
-    background, blobs, ground, motion = (build_chain(section, parameters or {}) for section in SECTIONS)
+    background, blobs, ground, detector, motion = (
+        build_chain(section, parameters or {}) for section in SECTIONS
+    )
     objects, model = ObjectBoxes(), MultiChain()
     pixels: PixelLabels = PixelLabels()
     if camera == "moving":
@@ -97,6 +100,7 @@ def build_model(
         return model
     feedback = engine in ("recursive-bp", WHOLE_FILM)
     model.connect(blobs, pixels, feedback=feedback).connect(blobs, objects).connect(ground, objects)
+    model.connect(detector, objects)
     for name, chain in other_chains(parameters or {}).items():
         met = [node for node in (pixels, objects) if any(isinstance(node, port.kind) for port in chain.ports)]
         if not met:

@@ -24,7 +24,7 @@ class BackgroundJob(FilmJob):
     engine
         recursive-bp: background and objects correct each other. feed-forward: the background hears nothing of
         the objects. stand-alone: the background only, no tracks. coordinate-ascent: the whole film at once;
-        the empty scene is found from all of it, and tracks know what comes later. The source is read three
+        the empty scene is found from all of it, and tracks know what comes later. The source is read four
         times, which a camera or stream cannot be.
     camera
         fixed, or moving: it shakes, turns or drifts a little about where it looks in the first frame, and

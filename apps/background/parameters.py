@@ -6,7 +6,14 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from ...chains import AdaptiveBackground, BlobTracker, CameraMotion, GroundPlane, MixtureBackground
+from ...chains import (
+    AdaptiveBackground,
+    BlobTracker,
+    CameraMotion,
+    DetectorRates,
+    GroundPlane,
+    MixtureBackground,
+)
 from ..options.complaints import meant
 from ..options.settings import make, plain_fields, read_fields, read_settings, top_level
 
@@ -17,6 +24,7 @@ SECTIONS: dict[str, dict[str, type[Any]]] = {
     "background": {"gaussian": AdaptiveBackground, "mixture": MixtureBackground},
     "blobs": {"layers": BlobTracker},
     "ground": {"plane": GroundPlane},
+    "detector": {"rates": DetectorRates},
     "camera-motion": {"affine": CameraMotion},
 }
 """Kinds of chain by section and by the value of its key `model`, the default first."""

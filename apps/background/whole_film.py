@@ -18,10 +18,7 @@ from ..runs.interruption import Interrupted, Interruption
 from ..runs.progress import Progress
 from .job import BackgroundJob
 
-ROUNDS = 2
-"""Of the ascent: in the second one, the objects of the first are no part of the empty scene."""
-
-PASSES = ("reading", *(("empty scene", "tracks") * ROUNDS))
+PASSES = ("reading", "empty scene", "tracks")
 """What is done in the passes over a film before the one in which its masks are written."""
 
 
@@ -82,18 +79,22 @@ def read_whole(
     names = iter(PASSES)
 
     def passing(frames: Iterator[Frame]) -> Iterator[Frame]:
-        with Progress(next(names), source.n_frames) as progress:
+        with Progress(next(names, PASSES[-1]), source.n_frames) as progress:
             for frame in interruption.items(known(frames)):
                 yield frame
                 progress.update()
         if interruption.signal is not None:
             raise Interrupted(interruption.signal)
 
+    def reopened() -> Source:
+        return open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect)
+
     scene, objects = SceneFilter(model), ObjectBoxes()
     film_model = MultiChain().connect(scene, PixelLabels()).connect(scene, objects)
     film_model.connect(trajectories := ObjectTrajectories(), objects)
-    with Film(lambda: open_source(job.source, job.start, job.stop, job.step), passing) as film:
-        solution = CoordinateAscent(film_model, most_rounds=ROUNDS, tolerance=None).run(film)
+    with Film(reopened, passing) as film:
+        # a second round would cost two passes and gains nothing that is seen in the results
+        solution = CoordinateAscent(film_model, most_rounds=1, tolerance=None).run(film)
         return scene.start(solution[scene]), solution[trajectories]
 
 

@@ -3,6 +3,7 @@ from .shaken import ShakenFilm, shaken
 from .signing.signer import SignerScene, signer
 from .street import Scene, TruthBox, sleeping_man
 from .talking_face import FaceScene, face
+from .trees import Trees, waving_trees
 from .turning_cylinder import Cylinder, cylinder
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "Scene",
     "ShakenFilm",
     "SignerScene",
+    "Trees",
     "TruthBox",
     "cylinder",
     "face",
@@ -19,4 +21,5 @@ __all__ = [
     "signer",
     "sleeping_man",
     "standing_in_a_room",
+    "waving_trees",
 ]

@@ -102,4 +102,4 @@ def fitted(blob: Blob) -> Blob:
     top, left = first.tolist()
     paste(mask, top, left, blob.mask, 0, 0)
     paste(appearance, top, left, blob.appearance, 0, 0)
-    return blob.changed(position=blob.position + first, mask=mask, appearance=appearance)
+    return blob.moved_patch(first).changed(mask=mask, appearance=appearance)

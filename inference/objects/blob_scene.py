@@ -9,7 +9,7 @@ from ...models.background.layers import LayerStack
 from ...models.background.pixel_labels import PixelMessage
 from ...models.objects.box_detector import HEIGHT, WIDTH
 from ...models.objects.box_message import BoxMessage
-from ...models.objects.kernels.blobs import Patch, count_foreground, gather
+from ...models.objects.kernels.blobs import UNKNOWN_COLOUR, Patch, count_foreground, gather
 from ...models.objects.kernels.masks import clear_blocks
 from .blob_geometry import THINNEST, cover_by, paste
 from .blobs import MARGIN, Blob, Map, Pair
@@ -94,6 +94,11 @@ class BlobScene:
         out[self.inside(blob)] = 1
         out[self.inside(before)] = 0
         return out
+
+    def coloured(self, blob: Blob) -> Blob:
+        """A blob that was just born of a detection, with the colours that the image shows where it is."""
+        planes = cut_out(self.pixels, *blob.corner, blob.mask.shape, []).planes
+        return blob.changed(appearance=np.where(blob.mask > 0.2, planes, np.float32(UNKNOWN_COLOUR)))
 
     def inside(self, blob: Blob) -> tuple[slice, slice]:
         """The part of a blob's patch that lies in the picture."""

@@ -1,7 +1,7 @@
 """Objects that move in front of a background, as soft masks with colours: what is known of them."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -17,6 +17,12 @@ from ...models.objects.kernels.masks import MaskShape, shape_of
 Map = NDArray[np.float32]
 Pair = NDArray[np.float64]
 Box = tuple[float, float, float, float]
+
+HALF_OVERLAP = 0.37
+"""Sum of a box's errors, each as a share of its side, at which it shares half of its area with the true one.
+
+Two boxes of one size that are off by a and b of their sides share (1 - a) (1 - b) / (2 - (1 - a) (1 - b)).
+"""
 
 MARGIN = 6
 """px of empty border in a blob's patch, into which its mask can grow."""
@@ -44,6 +50,26 @@ class Track:
     box: Box
     confidence: float
     velocity: tuple[float, float]
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class DetectedBox:
+    """Box of an object as a detector finds it.
+
+    Parameters
+    ----------
+    mean
+        `(4,)` px: foot x and y from the top left corner of the blob's patch, width, height.
+    variance
+        `(4,)` px^2.
+    unfound
+        s since a box was last found that may be its.
+    """
+
+    mean: Pair
+    variance: Pair
+    unfound: float = 0.0
 
 
 @short_repr
@@ -80,6 +106,12 @@ class Blob:
         s for which its mask has had a waist between two upright parts.
     size
         `(2,)` px, its usual height and width.
+    existence
+        log odds that it is one of those that the detector is made to find, if there is one.
+    noticed
+        log odds that the detector finds it at present, if it is in sight.
+    detected
+        its box for the detector; `None` as long as it has not found it.
     """
 
     identity: int
@@ -98,6 +130,9 @@ class Blob:
     origin: Box
     parting: float
     size: Pair
+    existence: float = 0.0
+    noticed: float = 0.0
+    detected: DetectedBox | None = None
 
     @classmethod
     def newborn(
@@ -166,25 +201,56 @@ class Blob:
         return x + left, y + top, float(right - left), float(bottom - top)
 
     @property
+    def reported_box(self) -> tuple[float, float, float, float]:
+        """x, y, width, height px: as detections have it, or else as the mask."""
+        if self.detected is None:
+            return self.box
+        x, y, width, height = self.detected.mean.tolist()
+        top, left = self.position.tolist()
+        return left + x - 0.5 * width, top + y - height, width, height
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether it is likelier than not that it exists and covers half of the box that was detected."""
+        if self.detected is None:
+            return False
+        sides = np.tile(self.detected.mean[2:], 2)
+        place = self.detected.variance + np.array([self.covariance[0, 0]] * 2 + [0.0, 0.0])
+        off = np.array([1.0, 1.0, 0.5, 0.5]) * np.sqrt(place) / sides
+        # overlap is lost by the sum of four errors, whose sizes are half normal; sides that grow lose none
+        mean, deviation = math.sqrt(2 / math.pi) * off.sum(), math.sqrt(1 - 2 / math.pi) * math.hypot(*off)
+        near = 0.5 + 0.5 * math.erf((HALF_OVERLAP - mean) / (math.sqrt(2) * deviation))
+        return near / (1 + math.exp(-self.existence)) > 0.5
+
+    @property
     def ghost_evidence(self) -> float:
-        """nats, log ratio of being a ghost and being real."""
-        return self.view + self.past_views
+        """nats, log ratio of being a ghost and being real; a detector finds what is real."""
+        real = 0.0 if self.detected is None else max(self.existence, 0.0)
+        return self.view + self.past_views - real
 
     @property
     def foot(self) -> float:
         """px, the lowest row: what stands lower in the picture is nearer."""
-        return self.box[1] + self.box[3]
+        _, y, _, height = self.reported_box
+        return y + height
 
     @property
     def length(self) -> float:
         """px, the longer side of the box."""
-        return max(self.box[2:])
+        return max(self.reported_box[2:])
 
     def sprite(self, outliers: float) -> Sprite:
         """Mask and colours for loops over pixels, with the share of pixels that look otherwise."""
         log_ratio = log_density_ratio(len(self.appearance), self.spread)
         numbers = (np.float32(value) for value in (0.5 / self.spread, log_ratio, outliers))
         return Sprite(self.mask, self.appearance, *numbers)
+
+    def moved_patch(self, shift: NDArray[Any]) -> Self:
+        """The same with another top left corner, px down and right of the old; the mask must follow."""
+        box = self.detected
+        if box is not None:
+            box = replace(box, mean=box.mean - (shift[1], shift[0], 0, 0))
+        return self.changed(position=self.position + shift, detected=box)
 
     def changed(self, **values: Any) -> Self:
         """Like `dataclasses.replace`, but what was measured of a mask that stays is kept."""
@@ -215,6 +281,8 @@ class BlobState:
         s since the last frame with an image.
     confirmed_time
         s for which an object must have been seen before it is reported.
+    detecting
+        whether a detector has run, which decides what is reported.
     """
 
     blobs: tuple[Blob, ...]
@@ -222,13 +290,24 @@ class BlobState:
     size: tuple[int, int]
     elapsed: float
     confirmed_time: float
+    detecting: bool = False
 
     def tracks(self) -> list[Track]:
-        """Objects that are sure enough to be reported, by identity."""
-        found = [blob for blob in self.blobs if blob.seen >= self.confirmed_time]
+        """Objects that are sure enough to be reported, by identity.
+
+        Once a detector has run, they are those that it has found, and that likely exist where they are said
+        to be.
+        """
+        if self.detecting:
+            found = [blob for blob in self.blobs if blob.is_likely]
+        else:
+            found = [blob for blob in self.blobs if blob.seen >= self.confirmed_time]
         return [
             Track(
-                blob.identity, blob.box, blob.confidence, (float(blob.velocity[1]), float(blob.velocity[0]))
+                blob.identity,
+                blob.reported_box,
+                blob.confidence,
+                (float(blob.velocity[1]), float(blob.velocity[0])),
             )
             for blob in sorted(found, key=lambda blob: blob.identity)
         ]

@@ -15,8 +15,11 @@ def are_pieces(one: Blob, other: Blob) -> bool:
 
     What touches a blob right after it was born belongs to it if it is above, below or small, and the two
     together are not much larger than the larger (or the first is as new); so do blobs that have stood still
-    above each other for a while, or that move alike above each other and make one upright body together.
+    above each other for a while, or that move alike above each other and make one upright body together. What
+    a detector has found is whole.
     """
+    if one.detected is not None and other.detected is not None:
+        return False
     x, y, width, height = one.box
     other_x, other_y, other_width, other_height = other.box
     gap_y = max(y, other_y) - min(y + height, other_y + other_height)
@@ -49,7 +52,7 @@ def halves(blob: Blob) -> tuple[Map, Map]:
 def merged(blobs: Sequence[Blob]) -> list[Blob]:
     """Pieces of one object become one blob again (see `are_pieces`), the one seen for the longest."""
     result: list[Blob] = []
-    for blob in sorted(blobs, key=lambda blob: (-blob.seen, blob.identity)):
+    for blob in sorted(blobs, key=lambda blob: (blob.detected is None, -blob.seen, blob.identity)):
         other = next((k for k, kept in enumerate(result) if are_pieces(kept, blob)), None)
         if other is None:
             result.append(blob)
@@ -71,8 +74,7 @@ def joined(one: Blob, other: Blob) -> Blob:
         better = blob.mask > mask[window]
         mask[window][better] = blob.mask[better]
         appearance[:, *window][:, better] = blob.appearance[:, better]
-    return one.changed(
-        position=one.position + (first - corners[0]),
+    return one.moved_patch(first - corners[0]).changed(
         mask=mask,
         appearance=appearance,
         size=likely_size(mask),

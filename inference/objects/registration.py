@@ -7,11 +7,17 @@ import numpy as np
 
 from ...models.background.pixel_labels import PixelMessage
 from ...models.objects.kernels.blobs import Expected, density_without, search
+from .blob_geometry import FRESH
 from .blob_scene import cut_out
 from .blobs import Blob
 
+ASTRAY, ASTRAY_TIME = 0.05, 0.1
+"""Lengths, and s for which, a mask is off the object that a detector finds."""
 
-def registered(blobs: Sequence[Blob], pixels: PixelMessage, outliers: float, temper: float) -> list[Blob]:
+
+def registered(
+    blobs: Sequence[Blob], pixels: PixelMessage, outliers: float, temper: float, elapsed: float
+) -> list[Blob]:
     """Blobs with place and velocity updated by the pixels that nothing in front covers.
 
     Parameters
@@ -24,10 +30,15 @@ def registered(blobs: Sequence[Blob], pixels: PixelMessage, outliers: float, tem
         share of a blob's pixels that look otherwise.
     temper
         how many independent observations one pixel is worth.
+    elapsed
+        s since the last frame.
     """
     placed: list[Blob] = []
     for blob in blobs:
-        placed.append(_placed(blob, placed, pixels, outliers, temper))
+        if blob.detected is not None and (blob.confidence < 0.5 or blob.seen < FRESH):
+            placed.append(blob)  # its mask shows nothing that could be found again
+            continue
+        placed.append(_placed(blob, placed, pixels, outliers, temper, elapsed))
     return placed
 
 
@@ -37,7 +48,12 @@ def front_to_back(blobs: Sequence[Blob]) -> list[Blob]:
 
 
 def _placed(
-    blob: Blob, in_front: Sequence[Blob], pixels: PixelMessage, outliers: float, temper: float
+    blob: Blob,
+    in_front: Sequence[Blob],
+    pixels: PixelMessage,
+    outliers: float,
+    temper: float,
+    elapsed: float,
 ) -> Blob:
     """A blob after the Kalman update with the place where its mask and colours fit best."""
     top, left = blob.corner
@@ -52,6 +68,9 @@ def _placed(
         density_without(patch.log_odds, np.float32(pixels.background.prior)), blob.sprite(outliers),
     )  # fmt: skip
     variance = min(max(variance_y, variance_x, 0.25), 100.0)
+    if blob.detected is not None:
+        # a mask errs with its box, and for a while: detections know better
+        variance = max(variance, (ASTRAY * blob.length) ** 2 * max(ASTRAY_TIME / max(elapsed, 1e-3), 1.0))
     gain, speed_gain = place / (place + variance), both / (place + variance)
     innovation = np.array([top + down, left + right]) - blob.position
     after = [[(1 - gain) * place, (1 - gain) * both], [(1 - gain) * both, speed - speed_gain * both]]

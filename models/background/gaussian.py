@@ -28,6 +28,7 @@ from .kernels.gaussian import (
     subtract_colour,
     subtract_grey,
 )
+from .kernels.sway import LEAST_RATE, Sway, recall_moved
 from .light import LightField
 
 Planes = NDArray[np.float32]
@@ -109,6 +110,8 @@ class BackgroundPrediction:
     second
         second colour of every pixel: once known, what is within `tolerance` (squared grey levels, four times
         the variance of all channels) of it is background too.
+    sway
+        how often pixels show what is beside them.
     """
 
     size: tuple[int, int]
@@ -122,6 +125,7 @@ class BackgroundPrediction:
     pooling: float
     second: SecondColours
     tolerance: float
+    sway: Sway
     _compared: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
     _updates: dict[int, Gaussians] = field(default_factory=dict)
 
@@ -182,10 +186,13 @@ class BackgroundPrediction:
         flat = np.ascontiguousarray(image).reshape(-1)
         kernel = subtract_colour if self.channels == 3 else subtract_grey
         light, model, tolerance = self.light.along_rows, self.model, np.float32(self.tolerance)
+        sways = self.sway.rates.max() >= LEAST_RATE
 
         def subtract(first: int, end: int) -> None:
             kernel(first, end, flat, self.pixels, light, model, after, log_odds)
             recall(first * width, end * width, flat, self.second, tolerance, model, log_odds)
+            if sways:
+                recall_moved(first, end, flat, self.pixels, light, model, self.sway, log_odds)
 
         over_bands(subtract, height)
         smoothed = smooth(log_odds, self.size, self.prior, self.pooling)

@@ -1,6 +1,7 @@
 """Which detection belongs to which object: marginals over all ways to pair them, one to one."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -80,6 +81,8 @@ class Association:
         `(n_objects,)` probability with which the object, if it exists, would be found.
     missed
         `(n_objects,)` probability that the object exists and has no box.
+    visible
+        `(n_objects,)` share of each that is in sight.
     new
         `(n_boxes,)` probability that the box is of somebody not known before.
     double
@@ -95,12 +98,28 @@ class Association:
     pairs: Numbers
     expected: Numbers
     missed: Numbers
+    visible: Numbers
     new: Numbers
     double: Numbers
     log_evidence: float
 
     def __len__(self) -> int:
         return len(self.boxes)
+
+    @cached_property
+    def drawn(self) -> tuple[Numbers, Numbers]:
+        """Where the boxes draw each object: `(n_objects, 4)` 1/px^2 and, times it, px; 0 if it was missed.
+
+        That is the mean of the likelihood's logarithm over all assignments.
+        """
+        exists = np.maximum(self.pairs.sum(axis=1) + self.missed, 1e-30)
+        share = self.pairs / exists[:, None]
+        return share @ (1 / self.noise), share @ (self.boxes / self.noise)
+
+    @property
+    def in_sight(self) -> float:
+        """How many objects were missed though they could be seen."""
+        return float((self.missed * self.visible).sum())
 
     @property
     def true(self) -> Numbers:

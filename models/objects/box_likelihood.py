@@ -2,17 +2,24 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from ..core.frame import Frame, GivenBoxes
 from ..core.gaussian_message import GaussianMessage
 from .association import Association, assignment_marginals
 from .box_detector import BOX, BoxDetector, feet, log_anywhere
-from .box_message import BoxMessage, Existence
+from .box_message import BoxMessage, LogOdds
 
 Numbers = NDArray[np.float64]
 
-DOUBLE = 4.0
-"""So many times as far off as its first box may the second one of an object be."""
+NOTICED, UNNOTICED = 0.98, 0.05
+"""Probability of finding an object in full sight: in phases in which it is noticed, and in others.
+
+Misses come in bursts: what a detector does not find in one frame it hardly finds in the next.
+"""
+
+DOUBLE = np.array([3.0, 3.0, 1.0, 1.0])
+"""So many times as far off as its first box may the second one of an object be, in place and size."""
 
 SURELY_NOT = 1e-4
 """Probability of a pair below which nothing is learned from it."""
@@ -39,12 +46,17 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     assert given is not None
     boxes = feet(given.xyxy)
     noise = detector.noise(boxes)
-    identities, means, covariances = prior.expected.moments
-    exists = 1 / (1 + np.exp(-prior.existence.of(identities)))
+    tracked = prior.expected
+    tracked = tracked.only(np.isin(tracked.identities, prior.existence.identities))
+    identities, means, covariances = tracked.moments
+    exists, noticed = (expit(odds.of(identities)) for odds in (prior.existence, prior.noticed))
     size = _picture(frame, prior, given)
-    expected = detector.found * visible_share(means, exists, size)
-    densities = _log_densities(boxes, means, covariances, detector.noise(means))
-    further = _log_densities(boxes, means, covariances, DOUBLE**2 * detector.noise(means))
+    visible = visible_share(means, exists, size)
+    phases = np.array([[NOTICED], [UNNOTICED]]) * visible
+    expected = noticed * phases[0] + (1 - noticed) * phases[1]
+    own = detector.noise(means)
+    densities = _log_densities(boxes, means, covariances, own)
+    further = _log_densities(boxes, means, covariances, DOUBLE**2 * own)
 
     area = float(size[0] * size[1])
     score = np.exp(np.clip(detector.log_score_ratio(given.confidence, len(boxes)), -20, 20))
@@ -57,7 +69,9 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
 
     weights = expected[:, None] * np.exp(densities) * score / alone
     found = assignment_marginals(exists[:, None] * weights, 1 - exists * expected)
-    ratio = 1 - expected + (weights * found.open).sum(axis=1)
+    support = (weights * found.open).sum(axis=1) / np.maximum(expected, 1e-12)
+    ratio = 1 - expected + expected * support
+    by_phase = np.log(np.maximum(1 - phases + phases * support, 1e-30))
     poisson = detector.newcomers * detector.found + detector.clutter * area
     poisson += float(detector.doubles * exists @ expected)
     association = Association(
@@ -68,13 +82,18 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
         pairs=found.pairs,
         expected=expected,
         missed=exists * (1 - expected) / (1 - exists + exists * ratio),
+        visible=visible,
         new=found.alone * new / alone,
         double=found.alone * doubles / alone,
         log_evidence=found.log_sum + float(np.log(alone).sum()) - poisson,
     )
     order = np.argsort(identities)
-    existence = Existence(identities[order], np.log(np.maximum(ratio, 1e-30))[order])
-    return BoxMessage(_drawn(association, means, covariances), existence=existence, association=association)
+    return BoxMessage(
+        _drawn(association, means, covariances),
+        existence=LogOdds(identities[order], np.log(np.maximum(ratio, 1e-30))[order]),
+        noticed=LogOdds(identities[order], (by_phase[0] - by_phase[1])[order]),
+        association=association,
+    )
 
 
 def visible_share(boxes: Numbers, exists: Numbers, size: tuple[int, int]) -> Numbers:
@@ -117,10 +136,8 @@ def _log_densities(boxes: Numbers, means: Numbers, covariances: Numbers, noise: 
 
 def _drawn(association: Association, means: Numbers, covariances: Numbers) -> GaussianMessage:
     """Where the boxes draw each object, of mass 1 with what was expected of it."""
-    share = association.pairs / np.maximum(association.pairs.sum(axis=1) + association.missed, 1e-30)[:, None]
-    precision = share @ (1 / association.noise)
-    vector = share @ (association.boxes / association.noise)
-    told = np.flatnonzero(share.sum(axis=1) > SURELY_NOT)
+    precision, vector = association.drawn
+    told = np.flatnonzero(association.pairs.sum(axis=1) > SURELY_NOT)
     order = told[np.argsort(association.identities[told])]
     precision, vector, means, covariances = precision[order], vector[order], means[order], covariances[order]
     information = precision[:, :, None] * np.eye(BOX)

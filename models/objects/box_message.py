@@ -16,19 +16,19 @@ Numbers = NDArray[np.float64]
 
 @short_repr
 @dataclass(frozen=True, eq=False)
-class Existence:
-    """A product over objects k of exp(log_odds_k) where k exists as what detectors find, 1 where it does not.
+class LogOdds:
+    """A product over objects k of exp(log_odds_k) where something is true of k, and 1 where it is not.
 
     Parameters
     ----------
     identities
         `(n,)` int64, increasing.
-    log_odds
+    values
         `(n,)` nats; of an object that is not mentioned they are 0.
     """
 
     identities: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    log_odds: Numbers = field(default_factory=lambda: np.zeros(0))
+    values: Numbers = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.identities)
@@ -45,7 +45,7 @@ class Existence:
         if not len(self):
             return np.zeros(asked.shape)
         place = np.minimum(np.searchsorted(self.identities, asked), len(self) - 1)
-        known: Numbers = np.where(self.identities[place] == asked, self.log_odds[place], 0.0)
+        known: Numbers = np.where(self.identities[place] == asked, self.values[place], 0.0)
         return known
 
 
@@ -111,6 +111,8 @@ class BoxMessage:
         find them; nobody learns from them.
     existence
         log odds, by identity, that an object is one of those that the detector is made to find.
+    noticed
+        log odds, by identity, that it is in a phase in which the detector finds it when it is in sight.
     newcomers
         where and how large somebody new is; at most one sender.
     detector
@@ -121,7 +123,8 @@ class BoxMessage:
 
     objects: GaussianMessage = field(default_factory=lambda: GaussianMessage.uniform(BOX))
     hidden: GaussianMessage = field(default_factory=lambda: GaussianMessage.uniform(BOX))
-    existence: Existence = field(default_factory=Existence)
+    existence: LogOdds = field(default_factory=LogOdds)
+    noticed: LogOdds = field(default_factory=LogOdds)
     newcomers: Newcomers | None = None
     detector: BoxDetector | None = None
     association: Association | None = None
@@ -134,6 +137,7 @@ class BoxMessage:
             self.objects * other.objects,
             self.hidden * other.hidden,
             self.existence * other.existence,
+            self.noticed * other.noticed,
             self.newcomers or other.newcomers,
             self.detector or other.detector,
             self.association or other.association,

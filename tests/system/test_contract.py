@@ -102,7 +102,8 @@ def test_any_order_of_connections_gives_the_same_bytes(name: str) -> None:
 
 
 FILTERS = (
-    "AdaptiveBackground", "ArticulatedPose", "BlobTracker", "CameraMotion", "Condensation", "FleshTracker",
+    "AdaptiveBackground", "ArticulatedPose", "BlobTracker", "CameraMotion", "Condensation",
+    "DetectorRates", "FleshTracker",
     "GFlow", "GroundPlane", "MixtureBackground", "PointTracker", "RecursiveStructure",
 )  # fmt: skip
 
@@ -119,8 +120,8 @@ def alone(name: str) -> tuple[list[Frame], list[tuple[object, object]]]:
     if name == "GFlow":
         scene = face(3, 0, (192, 128))
         return list(scene), [(GFlow(scene.model, scene.poses[0], experts=2, texels=200), PIXELS)]
-    if name == "GroundPlane":
-        return street()[:12], [(GroundPlane(), BOXES)]
+    if name in ("DetectorRates", "GroundPlane"):
+        return street()[:12], [(kind(), BOXES)]
     if name == "CameraMotion":
         return street()[:12], [(kind(), SCENE), (AdaptiveBackground(), SCENE)]
     others = [(AdaptiveBackground(), PIXELS)] if name == "BlobTracker" else []

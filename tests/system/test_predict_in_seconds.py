@@ -15,6 +15,7 @@ from rsmcm.chains import (
     ArticulatedPose,
     BlobTracker,
     CameraMotion,
+    DetectorRates,
     FleshTracker,
     GFlow,
     GroundPlane,
@@ -28,7 +29,7 @@ from rsmcm.inference.body.samples import BodySamples
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels, PointTracks, ScenePixels
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import UpperBody
-from rsmcm.models.core.frame import GivenPoints
+from rsmcm.models.core.frame import GivenBoxes, GivenPoints
 
 Prediction = tuple[Any, Any]
 """A chain and a state of it after a few frames."""
@@ -71,6 +72,17 @@ def shaken_camera() -> Prediction:
     return chain, last[chain.name]
 
 
+def detector() -> Prediction:
+    """Rates of a detector after four frames in which it finds two boxes."""
+    boxes, chain = ObjectBoxes(), DetectorRates()
+    found = GivenBoxes(
+        np.array([[20.0, 30.0, 50.0, 110.0], [90.0, 40.0, 120.0, 130.0]]), np.array([0.4, 0.9])
+    )
+    frames = [Frame(BLANK.image, number * DT, number + 1, boxes=found) for number in range(4)]
+    *_, last = RecursiveBP(MultiChain().connect(chain, boxes)).run(frames)
+    return chain, last[chain.name]
+
+
 def turning_points(chain: Any) -> Prediction:
     """A chain that follows points of a turning cloud, after 3 s."""
     random, points = np.random.default_rng(0), PointTracks()
@@ -101,6 +113,7 @@ def textured() -> Prediction:
 CASES: dict[str, Callable[[], Prediction]] = {
     "AdaptiveBackground": lambda: walkers()["AdaptiveBackground"],
     "BlobTracker": lambda: walkers()["BlobTracker"],
+    "DetectorRates": detector,
     "GroundPlane": lambda: walkers()["GroundPlane"],
     "MixtureBackground": mixture,
     "CameraMotion": shaken_camera,
@@ -113,7 +126,7 @@ SAMPLED: dict[str, Callable[[int], Any]] = {
     "ArticulatedPose": lambda seed: ArticulatedPose(BODY, 4000, start=STANDING, seed=seed),
     "Condensation": lambda seed: Condensation(BODY, 4000, start=STANDING, seed=seed),
 }
-BATCH_ONLY = {"FactorStructure"}
+BATCH_ONLY = {"FactorStructure", "ObjectTrajectories", "SceneFilter"}
 
 
 def assert_close(one: Any, other: Any, place: str = "state") -> None:

@@ -52,7 +52,7 @@ Found = tuple[int, NDArray[np.float64]]
 """A frame's number and its components' boxes and areas `(n, 5)`."""
 
 SEEDS = "seeds of noise"
-HALF = "RSMCM, every second frame"
+HALF = "RSMCM at half the rate, judged in its frames"
 BEST_MOTA = "MOG2 or KNN, best MOTA"
 FIRST_COUNTED = 40
 """Errors are counted in every tenth frame after 30."""
@@ -190,7 +190,7 @@ def _errors(
 def _without_detector(film: AnnotatedFilm, peers: Mapping[str, "Tried"]) -> list[Trial]:
     """The model, also at half the frame rate, and the usual pipelines that were found best."""
     trials = pixel_trials(film)
-    trials.append(Trial(HALF, "", partial(model_tracks, film, "recursive-bp", 2, None)))
+    trials.append(Trial(HALF, "", partial(model_tracks, film, "recursive-bp", 2, None), step=2))
     for name, tried in peers.items():
         clean_up = replace(tried.row.clean_up, min_area=tried.min_area)
         tracks = partial(usual_tracks, film, tried.row.setting, clean_up, tried.parameters)

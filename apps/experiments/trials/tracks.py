@@ -102,12 +102,20 @@ class Trial:
         makes tracks of a seed of noise; can be sent to another process.
     seeds
         one is enough for methods that see no pictures.
+    step
+        only every `step`-th frame is judged, where it sees no others.
     """
 
     name: str
     described: str
     tracks: Callable[[int], Tracks]
     seeds: Sequence[int] = NOISE_SEEDS
+    step: int = 1
+
+    def scored(self, tracks: Sequence[Tracks], truth: BoxTruth) -> "Scored":
+        """Its scores, given its tracks by seed."""
+        judged = [number for number in truth.frames if (number - 1) % self.step == 0]
+        return Scored(self.name, self.described, [evaluate_tracks(table, truth, judged) for table in tracks])
 
 
 @dataclass(frozen=True)
@@ -149,12 +157,7 @@ def score_trials(
     trials: Sequence[Trial], tracks: dict[str, list[Tracks]], truth: BoxTruth
 ) -> dict[str, Scored]:
     """Scores of all trials by name."""
-    return {
-        trial.name: Scored(
-            trial.name, trial.described, [evaluate_tracks(table, truth) for table in tracks[trial.name]]
-        )
-        for trial in trials
-    }
+    return {trial.name: trial.scored(tracks[trial.name], truth) for trial in trials}
 
 
 def noisy(frame: Frame, seed: int) -> Frame:

@@ -31,7 +31,8 @@ def find_modes(first, end, pixels, covered, times, early, light, positions, band
     `(n_frames, n_pixels)` bool is true a frame does not count, unless all are. The density at a colour is the
     sum of max(0, 1 - d^2 / bandwidth) over the frames. What is still in the `early` first frames is taken as
     it is; else it is the colour with the highest product of its density and the mean distance in time of the
-    frames that show it. `after` (`Modes`) gets what is within the bandwidth of it.
+    frames that show it. `after` (`Modes`) gets what is within the bandwidth of it, of a still pixel in
+    the early frames alone: what comes later may be somebody in similar colours.
     """
     mean, scatter, support = after.mean, after.scatter, after.support
     channels, n_frames, width = mean.shape[0], pixels.shape[0], light.shape[2]
@@ -53,18 +54,18 @@ def find_modes(first, end, pixels, covered, times, early, light, positions, band
                 upper, lower = light[frame, above, x], light[frame, above + 1, x]
                 dimmed = _f4(1) / (upper + share * (lower - upper))
                 _take_colour(pixels[frame], i, channels, dimmed, values[:, frame])
-            best = _still(values, weights, early, bandwidth, closeness)
+            best, last = _still(values, weights, early, bandwidth, closeness), early
             if best < 0:
-                best = _lasting(values, weights, times, bandwidth, closeness)
-            count = _near(values, weights, best, n_frames, bandwidth, closeness)
+                best, last = _lasting(values, weights, times, bandwidth, closeness), n_frames
+            count = _near(values, weights, best, last, bandwidth, closeness)
             squares = _f4(0)
             for channel in range(channels):
                 total = _f4(0)
-                for other in range(n_frames):
+                for other in range(last):
                     total += closeness[other] * values[channel, other]
                 middle = total / count
                 mean[channel, i] = middle
-                for other in range(n_frames):
+                for other in range(last):
                     away = values[channel, other] - middle
                     squares += closeness[other] * away * away
             scatter[i] = squares / (count * _f4(channels))

@@ -1,8 +1,10 @@
 """Detections in a run: for the right frames, in all results, and refused in one line where they cannot be."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,9 +13,10 @@ from rsmcm.apps.background import application
 from rsmcm.apps.background.application import run_background
 from rsmcm.apps.background.compare import run_compare
 from rsmcm.apps.background.demo import write_scene
-from rsmcm.apps.background.job import BackgroundJob
+from rsmcm.apps.background.job import BackgroundJob, Engine
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.inference import Belief
+from rsmcm.models import Frame
 
 from ...conftest import Command, summary_of
 
@@ -110,6 +113,34 @@ def test_a_comparison_has_them_too(
     monkeypatch.setattr(methods, "found_in", application.found_in)
     run_compare(job_of(scene, tmp_path))
     assert seen == dict.fromkeys(range(1, N_FRAMES + 1), 1)
+
+
+@pytest.mark.parametrize(
+    ("engine", "warm_up", "least_passes"),
+    [("recursive-bp", None, 1), ("feed-forward", 0.2, 1), ("coordinate-ascent", None, 3)],
+)
+def test_every_engine_is_given_them_in_every_pass(
+    engine: Engine,
+    warm_up: float | None,
+    least_passes: int,
+    scene: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: list[int] = []
+    original = application.with_boxes
+
+    def with_boxes(*arguments: Any) -> Iterator[Frame]:
+        for frame in original(*arguments):
+            assert frame.boxes is not None
+            given.append(frame.number)
+            yield frame
+
+    monkeypatch.setattr(application, "with_boxes", with_boxes)
+    run_background(replace(job_of(scene, tmp_path), engine=engine, warm_up=warm_up))
+    passes = len(given) // N_FRAMES
+    assert passes >= least_passes
+    assert given == list(range(1, N_FRAMES + 1)) * passes
 
 
 def test_options_come_from_a_file_as_well(scene: Path, tmp_path: Path) -> None:

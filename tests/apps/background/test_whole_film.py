@@ -94,7 +94,7 @@ def test_before_the_masks_it_begins_anew_after_a_signal(
         passes.append(source)
         for count, frame in enumerate(items(self, source), 1):
             yield frame
-            if len(passes) == 4 and count == 17:
+            if len(passes) == 3 and count == 17:
                 signal.raise_signal(signal.SIGINT)
 
     job = job_of(scene, tmp_path, engine="coordinate-ascent")

@@ -1,7 +1,8 @@
 """Coordinate ascent on chains whose joint optimum has a closed form, and on chains that misbehave."""
 
+import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import permutations
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.inference import BatchIncoming, CoordinateAscent, MultiChain, Port, RecursiveBP, Smoothed
+from rsmcm.inference.core.sequence import LazyFrames
 from rsmcm.models import Frame
 from rsmcm.models.core.gaussian_message import GaussianMessage
 
@@ -255,6 +257,51 @@ def test_the_best_round_is_kept() -> None:
     assert len(solutions) == 2
     assert solutions[1].rounds[1].objective < solutions[1].rounds[0].objective
     np.testing.assert_array_equal(solutions[1]["worsening"].values, solutions[0]["worsening"].values)
+
+
+def test_rounds_that_are_not_compared_cost_no_objective() -> None:
+    level = Level()
+    worsening = Worsening("worsening", CALM.precision, CALM.pull, CALM.spread)
+    model = MultiChain().connect(worsening, level).connect(SMOOTH, level)
+    *_, last = CoordinateAscent(model, most_rounds=3, tolerance=None).rounds(FRAMES)
+    assert len(last.rounds) == 3
+    assert np.isnan([report.objective for report in last.rounds]).all()
+    assert not last.converged
+    first = CoordinateAscent(model, most_rounds=1, tolerance=None).run(FRAMES)
+    np.testing.assert_array_equal(last["worsening"].values, first["worsening"].values + 2)
+
+
+class Film(LazyFrames):
+    """Frames that are made when they are asked for; `alive` are those that somebody holds."""
+
+    def __init__(self) -> None:
+        self.alive: weakref.WeakSet[Frame] = weakref.WeakSet()
+        self.most = 0
+
+    def __len__(self) -> int:
+        return N_FRAMES
+
+    def __getitem__(self, index: int) -> Frame:  # type: ignore[override]
+        if not 0 <= index < N_FRAMES:
+            raise IndexError(index)
+        frame = replace(FRAMES[index])
+        self.alive.add(frame)
+        self.most = max(self.most, len(self.alive))
+        return frame
+
+    def time(self, index: int) -> float:
+        return FRAMES[index].time
+
+
+def test_frames_that_are_read_again_are_not_held() -> None:
+    level, film = Level(), Film()
+    model = MultiChain().connect(SMOOTH, level).connect(CALM, level)
+    found = CoordinateAscent(model).run(film)
+    assert film.most <= 3
+    held = CoordinateAscent(model).run(FRAMES)
+    assert found.objective == held.objective
+    for chain in (SMOOTH, CALM):
+        np.testing.assert_array_equal(found[chain].values, held[chain].values)
 
 
 def test_plain_images_are_frames() -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rsmcm.models.background.gaussian import BackgroundPrediction, colour
 from rsmcm.models.background.kernels import gaussian as kernels
+from rsmcm.models.background.kernels.sway import Sway
 from rsmcm.models.background.light import LightField
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.integrate import quad
@@ -45,6 +46,7 @@ def scene(channels, seed=0, size=(23, 37), prior=0.9, **changes):
             np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)
         ),
         "tolerance": 100.0,
+        "sway": Sway(np.zeros((3, 4), np.float32), 3),
     }
     image = np.clip(remembered + rng.normal(0, 6, shape), 0, 255)
     strange = image[5:15, 10:20]

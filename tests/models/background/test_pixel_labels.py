@@ -12,6 +12,7 @@ from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.background.gaussian import BackgroundPrediction, LightField, colour
 from rsmcm.models.background.kernels import gaussian as gaussian_kernels
 from rsmcm.models.background.kernels import layers as layer_kernels
+from rsmcm.models.background.kernels.sway import Sway
 from rsmcm.models.background.layers import Layer, LayerStack
 from rsmcm.models.background.pixel_labels import PixelMessage
 from rsmcm.models.numerics.threads import set_threads, thread_count
@@ -47,6 +48,7 @@ def background(channels=3, **changes):
             np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)
         ),
         "tolerance": 50.0,
+        "sway": Sway(np.zeros((3, 4), np.float32), 3),
     }
     return BackgroundPrediction(**{**values, **changes})
 

@@ -103,6 +103,14 @@ def test_scores_are_means_with_their_spread(film: AnnotatedFilm) -> None:
     assert "±" not in Scored("b", "", scored.scores[:1]).cells["IDF1"]
 
 
+def test_a_method_that_sees_every_second_frame_is_judged_in_these(film: AnnotatedFilm) -> None:
+    tracks = associated(film, 1, 0.34, (0.1, 1, 10))
+    half = Trial("half", "", partial(associated, film, 1, 0.34, (0.1, 1, 10)), (0,), step=2)
+    (scores,) = half.scored([tracks[tracks[:, 0] % 2 == 1]], film.truth).scores
+    assert scores.n_frames == N_FRAMES // 2
+    assert scores.misses == 0
+
+
 def test_trials_are_what_running_by_hand_gives(film: AnnotatedFilm) -> None:
     """In other processes, with the same noise."""
     run = partial(model_tracks, film, "recursive-bp", 1, 1)

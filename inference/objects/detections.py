@@ -1,0 +1,252 @@
+"""What detections do to objects: they correct, start, confirm and doubt them."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...models.core.gaussian_message import GaussianMessage
+from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from ...models.objects.box_message import BoxMessage, LogOdds
+from ..filters.linear_motion import kinematic
+from .blob_geometry import FRESH, box_densities
+from .blobs import MARGIN, Blob, DetectedBox, Map, Pair
+
+ACCELERATION = 0.4
+"""Heights/s^2, standard deviation of what moves a person out of the straight way; it lasts half a second."""
+
+FIRST_SPEED = 0.8
+"""Heights/s, standard deviation of somebody's velocity along either axis of the picture."""
+
+LIFE = 20.0
+"""s, for which an object stays in the picture on average."""
+
+PHASE = 0.5
+"""s, time constant with which the detector begins to notice an object, or ceases to."""
+
+USUALLY = 0.85
+"""Share of the time for which the detector notices an object."""
+
+SWAY = 0.03
+"""Heights/s^0.5: how far a box moves against the blob that it is of, by gait."""
+
+GROWTH = 0.1
+"""Shares/s^0.5: how fast sides of a box change as somebody comes nearer."""
+
+MASK_ERROR = 0.2
+"""Of a mask's box, in its sides: how far a detector's box may be off."""
+
+LEAST = np.array([-np.inf, -np.inf, 1.0, 1.0])
+"""px: of a box's numbers."""
+
+SPREAD = 300.0
+"""Squared grey levels: variance of a new object's colours about those that it shows first."""
+
+WHOLE = 0.25
+"""s after which a box of the same object is worth a whole new one: a detector errs alike for a while."""
+
+CANDIDATE = 0.1
+"""Probability of being somebody new from which on a box is remembered as an object."""
+
+GIVEN_UP = math.log(0.02 / 0.98)
+"""Log odds of existence below which an object is forgotten."""
+
+
+def _doubted(blob: Blob, dt: float) -> Blob:
+    """What is known of an object's detections `dt` s later."""
+    if blob.detected is None:
+        return blob
+    box = blob.detected
+    height = box.mean[HEIGHT]
+    grown = dt * np.array([SWAY * height, SWAY * height, GROWTH * box.mean[WIDTH], GROWTH * height]) ** 2
+    stays, exists = math.exp(-dt / PHASE), math.exp(-dt / LIFE) * _probability(blob.existence)
+    noticed = stays * _probability(blob.noticed) + (1 - stays) * USUALLY
+    return blob.changed(
+        detected=replace(box, variance=box.variance + grown, unfound=box.unfound + dt),
+        existence=_log_odds(exists),
+        noticed=_log_odds(noticed),
+    )
+
+
+def moved(blobs: Sequence[Blob], dt: float, acceleration: float, detecting: bool) -> tuple[Blob, ...]:
+    """Blobs `dt` s on: velocity stays, but for a random force of their own lengths/s^2, or a person's."""
+    if not blobs:
+        return ()
+    means = np.stack([(blob.position, blob.velocity) for blob in blobs]).swapaxes(1, 2)
+    covariances = np.stack([blob.covariance for blob in blobs])
+    found = (ACCELERATION if blob.detected is not None else acceleration for blob in blobs)
+    lengths = np.array([each * blob.length for each, blob in zip(found, blobs, strict=True)])
+    means, covariances = kinematic(2, dt).moved(means, covariances, 0.5 * lengths**2)  # px^2/s^3
+    later = (
+        blob.changed(position=mean[:, 0], velocity=mean[:, 1], covariance=covariance)
+        for blob, mean, covariance in zip(blobs, means, covariances, strict=True)
+    )
+    return tuple(_doubted(blob, dt) if detecting else blob for blob in later)
+
+
+def is_shown(blob: Blob) -> bool:
+    """Whether the pixels alone show the blob, and well."""
+    return blob.confidence > 0.5 and blob.seen >= FRESH and blob.detected is None
+
+
+def said(blobs: Sequence[Blob], detecting: bool, image: bool) -> BoxMessage:
+    """What blobs say of boxes: of those that an image shows well, and what a detector may find of others."""
+    shown = [blob for blob in blobs if is_shown(blob)] if image else []
+    message = BoxMessage(box_densities(shown)) if shown else BoxMessage()
+    return message * _expectations(blobs) if detecting else message
+
+
+def _expectations(blobs: Sequence[Blob]) -> BoxMessage:
+    """That objects exist and are noticed, and boxes of those that a detector has found before."""
+    blobs = sorted(blobs, key=lambda blob: blob.identity)
+    identities = np.array([blob.identity for blob in blobs], np.int64)
+    hidden = [blob for blob in blobs if blob.detected is not None]
+    message = BoxMessage(
+        existence=LogOdds(identities, np.array([blob.existence for blob in blobs], np.float64)),
+        noticed=LogOdds(identities, np.array([blob.noticed for blob in blobs], np.float64)),
+    )
+    if not hidden:
+        return message
+    boxes = [blob.detected or from_mask(blob) for blob in hidden]
+    means = np.stack([_absolute(blob, box) for blob, box in zip(hidden, boxes, strict=True)])
+    variances = np.stack([box.variance for box in boxes])
+    variances[:, :WIDTH] += np.array([[blob.covariance[0, 0]] for blob in hidden])
+    numbers = [blob.identity for blob in hidden]
+    gaussian = GaussianMessage.from_moments(numbers, means, variances[:, :, None] * np.eye(BOX))
+    return replace(message, hidden=gaussian)
+
+
+def from_mask(blob: Blob) -> DetectedBox:
+    """What a blob's mask tells of the box that a detector would find."""
+    x, y, width, height = blob.box
+    top, left = blob.position.tolist()
+    sides = np.array([width, height, width, height])
+    mean = np.array([x + 0.5 * width - left, y + height - top, width, height])
+    return DetectedBox(mean, (MASK_ERROR * sides) ** 2 + 1)
+
+
+def corrected(blobs: Sequence[Blob], boxes: BoxMessage) -> list[Blob]:
+    """Objects after a detector has run: place, velocity and box as far as boxes are theirs."""
+    association = boxes.association
+    assert association is not None
+    precision, vector = association.drawn
+    places = {int(identity): k for k, identity in enumerate(association.identities)}
+    result = []
+    for blob in blobs:
+        k = places.get(blob.identity)
+        if k is None:
+            result.append(blob)
+            continue
+        existence, noticed = (float(odds.of(blob.identity)) for odds in (boxes.existence, boxes.noticed))
+        blob = blob.changed(existence=blob.existence + existence, noticed=blob.noticed + noticed)
+        share = float(association.pairs[k].sum())
+        if blob.detected is None and share > 0.5:
+            blob = blob.changed(detected=from_mask(blob))
+        if blob.detected is not None and share > 1e-3:
+            blob = _drawn(blob, vector[k] / precision[k], 1 / precision[k])
+        result.append(blob)
+    return result
+
+
+def unexplained(boxes: BoxMessage, size: tuple[int, int]) -> list[int]:
+    """Which boxes, in the picture, may be of somebody who is not known yet."""
+    association = boxes.association
+    assert association is not None
+    likely: list[int] = np.flatnonzero(association.new > CANDIDATE).tolist()
+    return [k for k in likely if _inside(association.boxes[k], size)]
+
+
+def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
+    """An object that the detector's box `k` is the first to show."""
+    association = boxes.association
+    assert association is not None
+    x, y, width, height = association.boxes[k].tolist()
+    corner = np.array([y - height - MARGIN, x - 0.5 * width - MARGIN])
+    mask = _ellipse(width, height)
+    planes = np.zeros((channels, *mask.shape), np.float32)
+    mean = np.array([x - corner[1], y - corner[0], width, height])
+    return Blob.newborn(identity, corner, mask, planes, FIRST_SPEED, SPREAD).changed(
+        covariance=np.diag([1e-6, (FIRST_SPEED * height) ** 2]),
+        existence=_log_odds(float(association.new[k])),
+        noticed=_log_odds(0.98),
+        confidence=0.0,
+        detected=DetectedBox(mean, association.noise[k]),
+    )
+
+
+def is_part(blob: Blob, detected: Sequence[Blob]) -> bool:
+    """Whether a blob that no detector has found lies in the boxes of others, so that it is a piece of one."""
+    if blob.detected is not None:
+        return False
+    x, y, width, height = blob.box
+    for other in detected:
+        left, top, across, down = other.reported_box
+        shared_x = min(x + width, left + across) - max(x, left)
+        shared_y = min(y + height, top + down) - max(y, top)
+        if shared_x > 0 and shared_y > 0 and shared_x * shared_y > 0.5 * width * height:
+            return True
+    return False
+
+
+def is_kept(blob: Blob, size: tuple[int, int]) -> bool:
+    """Whether an object that was detected once may still be there, in the picture; others may."""
+    if blob.detected is None:
+        return True
+    there = _inside(_absolute(blob, blob.detected), size) and blob.existence > GIVEN_UP
+    return there and blob.covariance[0, 0] < float(blob.detected.mean[HEIGHT]) ** 2
+
+
+def _inside(box: Pair, size: tuple[int, int]) -> bool:
+    """Whether a fifth of a box, along either axis, is in the picture."""
+    x, y, width, height = box.tolist()
+    across = min(x + 0.5 * width, size[1]) - max(x - 0.5 * width, 0.0)
+    down = min(y, size[0]) - max(y - height, 0.0)
+    return bool(across > 0.2 * width and down > 0.2 * height)
+
+
+def _drawn(blob: Blob, place: Pair, noise: Pair) -> Blob:
+    """The blob after its box was seen at a place: its patch, its velocity and the box within it share."""
+    box = blob.detected
+    assert box is not None
+    (along, both), (_, speed) = blob.covariance.tolist()
+    off = place - _absolute(blob, box)
+    noise = noise / min(max(box.unfound, 1e-3) / WHOLE, 1.0)
+    total = box.variance + noise
+    total[:WIDTH] += along
+    gain = box.variance / total
+    middle = float(total[:WIDTH].mean())
+    down_right = off[[FOOT_Y, FOOT_X]]
+    kept = 1 - along / middle
+    mean = np.maximum(box.mean + gain * off, LEAST)
+    seen = DetectedBox(mean, (1 - gain) * box.variance)
+    return blob.changed(
+        position=blob.position + along / middle * down_right,
+        velocity=blob.velocity + both / middle * down_right,
+        covariance=np.array([[kept * along, kept * both], [kept * both, speed - both**2 / middle]]),
+        detected=seen,
+    )
+
+
+def _absolute(blob: Blob, box: DetectedBox) -> Pair:
+    """`(4,)` px: foot x and y in the picture, width, height."""
+    top, left = blob.position.tolist()
+    return np.asarray(box.mean + np.array([left, top, 0.0, 0.0]))
+
+
+def _ellipse(width: float, height: float) -> Map:
+    """What somebody in a box likely covers, in a patch with a border of `MARGIN`."""
+    rows, columns = (max(round(side), 1) + 2 * MARGIN for side in (height, width))
+    y = (np.arange(rows) - 0.5 * (rows - 1)) / (0.5 * height)
+    x = (np.arange(columns) - 0.5 * (columns - 1)) / (0.5 * width)
+    square = y[:, None] ** 2 + x**2
+    return np.asarray(0.9 / (1 + np.exp(8 * (square - 1))), np.float32)
+
+
+def _probability(log_odds: float) -> float:
+    return 0.5 * (1 + math.tanh(0.5 * log_odds))
+
+
+def _log_odds(probability: float) -> float:
+    likely = min(max(probability, 1e-9), 1 - 1e-9)
+    return math.log(likely) - math.log1p(-likely)

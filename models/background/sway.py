@@ -1,0 +1,59 @@
+"""How much of a scene moves to and fro, learned block by block: what leaves do is no object."""
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .kernels.gaussian import Gaussians, Light
+from .kernels.sway import Sway, count_moved
+
+REACH = 0.01
+"""Share of the picture's longer side within which leaves sway."""
+
+SWAY_TIME = 10.0
+"""s for which it is remembered that something swayed: a lull is longer than somebody's passing."""
+
+FIRST_TIME = 1.0
+"""s for which it is taken for granted in the beginning that nothing sways."""
+
+LEAST_SEEN = 4
+"""Pixels of a block that tell how much of it sways."""
+
+
+def reach(size: tuple[int, int]) -> int:
+    """px within which the scene of `size` `(height, width)` sways."""
+    return max(math.ceil(REACH * max(size)), 3)
+
+
+def learned_rates(
+    sway: Sway,
+    image: NDArray[np.uint8],
+    before: Gaussians,
+    light: Light,
+    covered: NDArray[np.uint8],
+    times: tuple[float, float],
+) -> NDArray[np.float32]:
+    """Rates after a frame; what is `covered` `(n_pixels,)` tells nothing of them.
+
+    Parameters
+    ----------
+    sway, before, light
+        predicted.
+    image
+        uint8 `(height, width[, 3])`.
+    times
+        s for which the scene has been seen, and s since the frame before.
+    """
+    counts = np.empty((*sway.rates.shape, 4), np.float32)
+    count_moved(np.ascontiguousarray(image).reshape(-1), before, light, covered, sway.reach, counts)
+    age, elapsed = times
+    share = 1 - math.exp(-elapsed / (min(age, SWAY_TIME) + FIRST_TIME))
+    around = 9 * cv2.blur(counts, (3, 3), borderType=cv2.BORDER_REPLICATE)
+    seen, moved, brighter, changed = np.moveaxis(around, -1, 0)
+    # leaves change places, some get brighter and some darker; a shade and a person change all one way
+    moved = moved * (1 - np.abs(brighter) / np.maximum(changed, 1e-6))
+    now = moved / np.maximum(seen, 1)
+    rates = sway.rates + np.where(seen > LEAST_SEEN, share, 0) * (now - sway.rates)
+    return np.asarray(rates, np.float32)

@@ -1,0 +1,207 @@
+"""What boxes say of objects: against sums over all assignments, and at its limits."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models import Frame, GivenBoxes, ObjectBoxes
+from rsmcm.models.core.gaussian_message import GaussianMessage
+from rsmcm.models.objects.box_detector import BoxDetector, Scores, feet, log_anywhere
+from rsmcm.models.objects.box_likelihood import DOUBLE, NOTICED, UNNOTICED, associate, visible_share
+from rsmcm.models.objects.box_message import BoxMessage, LogOdds, Newcomers
+from scipy.special import expit
+from scipy.stats import multivariate_normal, norm
+
+Numbers = NDArray[np.float64]
+
+SIZE = (480, 640)
+BLANK = np.zeros(SIZE, np.uint8)
+WHO = np.array([[200.0, 300.0, 40.0, 100.0], [330.0, 310.0, 42.0, 104.0]])
+OFF = np.array([4.0, -3.0, 2.0, 5.0])
+SPREAD = np.diag([3.0, 4.0, 5.0, 6.0]) ** 2
+
+
+def xyxy(boxes: Numbers) -> Numbers:
+    x, y, width, height = np.asarray(boxes, np.float64).reshape(-1, 4).T
+    return np.stack([x - width / 2, y - height, x + width / 2, y], axis=1)
+
+
+def frame(boxes: Numbers, scores: Numbers | None = None) -> Frame:
+    return Frame(BLANK, 0.0, 1, boxes=GivenBoxes(xyxy(boxes), scores))
+
+
+def known(means: Numbers = WHO, existence: float = 2.0, noticed: float = 1.5) -> BoxMessage:
+    identities = np.arange(1, len(means) + 1)
+    gaussian = GaussianMessage.from_moments(identities, means, np.tile(SPREAD, (len(means), 1, 1)))
+    odds = (LogOdds(identities, np.full(len(means), each)) for each in (existence, noticed))
+    existence_, noticed_ = odds
+    return BoxMessage(gaussian, existence=existence_, noticed=noticed_)
+
+
+def summed(found: Numbers, prior: BoxMessage, detector: BoxDetector) -> tuple[Numbers, Numbers, float]:
+    """Pairs, log ratios of existence and log density of the boxes, by going through everything."""
+    identities, means, covariances = prior.objects.moments
+    exists = expit(prior.existence.of(identities))
+    noticed = expit(prior.noticed.of(identities))
+    seen = noticed * NOTICED + (1 - noticed) * UNNOTICED
+    area = float(SIZE[0] * SIZE[1])
+    alone = (detector.clutter * area + detector.newcomers * detector.found) * np.exp(
+        log_anywhere(found, area)
+    )
+    for mean, covariance, is_there, share in zip(means, covariances, exists, seen, strict=True):
+        wide = covariance + np.diag(DOUBLE**2 * detector.noise(mean[None])[0])
+        second = multivariate_normal(mean, wide).pdf(found).reshape(-1)
+        alone = alone + detector.doubles * is_there * share * second
+    total, pairs = 0.0, np.zeros((len(means), len(found)))
+    present = np.zeros((len(means), 2))  # mass with the object there, and not
+    for there in product((0, 1), repeat=len(means)):
+        for chosen in product(range(-1, len(found)), repeat=len(means)):
+            taken = [box for box in chosen if box >= 0]
+            if len(set(taken)) < len(taken) or any(
+                c >= 0 and not t for c, t in zip(chosen, there, strict=True)
+            ):
+                continue
+            value = float(np.prod([alone[box] for box in range(len(found)) if box not in taken]))
+            for k, box in enumerate(chosen):
+                value *= exists[k] if there[k] else 1 - exists[k]
+                if there[k] and box < 0:
+                    value *= 1 - seen[k]
+                elif box >= 0:
+                    covariance = covariances[k] + np.diag(detector.noise(means[k][None])[0])
+                    value *= seen[k] * multivariate_normal(means[k], covariance).pdf(found[box])
+            total += value
+            for k, box in enumerate(chosen):
+                present[k, 1 - there[k]] += value
+                if box >= 0:
+                    pairs[k, box] += value
+    ratio = np.log(present[:, 0] / present[:, 1]) - np.log(exists / (1 - exists))
+    poisson = detector.clutter * area + detector.newcomers * detector.found
+    poisson += detector.doubles * float(exists @ seen)
+    return pairs / total, ratio, float(np.log(total)) - poisson
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32), st.integers(1, 2), st.integers(0, 2), st.floats(-2, 4))
+def test_one_object_or_one_box_is_exact(seed: int, n_objects: int, n_boxes: int, existence: float) -> None:
+    """Who is there, which box is whose, and how likely all boxes are."""
+    if n_objects > 1:
+        n_boxes = min(n_boxes, 1)
+    random = np.random.default_rng(seed)
+    means = WHO[:n_objects]
+    found = means[random.integers(0, n_objects, n_boxes)] + random.normal(0, (6, 6, 8, 10), (n_boxes, 4))
+    prior, detector = known(means, existence), BoxDetector()
+    message = associate(frame(found), prior, detector)
+    assert message.association is not None
+    pairs, ratio, log_density = summed(found, prior, detector)
+    np.testing.assert_allclose(message.association.pairs, pairs, atol=1e-4)
+    np.testing.assert_allclose(message.existence.values, ratio, atol=1e-3)
+    assert message.association.log_evidence == pytest.approx(log_density, abs=1e-3)
+
+
+def test_what_is_said_of_places_has_mass_one_with_what_was_expected() -> None:
+    prior = known()
+    message = associate(frame(WHO + OFF), prior, BoxDetector())
+    assert len(message.objects) == 2
+    assert (prior.objects * message.objects).log_mass == pytest.approx(0, abs=1e-6)
+    _, means, _ = (prior.objects * message.objects).moments
+    assert (np.abs(means - WHO - OFF) < np.abs(OFF)).all()
+
+
+def test_a_detector_that_did_not_run_says_nothing_and_one_that_found_nothing_doubts_everybody() -> None:
+    objects, prior = ObjectBoxes(), known()
+    silent = objects.evidence(Frame(BLANK, 0.0, 1), prior)
+    assert silent.association is None
+    assert not len(silent.existence)
+    empty = objects.evidence(frame(np.zeros((0, 4))), prior)
+    seen = expit(1.5) * NOTICED + expit(-1.5) * UNNOTICED
+    np.testing.assert_allclose(empty.existence.values, np.log(1 - seen))
+    assert not len(empty.objects)
+    assert (empty.noticed.values < -1).all()
+
+
+def test_who_is_hidden_or_outside_is_not_doubted() -> None:
+    """Somebody behind another, and somebody who has left the picture by half."""
+    behind = np.array([[200.0, 300.0, 60.0, 140.0], [200.0, 290.0, 40.0, 100.0]])
+    share = visible_share(behind, np.array([1.0, 1.0]), SIZE)
+    np.testing.assert_allclose(share, [1, 0], atol=1e-9)
+    np.testing.assert_allclose(visible_share(behind, np.array([0.5, 1.0]), SIZE), [1, 0.5], atol=1e-9)
+    np.testing.assert_allclose(
+        visible_share(np.array([[0.0, 300.0, 60.0, 140.0]]), np.ones(1), SIZE), [0.5], atol=1e-9
+    )
+    doubted = associate(frame(np.zeros((0, 4))), known(behind, existence=8.0), BoxDetector()).existence
+    assert doubted.values[0] < -1
+    assert doubted.values[1] > -0.01
+
+
+def test_scores_decide_who_is_new() -> None:
+    """A box far from everybody is new or false; a second one of somebody known is a double, not new."""
+    far = np.array([[500.0, 400.0, 44.0, 110.0]])
+    scored = replace(BoxDetector(newcomers=0.1, clutter=1e-6), scores=Scores(0.8, 0.3, 0.15))
+    sure, doubtful = (associate(frame(far, np.array([s])), known(), scored).association for s in (0.9, 0.2))
+    assert sure is not None
+    assert doubtful is not None
+    assert sure.new[0] > 0.9
+    assert doubtful.new[0] < 0.1
+    both = np.stack([WHO[0], WHO[0] + np.array([12, 8, 3, 4])])
+    message = associate(frame(both), known(), BoxDetector())
+    assert message.association is not None
+    assert message.association.pairs[0].sum() > 0.95
+    assert message.association.new.max() < 0.02
+    assert message.association.double.max() > 0.9
+
+
+@pytest.mark.parametrize(("score", "log_ratio"), [(0.8, 5.5556), (0.55, 0.0), (0.3, -5.5556)])
+def test_scores_are_two_gaussians(score: float, log_ratio: float) -> None:
+    scores = Scores(0.8, 0.3, 0.15)
+    expected = norm(0.8, 0.15).logpdf(score) - norm(0.3, 0.15).logpdf(score)
+    assert scores.log_ratio(np.array([score]))[0] == pytest.approx(expected, abs=1e-9)
+    assert expected == pytest.approx(log_ratio, abs=1e-3)
+
+
+def test_newcomers_are_a_density() -> None:
+    """Height and width summed over a grid, in one row; times the rows and columns of the picture it is 1."""
+    new = Newcomers(SIZE, np.array([100.0, 0.3]), np.diag([25.0, 1e-4]), 0.1, 0.4, 0.1**2)
+    heights, widths = np.arange(1.0, 300, 2), np.arange(-60.0, 160, 1)
+    grid = np.stack(np.meshgrid(widths, heights), axis=-1).reshape(-1, 2)
+    boxes = np.column_stack([np.full((len(grid), 2), 240.0), grid])
+    assert np.exp(new.log_density(boxes)).sum() * 2 * SIZE[0] * SIZE[1] == pytest.approx(1, abs=0.01)
+    mean, deviation = new.height([240.0, 340.0])
+    np.testing.assert_allclose(mean, [100, 130])
+    np.testing.assert_allclose(deviation, np.hypot([5, np.hypot(5, 1)], [10, 13]))
+
+
+def test_order_of_boxes_and_names_of_objects_do_not_matter() -> None:
+    random = np.random.default_rng(2)
+    found = np.concatenate([WHO + random.normal(0, 4, WHO.shape), WHO[:1] + 15])
+    one = associate(frame(found), known(), BoxDetector()).association
+    two = associate(frame(found[::-1]), known(), BoxDetector()).association
+    assert one is not None
+    assert two is not None
+    np.testing.assert_allclose(one.pairs, two.pairs[:, ::-1], atol=1e-6)
+    assert one.log_evidence == pytest.approx(two.log_evidence, abs=1e-6)
+
+
+def test_messages_multiply() -> None:
+    """Odds add, and two factors of which there may be one are refused."""
+    one, two = LogOdds(np.array([1, 3]), np.array([0.5, 1.0])), LogOdds(np.array([3, 4]), np.array([2.0, -1]))
+    np.testing.assert_allclose((one * two).of([1, 2, 3, 4]), [0.5, 0, 3, -1])
+    detector = BoxMessage(detector=BoxDetector())
+    assert (detector * BoxMessage()).detector is detector.detector
+    with pytest.raises(ValueError, match="two factors detector"):
+        detector * detector
+
+
+@pytest.mark.parametrize(
+    "values", [{"found": 0}, {"found": 1}, {"clutter": 0}, {"size": -1}, {"position": float("nan")}]
+)
+def test_bad_detectors(values: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=rf"{next(iter(values))}: got"):
+        BoxDetector(**values)  # type: ignore[arg-type]
+
+
+def test_feet() -> None:
+    np.testing.assert_allclose(feet(xyxy(WHO)), WHO)
