@@ -95,7 +95,7 @@ def noise_ratio(record: PairRecord) -> float:
     the errors without it means nothing.
     """
     found = record.predictions
-    ratios = [
+    ratios: list[float] = [
         float(squared_distances(found.observed - means, found.noise).mean()) / found.observed.shape[1]
         for means in (found.first, found.second)
     ]
@@ -139,8 +139,8 @@ def _in_words(record: PairRecord, found: Comparison) -> str:
     if ratio < 1:
         lines = [
             f"{pair}: not sure. What was observed is nearer to a prediction than its own noise allows "
-            f"(squared distances are {ratio:.2f} times that): the noise is overstated, and errors, correlation "
-            "and gain cannot be told. Scores as stated can."
+            f"(squared distances are {ratio:.2f} times that): the noise is overstated, and errors, "
+            "correlation and gain cannot be told. Scores as stated can."
         ]
     else:
         lines = [f"{pair}: {found.verdict}. {found.reason}."]
