@@ -26,7 +26,7 @@ from ..io.mot import TrackedObject, TrackWriter, read_tracks
 from ..io.segments import segment_pattern
 from ..io.sources.open_source import Source
 from ..runs.film_run import FilmRun, Writer
-from ..runs.interruption import Outcome
+from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
@@ -254,6 +254,9 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             )
         if job.warm_up is not None:
             self.state, frames = warmed_up(job.warm_up, frames, model)
+            if self.interruption.signal is not None and not self.source.live:
+                # of fewer frames another scene is found than a run that is resumed would go on with
+                raise Interrupted(self.interruption.signal)
         return frames
 
     def _read_masks(self) -> None:
@@ -329,7 +332,9 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             tracked = self.job.engine != "stand-alone"
             rows = track_rows(read_tracks(self.job.out / "tracks.txt")) if tracked else None
             metrics = self._scoring.measures(rows)
-        given = None if self._detections is None else self._detections.counted(self.record.numbers)
+        given = None
+        if self._detections is not None:
+            given = self._detections.counted(set(self.record.numbers) - set(self.record.missing))
         return {"tracks": len(self.record.tracks), "detections": given, "metrics": metrics}
 
     def finish(self, summary: Mapping[str, Any]) -> None:
@@ -387,7 +392,7 @@ def read_given(job: BackgroundJob, source: Source) -> Detections | None:
         raise ValueError(f"--detections: {source.name} is live, so nobody has seen its frames before")
     found = read_detections(job.detections, job.class_names, film=source.name, pictures=source.pictures)
     last = None
-    if source.n_frames is not None:
+    if source.n_frames is not None and source.counted:
         last = job.start + source.n_frames * job.step - 1
         if job.stop is not None and job.stop <= last:  # the film may go on behind it
             last = None

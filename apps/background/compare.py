@@ -28,7 +28,7 @@ from ..runs.output_folder import output_folder
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
 from .application import COMPARISON, BackgroundRun, Found, read_given, read_truth
-from .job import BackgroundJob
+from .job import BackgroundJob, Camera
 from .methods import Method, Model, Usual
 from .parameters import Parameters, read_parameters
 
@@ -133,7 +133,9 @@ FIGURE_ROWS = (
 )
 
 
-def methods_of_figure_8(size: tuple[int, int], parameters: Parameters) -> list[Method]:
+def methods_of_figure_8(
+    size: tuple[int, int], parameters: Parameters, camera: Camera = "fixed"
+) -> list[Method]:
     """The background by itself at several P(B), feed-forward, RSMCM, and OpenCV's subtractors as they come.
 
     Parameters
@@ -142,6 +144,8 @@ def methods_of_figure_8(size: tuple[int, int], parameters: Parameters) -> list[M
         `(width, height)` px of the pictures.
     parameters
         of the chains.
+    camera
+        as `build_model` takes it; the usual ones know only a fixed one.
     """
     alone = [
         Model(
@@ -149,13 +153,14 @@ def methods_of_figure_8(size: tuple[int, int], parameters: Parameters) -> list[M
             "stand-alone",
             size,
             {"background": {**parameters.get("background", {}), "prior": prior}},
+            camera,
         )
         for prior in PRIORS
     ]
     return [
         *alone,
-        Model("feed-forward", "feed-forward", size, parameters),
-        Model("RSMCM", "recursive-bp", size, parameters),
+        Model("feed-forward", "feed-forward", size, parameters, camera),
+        Model("RSMCM", "recursive-bp", size, parameters, camera),
         Usual("MOG2, 5x5 median", OpenCVSubtractor("MOG2", 500, 16), USUAL_CLEAN_UP, size),
         Usual("KNN, 5x5 median", OpenCVSubtractor("KNN", 500, 400), USUAL_CLEAN_UP, size),
     ]
@@ -182,7 +187,7 @@ def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
         region = read_region(job.roi, source.size) if job.roi else None
         tallies = {
             method.name: Tally(method, read_truth(job, source, region))
-            for method in methods_of_figure_8(source.size, parameters)
+            for method in methods_of_figure_8(source.size, parameters, job.camera)
         }
         alone = tallies[f"stand-alone, P(B) = {SHOWN_PRIOR}"].method
         dual = tallies["RSMCM"].method

@@ -34,8 +34,8 @@ class BackgroundJob(FilmJob):
         are there from the beginning are no part of it. These frames are held in memory.
     config
         TOML file with options under their names, and with parameters of the chains, in sections [background],
-        [blobs], [ground], [camera-motion], and [chains.NAME] for those of other packages; what is typed goes
-        first.
+        [blobs], [ground], [detector], [camera-motion], and [chains.NAME] for those of other packages; what is
+        typed goes first.
     chain
         Connect a chain of another package as well, by the name under which it is announced (entry points
         rsmcm.chains); several times for several.

@@ -11,7 +11,7 @@ from ...inference.core.recursive_bp import RunState
 from ...models.core.frame import BoundingBox, Frame
 from ..experiments.trials.baselines import CleanUp, KalmanHungarian, Subtractor, component_boxes
 from .application import Found, build_model, found_in
-from .job import Engine
+from .job import Camera, Engine
 from .parameters import Parameters
 
 Image = NDArray[np.uint8]
@@ -38,19 +38,24 @@ class Model:
     ----------
     name
         for tables.
-    engine, parameters
+    engine, parameters, camera
         as `build_model` takes them.
     size
         `(width, height)` px of the pictures.
     """
 
     def __init__(
-        self, name: str, engine: Engine, size: tuple[int, int], parameters: Parameters | None = None
+        self,
+        name: str,
+        engine: Engine,
+        size: tuple[int, int],
+        parameters: Parameters | None = None,
+        camera: Camera = "fixed",
     ) -> None:
         self.name = name
         self.tracks = engine != "stand-alone"
         self._size = size
-        self._engine = RecursiveBP(build_model(engine, parameters))
+        self._engine = RecursiveBP(build_model(engine, parameters, camera))
         self._state = RunState()
 
     def step(self, frame: Frame) -> Found:

@@ -27,13 +27,17 @@ HEADER = (
 )  # fmt: skip
 
 
+class TooFewError(ValueError):
+    """What was recorded of a pair is too little to be judged."""
+
+
 def report_validity(folder: Path) -> str:
     """A table of all pairs of chains of a run, and what it means in sentences.
 
     Raises
     ------
     ValueError
-        if the folder has no recorded predictions, or they cannot be read.
+        if the folder has no recorded predictions, they cannot be read, or there are too few of every pair.
     OSError
         if there is no such folder.
     """
@@ -46,15 +50,27 @@ def report_validity(folder: Path) -> str:
     records = read_predictions(folder)
     if not records:
         return "No two chains of this run predicted the same feature."
-    pairs = [(record, judge(record)) for record in records if isinstance(record, PairRecord)]
-    scores = [(record, judge_scores(record)) for record in records if isinstance(record, ScoreRecord)]
+    pairs: list[tuple[PairRecord, Comparison]] = []
+    scores: list[tuple[ScoreRecord, ScoreComparison]] = []
+    too_few: list[TooFewError] = []
+    for record in records:
+        try:
+            if isinstance(record, PairRecord):
+                pairs.append((record, judge(record)))
+            else:
+                scores.append((record, judge_scores(record)))
+        except TooFewError as error:
+            too_few.append(error)
+    if not pairs and not scores:
+        raise too_few[0]
     parts = []
     if pairs:
         parts.append(in_columns(HEADER, [_row(*each) for each in pairs]))
     if scores:
         parts.append(in_columns(SCORE_HEADER, [_score_row(*each) for each in scores]))
     parts += [_in_words(*each) for each in pairs]
-    return "\n\n".join([*parts, *(_scores_in_words(*each) for each in scores)])
+    parts += [_scores_in_words(*each) for each in scores]
+    return "\n\n".join([*parts, *(f"{error}." for error in too_few)])
 
 
 def judge(record: PairRecord) -> Comparison:
@@ -68,7 +84,7 @@ def judge(record: PairRecord) -> Comparison:
     enough = [labels for labels in groupings if len(np.unique(labels)) >= FEWEST_GROUPS]
     several = enough or [labels for labels in groupings if len(np.unique(labels)) > 1]
     if not several:
-        raise ValueError(
+        raise TooFewError(
             f"{record.first} + {record.second}: got {len(record.predictions)} predictions of one track "
             "in one frame, expected more"
         )
@@ -78,6 +94,8 @@ def judge(record: PairRecord) -> Comparison:
 
 def judge_scores(record: ScoreRecord) -> ScoreComparison:
     """Compare a pair by its log densities; stretches of frames are taken for independent."""
+    if len(np.unique(record.frames)) < 2:
+        raise TooFewError(f"{record.first} + {record.second}: got scores of one frame, expected more")
     return compare_scores(record.scores, _stretches(record.frames))
 
 

@@ -39,6 +39,7 @@ class ImageReader:
 
     kind = "images"
     live = False
+    counted = True
     truncated = False
     lost: str | None = None
     gaps: tuple[Gap, ...] = ()

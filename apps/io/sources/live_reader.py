@@ -108,6 +108,7 @@ class LiveReader:
 
     live = True
     total: int | None = None
+    counted = False
     truncated = False
     notes: tuple[str, ...] = ()
     pictures: tuple[str, ...] = ()

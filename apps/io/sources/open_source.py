@@ -57,6 +57,8 @@ class Source:
     n_frames
         number of frames expected for start, stop and step, those up to `after` included (for video: as its
         header states); `None` when unknown.
+    counted
+        whether `n_frames` comes from a count, not from a duration, behind which there may be more.
     rate
         frames per second of the source, before `step`.
     size
@@ -107,6 +109,7 @@ class Source:
         self.rate = reader.rate
         self.size = reader.header_size
         self.pictures = reader.pictures
+        self.counted = reader.counted
         self.n_frames = None if reader.total is None else len(selection.numbers(reader.total))
         while isinstance(item, Frame):
             self._decoded.append(item)

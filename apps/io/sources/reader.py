@@ -78,6 +78,8 @@ class Reader(Protocol):
         as of `Source`.
     total
         frames in the whole source as far as it is stated.
+    counted
+        whether `total` is a count, not worked out from a duration, behind which there may be more.
     last_number
         of the last frame seen, also of those not selected.
     lost
@@ -89,6 +91,7 @@ class Reader(Protocol):
     live: bool
     rate: float
     total: int | None
+    counted: bool
     truncated: bool
     last_number: int
     lost: str | None

@@ -76,6 +76,7 @@ class VideoReader:
         self._seconds = self._stated_seconds()
         self._counted = self._stream.frames or None
         self.total = self._counted
+        self.counted = self._counted is not None
         if self.total is None and self._seconds is not None:
             self.total = max(1, round(self._seconds * self.rate))
 

@@ -1,11 +1,14 @@
 """Detections in a run: for the right frames, in all results, and refused in one line where they cannot be."""
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -14,6 +17,7 @@ from rsmcm.apps.background.application import run_background
 from rsmcm.apps.background.compare import run_compare
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob, Engine
+from rsmcm.apps.io.sources.open_source import open_source
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.inference import Belief
 from rsmcm.models import Frame
@@ -189,6 +193,36 @@ def test_what_cannot_be_is_one_line(
 def test_detections_of_the_whole_film_serve_a_part(scene: Path, tmp_path: Path) -> None:
     outcome = run_background(replace(job_of(scene, tmp_path), start=2, stop=3))
     assert outcome.summary["detections"] == {"boxes": 2, "frames": 2}
+
+
+def test_a_film_may_go_on_behind_the_frames_that_its_duration_tells_of(tmp_path: Path) -> None:
+    path = tmp_path / "film.mkv"
+    with av.open(str(path), "w") as film:
+        stream = film.add_stream("mpeg4", rate=10)
+        stream.width, stream.height = SIZE
+        stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
+        for number in range(N_FRAMES):  # the second half at twice the rate
+            picture = av.VideoFrame.from_ndarray(np.full((*SIZE[::-1], 3), 90, np.uint8), "bgr24")
+            picture.pts = 50 * (number + min(number, N_FRAMES // 2))
+            picture.time_base = Fraction(1, 1000)
+            film.mux(stream.encode(picture))
+        film.mux(stream.encode())
+    with open_source(str(path)) as source:
+        assert source.n_frames is not None
+        assert source.n_frames < N_FRAMES
+    found = tmp_path / "det.txt"
+    found.write_text(f"{N_FRAMES},-1,10,10,20,30,0.9\n")
+    job = BackgroundJob(str(path), out=tmp_path / "out", masks="none", detections=found)
+    assert run_background(job).summary["detections"] == {"boxes": 1, "frames": 1}
+
+
+def test_boxes_of_a_frame_that_cannot_be_read_are_not_counted(scene: Path, tmp_path: Path) -> None:
+    film = tmp_path / "film"
+    shutil.copytree(scene / "input", film)
+    (film / "in000004.png").write_bytes(b"broken")
+    summary = run_background(replace(job_of(scene, tmp_path / "out"), source=str(film))).summary
+    assert summary["missing_frames"] == 1
+    assert summary["detections"] == {"boxes": N_FRAMES - 1, "frames": N_FRAMES - 1}
 
 
 def test_detections_that_are_not_there(

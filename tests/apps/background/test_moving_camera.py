@@ -7,12 +7,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.background.application import build_model, found_in
+from rsmcm.apps.background import methods
+from rsmcm.apps.background.application import Found, build_model, found_in
+from rsmcm.apps.background.compare import PRIORS, run_compare
+from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.moving_camera import MOVES, CameraWatch
 from rsmcm.apps.io.files import write_image
 from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.scenes import ShakenFilm, shaken, sleeping_man
-from rsmcm.inference import RecursiveBP
+from rsmcm.inference import Belief, RecursiveBP
 from rsmcm.models import Frame
 
 from ...conftest import Command
@@ -101,3 +104,18 @@ def test_a_camera_that_is_followed_gives_masks_and_tracks_of_the_frames(
         boxes = tracks[tracks["frame"] == index + 1]["box"]
         assert np.abs(boxes[:, 0] + boxes[:, 2] - columns[-1] - 1).min(initial=np.inf) < 9, index
     assert 2 * hits / (2 * hits + wrong) > 0.85
+
+
+def test_a_comparison_follows_it_too(
+    shaking: tuple[ShakenFilm, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    followed = []
+
+    def seen(belief: Belief, size: tuple[int, int]) -> Found:
+        followed.append(belief["pixels"].view is not None)
+        return found_in(belief, size)
+
+    monkeypatch.setattr(methods, "found_in", seen)
+    run_compare(BackgroundJob(str(shaking[1]), out=tmp_path, camera="moving", stop=2))
+    assert len(followed) == 2 * (len(PRIORS) + len(methods.CHAINS))
+    assert all(followed)

@@ -161,6 +161,27 @@ def test_a_run_with_a_warm_up_goes_on(scene: Path, tmp_path: Path, monkeypatch: 
     assert masks_of(tmp_path / "parts") == masks_of(tmp_path / "whole")
 
 
+def test_a_warm_up_that_a_signal_ends_begins_anew(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_background(job_of(scene, tmp_path / "whole", warm_up=1.0))
+    items = Interruption.items
+
+    def interrupted(self: Interruption, source: Iterator[Frame]) -> Iterator[Frame]:
+        for count, frame in enumerate(items(self, source), 1):
+            yield frame
+            if count == 5:  # of the 26 that it holds
+                signal.raise_signal(signal.SIGINT)
+
+    job = job_of(scene, tmp_path / "parts", warm_up=1.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(Interruption, "items", interrupted)
+        with pytest.raises(Interrupted):
+            run_background(job)
+    assert run_background(replace(job, resume=True)).signal is None
+    assert masks_of(tmp_path / "parts") == masks_of(tmp_path / "whole")
+
+
 def test_frames_of_a_warm_up_come_again_in_order() -> None:
     from rsmcm.apps.background.application import build_model
 

@@ -1,5 +1,6 @@
 """Whether combining pays, from log densities: against densities that are known."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.command_line import main
 from rsmcm.apps.evaluation.predictions import FILE, ScoreRecord, read_predictions, write_predictions
+from rsmcm.apps.evaluation.validity import TooFewError, report_validity
 from rsmcm.inference.validity.estimate import FEWEST_GROUPS
 from rsmcm.inference.validity.scores import compare_scores
 from scipy.stats import norm
@@ -96,3 +98,14 @@ def test_broken_scores_are_one_line(
     (line,) = capsys.readouterr().err.splitlines()
     assert FILE in line
     assert "scores" in line
+
+
+def test_a_pair_of_which_there_is_too_little_keeps_no_other_from_being_judged(tmp_path: Path) -> None:
+    short = record().thinned(1)
+    write_predictions(tmp_path, [replace(short, first="three"), record()])
+    said = report_validity(tmp_path)
+    assert "one + two on pixels: helps." in said
+    assert said.endswith("three + two: got scores of one frame, expected more.")
+    write_predictions(tmp_path, [short])
+    with pytest.raises(TooFewError, match=r"one \+ two: got scores of one frame"):
+        report_validity(tmp_path)
