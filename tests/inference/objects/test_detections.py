@@ -241,3 +241,13 @@ def test_the_smallest_boxes_are_drawn_without_overflow() -> None:
         assert np.isfinite(mask).all()
         assert mask.min() >= 0
         assert mask.max() <= detections.SURE_COVER
+
+
+def test_boxes_alone_are_nothing_to_start_from() -> None:
+    thing = (40, 0.0)
+    given = [boxes_at(number, thing) for number in range(3)]
+    first, second, third = (Frame(None, number * DT, number + 1, boxes=given[number]) for number in range(3))
+    beliefs = list(engine().run([first, replace(second, image=film(2, thing)[1]), third]))
+    assert beliefs[0].frame.missing
+    assert [len(belief.states) for belief in beliefs] == [0, 4, 4]
+    assert [track.identity for track in beliefs[2].states["blobs"].tracks()] == [1]
