@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from ..inference.core.protocols import Incoming, Port
 from ..models.background.pixel_labels import PixelMessage
+from ..models.background.scene_pixels import ScenePixels
 from ..models.camera.affine_map import UNKNOWNS
-from ..models.camera.scene_pixels import ScenePixels
 from ..models.camera.view import View
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr

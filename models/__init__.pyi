@@ -1,9 +1,9 @@
 from .background.layers import Layer, LayerStack
 from .background.pixel_labels import PixelLabels, PixelMessage
+from .background.scene_pixels import ScenePixels
 from .body.parts import BodyParts
 from .body.poses import BodyPoses
 from .body.upper_body import UpperBody
-from .camera.scene_pixels import ScenePixels
 from .core.categorical import Categorical
 from .core.frame import Frame, GivenBoxes
 from .face.detectors import HaarFaces, YuNetFaces

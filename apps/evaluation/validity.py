@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ...inference.validity.estimate import FEWEST_GROUPS, Comparison, Interval, compare
 from ...inference.validity.scores import ScoreComparison, compare_scores
+from ...models.core.mahalanobis import squared_distances
 from ..reports.expectations import in_columns
 from .predictions import FILE, PairRecord, ScoreRecord, read_predictions
 
@@ -87,6 +88,20 @@ def _stretches(frames: NDArray[np.int64]) -> NDArray[np.int64]:
     return stretches
 
 
+def noise_ratio(record: PairRecord) -> float:
+    """Squared distance of what was observed from the nearer prediction, over the noise that is stated of it.
+
+    Of right noises it is 1 and more: predictions err too. Below, the noise is overstated, and what is left of
+    the errors without it means nothing.
+    """
+    found = record.predictions
+    ratios: list[float] = [
+        float(squared_distances(found.observed - means, found.noise).mean()) / found.observed.shape[1]
+        for means in (found.first, found.second)
+    ]
+    return min(ratios)
+
+
 def _row(record: PairRecord, found: Comparison) -> tuple[object, ...]:
     return (
         f"{record.first} + {record.second}",
@@ -97,7 +112,7 @@ def _row(record: PairRecord, found: Comparison) -> tuple[object, ...]:
         f"{found.correlation:.2f}",
         f"{found.bearable_correlation:.2f}" if np.isfinite(found.bearable_correlation) else "any",
         f"{found.gain:.2g}",
-        found.verdict,
+        found.verdict if noise_ratio(record) >= 1 else "not sure",
     )
 
 
@@ -120,8 +135,16 @@ def _scores_in_words(record: ScoreRecord, found: ScoreComparison) -> str:
 
 
 def _in_words(record: PairRecord, found: Comparison) -> str:
-    lines = [f"{record.first} + {record.second} on {record.feature}: {found.verdict}. {found.reason}."]
-    if found.theorem_holds:
+    pair, ratio = f"{record.first} + {record.second} on {record.feature}", noise_ratio(record)
+    if ratio < 1:
+        lines = [
+            f"{pair}: not sure. What was observed is nearer to a prediction than its own noise allows "
+            f"(squared distances are {ratio:.2f} times that): the noise is overstated, and errors, "
+            "correlation and gain cannot be told. Scores as stated can."
+        ]
+    else:
+        lines = [f"{pair}: {found.verdict}. {found.reason}."]
+    if found.theorem_holds and ratio >= 1:
         lines.append("The sufficient condition of Theorem 2 is met.")
     stated = found.stated
     if stated is not None:

@@ -11,6 +11,22 @@ from numpy.typing import NDArray
 
 from ...background.compare import PRIORS, SHOWN_PRIOR, Gallery, write_comparison
 from ...background.methods import CHAINS, Model, ModelSubtractor
+from ...background.track_trials import (
+    MEASURES,
+    NOISE_SEEDS,
+    WHOLE,
+    AnnotatedFilm,
+    Scored,
+    Tracks,
+    Trial,
+    detector_expectations,
+    detector_trials,
+    model_tracks,
+    pixel_trials,
+    run_trials,
+    score_trials,
+    usual_tracks,
+)
 from ...evaluation.masks import ErrorClasses, error_classes, ratio
 from ...evaluation.tracks import TrackScores, evaluate_tracks
 from ...io.datasets import data_folder
@@ -29,22 +45,6 @@ from ..trials.baselines import (
     components,
     readable_images,
     sweep_subtractors,
-)
-from ..trials.tracks import (
-    MEASURES,
-    NOISE_SEEDS,
-    WHOLE,
-    AnnotatedFilm,
-    Scored,
-    Tracks,
-    Trial,
-    detector_expectations,
-    detector_trials,
-    model_tracks,
-    pixel_trials,
-    run_trials,
-    score_trials,
-    usual_tracks,
 )
 
 Image = NDArray[np.uint8]

@@ -473,6 +473,20 @@ def test_files_hold_what_was_recorded(tmp_path: Path) -> None:
         np.testing.assert_array_equal(read.predictions.noise, written.predictions.noise)
 
 
+def test_an_overstated_noise_of_the_observed_gives_no_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    honest = pair()
+    overstated = replace(honest, predictions=replace(honest.predictions, noise=10 * honest.predictions.noise))
+    for record, verdict in ((honest, "helps"), (overstated, "not sure")):
+        write_predictions(tmp_path, [record])
+        with pytest.raises(SystemExit):
+            main(["validity", str(tmp_path)])
+        said = capsys.readouterr().out
+        assert f"chain-a + chain-b on points: {verdict}." in said
+        assert ("the noise is overstated" in said) == (verdict == "not sure")
+
+
 def test_long_records_are_thinned_evenly() -> None:
     count = 3 * MOST_ROWS + 17
     numbers = np.arange(count)

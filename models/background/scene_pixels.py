@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..background.pixel_labels import PixelLabels, PixelMessage, tint
 from ..core.frame import Frame
 from ..core.short_repr import short_repr
+from .pixel_labels import PixelLabels, PixelMessage, tint
 
 
 @short_repr
