@@ -192,7 +192,8 @@ class BlobTracker:
         self, state: BlobState, pixels: PixelMessage, boxes: BoxMessage, found: tuple[list[Blob], LayerStack]
     ) -> tuple[list[Blob], list[Blob], LayerStack]:
         blobs = front_to_back(detections.corrected(found[0], boxes))
-        channels = 1 if pixels.image is None or pixels.image.ndim == 2 else 3
+        # born where there is no image, it is of any colour until there is one
+        channels = 0 if pixels.image is None else 1 if pixels.image.ndim == 2 else 3
         new = [
             detections.newborn(number, boxes, k, channels)
             for number, k in enumerate(detections.unexplained(boxes, state.size), state.born + 1)
@@ -216,7 +217,7 @@ class BlobTracker:
         """Mask and colours after the frame, and how much of the blob was seen."""
         if blob.ghost_evidence >= self.ghost_evidence:
             return blob.changed(unseen=math.inf)
-        blob = fitted(blob)
+        blob = fitted(blob if len(blob.appearance) else scene.coloured(blob))
         patch = cut_out(scene.pixels, *blob.corner, blob.mask.shape, in_front)
         mask, appearance = np.empty_like(blob.mask), np.empty_like(blob.appearance)
         explained = scene.explained(*blob.corner, blob.mask.shape)

@@ -234,7 +234,10 @@ class SceneFilter:
         states = dict(state.states)
         messages = messages_of(trajectory.boxes, len(trajectory.times))
         for name, chain in self.model.chains.items():
-            if len(trajectory.boxes) and all(issubclass(port.kind, ObjectBoxes) for port in chain.ports):
+            # a detector's chain would take frames without detections for a time in which it did not run
+            if len(trajectory.boxes) and all(
+                issubclass(port.kind, ObjectBoxes) and port.sole != "detector" for port in chain.ports
+            ):
                 known, last = states[name], trajectory.times[0]
                 for time, message in zip(trajectory.times, messages, strict=True):
                     known = chain.predict(known, time - last)

@@ -1,7 +1,7 @@
 """Algorithm 1 of the RSMCM paper, recursive belief propagation, for any number of chains and features."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf
 from pathlib import Path
@@ -209,7 +209,7 @@ class RecursiveBP:
     def step(self, state: RunState, frame: Frame) -> Belief:
         """Take in one frame.
 
-        The first frame in which there is something to see is met with the chains' initial states, later ones
+        The first frame with an image or points is met with the chains' initial states, later ones
         with predictions. A missing frame brings no evidence: chains predict, hear each other, and go on.
 
         Parameters
@@ -237,8 +237,9 @@ class RecursiveBP:
             raise ValueError(
                 f"frames: got {shape} uint8 at frame {frame.number}, expected {state.shape} uint8"
             )
-        if frame.missing and not state.states:
-            return Belief(frame, RunState({}, frame.number, frame.time, None), None)
+        if not state.states and frame.image is None and frame.points is None:
+            # boxes alone are nothing that chains could start from
+            return Belief(replace(frame, boxes=None), RunState({}, frame.number, frame.time, None), None)
 
         chains = self.model.chains
         if not state.states:

@@ -46,8 +46,7 @@ class Track:
         x, y, width, height px; x, y is the top left corner, 0 at the picture's.
     confidence
         share of the object's visible part that was seen, 0 to 1; 0 while it is hidden or not found. A missing
-        frame leaves it as it was. Of who was detected it is
-        the probability that there is such an object.
+        frame leaves it as it was. Of who was detected it is the probability that there is such an object.
     velocity
         px/s to the right and down.
     """
@@ -94,7 +93,7 @@ class Blob:
     mask
         `(height, width)` float32 probability of covering a pixel.
     appearance
-        `(channels, height, width)` float32 planes.
+        `(channels, height, width)` float32 planes; none where no image has shown it yet.
     spread
         squared grey levels: variance of its colours about `appearance`.
     seen

@@ -263,7 +263,7 @@ def _ellipse(width: float, height: float) -> Map:
     y = (np.arange(rows) - 0.5 * (rows - 1)) / (0.5 * height)
     x = (np.arange(columns) - 0.5 * (columns - 1)) / (0.5 * width)
     square = y[:, None] ** 2 + x**2
-    return np.asarray(SURE_COVER / (1 + np.exp(8 * (square - 1))), np.float32)
+    return np.asarray(SURE_COVER / (1 + np.exp(np.minimum(8 * (square - 1), 700))), np.float32)
 
 
 def _probability(log_odds: float) -> float:

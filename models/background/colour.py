@@ -18,7 +18,7 @@ FROM_BGR: NDArray[np.float64] = np.array(
 )
 """Rows: luma, 2 Cr, 2 Cb (ITU-R BT.601) of a BGR pixel."""
 
-VOLUME = {1: 1.0, 3: float(abs(np.linalg.det(FROM_BGR)))}
+VOLUME = {0: 1.0, 1: 1.0, 3: float(abs(np.linalg.det(FROM_BGR)))}
 """By number of channels: how much a volume of grey levels grows in the planes."""
 
 

@@ -79,7 +79,9 @@ class GivenBoxes:
         n_boxes = len(self.xyxy)
         for name in ("confidence", "classes", "masks"):
             values = getattr(self, name)
-            if values is not None and (len(values) != n_boxes or (values.ndim != 1) != (name == "masks")):
+            if values is not None and (
+                len(values) != n_boxes or values.ndim != (3 if name == "masks" else 1)
+            ):
                 raise ValueError(f"boxes: got {name} {values.shape} for {n_boxes} boxes")
         for number, (left, top, right, bottom) in enumerate(self.xyxy.tolist()):
             if not (right - left > 0 and bottom - top > 0 and np.isfinite(self.xyxy[number]).all()):
@@ -128,6 +130,8 @@ class GivenBoxes:
             rows = rows.reshape(0, 4)
         if rows.ndim != 2 or rows.shape[1] not in (4, 5, 6):
             raise ValueError(f"boxes: got {rows.shape}, expected (n, 4), (n, 5) or (n, 6)")
+        if not np.isfinite(rows[:, 5:]).all():
+            raise ValueError("boxes: got a class that is not finite, expected its number")
         score = rows[:, 4] if rows.shape[1] > 4 else None
         return cls(rows[:, :4], score, rows[:, 5].astype(np.int64) if rows.shape[1] > 5 else None)
 

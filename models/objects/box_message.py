@@ -140,7 +140,8 @@ class BoxMessage:
             self.noticed * other.noticed,
             self.newcomers or other.newcomers,
             self.detector or other.detector,
-            self.association or other.association,
+            # one without boxes, which is false, says that the detector has run
+            other.association if self.association is None else self.association,
         )
 
     @property

@@ -108,6 +108,13 @@ def test_the_second_round_knows_the_ground(solution: Solution) -> None:
     assert states["ground"].scene_covariance[0, 0] < 0.5 * fresh.scene_covariance[0, 0]
 
 
+def test_what_others_say_of_boxes_is_no_time_without_detections(solution: Solution) -> None:
+    scene, _, _ = film_model()
+    start = scene.start(solution["scene"])
+    assert len(solution["scene"].boxes)
+    assert start.states["detector"].elapsed == 0.0
+
+
 def test_more_of_the_sample_is_from_the_beginning() -> None:
     times = np.arange(5000) / 25
     chosen = sample_of(times, 48, 30.0)

@@ -201,3 +201,53 @@ def test_a_saved_run_goes_on_as_if_it_had_not_stopped(tmp_path: Path) -> None:
     for one, two in zip(engine().run(frames, state=state), beliefs[20:], strict=True):
         assert one["blobs"].tracks() == two["blobs"].tracks()
         assert one.log_evidence == two.log_evidence
+
+
+def test_a_detector_that_finds_nothing_has_run() -> None:
+    images = film(8, (20, 0.0))
+    nothing = GivenBoxes(np.zeros((0, 4)))
+    last = run(images, [nothing] * len(images))[-1]
+    assert last[ObjectBoxes()].association is not None
+    assert last.states["blobs"].detecting
+    assert not last.states["blobs"].tracks()
+    assert last.states["detector"].elapsed == 0.0
+    found = run(images, [boxes_at(0, (20, 0.0))] * 4 + [nothing] * 4)
+    existence = [belief.states["blobs"].blobs[0].existence for belief in found]
+    assert existence[-1] < existence[3] - 3
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_somebody_found_where_there_is_no_image_gets_the_colours_of_the_next(channels: int) -> None:
+    thing = (40, 0.0)
+    images = [image if channels == 3 else image[..., 0].copy() for image in film(10, thing)]
+    shown = [images[0], None, None, *images[3:]]
+    given = [None, *(boxes_at(number, thing) for number in range(1, 10))]
+    frames = [
+        Frame(image, number * DT, number + 1, boxes=boxes)
+        for number, (image, boxes) in enumerate(zip(shown, given, strict=True))
+    ]
+    beliefs = list(engine().run(frames))
+    assert [len(belief.states["blobs"].tracks()) for belief in beliefs] == [0] + [1] * 9
+    (blob,) = beliefs[-1].states["blobs"].blobs
+    assert blob.appearance.shape == (channels, *blob.mask.shape)
+    middle = blob.appearance[0, blob.mask.shape[0] // 2, blob.mask.shape[1] // 2]
+    assert abs(middle - 30) < 5
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_smallest_boxes_are_drawn_without_overflow() -> None:
+    for width, height in [(0.01, 0.01), (1.0, 1.0), (1.0, 30.0)]:
+        mask = detections._ellipse(width, height)
+        assert np.isfinite(mask).all()
+        assert mask.min() >= 0
+        assert mask.max() <= detections.SURE_COVER
+
+
+def test_boxes_alone_are_nothing_to_start_from() -> None:
+    thing = (40, 0.0)
+    given = [boxes_at(number, thing) for number in range(3)]
+    first, second, third = (Frame(None, number * DT, number + 1, boxes=given[number]) for number in range(3))
+    beliefs = list(engine().run([first, replace(second, image=film(2, thing)[1]), third]))
+    assert beliefs[0].frame.missing
+    assert [len(belief.states) for belief in beliefs] == [0, 4, 4]
+    assert [track.identity for track in beliefs[2].states["blobs"].tracks()] == [1]
