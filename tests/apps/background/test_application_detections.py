@@ -87,11 +87,14 @@ def test_all_results_tell_of_them(scene: Path, tmp_path: Path) -> None:
     video = cv2.VideoCapture(str(tmp_path / "without" / "overlay.mp4"))
     _, plain = video.read()
     video.release()
-    changed = np.argwhere(np.abs(shown.astype(int) - plain).max(axis=2) > 60)
     assert summary_of(tmp_path / "without")["detections"] is None
-    assert len(changed) > 60, "a thin box"
-    assert changed.min(axis=0).tolist() == pytest.approx([20, 1], abs=2)
-    assert changed.max(axis=0).tolist() == pytest.approx([59, 30], abs=2)
+    changed = (np.abs(shown.astype(int) - plain).max(axis=2) > 60).astype(np.uint8)
+    near = cv2.dilate(changed, np.ones((5, 5), np.uint8)) > 0  # video smears
+    outline = np.zeros(SIZE[::-1], bool)
+    outline[20:60, 1:31] = True
+    outline[21:59, 2:30] = False
+    assert near[outline].mean() > 0.8, "a thin box"
+    assert changed[66:].sum() == 0
 
 
 def test_a_run_goes_on_only_with_the_same_detections(scene: Path, tmp_path: Path) -> None:
