@@ -25,14 +25,13 @@ from ..inference.objects import detections
 from ..inference.objects.blob_geometry import (
     FRESH,
     THINNEST,
-    around,
     fitted,
     is_hidden,
     likely_size,
     without_crumbs,
 )
 from ..inference.objects.blob_scene import BlobScene, cut_out
-from ..inference.objects.blobs import Blob, BlobState
+from ..inference.objects.blobs import Blob, BlobState, around
 from ..inference.objects.ghosts import ghost_layer, inherited, weighed
 from ..inference.objects.groups import alone, fragment_time, halves, merged, parting_column, with_parts
 from ..inference.objects.registration import front_to_back, registered

@@ -22,7 +22,7 @@ from ..io.detections.table import Detections
 from ..io.files import write_image
 from ..io.ground_truth import MaskTruth, common_frames, read_ground_truth
 from ..io.masks import MaskWriter
-from ..io.mot import TrackedObject, TrackWriter, read_tracks
+from ..io.mot import TrackedBox, TrackedObject, TrackWriter, read_tracks
 from ..io.segments import segment_pattern
 from ..io.sources.open_source import Source
 from ..runs.film_run import FilmRun, Writer
@@ -43,7 +43,7 @@ from .parameters import (
 from .predictions import Predictions
 from .record import RunRecord
 from .report import write_report
-from .whole_film import SeenObject, read_whole, warmed_up
+from .whole_film import read_whole, warmed_up
 
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 
@@ -292,7 +292,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         found = found_in(belief, self.source.size, self._region)
         if self._trajectories is None:
             return found
-        tracks = [SeenObject(*each) for each in self._trajectories.at(len(self.record.numbers))]
+        tracks = [TrackedBox(*each) for each in self._trajectories.at(len(self.record.numbers))]
         return Found(found.foreground, inside(self._region, tracks))
 
     def take_in(self, belief: Belief, found: Found, seconds: float) -> None:

@@ -1,6 +1,5 @@
 """Methods to compare on the same frames: the model's engines, and the usual pipeline."""
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -8,8 +7,9 @@ from numpy.typing import NDArray
 
 from ...inference import RecursiveBP
 from ...inference.core.recursive_bp import RunState
-from ...models.core.frame import BoundingBox, Frame
+from ...models.core.frame import Frame
 from ..experiments.trials.baselines import CleanUp, KalmanHungarian, Subtractor, component_boxes
+from ..io.mot import TrackedBox
 from .application import Found, build_model, found_in
 from .job import Camera, Engine
 from .parameters import Parameters
@@ -86,15 +86,6 @@ class ModelSubtractor:
         """Take the next picture; return 0 background, 255 foreground."""
         self._count += 1
         return self._model.step(Frame(image, self._count / self._rate, self._count)).foreground
-
-
-@dataclass(frozen=True)
-class TrackedBox:
-    """A tracked box, x, y, width, height px."""
-
-    identity: int
-    box: BoundingBox
-    confidence: float = 1.0
 
 
 class Usual:

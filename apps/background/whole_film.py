@@ -1,7 +1,6 @@
 """What is known of a film before its first frame is answered: from all of it, or from its first seconds."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
@@ -11,7 +10,6 @@ from ...chains.scene_filter import SceneFilter
 from ...inference import CoordinateAscent, MultiChain
 from ...inference.core.recursive_bp import RunState
 from ...models import Frame, ObjectBoxes, PixelLabels
-from ...models.core.short_repr import short_repr
 from ..io.film import Film
 from ..io.sources.open_source import Source, open_source
 from ..runs.interruption import Interrupted, Interruption
@@ -20,26 +18,6 @@ from .job import BackgroundJob
 
 PASSES = ("reading", "empty scene", "tracks")
 """What is done in the passes over a film before the one in which its masks are written."""
-
-
-@short_repr
-@dataclass(frozen=True)
-class SeenObject:
-    """An object in a frame, as it is reported.
-
-    Parameters
-    ----------
-    identity
-        from 1.
-    box
-        x, y, width, height px.
-    confidence
-        1 throughout: doubtful ones are left out.
-    """
-
-    identity: int
-    box: tuple[float, float, float, float]
-    confidence: float = 1.0
 
 
 def read_whole(

@@ -20,6 +20,7 @@ from ...inference.validity.estimate import RecordedPredictions
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.files.array_files import read_arrays
 from ...models.files.atomic_files import write_atomically
+from ..reports.evenly_spaced import evenly_spread
 
 FILE = "predictions.npz"
 FORMAT = "rsmcm predictions 1"
@@ -61,7 +62,7 @@ class PairRecord:
         """At most so many rows, evenly chosen."""
         if len(self.tracks) <= most:
             return self
-        kept = np.linspace(0, len(self.tracks) - 1, most).round().astype(np.int64)
+        kept = np.array(evenly_spread(len(self.tracks), most))
         return replace(
             self,
             predictions=self.predictions.rows(kept),
@@ -95,7 +96,7 @@ class ScoreRecord:
         """At most so many rows, evenly chosen."""
         if len(self.frames) <= most:
             return self
-        kept = np.linspace(0, len(self.frames) - 1, most).round().astype(np.int64)
+        kept = np.array(evenly_spread(len(self.frames), most))
         return replace(self, scores=self.scores[kept], frames=self.frames[kept])
 
 

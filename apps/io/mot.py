@@ -3,12 +3,14 @@
 import math
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.core.frame import BoundingBox
 from ...models.files.atomic_files import naming, write_text
 from ...models.files.limits import LAST_FRAME
 from .point_files import FARTHEST
@@ -37,6 +39,21 @@ class TrackedObject(Protocol):
     @property
     def confidence(self) -> float:
         """How sure the tracker is of it, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class TrackedBox:
+    """A tracked object of which nothing else is known.
+
+    Parameters
+    ----------
+    identity, box, confidence
+        as in `TrackedObject`.
+    """
+
+    identity: int
+    box: BoundingBox
+    confidence: float = 1.0
 
 
 class TrackWriter:

@@ -4,7 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+import numpy as np
+
 T = TypeVar("T")
+
+
+def evenly_spread(count: int, most: int) -> list[int]:
+    """At most so many of the numbers below `count`, evenly spread."""
+    return [round(number) for number in np.linspace(0, count - 1, min(count, most)).tolist()]
 
 
 @dataclass

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from ..drawing.boxes import identity_colour
+from ..reports.evenly_spaced import evenly_spread
 from ..reports.page import Section, cards, paragraph, picture_grid, write_run_page
 from ..reports.plots import figure
 from ..reports.snapshots import MOST_SNAPSHOTS, small
@@ -160,7 +161,7 @@ def track_pictures(frames: Sequence[Frame], found: Reconstruction) -> Markup:
 
 def _tracks_alone(found: Reconstruction) -> Markup:
     """Paths of the points in the plane of the picture; what was not seen is dashed."""
-    drawn = _spread(found.n_points, MOST_DRAWN)
+    drawn = evenly_spread(found.n_points, MOST_DRAWN)
 
     def draw(canvas: Figure) -> None:
         axis: Axes = canvas.subplots()
@@ -178,11 +179,6 @@ def _tracks_alone(found: Reconstruction) -> Markup:
     caption = "Lines with dots: as observed; dashed: by shape and cameras."
     caption += f" {len(drawn)} of {found.n_points} points." if len(drawn) < found.n_points else ""
     return figure(draw, (9, 7), caption)
-
-
-def _spread(count: int, most: int) -> list[int]:
-    """At most so many of the numbers below `count`, evenly spread."""
-    return [round(number) for number in np.linspace(0, count - 1, min(count, most)).tolist()]
 
 
 def _over_time(numbers: NDArray[np.int64], found: Reconstruction) -> Markup:

@@ -51,13 +51,6 @@ def overlap(box: Box, other: Box) -> bool:
     return x < left + columns and left < x + width and y < top + rows and top < y + height
 
 
-def around(box: Box, other: Box) -> Box:
-    """The box that holds two boxes x, y, width, height."""
-    left, top = min(box[0], other[0]), min(box[1], other[1])
-    right, bottom = max(box[0] + box[2], other[0] + other[2]), max(box[1] + box[3], other[1] + other[3])
-    return left, top, right - left, bottom - top
-
-
 def likely_size(mask: Map) -> Pair:
     """Height and width px of what a mask likely covers, at least 1."""
     shape = shape_of(mask)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, Self
 
 import numpy as np
@@ -31,6 +31,13 @@ MARGIN = 6
 
 OWN_WAY = 3.0
 """s after which what still moves, as small as it is, is somebody by itself."""
+
+
+def around(box: Box, other: Box) -> Box:
+    """The box that holds two boxes x, y, width, height."""
+    left, top = min(box[0], other[0]), min(box[1], other[1])
+    right, bottom = max(box[0] + box[2], other[0] + other[2]), max(box[1] + box[3], other[1] + other[3])
+    return left, top, right - left, bottom - top
 
 
 @short_repr
@@ -233,7 +240,12 @@ class Blob:
         # overlap is lost by the sum of four errors, whose sizes are half normal; sides that grow lose none
         mean, deviation = math.sqrt(2 / math.pi) * off.sum(), math.sqrt(1 - 2 / math.pi) * math.hypot(*off)
         near = 0.5 + 0.5 * math.erf((HALF_OVERLAP - mean) / (math.sqrt(2) * deviation))
-        return near / (1 + math.exp(-self.existence)) > 0.5
+        return near * self.existence_probability > 0.5
+
+    @property
+    def existence_probability(self) -> float:
+        """That it is one of those that the detector is made to find."""
+        return 1 / (1 + math.exp(-self.existence))
 
     @property
     def ghost_evidence(self) -> float:
@@ -326,10 +338,7 @@ class BlobState:
 
 def _track(identity: int, parts: Sequence[Blob]) -> Track:
     largest = max(parts, key=lambda blob: blob.shape.mass)
-    boxes = [part.reported_box for part in parts]
-    left, top = min(box[0] for box in boxes), min(box[1] for box in boxes)
-    right, bottom = max(box[0] + box[2] for box in boxes), max(box[1] + box[3] for box in boxes)
-    box = boxes[0] if len(boxes) == 1 else (left, top, right - left, bottom - top)
+    box = reduce(around, (part.reported_box for part in parts))
     speed_y, speed_x = largest.velocity.tolist()
-    confidence = largest.confidence if largest.detected is None else 1 / (1 + math.exp(-largest.existence))
+    confidence = largest.confidence if largest.detected is None else largest.existence_probability
     return Track(identity, box, confidence, (speed_x, speed_y))

@@ -116,18 +116,17 @@ def _expectations(blobs: Sequence[Blob]) -> BoxMessage:
     """That objects exist and are noticed, and boxes of those that a detector has found before."""
     blobs = sorted(blobs, key=lambda blob: blob.identity)
     identities = np.array([blob.identity for blob in blobs], np.int64)
-    hidden = [blob for blob in blobs if blob.detected is not None]
+    hidden = [(blob, blob.detected) for blob in blobs if blob.detected is not None]
     message = BoxMessage(
         existence=LogOdds(identities, np.array([blob.existence for blob in blobs], np.float64)),
         noticed=LogOdds(identities, np.array([blob.noticed for blob in blobs], np.float64)),
     )
     if not hidden:
         return message
-    boxes = [blob.detected or from_mask(blob) for blob in hidden]
-    means = np.stack([_absolute(blob, box) for blob, box in zip(hidden, boxes, strict=True)])
-    variances = np.stack([box.variance for box in boxes])
-    variances[:, :WIDTH] += np.array([[blob.covariance[0, 0]] for blob in hidden])
-    numbers = [blob.identity for blob in hidden]
+    means = np.stack([_absolute(blob, box) for blob, box in hidden])
+    variances = np.stack([box.variance for _, box in hidden])
+    variances[:, :WIDTH] += np.array([[blob.covariance[0, 0]] for blob, _ in hidden])
+    numbers = [blob.identity for blob, _ in hidden]
     gaussian = GaussianMessage.from_moments(numbers, means, variances[:, :, None] * np.eye(BOX))
     return replace(message, hidden=gaussian)
 

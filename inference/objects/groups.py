@@ -10,9 +10,9 @@ import numpy as np
 from ...models.objects.box_message import Newcomers
 from ...models.objects.kernels.blobs import UNKNOWN_COLOUR
 from ...models.objects.kernels.masks import shape_of
-from .blob_geometry import FRESH, around, likely_size
+from .blob_geometry import FRESH, likely_size
 from .blob_scene import BlobScene
-from .blobs import Blob, Box, Map
+from .blobs import Blob, Box, Map, around
 
 UPRIGHT = 0.75
 """Width over height below which anybody is upright, and stands beside others."""

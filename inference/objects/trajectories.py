@@ -14,6 +14,7 @@ from ...models.core.short_repr import short_repr
 from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
 from ...models.objects.box_message import BoxMessage
 from ..filters.kalman import PointStates, filter_tracks, smooth
+from ..filters.linear_motion import kinematic
 
 Numbers = NDArray[np.float64]
 
@@ -303,17 +304,13 @@ def _log_same(one: Smooth, other: Smooth, gap: float, motion: Motion) -> float:
     height = 0.5 * (one.height + other.height)
     mean, covariance = one.feet.mean[-1], one.feet.covariance[-1]
     start, start_covariance = other.feet.mean[0], other.feet.covariance[0]
-    step = np.eye(4)
-    step[0, 2] = step[1, 3] = gap
-    force = motion.acceleration * height**2
-    noise = np.kron(force * np.array([[gap**3 / 3, gap**2 / 2], [gap**2 / 2, gap]]), np.eye(2))
-    spread = step @ covariance @ step.T + noise + start_covariance
+    moved, spread = kinematic(2, gap).along(2).moved(mean, covariance, motion.acceleration * height**2)
     speed = (motion.first_speed * height) ** 2
     anybody = _log_gaussian(start[2:], np.eye(2) * speed + start_covariance[2:, 2:])
     sizes = np.log(other.sizes.mean[0, :2].clip(1) / one.sizes.mean[-1, :2].clip(1))
     same, any_size = np.diag([0.3**2, 0.15**2]), np.diag([0.6**2, 0.5**2])
     alike = _log_gaussian(sizes, same) - _log_gaussian(sizes, any_size)
-    return _log_gaussian(start - step @ mean, spread) - anybody + alike
+    return _log_gaussian(start - moved, spread + start_covariance) - anybody + alike
 
 
 def _log_gaussian(off: Numbers, covariance: Numbers) -> float:
