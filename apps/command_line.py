@@ -8,7 +8,7 @@ from contextlib import redirect_stdout
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
@@ -130,6 +130,28 @@ def shape(tracks: Path, *, bases: int, out: Path, overwrite: Flag = False) -> in
     from .structure.shape import in_words, run_shape
 
     print(*in_words(run_shape(tracks, bases, out, overwrite=overwrite)), f"model: {out}", sep="\n")
+    return 0
+
+
+@app.command
+def export(run: Path, *, to: Literal["coco", "cvat", "movement"], out: Path, overwrite: Flag = False) -> int:
+    """Write the results of a finished run as a file that another tool takes.
+
+    Parameters
+    ----------
+    run
+        Folder of the run.
+    to
+        coco: JSON with boxes, masks and identities of a background run. cvat: its MOT 1.1 (zip), which CVAT
+        imports and --ground-truth reads. movement: netCDF of objects, a body or a face (needs rsmcm[xarray]).
+    out
+        File to write: .json, .zip or .nc.
+    overwrite
+        Replace the file if it is there.
+    """
+    from .exports.export import run_export
+
+    print(f"{run_export(run, to, out, overwrite=overwrite)}: {out}")
     return 0
 
 
