@@ -146,13 +146,12 @@ def _face(run: FinishedRun) -> "xarray.Dataset":
 def _read_poses(run: FinishedRun, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     """Some arrays of `poses.npz`; the others, which may be large, stay where they are."""
     path = run.folder / "poses.npz"
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in names}
-    except OSError:
-        raise
-    except Exception as error:  # broken bytes make zip and numpy raise almost anything
-        raise ValueError(f"{path}: got a damaged file ({type(error).__name__}), expected poses") from None
+    with path.open("rb") as file:
+        try:
+            with np.load(file, allow_pickle=False) as arrays:
+                return {name: arrays[name] for name in names}
+        except Exception as error:  # broken bytes make zip and numpy raise almost anything
+            raise ValueError(f"{path}: got a damaged file ({type(error).__name__}), expected poses") from None
 
 
 def _poses(

@@ -152,8 +152,8 @@ def test_every_option_is_named_in_what_is_wrong_with_it(
     kinds = [kind for kind in get_args(hint) or [hint] if kind is not NoneType]
     values = wrong.get(kinds[0], ["no such choice"])
     needed = [] if path[0] in ("demo", "reproduce") else ["nowhere"]
-    for other, value in (("--out", "x"), ("--bases", "3")):
-        if other != option and (other == "--out" or path == ("shape",)):
+    for other, value in (("--out", "x"), ("--bases", "3"), ("--to", "coco")):
+        if other != option and {"--bases": "shape", "--to": "export"}.get(other, path[0]) == path[0]:
             needed += [other, value]
     for value in values:
         line = complaint(capfd, *path, *needed, f"{option}={value}")

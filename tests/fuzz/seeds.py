@@ -3,6 +3,7 @@
 import io
 import json
 import tempfile
+import zipfile
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -106,6 +107,19 @@ def _boxes(_: Path) -> list[Files]:
         {"gt.txt": "".join(f"{','.join(map(str, row))},{ending}\n" for row in rows).encode()}
         for ending in endings
     ]
+
+
+def _archives(_: Path) -> list[Files]:
+    """Boxes as CVAT packs them, with labels and without."""
+    lines = "".join(f"{frame},{who},{3 + frame},5,10,20,1,{who},1\n" for frame in (1, 2) for who in (1, 2))
+    made = []
+    for members in ({"gt/gt.txt": lines, "gt/labels.txt": "person\ncar\n"}, {"gt.txt": lines}):
+        stream = io.BytesIO()
+        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, text in members.items():
+                archive.writestr(name, text)
+        made.append({"gt.txt": stream.getvalue()})
+    return made
 
 
 def _detections(_: Path) -> list[Files]:
@@ -229,6 +243,7 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "masks": _masks,
     "regions": _regions,
     "boxes": _boxes,
+    "archives": _archives,
     "results": _boxes,
     "detections": _detections,
     "parameters": _parameters,
