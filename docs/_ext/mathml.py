@@ -1,4 +1,4 @@
-"""Formulas as MathML, which browsers show by themselves: no network, no script, and screen readers read it."""
+"""Formulas as MathML, which browsers show by themselves: no network, no script; screen readers read it."""
 
 from html import escape
 
