@@ -47,9 +47,9 @@ class TwoStates:
 # %%
 # The tables
 # ----------
-# The floor is dark or bright. It hardly ever changes, and is what is seen in 8 of 10 frames. The person is absent or
-# present, mostly stays, and hides the floor. ``image`` says how likely a grey level, dark (row 0) or bright (row 1), is
-# for each value of :math:`F`. There is one frame a second.
+# The floor is dark or bright. It hardly ever changes, and is what is seen in 8 of 10 frames. The person is
+# absent or present, mostly stays, and hides the floor. ``image`` says how likely a grey level, dark (row 0)
+# or bright (row 1), is for each value of :math:`F`. There is one frame a second.
 
 floor = TwoStates("floor", [0.99, 0.01], [[0.999, 0.001], [0.001, 0.999]], [[0.8, 0, 0.2], [0, 0.8, 0.2]])
 person = TwoStates("person", [0.9, 0.1], [[0.8, 0.2], [0.005, 0.995]], [[0.5, 0.5, 0], [0.002, 0.002, 0.996]])
@@ -63,8 +63,8 @@ runs = [list(RecursiveBP(model).run(images, dt=1.0)) for model in (together, apa
 # %%
 # Frame 2 with a pencil
 # ---------------------
-# Both chains predict, ``x`` and ``y``, and say what they expect of :math:`F`. The belief in :math:`F` is the product of
-# what they say and of what the image says, column by column, divided by the sum.
+# Both chains predict, ``x`` and ``y``, and say what they expect of :math:`F`. The belief in :math:`F` is
+# the product of what they say and of what the image says, column by column, divided by the sum.
 
 first, second, *_ = runs[0]
 x, y = (first[chain] @ chain.follows for chain in (floor, person))
@@ -84,10 +84,10 @@ print("the engine", second[pixel].probabilities().round(4), second[floor].round(
 # %%
 # Twenty frames
 # -------------
-# Feed-forward, where the person reads the pixel and nobody hears of it, the floor takes the shirt in within seconds,
-# and then the person is gone, too. With feedback both agree on a person, and the floor behind him stays dark. What
-# does that is how surely a person stays, and hides the floor: try 0.02, 0.98 in the last row of ``follows``, and the
-# floor gives way in the end.
+# Feed-forward, where the person reads the pixel and nobody hears of it, the floor takes the shirt in within
+# seconds, and then the person is gone, too. With feedback both agree on a person, and the floor behind him
+# stays dark. What does that is how surely a person stays, and hides the floor: try 0.02, 0.98 in the last
+# row of ``follows``, and the floor gives way in the end.
 
 figure, axes = plt.subplots(1, 2, figsize=(8, 3), sharey=True, layout="constrained")
 for axis, beliefs, title in zip(axes, runs, ("with feedback", "feed-forward"), strict=True):

@@ -18,8 +18,8 @@ scene = sleeping_man(300, seed=0, size=(160, 120))
 print(f"{len(scene)} frames at {1 / scene.dt:.0f} a second; the person stands for {scene.stand} of them")
 
 # %%
-# Both models go over the same frames. The scene knows which pixels the person covers, so we keep the share of
-# them that each model calls foreground, and its last mask and empty scene before he walks on.
+# Both models go over the same frames. The scene knows which pixels the person covers, so we keep the share
+# of them that each model calls foreground, and its last mask and empty scene before he walks on.
 
 found, last = {}, {}
 for name, feedback in (("with feedback", True), ("feed-forward", False)):
@@ -35,9 +35,9 @@ for name, feedback in (("with feedback", True), ("feed-forward", False)):
     print(f"{name}: {np.nanmean(found[name][150:270]):.0%} of the person in frames 151 to 270")
 
 # %%
-# Each row: what a model says of frame 271, and its picture of the empty scene. On the right, how much of the
-# person is found over time. Look at the lower empty scene: he is in it. Try ``AdaptiveBackground(settle_time=2)``,
-# which takes in sooner what nobody explains.
+# Each row: what a model says of frame 271, and its picture of the empty scene. On the right, how much of
+# the person is found over time. Look at the lower empty scene: he is in it. Try
+# ``AdaptiveBackground(settle_time=2)``, which takes in sooner what nobody explains.
 
 figure, axes = plt.subplot_mosaic([["a", "b", "c"], ["d", "e", "c"]], figsize=(10, 3.6), layout="constrained")
 for (left, right), (name, (mask, empty)) in zip(("ab", "de"), last.items(), strict=True):

@@ -22,8 +22,7 @@ scene, random = sleeping_man(320, seed=1, car_leaves=400), np.random.default_rng
 
 
 def detector(frame):
-    """Rows of left, top, right, bottom edge (px) and a score."""
-    rows = []
+    rows = []  # left, top, right, bottom edge, px, and a score
     for truth in scene.boxes(frame.number - 1):
         x, y, width, height = np.array(truth.box) + 0.03 * truth.box[3] * random.normal(size=4)
         if random.random() < 0.8:
@@ -36,8 +35,8 @@ def detector(frame):
 
 # %%
 # The tracker meets the boxes at a second feature, ``ObjectBoxes``. There ``DetectorRates``, one more chain,
-# learns how the detector behaves: how much it finds, how often it errs, and what its scores mean. Nobody sets
-# a threshold.
+# learns how the detector behaves: how much it finds, how often it errs, and what its scores mean. Nobody
+# sets a threshold.
 
 pixels, objects, blobs = PixelLabels(), ObjectBoxes(), BlobTracker()
 model = MultiChain().connect(AdaptiveBackground(), pixels).connect(blobs, pixels)
@@ -49,13 +48,13 @@ for belief in beliefs:
     given += [(number, *box) for box in (boxes.xyxy if boxes else ())]
 rates = belief.message("detector", objects).detector
 print(f"{len(given)} boxes in 64 frames; identities of tracks: {sorted({row[1] for row in tracks})}")
-print(f"learned: it finds {rates.found:.2f} of who is in sight, {rates.clutter * 320 * 240:.2f} boxes a frame")
-print(f"are false, scores are about {rates.scores.true:.2f} of true boxes, {rates.scores.false:.2f} of others")
+print(f"learned: {rates.found:.0%} is found, {rates.clutter * 320 * 240:.2f} boxes a frame are false;")
+print(f"true boxes have scores about {rates.scores.true:.2f}, others about {rates.scores.false:.2f}")
 
 # %%
-# Left: all boxes of the detector. Right: where they were over time (grey), and the track (green). False boxes
-# lead to no track. On the four frames out of five without the detector, and where it misses him, the pixels
-# carry the track on. Try ``every=25``, or ``feedback=False`` for the detector's chain.
+# Left: all boxes of the detector. Right: where they were over time (grey), and the track (green). False
+# boxes lead to no track. On the four frames out of five without the detector, and where it misses him, the
+# pixels carry the track on. Try ``every=25``, or ``feedback=False`` for the detector's chain.
 
 figure, (shown, axis) = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained")
 shown.imshow(scene[200].image[..., ::-1])

@@ -3,8 +3,8 @@ A third level: the ground
 =========================
 
 ``GroundPlane`` learns the perspective of a scene from those who walk through it: how tall somebody looks
-whose feet are in a given row. It meets the tracker at a second feature, the boxes of objects, and never sees
-a pixel. What it has learned goes back down: how large objects are that are half seen, or come in anew.
+whose feet are in a given row. It meets the tracker at a second feature, the boxes of objects, and never
+sees a pixel. What it has learned goes back down: how large objects are that are half seen, or come in anew.
 """
 
 import matplotlib.pyplot as plt
@@ -15,8 +15,8 @@ from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels
 
 # %%
-# Three plain figures walk to and fro at different depths. With feet in row :math:`y` they are
-# :math:`(y - 60) / 2` px tall; that is the perspective to be found.
+# Three plain figures walk to and fro at different depths. With feet in row :math:`y` they are :math:`(y -
+# 60) / 2` px tall; that is the perspective to be found.
 
 random = np.random.default_rng(0)
 street = random.integers(100, 130, (240, 320, 1)).repeat(3, axis=2)
@@ -47,8 +47,9 @@ for k in (1, 4, 7):
 
 # %%
 # Left: where the tracker sees somebody (white), and how tall a newcomer would be (yellow), row by row.
-# Right: the learned height, two standard deviations either way, and the true one (dashed); dots are the people
-# who were seen. Leave two of them out of ``people``: the height is then known for one row, and hardly elsewhere.
+# Right: the learned height, two standard deviations either way, and the true one (dashed); dots are the
+# people who were seen. Leave two of them out of ``people``: the height is then known for one row, and
+# hardly elsewhere.
 
 figure, (shown, axis) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
 shown.imshow(frames[-1].image[..., ::-1])
