@@ -119,7 +119,8 @@ def shape(tracks: Path, *, bases: int, out: Path, overwrite: Flag = False) -> in
     Parameters
     ----------
     tracks
-        .npy, or .npz with an array tracks or a single one: (n_frames, n_points, 2) px, NaN where missing.
+        .npy, or .npz with an array tracks or a single one: (n_frames, n_points, 2) px, NaN where missing; or
+        .npz as CoTracker or TAP-Vid have them.
     bases
         Number of morph bases, the mean shape among them: 2 or more.
     out

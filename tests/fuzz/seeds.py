@@ -151,7 +151,10 @@ def _points(_: Path) -> list[Files]:
     points = np.random.default_rng(0).uniform(0, 99, (6, 7, 2))
     whole = points.astype(np.int16)
     points[1, 2] = np.nan
+    flags, video = np.arange(42).reshape(6, 7) % 5 > 0, np.zeros((6, 48, 64, 3), np.uint8)
     return [
+        {"a.npz": _npz(tracks=whole[None], visibility=flags[None])},
+        {"a.npz": _npz(points=whole.swapaxes(0, 1) / 100, occluded=~flags.T, video=video)},
         {"a.npz": _npz(tracks=points)},
         {"a.npz": _npz(some=points.astype(np.float32))},
         {"a.npy": _npy(points)},
