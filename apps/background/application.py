@@ -16,6 +16,10 @@ from ..drawing.boxes import OverlayWriter, draw_overlay
 from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring
 from ..evaluation.tracks import track_rows
+from ..events.event_files import EVENTS, EventWriter, read_events
+from ..events.report import Happened
+from ..events.zone_files import read_zones
+from ..events.zones import Zones
 from ..exports.track_table import TABLE, TrackTableWriter
 from ..io.detections.attached import with_boxes
 from ..io.detections.read import digest, read_detections
@@ -178,14 +182,14 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         super().__init__(job)
         parameters = read_parameters(job.config, job.chain)
         self.settings |= with_defaults(parameters)
-        if job.detections is not None:
-            self.settings["detections"] = {
-                "file": str(job.detections.resolve()),
-                "sha256": digest(job.detections),
-            }
+        for name, file in (("detections", job.detections), ("zones", job.zones)):
+            if file is not None:
+                self.settings[name] = {"file": str(file.resolve()), "sha256": digest(file)}
         self.engine = RecursiveBP(build_model(job.engine, parameters, job.camera))
         self.record = RunRecord()
         self._region: NDArray[np.uint8] | None = None
+        self._zones: Zones | None = None
+        self._events: EventWriter | None = None
         self._scoring: Scoring | None = None
         self._trajectories: ObjectsOverTime | None = None
         self._detections: Detections | None = None
@@ -202,7 +206,16 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         }
         compared = COMPARISON if self.job.compare else ()
         predicted = (FILE,) if self.predicts else ()
-        return ["tracks.txt", TABLE, "background.png", *predicted, *masks[self.job.masks], *compared]
+        happened = (EVENTS,) if self.job.zones else ()
+        return [
+            "tracks.txt",
+            TABLE,
+            "background.png",
+            *happened,
+            *predicted,
+            *masks[self.job.masks],
+            *compared,
+        ]
 
     @property
     def chains(self) -> Mapping[str, Any]:
@@ -262,6 +275,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     def _read_masks(self) -> None:
         self._region = read_region(self.job.roi, self.source.size) if self.job.roi else None
+        self._zones = read_zones(self.job.zones, self.source.size) if self.job.zones else None
         self._scoring = read_truth(self.job, self.source, self._region)
 
     def go_on(self, memory: Mapping[str, Any]) -> None:
@@ -286,8 +300,12 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._tracks = TrackWriter(out / "tracks.txt", after)
         self._table = TrackTableWriter(out / TABLE, after)
         self._masks = MaskWriter(out, self.job.masks, rate, after)
-        self._overlay = OverlayWriter(out / "overlay.mp4", rate, after)
-        return [self._tracks, self._table, self._masks, self._overlay]
+        self._overlay = OverlayWriter(out / "overlay.mp4", rate, after, self._zones)
+        growing = [self._tracks, self._table, self._masks, self._overlay]
+        if self._zones is not None:
+            self._events = EventWriter(out / EVENTS, self._zones, out / TABLE, after)
+            growing.append(self._events)
+        return growing
 
     def found(self, belief: Belief) -> Found:
         """Mask and tracks."""
@@ -302,6 +320,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         frame = belief.frame
         self._tracks.write(frame.number, found.tracks)
         self._table.write(frame.number, frame.time, found.tracks)
+        if self._events is not None:
+            self._events.write(frame.number, frame.time, found.tracks)
         self._masks.write(found.foreground, frame.number, frame.time)
         self._overlay.add(frame, found.foreground, found.tracks)
         if self._predictions is not None:
@@ -314,7 +334,13 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         def overlay() -> NDArray[np.uint8]:
             assert frame.image is not None
             return draw_overlay(
-                frame.image, found.foreground, found.tracks, {}, f"frame {frame.number}", frame.boxes
+                frame.image,
+                found.foreground,
+                found.tracks,
+                {},
+                f"frame {frame.number}",
+                frame.boxes,
+                self._zones,
             )
 
         due = len(self.record.numbers) % EVIDENCE_EVERY == 0
@@ -338,7 +364,22 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         given = None
         if self._detections is not None:
             given = self._detections.counted(set(self.record.numbers) - set(self.record.missing))
-        return {"tracks": len(self.record.tracks), "detections": given, "metrics": metrics}
+        happened = self._happened()
+        events = None if happened is None else happened.counts()
+        return {
+            "tracks": len(self.record.tracks),
+            "detections": given,
+            "metrics": metrics,
+            "events": events,
+        }
+
+    def _happened(self) -> Happened | None:
+        """To zones, up to the last frame so far."""
+        if self._zones is None:
+            return None
+        times = self.record.times
+        span = (times[0], times[-1]) if times else (0.0, 0.0)
+        return Happened(self._zones, read_events(self.job.out / EVENTS), span)
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write predictions, the empty scene and the report."""
@@ -357,6 +398,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
                 summary["metrics"],
                 title,
                 summary["detections"],
+                self._happened(),
             )
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
