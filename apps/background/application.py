@@ -1,8 +1,9 @@
 """The background application: from a source of frames to masks, tracks, pictures and a report."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, get_args
 
@@ -35,6 +36,9 @@ from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
+from ..view.film import Film, Row
+from ..view.page import View
+from ..view.tracks import drawn_of, tracks_view
 from .job import WHOLE_FILM, BackgroundJob, Camera, Engine
 from .moving_camera import MOVES, CameraWatch
 from .parameters import (
@@ -389,17 +393,29 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         if self.state.states:
             background = self.state.states["background"].picture()
             write_image(job.out / "background.png", background)
-            title = f"{Path(self.source.name).name}: {job.engine}"
             write_report(
                 job.out / "report.html",
                 self.record,
                 background,
                 self.settings,
                 summary["metrics"],
-                title,
+                self.title,
                 summary["detections"],
                 self._happened(),
             )
+
+    def drawn(self, belief: Belief, found: Found) -> Callable[[], Row]:
+        """Boxes and outlines."""
+        return partial(drawn_of, found.foreground, found.tracks)
+
+    @property
+    def title(self) -> str:
+        """The source and how it was taken."""
+        return f"{Path(self.source.name).name}: {self.job.engine}"
+
+    def view(self, film: Film) -> View:
+        """Tracks over the film."""
+        return tracks_view(film)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Tracks, and measures against ground truth."""
