@@ -1,7 +1,7 @@
 """The background application: from a source of frames to masks, tracks, pictures and a report."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,22 +15,20 @@ from ...inference import Belief, MultiChain, RecursiveBP
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
 from ..drawing.boxes import OverlayWriter, draw_overlay
 from ..evaluation.predictions import FILE, write_predictions
-from ..evaluation.scoring import Scoring
+from ..evaluation.scoring import Scoring, scoring_of
 from ..evaluation.tracks import track_rows
 from ..events.event_files import EVENTS, EventWriter, read_events
 from ..events.report import Happened
 from ..events.zone_files import read_zones
 from ..events.zones import Zones
 from ..exports.track_table import TABLE, TrackTableWriter
-from ..io.detections.attached import with_boxes
-from ..io.detections.read import digest, read_detections
+from ..io.detections.attached import given_boxes, with_boxes
+from ..io.detections.read import digest
 from ..io.detections.table import Detections
 from ..io.files import write_image
-from ..io.ground_truth import MaskTruth, common_frames, read_ground_truth
 from ..io.masks import MaskWriter
 from ..io.mot import TrackedObject, TrackWriter, read_tracks
 from ..io.segments import segment_pattern
-from ..io.sources.open_source import Source
 from ..runs.film_run import FilmRun, Writer
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import BACKGROUND
@@ -208,18 +206,10 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             "png": ["foreground/bin[0-9]*.png"],
             "video": ["foreground.mkv", segment_pattern("foreground.mkv")],
         }
-        compared = COMPARISON if self.job.compare else ()
-        predicted = (FILE,) if self.predicts else ()
-        happened = (EVENTS,) if self.job.zones else ()
-        return [
-            "tracks.txt",
-            TABLE,
-            "background.png",
-            *happened,
-            *predicted,
-            *masks[self.job.masks],
-            *compared,
-        ]
+        more = [*COMPARISON] if self.job.compare else []
+        more += [FILE] if self.predicts else []
+        more += [EVENTS] if self.job.zones else []
+        return ["tracks.txt", TABLE, "background.png", *masks[self.job.masks], *more]
 
     @property
     def chains(self) -> Mapping[str, Any]:
@@ -256,7 +246,10 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """What a detector has found in the frames."""
-        self._detections = read_given(self.job, self.source)
+        job = self.job
+        self._detections = given_boxes(
+            job.detections, job.class_names, self.source, job.start, job.stop, job.step
+        )
         return self._with_detections(frames)
 
     def _with_detections(self, frames: Iterator[Frame]) -> Iterator[Frame]:
@@ -280,7 +273,9 @@ class BackgroundRun(FilmRun[BackgroundJob]):
     def _read_masks(self) -> None:
         self._region = read_region(self.job.roi, self.source.size) if self.job.roi else None
         self._zones = read_zones(self.job.zones, self.source.size) if self.job.zones else None
-        self._scoring = read_truth(self.job, self.source, self._region)
+        self._scoring = scoring_of(
+            self.job.ground_truth, self.source, self.job.start, self.job.step, self._region
+        )
 
     def go_on(self, memory: Mapping[str, Any]) -> None:
         """Take up record and scores."""
@@ -305,7 +300,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._table = TrackTableWriter(out / TABLE, after)
         self._masks = MaskWriter(out, self.job.masks, rate, after)
         self._overlay = OverlayWriter(out / "overlay.mp4", rate, after, self._zones)
-        growing = [self._tracks, self._table, self._masks, self._overlay]
+        growing: list[Writer] = [self._tracks, self._table, self._masks, self._overlay]
         if self._zones is not None:
             self._events = EventWriter(out / EVENTS, self._zones, out / TABLE, after)
             growing.append(self._events)
@@ -437,50 +432,3 @@ def _listed(measured: object) -> str:
         f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in measured.items()
     )
-
-
-def read_given(job: BackgroundJob, source: Source) -> Detections | None:
-    """Read the job's detections, if any, and make sure that they belong to this source.
-
-    Raises
-    ------
-    ValueError
-        if the source is live, or they are of frames or places that it does not have.
-    """
-    if job.detections is None:
-        return None
-    if source.live:
-        raise ValueError(f"--detections: {source.name} is live, so nobody has seen its frames before")
-    found = read_detections(job.detections, job.class_names, film=source.name, pictures=source.pictures)
-    last = None
-    if source.n_frames is not None and source.counted:
-        last = job.start + source.n_frames * job.step - 1
-        if job.stop is not None and job.stop <= last:  # the film may go on behind it
-            last = None
-    found.check(source.name, source.size, last)
-    return found
-
-
-def read_truth(job: BackgroundJob, source: Source, region: NDArray[np.uint8] | None) -> Scoring | None:
-    """Read the job's ground truth, if any, and make sure that it belongs to this source.
-
-    Raises
-    ------
-    ValueError
-        if it has no frame in common with the source, or masks of another size.
-    """
-    if job.ground_truth is None:
-        return None
-    truth = read_ground_truth(job.ground_truth)
-    numbers: Sequence[int] = truth.frames
-    if source.n_frames is not None:
-        last = job.start + (source.n_frames - 1) * job.step
-        numbers = common_frames(truth, range(job.start, last + 1, job.step))
-    if isinstance(truth, MaskTruth):
-        height, width = truth.labels(numbers[0]).shape
-        if (width, height) != source.size:
-            raise ValueError(
-                f"--ground-truth: {truth.files[numbers[0]]} has {width}x{height} px, "
-                f"expected {source.size[0]}x{source.size[1]} like {source.name}"
-            )
-    return Scoring(truth, region)

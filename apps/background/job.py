@@ -55,8 +55,8 @@ class BackgroundJob(FilmJob):
     classes
         Names of classes of detections to take, with commas; all if not given.
     zones
-        Zones and lines of the picture, TOML: who enters, leaves, crosses, stays and stands still is written to
-        events.csv.
+        Zones and lines of the picture, TOML: who enters, leaves, crosses, stays or stands still is written
+        to events.csv.
     compare
         Also run the background by itself, feed-forward, MOG2 and KNN on the source, and draw the comparison.
     """

@@ -14,13 +14,13 @@ COLOUR = (0, 200, 255)
 EDGE = (20, 20, 20)
 
 
-def draw_zones(picture: NDArray[np.uint8], zones: Zones, scale: float = 1.0) -> None:
+def draw_zones(picture: NDArray[Any], zones: Zones, scale: float = 1.0) -> None:
     """Draw borders, lines with an arrow at their end, and all names.
 
     Parameters
     ----------
     picture
-        `(height, width, 3)` BGR, drawn into.
+        `(height, width, 3)` uint8 BGR, drawn into.
     zones
         px of the film.
     scale
@@ -47,7 +47,7 @@ def _pixels(places: NDArray[np.float64], scale: float) -> NDArray[np.int32]:
     return np.rint(scale * places - 0.5).astype(np.int32)
 
 
-def _write(picture: NDArray[np.uint8], text: str, middle: Any, thick: int) -> None:
+def _write(picture: NDArray[Any], text: str, middle: Any, thick: int) -> None:
     """Write a name about a place, within the picture."""
     size = 0.42 * max(1.0, picture.shape[0] / 480)
     (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, thick)

@@ -39,8 +39,10 @@ class Happened:
     span: tuple[float, float]
 
     def counts(self) -> dict[str, Any]:
-        """For `summary.json`: by zone how often what happened, and s of the mean and the longest stay; by line
-        how often it was crossed in which direction."""
+        """By zone, how often what happened and s of the mean and the longest stay; by line, its crossings.
+
+        This is what `summary.json` has.
+        """
         found: dict[str, Any] = {}
         for zone in self.zones.zones:
             stays = self._stays(zone.name)
@@ -148,7 +150,7 @@ class Happened:
         )
         if not stays:
             return [*parts, paragraph("Nobody stayed in a zone or stood still.")]
-        rows = [
+        lasted = [
             (
                 "stood still" if e.kind == Kind.STOOD else "stayed",
                 e.zone or "in no zone",
@@ -160,8 +162,8 @@ class Happened:
             for e in stays[:MOST_ROWS]
         ]
         caption = f"The {MOST_ROWS} longest of {len(stays)}." if len(stays) > MOST_ROWS else ""
-        header = ("", "zone", "identity", "from, s", "to, s", "for, s")
-        return [*parts, table(header, rows, caption)]
+        names = ("", "zone", "identity", "from, s", "to, s", "for, s")
+        return [*parts, table(names, lasted, caption)]
 
 
 def _rounded(value: float) -> str:
