@@ -135,7 +135,7 @@ class Happened:
             rows = []
             for zone in self.zones.zones:
                 values = list(self.counts()[zone.name].values())
-                dwell = [f"{value:.1f}" for value in values[6:]] or ["–", "–"]
+                dwell = [round(value, 1) for value in values[6:]] or ["–", "–"]
                 rows.append((zone.name, *values[:6], *dwell))
             parts.append(table(header, rows))
         if self.zones.lines:
@@ -155,9 +155,9 @@ class Happened:
                 "stood still" if e.kind == Kind.STOOD else "stayed",
                 e.zone or "in no zone",
                 e.identity,
-                f"{e.moment.time - (e.duration or 0.0):.1f}",
-                f"{e.moment.time:.1f}",
-                f"{e.duration or 0.0:.1f}",
+                round(e.moment.time - (e.duration or 0.0), 1),
+                round(e.moment.time, 1),
+                round(e.duration or 0.0, 1),
             )
             for e in stays[:MOST_ROWS]
         ]
