@@ -128,7 +128,6 @@ def read_events(path: Path) -> list[Event]:
                 lasted = float(duration) if duration else None
                 found.append(Event(moment, Kind(kind), zone, int(identity), lasted, direction))
             except ValueError:
-                raise ValueError(
-                    f"{path}, line {rows.line_num}: got {row!r:.60}, expected an event"
-                ) from None
+                got, where = ",".join(row)[:60], f"{path}, line {rows.line_num}"
+                raise ValueError(f"{where}: got {got!r}, expected an event") from None
     return found

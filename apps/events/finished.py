@@ -15,7 +15,7 @@ from ..io.files import write_json
 from ..reports.page import Section, picture, write_page
 from ..runs.output_folder import output_folder
 from .drawing import draw_zones
-from .event_files import COLUMNS, EVENTS, line_of, sightings_of
+from .event_files import COLUMNS, EVENTS, line_of, read_events, sightings_of
 from .report import Happened
 from .watch import Event, Watch
 from .zone_files import read_zones
@@ -65,10 +65,11 @@ def run_events(run: Path, zones: Path) -> list[str]:
         found += watch.take_in(time, number, sightings)
     found += watch.end(summary["last_frame"])
     first, last = ((summary[name] - 1) / summary["rate"] for name in ("first_frame", "last_frame"))
-    happened = Happened(watched, found, (first, max([last, *tracks["time"][-1:].tolist()])))
+    span = first, max([last, *tracks["time"][-1:].tolist()])
     with output_folder(run, "background", add=True) as folder:
         folder.add([EVENTS, PAGE])
         write_text(run / EVENTS, "\n".join([",".join(COLUMNS), *map(line_of, found), ""]))
+        happened = Happened(watched, read_events(run / EVENTS), span)  # rounded, as the run itself has it
         write_page(run / PAGE, f"{Path(summary['source']).name}: zones and lines", _sections(run, happened))
         write_json(run / SUMMARY, {**summary, "events": happened.counts()})
     return [*happened.in_words(), f"results: {run / EVENTS}, {run / PAGE}"]

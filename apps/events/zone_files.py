@@ -248,6 +248,6 @@ def _read_labelme(path: Path) -> dict[str, Any]:
                 found["line"].append({"name": name, "from": start, "to": end})
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
         raise ValueError(
-            f"{path}: got something else, expected JSON as LabelMe writes it (imageWidth, imageHeight, shapes)"
+            f"{path}: got something else, expected LabelMe's JSON (imageWidth, imageHeight, shapes)"
         ) from None
     return found

@@ -66,7 +66,7 @@ def test_labelme(tmp_path: Path) -> None:
     zones = read_zones(written(tmp_path, json.dumps(content), "frame.json"), SIZE)
     np.testing.assert_allclose(zones.zones[0].polygon, [[0, 0], [32, 0], [32, 24]])
     assert (zones.lines[0].start, zones.lines[0].end) == ((0, 240), (320, 0))
-    with pytest.raises(ValueError, match=r"frame\.json: got something else, expected JSON as LabelMe"):
+    with pytest.raises(ValueError, match=r"frame\.json: got something else, expected LabelMe's JSON"):
         read_zones(written(tmp_path, '{"shapes": []}', "frame.json"), SIZE)
 
 
@@ -102,8 +102,8 @@ TRIANGLE = zone((1, 1), (9, 1), (9, 9))
         ('[[zone]]\nname = "a"\npolygon = [[1, 2, 3]]', "corner 1: got [1, 2, 3], expected two numbers"),
         ('[[zone]]\nname = "a"\npolygon = [[1, nan]]', "corner 1: got [1, nan], expected two numbers [x, y]"),
         (zone((1, 1), (321, 2)), "got [321, 2], expected a place in the picture, from 0, 0 to 320, 240"),
-        ('units = "relative"\n' + zone((0, 0), (1, 2)), "corner 2: got [1, 2], expected a place in the picture, from 0, 0 to 1, 1"),
-        (zone((1, 1), (9, 9), (9, 1), (1, 9)), "polygon: got edges that cross, 1 and 3, expected a border that"),
+        ('units = "relative"\n' + zone((0, 0), (1, 2)), "a place in the picture, from 0, 0 to 1, 1"),
+        (zone((1, 1), (9, 9), (9, 1), (1, 9)), "polygon: got edges that cross, 1 and 3, expected a border"),
         (zone((1, 1), (9, 1), (5, 5), (5, 1), (3, 9)), "polygon: got edges that cross, 1 and 3,"),
         (zone((1, 1), (1, 1), (9, 1), (5, 5)), "polygon: got corner 1 twice, expected corners that differ"),
         (zone((1, 1), (5, 5), (9, 9)), "polygon: got corners on one straight line, expected an area"),
