@@ -93,12 +93,8 @@ def applications(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Applicat
     np.savez(folder / "tracks.npz", tracks=100 * cylinder(p_loose=0.1, p_drift=0.1, seed=1).tracks() + 200)
     street_images = (frame.image for frame in street if frame.image is not None)
     every = ("--every", "4")
-    zones = folder / "zones.toml"
-    zones.write_text('[[zone]]\nname = "middle"\npolygon = [[20, 0], [180, 0], [180, 160], [20, 160]]\n')
     made = [
-        Application(
-            "background", write_film(folder / "street", street_images), (*every, "--zones", str(zones))
-        ),
+        Application("background", write_film(folder / "street", street_images), every),
         Application("structure", folder / "tracks.npz", ()),
         Application(
             "face",

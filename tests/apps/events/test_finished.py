@@ -2,12 +2,16 @@
 
 import json
 import shutil
+import signal
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import pytest
 from rsmcm.apps.command_line import main
 from rsmcm.apps.events import Kind, read_events
+from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.scenes import sleeping_man
 
 ZONES = """
@@ -68,6 +72,33 @@ def test_the_run_writes_what_happened(results: Path) -> None:
     page = (results / "report.html").read_text()
     assert "Zones and lines" in page
     assert "in left half" in page
+
+
+@pytest.mark.parametrize("signals", [1, 2])
+def test_a_run_that_is_ended_early_goes_on_to_the_same(
+    signals: int, results: Path, film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One signal leaves complete results, a second one ends it at once, up to the last saved state."""
+    out, items = tmp_path / "out", Interruption.items
+
+    def interrupted(self: Interruption, source: Iterator[Any]) -> Iterator[Any]:
+        for count, item in enumerate(items(self, source), start=1):
+            yield item
+            if count == 130:
+                for _ in range(signals):
+                    signal.raise_signal(signal.SIGTERM)
+
+    options = (film / "input", "--out", out, "--masks", "none", "--zones", film / "zones.toml", "--every", 50)
+    with monkeypatch.context() as patch:
+        patch.setattr(Interruption, "items", interrupted)
+        assert run("background", *options) == 128 + signal.SIGTERM
+    if signals == 1:
+        assert read_events(out / "events.csv")[-1].kind == Kind.REMAINED
+        assert json.loads((out / "summary.json").read_text())["events"]["left half"]["remained"] == 1
+    assert run("background", *options, "--resume") == 0
+    assert (out / "events.csv").read_bytes() == (results / "events.csv").read_bytes()
+    one, other = (json.loads((folder / "summary.json").read_text()) for folder in (out, results))
+    assert one["events"] == other["events"]
 
 
 def test_the_finished_run_gives_the_same(results: Path, film: Path, tmp_path: Path) -> None:
