@@ -185,6 +185,26 @@ def validity(run: Path) -> int:
     return 0
 
 
+@app.command
+def events(run: Path, *, zones: Path) -> int:
+    """Say what happened in zones of a finished run of rsmcm background.
+
+    Writes events.csv, events.html and the counts in summary.json, as --zones of the run itself would have;
+    what an earlier call wrote there is replaced.
+
+    Parameters
+    ----------
+    run
+        Folder of the run.
+    zones
+        TOML file with zones and lines of the picture, or JSON as LabelMe writes it.
+    """
+    from .events.finished import run_events
+
+    print(*run_events(run, zones), sep="\n")
+    return 0
+
+
 def _experiment(name: str) -> Callable[..., None]:
     """What reproduces a figure, as a command."""
     folder = usual_folder(name)
