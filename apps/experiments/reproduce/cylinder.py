@@ -15,7 +15,7 @@ from ...io.track_files import frames_of_tracks
 from ...reports import page
 from ...reports.expectations import Expectation
 from ...reports.experiment import Plot, Table, publish
-from ...runs.parallel import in_processes
+from ...runs.parallel import in_parallel
 from ...scenes import Cylinder, cylinder
 from ...structure.job import Coherence
 from ...structure.metrics import REJECTED, StructureScores, score_structure
@@ -202,7 +202,7 @@ def reproduce_cylinder(out: Path) -> None:
 def measure(wanted: Sequence[Cell], seeds: Sequence[int]) -> dict[Cell, Measured]:
     """Run everything, in two processes at most."""
     work = [(cell, seed) for cell in wanted for seed in seeds]
-    found = dict(zip(work, in_processes("cylinder", [(scores, item) for item in work]), strict=True))
+    found = dict(zip(work, in_parallel("cylinder", [(scores, item) for item in work]), strict=True))
     return {cell: {name: [found[cell, seed][name] for seed in seeds] for name in METHODS} for cell in wanted}
 
 

@@ -17,7 +17,7 @@ from ....inference.core.recursive_bp import RecursiveBP, RunState
 from ....models.background.pixel_labels import PixelLabels
 from ...reports.expectations import Expectation
 from ...reports.experiment import Plot, Table, publish
-from ...runs.parallel import in_processes
+from ...runs.parallel import in_parallel
 from ...scenes import FaceScene, face
 from ..trials.face import Evaluation, Measured, as_json, median, n_lost, quartiles
 
@@ -110,7 +110,7 @@ def measure(seeds: Sequence[int]) -> Found:
     """Run everything."""
     cells = [(condition, method) for condition, methods in COMPARED for method in methods]
     evaluations = iter(
-        in_processes(
+        in_parallel(
             "face and background",
             [(run, (condition, method, seed)) for condition, method in cells for seed in seeds],
         )

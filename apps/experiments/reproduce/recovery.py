@@ -13,7 +13,7 @@ from ....chains.gflow import GFlow
 from ....models.face.pose import Poses
 from ...reports.expectations import Expectation
 from ...reports.experiment import Plot, Table, publish
-from ...runs.parallel import in_processes
+from ...runs.parallel import in_parallel
 from ..trials.face import Clip, ground_truth_texture
 from ..trials.face_baselines import states
 
@@ -65,7 +65,7 @@ def reproduce_recovery(out: Path) -> None:
         if the folder cannot be written to.
     """
     out.mkdir(parents=True, exist_ok=True)
-    results = in_processes("recovery", [(recover, (seed,)) for seed in SEEDS])
+    results = in_parallel("recovery", [(recover, (seed,)) for seed in SEEDS])
     found = {start: [one[start] for one in results] for start in STARTS}
     expectations = expectations_of(found)
     lines = [
