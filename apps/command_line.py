@@ -8,11 +8,12 @@ from contextlib import redirect_stdout
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
 from .background.job import BackgroundJob
+from .batch.job import APPLICATIONS, Batch, options_of
 from .body.job import BodyJob
 from .experiments.reproduce import EXPERIMENTS, LONG, run_experiment, usual_folder
 from .face.job import FaceJob
@@ -25,6 +26,7 @@ from .runs.interruption import Outcome
 from .structure.job import StructureJob
 
 STREAM_LOST = 1
+SOME_FAILED = 1
 USAGE_ERROR = 2
 SIGNALLED = 128  # plus the number of the signal: 130 for Ctrl-C
 
@@ -46,6 +48,19 @@ T = TypeVar("T")
 Fields = Annotated[T, Parameter(name="*")]
 """A dataclass whose fields are the options."""
 Figures = Annotated[Path, Parameter(help="Folder for the figures.")]
+
+OF_BATCH = """Run rsmcm {} over many films or cameras.
+
+    Each has a folder of results, as of a run of its own; summary.csv and index.html are over all of them.
+    Run again, the same command leaves what is complete as it is, and goes on with what was broken off. A
+    film that fails is named at the end and stops no other. All options of the single run are for all films.
+
+    Parameters
+    ----------
+    sources
+        Video files, folders of images, folders of films, globs of them in quotation marks, addresses, or a
+        TOML file that lists cameras.
+    """
 
 
 @app.command
@@ -222,6 +237,32 @@ def _experiment(name: str) -> Callable[..., None]:
 
 for name, text in EXPERIMENTS.items():
     reproduce.command(_experiment(name), name=name, help=text)
+
+
+def _batched(application: str) -> Callable[..., int]:
+    """An application over many films, as a command."""
+    kind = options_of(application)
+
+    def batched(*sources: str, batch: Fields[Batch], options: Any = kind()) -> int:  # noqa: B008
+        from .batch.application import commands, in_words, report_failures, run_batch
+
+        if batch.only_print:
+            print(*commands(application, sources, batch, options), sep="\n")
+            return 0
+        ended = run_batch(application, sources, batch, options)
+        report_failures(ended)
+        print(*in_words(ended, batch.out), sep="\n")
+        return SIGNALLED + ended.signal if ended.signal is not None else SOME_FAILED * bool(ended.failed)
+
+    batched.__doc__ = OF_BATCH.format(application)
+    batched.__annotations__["options"] = Annotated[kind, Parameter(name="*")]
+    return batched
+
+
+batch = App(name="batch", help="Run an application over many films or cameras, a folder of results for each.")
+app.command(batch)
+for name in APPLICATIONS:
+    batch.command(_batched(name), name=name)
 
 
 def _reported(job: Job, outcome: Outcome) -> Outcome:
