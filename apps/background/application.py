@@ -360,6 +360,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
                 summary["metrics"],
                 self.title,
                 summary["detections"],
+                COMPARISON[-1:] if job.compare else (),
             )
 
     def drawn(self, belief: Belief, found: Found) -> Callable[[], Row]:

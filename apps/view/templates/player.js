@@ -1,5 +1,6 @@
 // Buttons, slider and keys.
 
+const PLAY = byId("play").querySelector("path").getAttribute("d"), PAUSE = "M3.5 2.5h3v11h-3zM9.5 2.5h3v11h-3z";
 const SPEEDS = [0.125, 0.25, 0.5, 1, 2, 4, 8];
 
 function beginPlayer(clock) {
@@ -37,7 +38,7 @@ function beginPlayer(clock) {
     byId("clock").textContent = frameName(i);
   });
   clock.onchange(() => {
-    play.textContent = clock.playing ? "⏸" : "▶";
+    play.querySelector("path").setAttribute("d", clock.playing ? PAUSE : PLAY);
     play.setAttribute("aria-label", clock.playing ? "Pause" : "Play");
     speed.value = clock.speed;
   });

@@ -50,7 +50,7 @@ function beginPlots() {
 
 function short(value) {
   if (Number.isInteger(value)) return String(value);
-  return Math.abs(value) >= 100 ? value.toFixed(0) : Number(value.toPrecision(3)).toString();
+  return Math.abs(value) >= 99.5 ? value.toFixed(0) : Number(value.toPrecision(3)).toString();
 }
 
 /** From 0 where nothing is below it, to the largest value. */
