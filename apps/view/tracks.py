@@ -64,7 +64,7 @@ def tracks_view(film: Film) -> View:
     layer = {name: film.columns[name] for name in (*OF_TRACKS, *OF_OUTLINES)}
     layer |= {"count": counts.astype(np.int32), "polygons": film.counts["corners"].astype(np.int32)}
     plots = [Plot("tracks", "", counts), Plot("foreground", "%", 100 * film.columns["foreground"])]
-    return View({"tracks": layer}, rows, plots)
+    return View({"zones": {"zones": [], "lines": []}, "tracks": layer}, rows, plots)
 
 
 def _spans(frames: NDArray[np.int64], seen: NDArray[np.uint8]) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ function beginPlayer(clock) {
   seek.max = view.count - 1;
   for (const value of SPEEDS) speed.append(new Option(`${value}×`, value, value === 1, value === 1));
 
-  const by = (n) => () => { clock.pause(); view.show(view.frame + n); };
+  const by = (n) => (event) => { clock.pause(); view.show(view.frame + (event.shiftKey ? 10 * n : n)); };
   const to = (i) => () => { clock.pause(); view.show(i); };
   const playOrPause = () => (clock.playing ? clock.pause() : clock.play());
   const faster = (n) => () => {
@@ -42,11 +42,10 @@ function beginPlayer(clock) {
     play.setAttribute("aria-label", clock.playing ? "Pause" : "Play");
     speed.value = clock.speed;
   });
-  beginKeys(by);
 }
 
 /** Keys work wherever they have no meaning of their own. */
-function beginKeys(by) {
+function beginKeys() {
   const dialog = byId("keys");
   const help = () => dialog.showModal();
   addKey("?", "these keys", help);
@@ -63,10 +62,9 @@ function beginKeys(by) {
     if (at.matches("input[type=text], textarea, select")) return;
     if (event.key === " " && at.matches("button, input, summary, [role=option]")) return;
     if (at.matches("input[type=range]") && event.key !== " " && /^(Arrow|Home|End|Page)/.test(event.key)) return;
-    const ten = event.shiftKey && { ArrowLeft: by(-10), ArrowRight: by(10) }[event.key];
-    const does = ten || keys.find(({ key }) => key === event.key)?.does;
+    const does = keys.find(({ key }) => key === event.key)?.does;
     if (!does) return;
     event.preventDefault();
-    does();
+    does(event);
   });
 }
