@@ -55,6 +55,13 @@ class TimelineRow:
     spans: NDArray[np.int64]
 
 
+def spans_of(seen: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The spans of a thing that is there all the time, `seen` `(n_frames,)` in some frames."""
+    first = np.concatenate([[0], np.flatnonzero(np.diff(seen)) + 1])
+    last = np.append(first[1:], len(seen)) - 1
+    return np.stack([first, last, np.where(seen[first], SEEN, PREDICTED)], axis=1)
+
+
 @dataclass(frozen=True, eq=False)
 class Plot:
     """A curve over the frames of the film; NaN where nothing is known."""
