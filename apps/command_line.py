@@ -186,6 +186,23 @@ def demo(*, out: Path = Path("results/demo")) -> int:
 
 
 @app.command
+def view(run: Path) -> int:
+    """Show the results of a run in the browser: the film, with what was found drawn over it.
+
+    On a machine without a screen, the page is named only.
+
+    Parameters
+    ----------
+    run
+        Folder of the run, or of a batch.
+    """
+    from .view.open_page import open_page
+
+    print(open_page(run))
+    return 0
+
+
+@app.command
 def validity(run: Path) -> int:
     """Say which chains of a finished run help each other, and why.
 

@@ -397,6 +397,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
                 self.title,
                 summary["detections"],
                 self._happened(),
+                COMPARISON[-1:] if job.compare else (),
             )
 
     def drawn(self, belief: Belief, found: Found) -> Callable[[], Row]:
