@@ -40,8 +40,8 @@ def drawn_of(row: Mapping[str, Any], log_evidence: float, effective: float) -> R
     }
 
 
-def body_view(film: Film, reach: float) -> View:
-    """The page of a film with what `drawn_of` gives; `reach` is the length of a stretched arm, px."""
+def body_view(film: Film, arm: float) -> View:
+    """The page of a film with what `drawn_of` gives; `arm` is the length of a stretched one, px."""
     columns = film.columns
     seen = columns["seen"] & ~columns["missing"][:, None]
     inks = dict.fromkeys(range(len(JOINTS)), GREY)
@@ -55,6 +55,8 @@ def body_view(film: Film, reach: float) -> View:
     for joint in sorted(inks, key=lambda joint: joint not in PART_JOINTS):
         there = seen[:, PART_JOINTS.index(joint)] if joint in PART_JOINTS else np.zeros(len(seen), np.bool_)
         rows.append(TimelineRow(joint, JOINTS[joint].replace("_", " "), inks[joint], spans_of(there)))
+    joints = columns["joints"].reshape(len(seen), len(JOINTS), -1)
+    low, high = np.quantile(joints[..., :3], (0.02, 0.98), axis=(0, 1))
     layer = {
         "joints": columns["joints"],
         "samples": columns["samples"],
@@ -63,10 +65,11 @@ def body_view(film: Film, reach: float) -> View:
         "colours": [inks[joint] for joint in range(len(JOINTS))],
         "parts": PART_JOINTS,
         "seen": seen,
-        "reach": reach,
+        "arm": arm,
+        "centre": [*((low[:2] + high[:2]) / 2).tolist(), 0.0],
+        "reach": 1.2 * float(max(*(high - low)[:2] / 2, *np.abs([low[2], high[2]]))),
     }
-    variances = columns["joints"].reshape(len(seen), len(JOINTS), -1)[:, PART_JOINTS, 3:]
-    spread = np.sqrt(np.maximum(variances[..., 0] + variances[..., 3], 0))
+    spread = np.sqrt(np.maximum(joints[:, PART_JOINTS, 3] + joints[:, PART_JOINTS, 6], 0))  # of x and y
     plots = [
         Plot(f"{part.replace('_', ' ')} unsure by", "px", spread[:, place])
         for place, part in enumerate(PARTS)
