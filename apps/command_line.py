@@ -52,8 +52,8 @@ Figures = Annotated[Path, Parameter(help="Folder for the figures.")]
 def background(job: Fields[BackgroundJob]) -> int:
     """Separate moving objects from the background, and track them.
 
-    Writes foreground masks, tracks.txt (MOT format), background.png, overlay.mp4, summary.json and
-    report.html. Ctrl-C ends the run with complete results of what was processed.
+    Writes foreground masks, tracks.txt (MOT format), tracks.csv, background.png, overlay.mp4, summary.json
+    and report.html. Ctrl-C ends the run with complete results of what was processed.
     """
     from .background import application
 
@@ -145,6 +145,23 @@ def demo(*, out: Path = Path("results/demo")) -> int:
     from .background.demo import run_demo
 
     return _ended(run_demo(out))
+
+
+@app.command
+def view(run: Path) -> int:
+    """Show the results of a run in the browser: the film, with what was found drawn over it.
+
+    On a machine without a screen, the page is named only.
+
+    Parameters
+    ----------
+    run
+        Folder of the run, or of a batch.
+    """
+    from .view.open_page import open_page
+
+    print(open_page(run))
+    return 0
 
 
 @app.command

@@ -28,6 +28,7 @@ def write_report(
     metrics: Mapping[str, object] | None = None,
     title: str = "Background and tracks",
     detections: Mapping[str, int] | None = None,
+    coming: Sequence[str] = (),
 ) -> None:
     """Write the report of a run as one HTML file.
 
@@ -47,6 +48,8 @@ def write_report(
         heading of the page.
     detections
         how many `boxes` a detector has found, and in how many `frames` it looked, if it was given.
+    coming
+        names of files that will lie beside it, to be linked.
 
     Raises
     ------
@@ -64,7 +67,8 @@ def write_report(
     text = "Where the feet went, on the background at the end: from the ring to the dot with the number."
     sections.append(("Tracks", [picture(draw_tracks(background, record.tracks), text), _track_table(record)]))
     sections.append(("Over time", [_plots(record)]))
-    write_run_page(path, title, _summary(record, background, detections), (), sections, parameters)
+    summary = _summary(record, background, detections)
+    write_run_page(path, title, summary, (), sections, parameters, coming)
 
 
 def draw_tracks(background: Image, tracks: Mapping[int, TrackHistory]) -> Image:

@@ -66,7 +66,8 @@ function beginTimeline() {
   });
   const cursor = element("div", { className: "cursor" });
   view.on("frame", (i) => cursor.style.setProperty("--at", (i + 0.5) / view.count));
-  byId("timeline").append(element("div", { className: "scroll" }, list), cursor);
+  list.append(cursor);
+  byId("timeline").append(list);
   byId("timeline").hidden = false;
 }
 
