@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...models.body.upper_body import JOINTS, PARTS
+from ..drawing.boxes import css_colour
 from ..view.film import Film, Row
 from ..view.page import Plot, TimelineRow, View, spans_of
 from .overlay import CHAINS, TRUNK
@@ -47,7 +48,7 @@ def body_view(film: Film, arm: float) -> View:
     inks = dict.fromkeys(range(len(JOINTS)), GREY)
     bones = []
     for colour, chain in CHAINS:
-        ink = GREY if colour == TRUNK else _css(colour)
+        ink = GREY if colour == TRUNK else css_colour(colour)
         bones += [(*bone, ink) for bone in pairwise(chain)]
         if colour != TRUNK:
             inks.update(dict.fromkeys(chain, ink))
@@ -71,15 +72,10 @@ def body_view(film: Film, arm: float) -> View:
     }
     spread = np.sqrt(np.maximum(joints[:, PART_JOINTS, 3] + joints[:, PART_JOINTS, 6], 0))  # of x and y
     plots = [
-        Plot(f"{part.replace('_', ' ')} unsure by", "px", spread[:, place])
+        Plot(f"{part.replace('_', ' ')} unsure", "px", spread[:, place])
         for place, part in enumerate(PARTS)
         if part != "head"
     ]
     plots.append(Plot("log evidence", "nats", columns["evidence"]))
     plots.append(Plot("samples, effective", "", columns["effective"]))
     return View({"body": layer}, rows, plots)
-
-
-def _css(colour: tuple[int, int, int]) -> str:
-    blue, green, red = colour
-    return f"#{red:02x}{green:02x}{blue:02x}"

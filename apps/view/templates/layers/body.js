@@ -144,6 +144,6 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, r
       ["speed", `${speed(j, i).toFixed(0)} px/s`],
     ];
   });
-  addPlot({ name: "speed of the selected", unit: "px/s", values: (j) => Float32Array.from({ length: view.count }, (_, i) => speed(j, i)) });
-  addPlot({ name: "depth of the selected", unit: "px", values: (j) => Float32Array.from({ length: view.count }, (_, i) => joint(i, j)[2]) });
+  addPlot({ name: "selected: speed", unit: "px/s", values: (j) => Float32Array.from({ length: view.count }, (_, i) => speed(j, i)) });
+  addPlot({ name: "selected: depth", unit: "px", values: (j) => Float32Array.from({ length: view.count }, (_, i) => joint(i, j)[2]) });
 });

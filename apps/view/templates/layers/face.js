@@ -190,5 +190,5 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
     const error = Number.isFinite(errors[i]) ? [["error", `${errors[i].toFixed(2)} px`]] : [];
     return [["now", now], ["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`], ["size", px(size)], ...turns, ...error];
   });
-  addPlot({ name: "the selected unsure by", unit: "px", values: (id) => id > 0 ? Float32Array.from({ length: view.count }, (_, i) => unsure(id - 1)(i)) : null });
+  addPlot({ name: "selected: unsure", unit: "px", values: (id) => id > 0 ? Float32Array.from({ length: view.count }, (_, i) => unsure(id - 1)(i)) : null });
 });
