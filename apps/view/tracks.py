@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..drawing.boxes import identity_colour
 from ..io.mot import TrackedObject
-from .film import WIDEST, Film, Row
+from .film import LONGEST_SIDE, Film, Row
 from .page import PREDICTED, SEEN, Plot, TimelineRow, View
 
 OF_TRACKS = ("id", "box", "confidence", "velocity", "seen", "covariance")
@@ -42,7 +42,7 @@ def drawn_of(foreground: NDArray[np.uint8], tracks: Sequence[TrackedObject]) -> 
 
 def _outlines(foreground: NDArray[np.uint8]) -> list[NDArray[np.int16]]:
     """Polygons around the foreground, and around its holes."""
-    near = max(1.0, foreground.shape[1] / WIDEST)  # px of the source: about one of the film
+    near = max(1.0, max(foreground.shape) / LONGEST_SIDE)  # px of the source: about one of the film
     found, _ = cv2.findContours(foreground, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     polygons = [cv2.approxPolyDP(contour, near, closed=True)[:, 0].astype(np.int16) for contour in found]
     return [polygon for polygon in polygons if len(polygon) > 2]
@@ -55,11 +55,10 @@ def tracks_view(film: Film) -> View:
     frames = np.repeat(np.arange(len(counts)), counts)[order]
     seen = film.columns["seen"][order]
     identities, starts = np.unique(ids[order], return_index=True)
+    ends = np.append(starts, len(ids))[1:]
     rows = [
-        TimelineRow(identity, str(identity), _css(identity), _spans(there, visible))
-        for identity, there, visible in zip(
-            identities.tolist(), np.split(frames, starts[1:]), np.split(seen, starts[1:]), strict=True
-        )
+        TimelineRow(identity, str(identity), _css(identity), _spans(frames[start:end], seen[start:end]))
+        for identity, start, end in zip(identities.tolist(), starts, ends, strict=True)
     ]
     layer = {name: film.columns[name] for name in (*OF_TRACKS, *OF_OUTLINES)}
     layer |= {"count": counts.astype(np.int32), "polygons": film.counts["corners"].astype(np.int32)}
