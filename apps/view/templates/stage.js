@@ -30,13 +30,13 @@ function useTool(other) {
 const ZOOM_SECONDS = 0.4; // to both sides, over which the place that is followed is averaged
 const MOST_ZOOM = 6;
 
-/** The part of the source that is shown: [x, y, zoom]. */
+/** The part of the source that is shown, in which the box takes five eighths at most: [x, y, zoom]. */
 function lensOf(id, i) {
   const [width, height] = view.size;
   const place = (k) => switches.map((one) => one.place?.(id, k)).find(Boolean);
   const here = place(i);
   if (!here) return [0, 0, 1];
-  const zoom = clamped(Math.min(width / here[2], height / here[3]) / 3, 1, MOST_ZOOM);
+  const zoom = clamped(Math.min(width / here[2], height / here[3]) / 1.6, 1, MOST_ZOOM);
   let x = 0, y = 0, n = 0;
   for (let k = i; k >= 0 && view.times[i] - view.times[k] <= ZOOM_SECONDS; k--) sum(k);
   for (let k = i + 1; k < view.count && view.times[k] - view.times[i] <= ZOOM_SECONDS; k++) sum(k);
