@@ -95,6 +95,10 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, r
       knobs(pen, i, onFilm(i), thin);
     },
     hit: (x, y, i) => nearest(onFilm(i), x, y, NEAR * thin),
+    place(j, i) {
+      const [x, y] = onFilm(i)(j);
+      return [x - arm / 4, y - arm / 4, arm / 2, arm / 2];
+    },
   });
 
   const nearest = (at, x, y, within) => {

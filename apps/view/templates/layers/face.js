@@ -73,6 +73,12 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
       const k = nearest((k) => point(i, k), x - 0.5, y - 0.5, NEAR * thin);
       return k === null ? null : k + 1;
     },
+    place(id, i) {
+      const all = id > 0 ? [point(i, id - 1)] : Array.from({ length: n }, (_, k) => point(i, k));
+      const [xs, ys] = [0, 1].map((axis) => all.map((one) => one[axis]));
+      const [left, top, size] = [Math.min(...xs), Math.min(...ys), id > 0 ? pose[perPose * i + 11] : 0];
+      return [left - size / 2, top - size / 2, Math.max(...xs) - left + size, Math.max(...ys) - top + size];
+    },
   });
 
   function dot(pen, x, y, radius, colour) {

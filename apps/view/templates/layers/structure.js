@@ -87,6 +87,10 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
       }
       return best;
     },
+    place(id, i) {
+      const k = order.get(id), [x, y] = k === undefined ? [NaN] : place(i, k), side = view.size[0] / 6;
+      return Number.isFinite(x) ? [x - side / 2, y - side / 2, side, side] : null;
+    },
   });
 
   const panel = addPanel("In space");
