@@ -20,6 +20,7 @@ version = release = installed_version("rsmcm")
 
 extensions = [
     "mathml",
+    "parameters",
     "myst_parser",
     "numpydoc",
     "sphinx.ext.autodoc",
