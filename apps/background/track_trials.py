@@ -200,7 +200,7 @@ def whole_film_tracks(film: AnnotatedFilm, every: int | None, seed: int) -> Trac
         count = source.n_frames
     assert count is not None
     return _table(
-        [(index + 1, identity, *box) for index in range(count) for identity, box in objects.at(index)]
+        [(index + 1, track.identity, *track.box) for index in range(count) for track in objects.at(index)]
     )
 
 
@@ -326,15 +326,17 @@ def detector_expectations(
     above = ours.mean("mota") - plain["MOTA"].mean("mota")
     found = [
         Expectation(f"{film} with a detector: IDF1", ours.mean("idf1"), ">=", wanted[0]),
-        Expectation("the same: MOTA", ours.mean("mota"), ">=", wanted[1]),
-        Expectation("IDF1 over plain association", times, ">=", 1.15),
-        Expectation("MOTA above plain association", above, ">=", 0.04),
-        Expectation("IDF1 lost with the detector on every fifth frame", lost, "<=", 0.03),
-        Expectation("the same of plain association", plain_lost),
-        Expectation("IDF1 above feed-forward with the detector", feedback, ">=", 0.05),
+        Expectation(f"{film} with a detector: MOTA", ours.mean("mota"), ">=", wanted[1]),
+        Expectation(f"{film}: IDF1 over plain association", times, ">=", 1.15),
+        Expectation(f"{film}: MOTA above plain association", above, ">=", 0.04),
+        Expectation(f"{film}: IDF1 lost with the detector on every fifth frame", lost, "<=", 0.03),
+        Expectation(f"{film}: the same of plain association", plain_lost),
+        Expectation(f"{film}: IDF1 above feed-forward with the detector", feedback, ">=", 0.05),
     ]
     if switches is not None:
-        found.append(Expectation("id switches with a detector", ours.mean("switches"), "<=", switches))
+        found.append(
+            Expectation(f"{film} with a detector: id switches", ours.mean("switches"), "<=", switches)
+        )
     return found
 
 

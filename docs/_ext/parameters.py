@@ -1,4 +1,4 @@
-"""`{parameters} rsmcm.chains.BlobTracker`: a table of a dataclass's parameters, defaults and meanings, from its code."""
+"""`{parameters} rsmcm.chains.BlobTracker`: a table of a dataclass's parameters, from its code."""
 
 import inspect
 from dataclasses import MISSING, fields
@@ -24,9 +24,7 @@ def rows(kind: type) -> list[tuple[str, str, str]]:
     for entry in NumpyDocString(inspect.getdoc(kind) or "")["Parameters"]:
         names = [name.strip() for name in entry.name.split(",")]
         if unknown := set(names) - set(known):
-            raise ValueError(
-                f"{kind.__name__}: the docstring tells of {', '.join(unknown)}, which it has not"
-            )
+            raise ValueError(f"{kind.__name__}: the docstring tells of {unknown}, which it has not")
         defaults = [known[name].default for name in names]
         shown = ["" if value is MISSING else f"`{value!r}`" for value in defaults]
         meaning = " ".join(line.strip() for line in entry.desc)
