@@ -37,8 +37,6 @@ app = App(
     config=options_from_file,
 )
 reproduce = App(name="reproduce", help="Reproduce figures of the papers, wanted values beside measured ones.")
-app.command(reproduce)
-app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
 app.meta.suppress_keyboard_interrupt = False
 app.meta.group_parameters = Group("Of every command", sort_key=2)
 
@@ -177,8 +175,10 @@ def _experiment(name: str) -> Callable[..., None]:
     return perhaps_long if name in LONG else usual
 
 
+app.command(reproduce)
 for name, text in EXPERIMENTS.items():
     reproduce.command(_experiment(name), name=name, help=text)
+app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
 
 
 def _reported(job: Job, outcome: Outcome) -> Outcome:
