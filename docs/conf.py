@@ -22,6 +22,7 @@ version = release = installed_version("rsmcm")
 extensions = [
     "mathml",
     "parameters",
+    "records",
     "myst_parser",
     "numpydoc",
     "sphinx.ext.autodoc",
