@@ -8,11 +8,13 @@ MODULES := $(sort $(shell find $(PACKAGES) -type f -not -path '*/__pycache__/*')
 # Shows all that pyenv has, where there is one.
 NOX := PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd :) $(BIN)/nox
 
-.PHONY: help demo test test-all test-versions test-newest check constraints bench results fuzz clean
+.PHONY: help demo docs docs-links test test-all test-versions test-newest check constraints bench results fuzz clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo           track the people in a built-in scene"
+	@echo "make docs           the documentation, in docs/_build/html: every warning is an error"
+	@echo "make docs-links     whether the addresses in it are there, which needs a network"
 	@echo "make test           quick tests"
 	@echo "make test-all       quick tests and long experiments"
 	@echo "make test-versions  quick tests with the lowest, the tested and the newest versions of all packages"
@@ -26,6 +28,12 @@ help:
 
 demo: $(INSTALLED)
 	$(BIN)/rsmcm demo
+
+docs: $(INSTALLED)
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs docs/_build/html
+
+docs-links: $(INSTALLED)
+	$(BIN)/sphinx-build --quiet --keep-going -b linkcheck docs docs/_build/links
 
 test: $(INSTALLED)
 	$(BIN)/python -m pytest -n 2 -m "not slow"
@@ -60,7 +68,8 @@ fuzz: $(INSTALLED)
 	$(BIN)/python -m tests.fuzz
 
 clean:
-	rm -rf .venv .nox build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv .nox build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis \
+		docs/_build docs/generated
 	find $(PACKAGES) tests -name __pycache__ -prune -exec rm -rf {} +
 
 # The strict form of an editable install, of links to all modules, is one that type checkers can follow. It

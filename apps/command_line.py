@@ -53,8 +53,8 @@ Figures = Annotated[Path, Parameter(help="Folder for the figures.")]
 def background(job: Fields[BackgroundJob]) -> int:
     """Separate moving objects from the background, and track them.
 
-    Writes foreground masks, tracks.txt (MOT format), background.png, overlay.mp4, summary.json and
-    report.html. Ctrl-C ends the run with complete results of what was processed.
+    Writes foreground masks, tracks.txt (MOT format), tracks.csv, background.png, overlay.mp4, summary.json
+    and report.html. Ctrl-C ends the run with complete results of what was processed.
     """
     from .background import application
 

@@ -53,8 +53,8 @@ class RecursiveStructure:
         p(m_t, m_t', m_t'' | t - dt) = N(Taylor's polynomial over dt, Q(dt)),  p(S_i) = N(0, 3^2 I),
         p(F_ti | M_t, S_i) = N(M_t (S_i, 1), sigma_i^2 I).
 
-    The message to a point is N(M_-i (S_i, 1), P_i) with M_-i the camera that the frame's other points show
-    and P_i the covariance that this camera and S_i leave.
+    The message to a point is `N(M_-i (S_i, 1), P_i)` with `M_-i` the camera that the frame's other points
+    show and P_i the covariance that this camera and S_i leave.
 
     Until the points' motion determines a shape the chain says nothing, so before a static camera, a flat
     scene, or fewer than six points it never does. Then it predicts every point that it knows, seen or not:

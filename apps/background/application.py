@@ -1,8 +1,9 @@
 """The background application: from a source of frames to masks, tracks, pictures and a report."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, get_args
 
@@ -16,13 +17,14 @@ from ..drawing.boxes import OverlayWriter, draw_overlay
 from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring
 from ..evaluation.tracks import track_rows
+from ..exports.track_table import TABLE, TrackTableWriter
 from ..io.detections.attached import with_boxes
 from ..io.detections.read import digest, read_detections
 from ..io.detections.table import Detections
 from ..io.files import write_image
 from ..io.ground_truth import MaskTruth, common_frames, read_ground_truth
 from ..io.masks import MaskWriter
-from ..io.mot import TrackedBox, TrackedObject, TrackWriter, read_tracks
+from ..io.mot import TrackedObject, TrackWriter, read_tracks
 from ..io.segments import segment_pattern
 from ..io.sources.open_source import Source
 from ..runs.film_run import FilmRun, Writer
@@ -30,6 +32,9 @@ from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
+from ..view.film import Film, Row
+from ..view.page import View
+from ..view.tracks import drawn_of, tracks_view
 from .job import WHOLE_FILM, BackgroundJob, Camera, Engine
 from .moving_camera import MOVES, CameraWatch
 from .parameters import (
@@ -119,7 +124,7 @@ class Found:
     foreground
         `(height, width)` uint8, 0 or 255.
     tracks
-        boxes in px with identities.
+        objects with boxes in px, identities, and what else is known of them.
     """
 
     foreground: NDArray[np.uint8]
@@ -152,8 +157,8 @@ def found_in(belief: Belief, size: tuple[int, int], region: NDArray[np.uint8] | 
     tracks: list[Any] = inside(region, belief["blobs"].tracks() if "blobs" in belief.states else [])
     if pixels.view is None:
         return Found(foreground, tracks)
-    seen_by = pixels.view.map
-    return Found(seen_by.in_frame(foreground), [replace(each, box=seen_by.box(each.box)) for each in tracks])
+    view = pixels.view.map
+    return Found(view.in_frame(foreground), [track.seen_by(view) for track in tracks])
 
 
 def run_background(job: BackgroundJob) -> Outcome:
@@ -201,7 +206,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         }
         compared = COMPARISON if self.job.compare else ()
         predicted = (FILE,) if self.predicts else ()
-        return ["tracks.txt", "background.png", *predicted, *masks[self.job.masks], *compared]
+        return ["tracks.txt", TABLE, "background.png", *predicted, *masks[self.job.masks], *compared]
 
     @property
     def chains(self) -> Mapping[str, Any]:
@@ -283,22 +288,24 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         """Tracks, masks and overlay."""
         out = self.job.out
         self._tracks = TrackWriter(out / "tracks.txt", after)
+        self._table = TrackTableWriter(out / TABLE, after)
         self._masks = MaskWriter(out, self.job.masks, rate, after)
         self._overlay = OverlayWriter(out / "overlay.mp4", rate, after)
-        return [self._tracks, self._masks, self._overlay]
+        return [self._tracks, self._table, self._masks, self._overlay]
 
     def found(self, belief: Belief) -> Found:
         """Mask and tracks."""
         found = found_in(belief, self.source.size, self._region)
         if self._trajectories is None:
             return found
-        tracks = [TrackedBox(*each) for each in self._trajectories.at(len(self.record.numbers))]
+        tracks = self._trajectories.at(len(self.record.numbers))
         return Found(found.foreground, inside(self._region, tracks))
 
     def take_in(self, belief: Belief, found: Found, seconds: float) -> None:
         """Write mask and tracks, and note what the report wants."""
         frame = belief.frame
         self._tracks.write(frame.number, found.tracks)
+        self._table.write(frame.number, frame.time, found.tracks)
         self._masks.write(found.foreground, frame.number, frame.time)
         self._overlay.add(frame, found.foreground, found.tracks)
         if self._predictions is not None:
@@ -345,16 +352,28 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         if self.state.states:
             background = self.state.states["background"].picture()
             write_image(job.out / "background.png", background)
-            title = f"{Path(self.source.name).name}: {job.engine}"
             write_report(
                 job.out / "report.html",
                 self.record,
                 background,
                 self.settings,
                 summary["metrics"],
-                title,
+                self.title,
                 summary["detections"],
             )
+
+    def drawn(self, belief: Belief, found: Found) -> Callable[[], Row]:
+        """Boxes and outlines."""
+        return partial(drawn_of, found.foreground, found.tracks)
+
+    @property
+    def title(self) -> str:
+        """The source and how it was taken."""
+        return f"{Path(self.source.name).name}: {self.job.engine}"
+
+    def view(self, film: Film) -> View:
+        """Tracks over the film."""
+        return tracks_view(film)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Tracks, and measures against ground truth."""

@@ -200,7 +200,7 @@ def whole_film_tracks(film: AnnotatedFilm, every: int | None, seed: int) -> Trac
         count = source.n_frames
     assert count is not None
     return _table(
-        [(index + 1, identity, *box) for index in range(count) for identity, box in objects.at(index)]
+        [(index + 1, track.identity, *track.box) for index in range(count) for track in objects.at(index)]
     )
 
 

@@ -22,8 +22,8 @@ every sequence.
 ± is the standard error of a figure over its seeds, found by drawing the seeds anew (200 times); tables of
 methods say what they give. Seeds are those of a generated scene, or of noise on a film (one grey level in a
 thousandth of its pixels), for us and for all peers. Figures of one film without noise have none. "Of an
-earlier state" is what was measured before the last change of a file in `models`, `inference` or `chains`. What
-falls short is marked, and below it stands why.
+earlier state" is what was measured before the last change of a file in `models`, `inference` or `chains`.
+What falls short is marked, and below it stands why.
 """
 BY_HAND = """\
 ## Measured by hand, in earlier states

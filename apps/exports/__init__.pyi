@@ -1,0 +1,3 @@
+from .track_table import TrackTableWriter, read_tracks_table
+
+__all__ = ["TrackTableWriter", "read_tracks_table"]
