@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from ....models.files.atomic_files import write_text
-from ...reports.record import ROOT, Record, tracking_state
+from ...reports.record import ROOT, Record
 from .pages import Documents, readme_with, results_page
 
 KEPT = ROOT / "docs" / "results"
@@ -52,10 +52,9 @@ def write_pages(root: Path) -> None:
     OSError, ValueError
         if something cannot be read or written.
     """
-    documents = Documents.read(root / "docs" / "results")
-    state, readme = tracking_state(root), root / "README.md"
-    write_text(root / "docs" / "results.md", results_page(documents, state))
-    write_text(readme, readme_with(readme.read_text(), documents, state))
+    documents, readme = Documents.read(root / "docs" / "results"), root / "README.md"
+    write_text(root / "docs" / "results.md", results_page(documents, root))
+    write_text(readme, readme_with(readme.read_text(), documents, root))
 
 
 if __name__ == "__main__":

@@ -22,8 +22,8 @@ every sequence.
 ± is the standard error of a figure over its seeds, found by drawing the seeds anew (200 times); tables of
 methods say what they give. Seeds are those of a generated scene, or of noise on a film (one grey level in a
 thousandth of its pixels), for us and for all peers. Figures of one film without noise have none. "Of an
-earlier state" is what was measured before the last change of a file in `models`, `inference` or `chains`.
-What falls short is marked, and below it stands why.
+earlier state" is what was measured before the last change of a file that it takes in `models`, `inference` or
+`chains`. What falls short is marked, and below it stands why.
 """
 BY_HAND = """\
 ## Measured by hand, in earlier states
@@ -82,15 +82,15 @@ def _toml(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: {error}") from error
 
 
-def results_page(documents: Documents, state: str) -> str:
+def results_page(documents: Documents, root: Path) -> str:
     """The page of results.
 
     Parameters
     ----------
     documents
         what it is made from.
-    state
-        digest of the code that tracks, as it is now.
+    root
+        checkout with the code that tracks, as it is now.
     """
     overview = [
         [
@@ -102,13 +102,13 @@ def results_page(documents: Documents, state: str) -> str:
         for record in documents.records.values()
     ]
     parts = [INTRODUCTION, table(("", "command", "holds", "short"), overview)]
-    parts += [_section(record, documents.notes[name], state) for name, record in documents.records.items()]
+    parts += [_section(record, documents.notes[name], root) for name, record in documents.records.items()]
     parts.append(BY_HAND)
     parts += [_earlier(each) for each in documents.earlier if not _replaced(each, documents)]
     return "\n".join(parts)
 
 
-def _section(record: Record, note: str, state: str) -> str:
+def _section(record: Record, note: str, root: Path) -> str:
     made = record.made
     rows = []
     for each in record.expectations:
@@ -117,7 +117,7 @@ def _section(record: Record, note: str, state: str) -> str:
         rows.append([what, _bound(wanted), measured, error, seeds, _verdict(each)])
     parts = [
         f"## {record.title}\n",
-        f"`{record.command}`; {_when(made, state)}; {made.machine}; {_duration(made.seconds)}, "
+        f"`{record.command}`; {_when(made, root)}; {made.machine}; {_duration(made.seconds)}, "
         f"load before it {made.load:.1f}; {_versions(made)}.\n",
         table(("measure", "wanted", "measured", "±", "seeds", ""), rows),
     ]
@@ -141,7 +141,7 @@ def _replaced(content: Mapping[str, Any], documents: Documents) -> bool:
     return bool(until) and documents.records.keys() >= set(until)
 
 
-def readme_with(text: str, documents: Documents, state: str) -> str:
+def readme_with(text: str, documents: Documents, root: Path) -> str:
     """README with its figures.
 
     Raises
@@ -163,7 +163,7 @@ def readme_with(text: str, documents: Documents, state: str) -> str:
             raise ValueError(f"readme: got {each['row']!r}, no row of the record {record.name!r}")
         _, wanted, measured, error, _ = figure.cells
         value = f"{measured} ± {error}" if error else measured
-        rows.append([each["what"], _bound(wanted), value, _verdict(figure), _when(record.made, state)])
+        rows.append([each["what"], _bound(wanted), value, _verdict(figure), _when(record.made, root)])
         machines.add(record.made.machine)
     figures = table(("what", "wanted", "measured", "", "when, commit"), rows)
     machine = f"On {'; '.join(sorted(machines))}. " if machines else ""
@@ -192,10 +192,10 @@ def _count(record: Record, verdict: str) -> int:
     return sum(each.verdict == verdict for each in record.expectations)
 
 
-def _when(made: Provenance, state: str) -> str:
+def _when(made: Provenance, root: Path) -> str:
     commit = f"`{made.commit}`" if made.commit else f"version {made.versions['rsmcm']}"
     changed = " and changes" if made.changed else ""
-    earlier = "" if made.state == state else ", **of an earlier state**"
+    earlier = "" if made.is_of(root) else ", **of an earlier state**"
     return f"{made.date[:10]}, {commit}{changed}{earlier}"
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from rsmcm.apps.reports.expectations import Expectation
-from rsmcm.apps.reports.record import ROOT, Record, Stopwatch, Table, tracking_state
+from rsmcm.apps.reports.record import ROOT, Record, Stopwatch, Table
 
 
 def test_read_back(tmp_path: Path) -> None:
@@ -35,22 +35,13 @@ def test_damaged_records_are_named(tmp_path: Path) -> None:
             Record.read(path)
 
 
-def test_state_changes_with_code_that_tracks(tmp_path: Path) -> None:
-    for package in ("models", "inference", "chains", "apps"):
-        (tmp_path / package / "deep").mkdir(parents=True)
-        (tmp_path / package / "deep" / "one.py").write_text("1")
-    first = tracking_state(tmp_path)
-    (tmp_path / "apps" / "deep" / "one.py").write_text("2")
-    assert tracking_state(tmp_path) == first
-    (tmp_path / "chains" / "deep" / "one.py").rename(tmp_path / "chains" / "deep" / "two.py")
-    assert tracking_state(tmp_path) != first
-
-
 def test_provenance() -> None:
     made = Stopwatch().provenance()
     assert made.date.endswith("+00:00")
     assert 0 <= made.seconds < 10
-    assert made.state == tracking_state()
+    assert made.is_of(ROOT)
+    assert "models/numerics/threads.py" in made.modules
+    assert all(name.split("/")[0] in ("models", "inference", "chains") for name in made.modules)
     assert made.cores >= 1
     assert {"python", "rsmcm", "numpy", "opencv"} <= set(made.versions)
     assert made.machine.endswith("GB")

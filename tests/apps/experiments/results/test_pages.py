@@ -9,7 +9,7 @@ import pytest
 from rsmcm.apps.experiments.results.__main__ import collect, main, write_pages
 from rsmcm.apps.experiments.results.pages import BEGIN, END, Documents, readme_with, results_page
 from rsmcm.apps.reports.expectations import Expectation
-from rsmcm.apps.reports.record import Provenance, Record, Table, tracking_state
+from rsmcm.apps.reports.record import Provenance, Record, Table
 
 ROOT = Path(__file__).parents[4]
 NOTES = """
@@ -41,13 +41,18 @@ rows = [["never shown", "2026-11-21"]]
 """
 
 
+STATE = "dfd46ee5f521"
+"""Digest of the one module there is."""
+
+
 def record(name: str, *expectations: Expectation) -> Record:
     made = Provenance(
         date="2026-11-22T10:00:00+00:00",
         seconds=300.0,
         commit="0123456789",
         changed=False,
-        state="now",
+        modules=["chains/one.py"],
+        state=STATE,
         processor="Processor",
         cores=2,
         memory=24.0,
@@ -72,6 +77,8 @@ def checkout(tmp_path: Path) -> Path:
     (kept / "earlier.toml").write_text(EARLIER)
     for each in (FIRST, SECOND):
         each.write(kept / f"{each.name}.json")
+    (tmp_path / "chains").mkdir()
+    (tmp_path / "chains" / "one.py").write_text("pass")
     (tmp_path / "README.md").write_text(f"before\n{BEGIN}\nthe last ones\n{END}\nafter\n")
     return tmp_path
 
@@ -82,10 +89,10 @@ def documents(checkout: Path) -> Documents:
 
 def test_pages_are_what_is_made_of_the_records() -> None:
     """After a change of code that tracks, or of a record: `make results`."""
-    found, state = Documents.read(ROOT / "docs" / "results"), tracking_state()
-    assert (ROOT / "docs" / "results.md").read_text() == results_page(found, state)
+    found = Documents.read(ROOT / "docs" / "results")
+    assert (ROOT / "docs" / "results.md").read_text() == results_page(found, ROOT)
     readme = (ROOT / "README.md").read_text()
-    assert readme == readme_with(readme, found, state)
+    assert readme == readme_with(readme, found, ROOT)
 
 
 def test_figures_of_readme_are_in_its_records() -> None:
@@ -97,7 +104,7 @@ def test_figures_of_readme_are_in_its_records() -> None:
 
 
 def test_page(checkout: Path) -> None:
-    page = results_page(documents(checkout), "now")
+    page = results_page(documents(checkout), checkout)
     assert page.index("## Second") < page.index("## First")
     assert "| ratio | ≤ 1 | 0.5 | 0.012 | 5 | holds |" in page
     assert "| lost | ≤ 0 | – |  |  | **short** |" in page
@@ -111,30 +118,32 @@ def test_page(checkout: Path) -> None:
     assert "earlier state**" not in page
 
 
-def test_records_of_another_state_are_marked(checkout: Path) -> None:
-    assert results_page(documents(checkout), "later").count("**of an earlier state**") == 2
-    assert "`0123456789`, **of an earlier state** |" in readme_with(
-        f"{BEGIN}{END}", documents(checkout), "later"
-    )
+@pytest.mark.parametrize("change", ["edited", "gone"])
+def test_records_of_another_state_are_marked(checkout: Path, change: str) -> None:
+    module = checkout / "chains" / "one.py"
+    module.write_text("fail") if change == "edited" else module.unlink()
+    assert results_page(documents(checkout), checkout).count("**of an earlier state**") == 2
+    figures = readme_with(f"{BEGIN}{END}", documents(checkout), checkout)
+    assert "`0123456789`, **of an earlier state** |" in figures
 
 
 def test_figures_in_readme(checkout: Path) -> None:
-    text = readme_with((checkout / "README.md").read_text(), documents(checkout), "now")
+    text = readme_with((checkout / "README.md").read_text(), documents(checkout), checkout)
     assert text.startswith(f"before\n{BEGIN}\n")
     assert text.endswith(f"\n{END}\nafter\n")
     assert "| a ratio | ≤ 1 | 0.5 ± 0.012 | holds | 2026-11-22, `0123456789` |" in text
     assert "the last ones" not in text
     assert "not recorded yet" not in text
-    assert readme_with(text, documents(checkout), "now") == text
+    assert readme_with(text, documents(checkout), checkout) == text
 
 
 def test_what_does_not_fit_is_named(checkout: Path) -> None:
     with pytest.raises(ValueError, match=r"README\.md: expected <!-- figures -->"):
-        readme_with("no marks", documents(checkout), "now")
+        readme_with("no marks", documents(checkout), checkout)
     notes = checkout / "docs" / "results" / "notes.toml"
     notes.write_text(NOTES.replace('row = "ratio"', 'row = "rato"'))
     with pytest.raises(ValueError, match="got 'rato', no row of the record 'first'"):
-        readme_with(f"{BEGIN}{END}", documents(checkout), "now")
+        readme_with(f"{BEGIN}{END}", documents(checkout), checkout)
     record("unknown").write(notes.with_name("unknown.json"))
     with pytest.raises(ValueError, match=r"notes\.toml: no note of unknown"):
         documents(checkout)
@@ -163,8 +172,7 @@ def test_younger_records_are_collected_without_their_runs(
 
 def test_pages_are_written(checkout: Path) -> None:
     write_pages(checkout)
-    state = tracking_state(checkout)
-    assert (checkout / "docs" / "results.md").read_text() == results_page(documents(checkout), state)
+    assert (checkout / "docs" / "results.md").read_text() == results_page(documents(checkout), checkout)
     assert "a ratio" in (checkout / "README.md").read_text()
 
 
