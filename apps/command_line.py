@@ -1,6 +1,7 @@
 """The command `rsmcm`. Everything heavy is imported where a subcommand starts, so that help comes at once."""
 
 import logging
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -233,7 +234,7 @@ def launch(
 
             set_threads(threads)
             logging.getLogger("rsmcm").info("threads: %d", threads)
-        with redirect_stdout(None if quiet else sys.stdout):
+        with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere if quiet else sys.stdout):
             code: int | None = function(*bound.args, **bound.kwargs)
     except ValueError as error:
         raise about_options(error, launch, function) from None
