@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rsmcm.apps.experiments.reproduce import EXPERIMENTS
 from rsmcm.apps.scenes import sleeping_man
 
 from ..support.newcomer import write_demo, write_film
@@ -60,6 +61,16 @@ def test_all_but_a_few_blocks_are_run() -> None:
             where = f"{name}, line {block.line}"
             assert block.language in ("python", "sh", "output", "toml", "csv", "json", "text"), where
             assert len(block.info) == 1 or block.language not in ("python", "sh") or not block.run, where
+
+
+def test_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 200
+
+
+def test_every_experiment_is_among_the_figures() -> None:
+    text = pages()["figures"].read_text()
+    for name in EXPERIMENTS:
+        assert f"```sh\nrsmcm reproduce {name}\n```\n\n```{{record}} {name}\n```" in text
 
 
 @pytest.mark.parametrize("name", pages())
