@@ -8,7 +8,7 @@ MODULES := $(sort $(shell find $(PACKAGES) -type f -not -path '*/__pycache__/*')
 # Shows all that pyenv has, where there is one.
 NOX := PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd :) $(BIN)/nox
 
-.PHONY: help demo docs docs-links test test-all test-versions test-newest check constraints bench fuzz clean
+.PHONY: help demo docs docs-links test test-all test-versions test-newest check constraints bench results fuzz clean
 .DELETE_ON_ERROR:
 
 help:
@@ -22,6 +22,7 @@ help:
 	@echo "make check          lint, format, types"
 	@echo "make constraints    choose the newest versions to be the tested ones"
 	@echo "make bench          speed and accuracy beside peers"
+	@echo "make results        docs/results.md and README's figures, from the records of bench and reproduce"
 	@echo "make fuzz           damaged inputs for every reader: 100,000 in about ten minutes"
 	@echo "make clean          remove everything that make made, .venv too"
 
@@ -59,6 +60,9 @@ constraints: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(BIN)/python -m rsmcm.apps.experiments.bench
+
+results: $(INSTALLED)
+	$(BIN)/python -m rsmcm.apps.experiments.results
 
 fuzz: $(INSTALLED)
 	$(BIN)/python -m tests.fuzz

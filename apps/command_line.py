@@ -1,6 +1,7 @@
 """The command `rsmcm`. Everything heavy is imported where a subcommand starts, so that help comes at once."""
 
 import logging
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -39,8 +40,6 @@ app = App(
     config=options_from_file,
 )
 reproduce = App(name="reproduce", help="Reproduce figures of the papers, wanted values beside measured ones.")
-app.command(reproduce)
-app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
 app.meta.suppress_keyboard_interrupt = False
 app.meta.group_parameters = Group("Of every command", sort_key=2)
 
@@ -252,8 +251,10 @@ def _experiment(name: str) -> Callable[..., None]:
     return perhaps_long if name in LONG else usual
 
 
+app.command(reproduce)
 for name, text in EXPERIMENTS.items():
     reproduce.command(_experiment(name), name=name, help=text)
+app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
 
 
 def _batched(application: str) -> Callable[..., int]:
@@ -334,7 +335,7 @@ def launch(
 
             set_threads(threads)
             logging.getLogger("rsmcm").info("threads: %d", threads)
-        with redirect_stdout(None if quiet else sys.stdout):
+        with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere if quiet else sys.stdout):
             code: int | None = function(*bound.args, **bound.kwargs)
     except ValueError as error:
         raise about_options(error, launch, function) from None

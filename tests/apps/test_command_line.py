@@ -21,6 +21,7 @@ from rsmcm.apps import command_line
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.command_line import main
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
+from rsmcm.apps.runs.parallel import in_processes
 from rsmcm.apps.scenes import sleeping_man
 
 from ..conftest import modified
@@ -179,6 +180,19 @@ def say(capfd: pytest.CaptureFixture[str], *arguments: object) -> tuple[str, str
     assert ended.value.code == 0
     out, err = capfd.readouterr()
     return out, err
+
+
+def test_experiments_in_processes_are_quiet_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """What starts processes wants a standard output that can be flushed."""
+
+    def two_numbers(name: str, out: Path) -> None:
+        print(sum(in_processes(name, [(abs, (-1,)), (abs, (-2,))])))
+
+    monkeypatch.setattr(command_line, "run_experiment", two_numbers)
+    assert say(capfd, "reproduce", "gain", "--out", tmp_path, "--quiet") == ("", "")
+    assert "3" in say(capfd, "reproduce", "gain", "--out", tmp_path)[0]
 
 
 def test_quiet_and_verbose(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
