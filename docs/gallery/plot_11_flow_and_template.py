@@ -2,13 +2,14 @@
 Optic flow and template matching, and what lies between
 =======================================================
 
-What will a face look like in the next frame? **Optic flow** says: as in this one. It gets used to everything, and drifts,
-since each small error becomes part of what it looks for next. **Template matching** says: as in the first one. It does
-not drift, and is lost when the looks change.
+What will a face look like in the next frame? **Optic flow** says: as in this one. It gets used to
+everything, and drifts, since each small error becomes part of what it looks for next. **Template matching**
+says: as in the first one. It does not drift, and is lost when the looks change.
 
-Both are G-flow with one expert, at its ends. There the texture of the face is a Kalman filter for every texel,
-:math:`\\hat v_t = \\hat v_{t-1} + K (y_t - \\hat v_{t-1})`, and its gain :math:`K` says how much of a new picture is
-believed: all of it, :math:`K = 1`, is flow, and nothing of it, :math:`K = 0`, is a template.
+Both are G-flow with one expert, at its ends. There the texture of the face is a Kalman filter for every
+texel, :math:`\\hat v_t = \\hat v_{t-1} + K (y_t - \\hat v_{t-1})`, and its gain :math:`K` says how much of
+a new picture is believed: all of it, :math:`K = 1`, is flow, and nothing of it, :math:`K = 0`, is a
+template.
 """
 
 import matplotlib.pyplot as plt
@@ -36,11 +37,13 @@ for name, film in films.items():
         found = np.array([tracker.vertices(belief[tracker])[0][:, :2] for belief in beliefs])
         errors.setdefault(name, []).append(np.linalg.norm(found - film.vertices, axis=2).mean())
     best = gains[int(np.argmin(errors[name]))]
-    print(f"{name}: {errors[name][0]:.2f} px as a template, {errors[name][-1]:.2f} px as flow, best gain {best}")
+    print(
+        f"{name}: {errors[name][0]:.2f} px as a template, {errors[name][-1]:.2f} px as flow, best gain {best}"
+    )
 
 # %%
-# Left and middle: frame 60 of either film. Right: mean error of the vertices over the gain. Nobody has to choose:
-# with ``gain="learned"`` every texel finds its own.
+# Left and middle: frame 60 of either film. Right: mean error of the vertices over the gain. Nobody has to
+# choose: with ``gain="learned"`` every texel finds its own.
 
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
 for axis, (name, film) in zip(axes, films.items(), strict=False):

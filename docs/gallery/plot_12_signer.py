@@ -2,10 +2,10 @@
 Somebody who signs
 ==================
 
-Two chains share the places of head and hands in the picture. A **tracker of flesh** follows them by colour and
-motion. A sampler of **whole poses** draws bodies that fit what is seen of these three, completes arms by inverse
-kinematics, and weighs them by the image. Each goes on where the other one fails: where no skin is seen, or where a hand
-is lost.
+Two chains share the places of head and hands in the picture. A **tracker of flesh** follows them by colour
+and motion. A sampler of **whole poses** draws bodies that fit what is seen of these three, completes arms
+by inverse kinematics, and weighs them by the image. Each goes on where the other one fails: where no skin
+is seen, or where a hand is lost.
 """
 
 import matplotlib.pyplot as plt
@@ -17,13 +17,13 @@ from rsmcm.inference.body.samples import moments
 from rsmcm.models import BodyParts, UpperBody
 
 # %%
-# A generated signer: for each of head and hands what is seen of it is missing in one frame out of five, in bursts.
-# Colour of skin and size of the body are learned from the film itself. In the second model the sampler does not hear
-# the tracker.
+# A generated signer: for each of head and hands what is seen of it is missing in one frame out of five, in
+# bursts. Colour of skin and size of the body are learned from the film itself. In the second model the
+# sampler does not hear the tracker.
 #
-# Left and middle: frame 45 with 20 poses drawn from what is believed (yellow), and the true one (white). Where the
-# yellow lines fan out, the model knows that it does not know. Right: mean error of elbows and hands. Try other seeds,
-# and more ``samples``.
+# Left and middle: frame 45 with 20 poses drawn from what is believed (yellow), and the true one (white).
+# Where the yellow lines fan out, the model knows that it does not know. Right: mean error of elbows and
+# hands. Try other seeds, and more ``samples``.
 
 scene = signer(60, seed=3, size=(480, 270))
 parts = BodyParts.learned(list(scene.images()), scene.detector)
@@ -36,7 +36,9 @@ for axis, (title, heard) in zip(axes, (("both chains", True), ("sampler by itsel
     states = [belief["pose"] for belief in RecursiveBP(model).run(scene)]
     joints = np.array([moments(body, state).joints for state in states])
     errors = np.linalg.norm((joints - scene.joints)[:, [3, 4, 6, 7], :2], axis=2).mean(axis=1)
-    print(f"{title}: error of elbows and hands {errors.mean():.0f} px; the head is {body.head_height:.0f} px high")
+    print(
+        f"{title}: error of elbows and hands {errors.mean():.0f} px; the head is {body.head_height:.0f} px high"
+    )
     axis.imshow(scene.image(44)[..., ::-1])
     for pose in body.joints(states[44].drawn(20, np.random.default_rng(0))):
         axis.plot(*pose[arms, :2].T, color="yellow", linewidth=0.5)
