@@ -28,9 +28,7 @@ for name, model in models.items():
     found = [tracker.vertices(belief[tracker])[0][:, :2] for belief in RecursiveBP(model).run(scene)]
     errors[name] = np.linalg.norm(np.array(found) - scene.vertices, axis=2).mean(axis=1)
     vertices[name] = found
-    print(
-        f"{name}: error {errors[name].mean():.2f} px on average, {errors[name].max():.2f} px in the worst frame"
-    )
+    print(f"{name}: error {errors[name].mean():.2f} px, {errors[name].max():.2f} px in the worst frame")
 
 # %%
 # Left and middle: where the vertices are believed to be in the frame in which the face alone is worst, and

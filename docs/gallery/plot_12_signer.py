@@ -37,7 +37,7 @@ for axis, (title, heard) in zip(axes, (("both chains", True), ("sampler by itsel
     joints = np.array([moments(body, state).joints for state in states])
     errors = np.linalg.norm((joints - scene.joints)[:, [3, 4, 6, 7], :2], axis=2).mean(axis=1)
     print(
-        f"{title}: error of elbows and hands {errors.mean():.0f} px; the head is {body.head_height:.0f} px high"
+        f"{title}: error {errors.mean():.0f} px, {errors.mean() / body.head_height:.0%} of the head's height"
     )
     axis.imshow(scene.image(44)[..., ::-1])
     for pose in body.joints(states[44].drawn(20, np.random.default_rng(0))):

@@ -28,24 +28,21 @@ from rsmcm.models import Frame, PointTracks
 
 turning = cylinder(n_frames=160, p_loose=0, p_drift=0, noise=0.1, degrees_per_frame=1)
 points = PointTracks(noise=0.1)  # radii of the cylinder
-AT = np.linspace(-0.3, 0.99, 50)[:, None, None]  # correlations
 
 
 def predictions(acceleration, sees):
     tracker, said = PointTracker(acceleration=acceleration), np.full(turning.observed.shape, np.nan)
     given = frames_of_tracks(turning.observed)
-    frames = [each if sees(each.number) else Frame(None, each.time, each.number) for each in given]
+    frames = [each if each.number in sees else Frame(None, each.time, each.number) for each in given]
     for index, belief in enumerate(RecursiveBP(MultiChain().connect(tracker, points)).run(frames)):
         identities, said[index, identities], _ = belief.message(tracker, points).positions.moments
     return said[20:]
 
 
+every, odd, even = range(1, 161), range(1, 161, 2), [1, *range(2, 161, 2)]  # all begin with the first frame
 pairs = {
-    "the same frames": (predictions(0.5, lambda n: True), predictions(1.0, lambda n: True)),
-    "other frames": (
-        predictions(0.5, lambda n: n % 2 == 1),
-        predictions(0.5, lambda n: n == 1 or n % 2 == 0),
-    ),
+    "the same frames": (predictions(0.5, every), predictions(1.0, every)),
+    "other frames": (predictions(0.5, odd), predictions(0.5, even)),
 }
 
 # %%
@@ -54,20 +51,18 @@ pairs = {
 # correlation. Dots: what was found, with a 95 % interval. Let each of the last two see half of the frames
 # of the other, too.
 
+noise, at = 0.1**2 * np.eye(2), np.linspace(-0.3, 0.99, 50)[:, None, None]  # at: correlations
 figure, axis = plt.subplots(figsize=(7, 3.6), layout="constrained")
 for name, (one, two) in pairs.items():
     known = ~np.isnan(one + two).any(axis=2)
-    recorded = RecordedPredictions(one[known], two[known], turning.observed[20:][known], 0.1**2 * np.eye(2))
+    recorded = RecordedPredictions(one[known], two[known], turning.observed[20:][known], noise)
     found = compare(recorded, groups=np.nonzero(known)[1])  # errors of a point are related
     print(f"{name}: {found.verdict}; errors correlate {found.correlation:.2f}, gain {found.gain:.2f} nats")
     both = found.rms_first.estimate * found.rms_second.estimate * np.eye(2)
-    theory = PredictionErrors(
-        found.errors.first, found.errors.second, AT * both, 0 * both, 0.1**2 * np.eye(2)
-    )
-    (curve,) = axis.plot(AT.ravel(), np.minimum(*theory.gains), label=f"two who saw {name}")
-    gain, color = found.gain, curve.get_color()
-    axis.vlines(found.correlation.estimate, gain.low, gain.high, color=color, linewidth=3)
-    axis.plot(found.correlation.estimate, gain.estimate, "o", color=color)
+    theory = PredictionErrors(found.errors.first, found.errors.second, at * both, 0 * noise, noise)
+    (curve,) = axis.plot(at.ravel(), np.minimum(*theory.gains), label=f"two who saw {name}")
+    interval = [[found.gain.estimate - found.gain.low], [found.gain.high - found.gain.estimate]]
+    axis.errorbar(found.correlation.estimate, found.gain.estimate, interval, fmt="o", color=curve.get_color())
 axis.axhline(0, color="grey", linewidth=0.8)
 axis.set(xlabel="correlation of the errors", ylabel="gain over the better one, nats")
 axis.legend()
