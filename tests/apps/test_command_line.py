@@ -21,7 +21,7 @@ from rsmcm.apps import command_line
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.command_line import main
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
-from rsmcm.apps.runs.parallel import in_processes
+from rsmcm.apps.runs.parallel import in_parallel
 from rsmcm.apps.scenes import sleeping_man
 
 from ..conftest import modified
@@ -113,7 +113,7 @@ def test_wrong_options(
 
 def test_wrong_subcommands(capfd: pytest.CaptureFixture[str]) -> None:
     assert "unknown command 'backgroud', did you mean background?" in complaint(capfd, "backgroud")
-    assert "unknown command 'x', expected reproduce, background, " in complaint(capfd, "x")
+    assert "unknown command 'x', expected background, structure, " in complaint(capfd, "x")
     assert "unknown command 'nothing', expected sleeping-man, " in complaint(capfd, "reproduce", "nothing")
     assert "unknown option --frobnicate" in complaint(capfd, "--frobnicate")
     assert "SOURCE is needed" in complaint(capfd, "face")
@@ -188,7 +188,7 @@ def test_experiments_in_processes_are_quiet_too(
     """What starts processes wants a standard output that can be flushed."""
 
     def two_numbers(name: str, out: Path) -> None:
-        print(sum(in_processes(name, [(abs, (-1,)), (abs, (-2,))])))
+        print(sum(in_parallel(name, [(abs, (-1,)), (abs, (-2,))])))
 
     monkeypatch.setattr(command_line, "run_experiment", two_numbers)
     assert say(capfd, "reproduce", "gain", "--out", tmp_path, "--quiet") == ("", "")
