@@ -10,9 +10,9 @@ import pytest
 from rsmcm.apps.background.demo import SIGNER, write_body, write_cylinder, write_face, write_scene
 from rsmcm.apps.command_line import app, main
 from rsmcm.apps.io import TrackWriter
+from rsmcm.apps.io.mot import TrackedBox
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.scenes import Scene, face, signer, sleeping_man
-from rsmcm.inference.objects.blobs import Track
 
 ROOT = Path(__file__).parents[2]
 LONG = ("rsmcm demo", "rsmcm reproduce")  # only read, not run; tests of their own run them
@@ -85,7 +85,7 @@ def film_of_a_street(scene: Scene) -> None:
             assert frame.image is not None
             film.write(frame.image, frame.number, frame.time)
             boxes = scene.boxes(frame.number - 1)
-            truth.write(frame.number, [Track(box.identity, box.box, 1.0, (0.0, 0.0)) for box in boxes])
+            truth.write(frame.number, [TrackedBox(box.identity, box.box) for box in boxes])
     film.close(finished=True)
 
 
