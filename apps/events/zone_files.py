@@ -25,7 +25,7 @@ OPTIONS = ("units", "still_after", "patience")
 UNITS = ("px", "relative")
 
 
-def read_zones(path: Path, size: tuple[int, int]) -> Zones:
+def read_zones(path: str | Path, size: tuple[int, int]) -> Zones:
     """Read zones and lines.
 
     Parameters
@@ -45,7 +45,7 @@ def read_zones(path: Path, size: tuple[int, int]) -> Zones:
     OSError
         if the file cannot be read.
     """
-    return zones_of(read_entries(path), size, f"--zones: {path}")
+    return zones_of(read_entries(Path(path)), size, f"--zones: {path}")
 
 
 def read_entries(path: Path) -> dict[str, Any]:
