@@ -397,6 +397,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
                 self.title,
                 summary["detections"],
                 self._happened(),
+                COMPARISON[-1:] if job.compare else (),
             )
 
     def drawn(self, belief: Belief, found: Found) -> Callable[[], Row]:
@@ -410,7 +411,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     def view(self, film: Film) -> View:
         """Tracks over the film."""
-        return tracks_view(film)
+        return tracks_view(film, self._zones)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Tracks, and measures against ground truth."""

@@ -48,7 +48,7 @@ class BackgroundJob(FilmJob):
     masks
         Foreground masks as foreground/bin000001.png and so on, as one lossless foreground.mkv, or none.
     ground_truth
-        A MOT gt.txt or a folder that holds one, or a CDnet folder with groundtruth/.
+        A MOT gt.txt, a folder that holds one, or CVAT's zip of MOT 1.1; or a CDnet folder with groundtruth/.
     detections
         What a detector has found in the film: MOT det.txt, COCO JSON, or CSV with a header (frame, x, y,
         width, height, score, class).

@@ -32,6 +32,7 @@ def write_report(
     title: str = "Background and tracks",
     detections: Mapping[str, int] | None = None,
     happened: Happened | None = None,
+    coming: Sequence[str] = (),
 ) -> None:
     """Write the report of a run as one HTML file.
 
@@ -53,6 +54,8 @@ def write_report(
         how many `boxes` a detector has found, and in how many `frames` it looked, if it was given.
     happened
         what happened to zones and lines, if there were any.
+    coming
+        names of files that will lie beside it, to be linked.
 
     Raises
     ------
@@ -73,7 +76,8 @@ def write_report(
     if happened is not None:
         sections += happened.sections()
     sections.append(("Over time", [_plots(record)]))
-    write_run_page(path, title, _summary(record, background, detections), (), sections, parameters)
+    summary = _summary(record, background, detections)
+    write_run_page(path, title, summary, (), sections, parameters, coming)
 
 
 def draw_tracks(background: Image, tracks: Mapping[int, TrackHistory], zones: Zones | None = None) -> Image:

@@ -34,6 +34,12 @@ def identity_colour(identity: int) -> tuple[int, int, int]:
     return round(255 * blue), round(255 * green), round(255 * red)
 
 
+def css_colour(colour: Sequence[int]) -> str:
+    """A BGR colour as pages take it, `#rrggbb`."""
+    blue, green, red = colour
+    return f"#{red:02x}{green:02x}{blue:02x}"
+
+
 def draw_overlay(
     image: NDArray[np.uint8],
     foreground: NDArray[np.uint8] | None,

@@ -123,8 +123,8 @@ class Zones:
         s for which somebody may be out of sight and still be there.
     """
 
-    zones: tuple[Zone, ...]
-    lines: tuple[Line, ...]
+    zones: tuple[Zone, ...] = ()
+    lines: tuple[Line, ...] = ()
     still_after: float = 2.0
     patience: float = 3.0
 

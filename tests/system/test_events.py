@@ -83,7 +83,7 @@ def test_without_feedback_he_is_lost(film: Path, tmp_path: Path) -> None:
 def test_the_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What `events.md` shows works, and prints what it shows."""
+    """What the page shows works, and prints what it shows."""
     page = (Path(__file__).parents[2] / "docs" / "events.md").read_text()
     monkeypatch.chdir(tmp_path)
     write_scene(sleeping_man(400), Path("results/demo/scene"))
