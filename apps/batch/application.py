@@ -23,7 +23,7 @@ from ..options.complaints import one_line
 from ..options.job import Job
 from ..runs.interruption import Interrupted
 from ..runs.output_folder import was_cut_off
-from ..runs.parallel import Workers, as_they_end, working
+from ..runs.parallel import Workers, as_they_end, chosen_workers, working
 from .film import Told, run_film
 from .folders import folder_names
 from .job import APPLICATIONS, OWN, Batch, Typed, job_of, typed, words_of
@@ -197,13 +197,13 @@ def workers_for(found: Sequence[Found], batch: Batch) -> Workers:
     ValueError
         if there would be fewer processes than live cameras.
     """
+    workers = chosen_workers(batch.jobs, batch.dask)
     live, cores = sum(each.live for each in found), cpu_count()
-    if batch.dask is not None:
-        return Workers(dask=batch.dask)
-    if batch.jobs is not None and batch.jobs < live:
+    if batch.jobs is None:
+        workers = replace(workers, jobs=max(workers.jobs, live))
+    elif workers.jobs < live:
         raise ValueError(f"--jobs: got {batch.jobs}, expected {live} or more: all live cameras run at once")
-    jobs = batch.jobs or max(cores, live)
-    return Workers(jobs, max(1, min(thread_count(), cores // jobs)))
+    return replace(workers, threads=max(1, min(thread_count(), cores // workers.jobs)))
 
 
 def commands(application: str, sources: Sequence[str], batch: Batch, options: Any) -> list[str]:
@@ -280,4 +280,6 @@ def in_words(ended: Ended, out: Path) -> list[str]:
 def report_failures(ended: Ended) -> None:
     """A line on standard error for each film that went wrong."""
     for line in ended.failed:
-        print(f"rsmcm: {line.source}: {line.told.error}", file=sys.stderr)
+        error = line.told.error
+        named = error if error.startswith(line.source) else f"{line.source}: {error}"
+        print(f"rsmcm: {named}", file=sys.stderr)

@@ -67,6 +67,19 @@ class Workers:
             raise ValueError(f"jobs: got {self.jobs}, expected 1 or more")
 
 
+def chosen_workers(jobs: int | None, dask: str | None) -> Workers:
+    """Workers as they are asked for by options of a command.
+
+    Raises
+    ------
+    ValueError
+        if there would be no process, or both are given.
+    """
+    if jobs is not None and dask is not None:
+        raise ValueError("--jobs and --dask: got both, expected one of them (its workers are the jobs)")
+    return Workers(jobs=cpu_count() if jobs is None else jobs, dask=dask)
+
+
 _chosen: ContextVar[Workers | None] = ContextVar("workers", default=None)
 
 
