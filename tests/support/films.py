@@ -35,6 +35,15 @@ def write_films(folder: Path, count: int, frames: int = 6) -> Path:
     return folder
 
 
+def write_long_films(folder: Path, count: int, frames: int) -> Path:
+    """So many of them, of twelve pictures that come again and again."""
+    for number in range(count):
+        film = write_film(folder / f"film{number:03d}", 12, seed=number)
+        for frame in range(12, frames):
+            (film / f"{frame:04d}.png").hardlink_to(film / f"{frame % 12:04d}.png")
+    return folder
+
+
 def start(*arguments: object) -> subprocess.Popen[str]:
     """A command in a process group of its own."""
     return subprocess.Popen(
