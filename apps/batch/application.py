@@ -5,10 +5,10 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import FrameType
@@ -134,8 +134,9 @@ def run_batch(application: str, sources: Sequence[str], batch: Batch, options: A
     summary.write()
     ending = Ending(here=workers.dask is None)
     try:
-        with ending.heard(), working(workers):
-            for film, told in _all_told(application, films, workers, ending):
+        told_by = _all_told(application, films, workers, ending)
+        with ending.heard(), working(workers), closing(told_by):
+            for film, told in told_by:
                 summary.tell(Line(film.name, film.job.out.name, told))
     except Interrupted as stop:
         ending.signal = stop.signal
@@ -225,7 +226,7 @@ def _command(application: str, job: Job, threads: int) -> list[str]:
 
 def _all_told(
     application: str, films: Sequence[Film], workers: Workers, ending: Ending
-) -> Iterator[tuple[Film, Told]]:
+) -> Generator[tuple[Film, Told]]:
     """What becomes of all films, as they end; whoever takes his process along does not stop the others.
 
     When a process dies, all that wait for it are given back. Those that were begun are run again by
