@@ -9,7 +9,7 @@ from contextlib import redirect_stdout
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
@@ -38,8 +38,6 @@ app = App(
     config=options_from_file,
 )
 reproduce = App(name="reproduce", help="Reproduce figures of the papers, wanted values beside measured ones.")
-app.command(reproduce)
-app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
 app.meta.suppress_keyboard_interrupt = False
 app.meta.group_parameters = Group("Of every command", sort_key=2)
 
@@ -120,7 +118,8 @@ def shape(tracks: Path, *, bases: int, out: Path, overwrite: Flag = False) -> in
     Parameters
     ----------
     tracks
-        .npy, or .npz with an array tracks or a single one: (n_frames, n_points, 2) px, NaN where missing.
+        .npy, or .npz with an array tracks or a single one: (n_frames, n_points, 2) px, NaN where missing; or
+        .npz as CoTracker or TAP-Vid have them.
     bases
         Number of morph bases, the mean shape among them: 2 or more.
     out
@@ -131,6 +130,28 @@ def shape(tracks: Path, *, bases: int, out: Path, overwrite: Flag = False) -> in
     from .structure.shape import in_words, run_shape
 
     print(*in_words(run_shape(tracks, bases, out, overwrite=overwrite)), f"model: {out}", sep="\n")
+    return 0
+
+
+@app.command
+def export(run: Path, *, to: Literal["coco", "cvat", "movement"], out: Path, overwrite: Flag = False) -> int:
+    """Write the results of a finished run as a file that another tool takes.
+
+    Parameters
+    ----------
+    run
+        Folder of the run.
+    to
+        coco: JSON with boxes, masks and identities of a background run. cvat: its MOT 1.1 (zip), which CVAT
+        imports and --ground-truth reads. movement: netCDF of objects, a body or a face (needs rsmcm[xarray]).
+    out
+        File to write: .json, .zip or .nc.
+    overwrite
+        Replace the file if it is there.
+    """
+    from .exports.export import run_export
+
+    print(f"{run_export(run, to, out, overwrite=overwrite)}: {out}")
     return 0
 
 
@@ -149,6 +170,23 @@ def demo(*, out: Path = Path("results/demo")) -> int:
 
 
 @app.command
+def view(run: Path) -> int:
+    """Show the results of a run in the browser: the film, with what was found drawn over it.
+
+    On a machine without a screen, the page is named only.
+
+    Parameters
+    ----------
+    run
+        Folder of the run, or of a batch.
+    """
+    from .view.open_page import open_page
+
+    print(open_page(run))
+    return 0
+
+
+@app.command
 def validity(run: Path) -> int:
     """Say which chains of a finished run help each other, and why.
 
@@ -160,6 +198,26 @@ def validity(run: Path) -> int:
     from .evaluation.validity import report_validity
 
     print(report_validity(run))
+    return 0
+
+
+@app.command
+def events(run: Path, *, zones: Path) -> int:
+    """Say what happened in zones of a finished run of rsmcm background.
+
+    Writes events.csv, events.html and the counts in summary.json, as --zones of the run itself would have;
+    what an earlier call wrote there is replaced.
+
+    Parameters
+    ----------
+    run
+        Folder of the run.
+    zones
+        TOML file with zones and lines of the picture, or JSON as LabelMe writes it.
+    """
+    from .events.finished import run_events
+
+    print(*run_events(run, zones), sep="\n")
     return 0
 
 
@@ -191,8 +249,10 @@ def _experiment(name: str) -> Callable[..., None]:
     return reproduced
 
 
+app.command(reproduce)
 for name, text in EXPERIMENTS.items():
     reproduce.command(_experiment(name), name=name, help=text)
+app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
 
 
 app.command(batch)
