@@ -1,6 +1,7 @@
 """Zones and lines in the picture, and how far a foot is from their borders."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +123,14 @@ class Zones:
         s for which somebody may be out of sight and still be there.
     """
 
-    zones: tuple[Zone, ...]
-    lines: tuple[Line, ...]
+    zones: tuple[Zone, ...] = ()
+    lines: tuple[Line, ...] = ()
     still_after: float = 2.0
     patience: float = 3.0
+
+    def plain(self) -> dict[str, Any]:
+        """Names and corners (px) as a page takes them, by the words of a file of zones."""
+        return {
+            "zones": [{"name": zone.name, "polygon": zone.polygon.tolist()} for zone in self.zones],
+            "lines": [{"name": line.name, "from": line.start, "to": line.end} for line in self.lines],
+        }
