@@ -195,7 +195,7 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
     if (k === undefined) return [...seen, ["over the film", "not on this page: too many points"]];
     const [x, y] = place(i, k), [xx, , yy] = spread(i, k);
     const now = [["now", isSeen(i, k) ? "seen" : "not seen, by shape and camera"]];
-    if (Number.isFinite(x)) now.push(["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`], ["unsure by", `${Math.sqrt(xx).toFixed(2)}, ${Math.sqrt(yy).toFixed(2)} px`]);
+    if (Number.isFinite(x)) now.push(["place", `${(x + corner[0]).toFixed(1)}, ${(y + corner[1]).toFixed(1)} px`], ["unsure by", `${Math.sqrt(xx).toFixed(2)}, ${Math.sqrt(yy).toFixed(2)} px`]);
     if (isSeen(i, k)) now.push(["residual", `${Math.hypot(...residual(i, k)).toFixed(2)} px`]);
     return [...seen, ...now];
   });
