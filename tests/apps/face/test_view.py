@@ -107,7 +107,7 @@ def test_what_is_on_the_page(folder: Path, scene: FaceScene, drawing: FaceDrawin
     plots = {plot.name: plot.values for plot in view.plots}
     np.testing.assert_allclose(plots["experts, effective"], 4)
     np.testing.assert_allclose(plots["explained"], 90, rtol=1e-6)
-    np.testing.assert_allclose(plots["points unsure"], np.sqrt(5), rtol=1e-6)
+    np.testing.assert_allclose(plots["points ±"], np.sqrt(5), rtol=1e-6)
     assert np.isnan(plots["error"][0])
 
 

@@ -208,7 +208,7 @@ def test_a_selected_point_has_its_plots_and_its_row(shown: ViewPage, found: Reco
     shown.show(index)
     for name, expected in (
         ("selected: residual", np.linalg.norm(found.residuals[index, 4])),
-        ("selected: unsure", np.sqrt(0.08)),
+        ("selected ±", np.sqrt(0.08)),
     ):
         plot = shown.page.locator(".plot").filter(has_text=name)
         assert float((plot.locator("output").text_content() or "").split()[0]) == pytest.approx(
@@ -229,6 +229,7 @@ def test_points_that_are_not_listed_have_a_row_while_selected(
     with shown_page(browser, tmp_path, SIZE) as shown:
         rows = shown.page.locator("[role=option]")
         assert rows.count() == 2
+        assert shown.page.get_by_text("Over the film: 6 of 15 points").is_visible()
         space = turning(shown, found)
         drawn = np.array([space.place(place)[:2] for place in found.shape])
         said = set()

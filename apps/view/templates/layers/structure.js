@@ -96,6 +96,11 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
   const panel = addPanel("In space");
   if (inSpace === null) panel.append(element("p", { className: "quiet", textContent: `The shape is undetermined: ${reason}.` }));
   else addSpace(panel, inSpace);
+  const few = [["Over the film", n], ["in space", inSpace?.points.length ?? counts.length]].filter(([, some]) => some < counts.length);
+  if (few.length) {
+    const words = few.map(([where, some]) => `${where}: ${some} of ${counts.length} points`);
+    panel.append(element("p", { className: "quiet hint", textContent: `${words.join(", ")}, evenly chosen.` }));
+  }
 
   function addSpace(panel, { points, places, inks, colours, covariances, rotations, centre, reach }) {
     const shownAt = new Map([...points].map((id, k) => [id, k]));
@@ -201,5 +206,5 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
   });
   const over = (value) => (id) => order.has(id) ? Float32Array.from({ length: view.count }, (_, i) => value(i, order.get(id))) : null;
   addPlot({ name: "selected: residual", unit: "px", values: over((i, k) => isSeen(i, k) ? Math.hypot(...residual(i, k)) : NaN) });
-  addPlot({ name: "selected: unsure", unit: "px", values: over((i, k) => Math.sqrt(spread(i, k)[0] + spread(i, k)[2])) });
+  addPlot({ name: "selected ±", unit: "px", values: over((i, k) => Math.sqrt(spread(i, k)[0] + spread(i, k)[2])) });
 });
