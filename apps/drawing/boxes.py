@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame, GivenBoxes
+from ..events.drawing import draw_zones
+from ..events.zones import Zones
 from ..io.mot import TrackedObject
 from .overlay_video import OverlayVideo, caption
 
@@ -45,6 +47,7 @@ def draw_overlay(
     trails: dict[int, NDArray[np.float64]],
     caption: str,
     given: GivenBoxes | None = None,
+    zones: Zones | None = None,
 ) -> NDArray[np.uint8]:
     """Draw what was found on a copy of the frame.
 
@@ -62,6 +65,8 @@ def draw_overlay(
         text in the upper left corner.
     given
         boxes of a detector: thin and grey, below the tracks.
+    zones
+        zones and lines, below everything but the mask.
 
     Returns
     -------
@@ -73,6 +78,8 @@ def draw_overlay(
     thick = max(1, round(1.6 * unit))
     if foreground is not None:
         _tint(picture, foreground, max(1, round(unit)))
+    if zones is not None:
+        draw_zones(picture, zones)
     for identity, points in trails.items():
         if len(points) > 1:
             cv2.polylines(
@@ -129,12 +136,13 @@ def _write_label(
 class OverlayWriter(OverlayVideo):
     """`overlay.mp4`: the frames with masks, boxes, identities and the trails of the last two seconds.
 
-    Parameters as of `OverlayVideo`.
+    Parameters as of `OverlayVideo`, and of `draw_overlay`.
     """
 
-    def __init__(self, path: Path, rate: float, resume_after: int = 0) -> None:
+    def __init__(self, path: Path, rate: float, resume_after: int = 0, zones: Zones | None = None) -> None:
         super().__init__(path, rate, resume_after, AHEAD)
         self._trails: dict[int, deque[tuple[float, float, float]]] = {}
+        self._zones = zones
         self._last_image: NDArray[np.uint8] | None = None
 
     def add(
@@ -165,4 +173,4 @@ class OverlayWriter(OverlayVideo):
             return None  # nothing seen yet, not even the size
         self._last_image = image
         trails = {identity: np.array(trail)[:, 1:] for identity, trail in self._trails.items()}
-        return draw_overlay(image, foreground, tracks, trails, caption(frame), frame.boxes)
+        return draw_overlay(image, foreground, tracks, trails, caption(frame), frame.boxes, self._zones)

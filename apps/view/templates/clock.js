@@ -27,6 +27,7 @@ function filmClock(video) {
     };
     requestAnimationFrame(next);
   }
+  video.addEventListener("ended", () => shown(Infinity)); // a fast film may not show its last picture
   return {
     get playing() { return !video.paused && !video.ended; },
     get speed() { return video.playbackRate; },
