@@ -75,10 +75,11 @@ fuzz: $(INSTALLED)
 
 dist: $(INSTALLED)
 	git diff --quiet HEAD || (echo "make dist: commit first: there are changes" >&2; exit 2)
-	rm -rf build dist
-	mkdir -p build/committed
-	git archive HEAD | tar -x -C build/committed
-	$(BIN)/python -m build --no-isolation --outdir dist build/committed
+	rm -rf dist
+	mkdir -p dist/committed
+	git archive HEAD | tar -x -C dist/committed
+	$(BIN)/python -P -m build --no-isolation --outdir dist dist/committed
+	rm -r dist/committed
 
 clean:
 	rm -rf .venv .nox build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis \
