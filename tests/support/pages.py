@@ -56,13 +56,12 @@ class Block:
 
 
 def pages() -> dict[str, Path]:
-    """README and all pages of docs, by their names there."""
+    """All pages of docs by their names, and those of the checkout that some of them include."""
     docs = ROOT / "docs"
     made = [docs / "_build", docs / "generated"]
     found = [path for path in sorted(docs.rglob("*.md")) if not set(made) & set(path.parents)]
-    return {"README": ROOT / "README.md"} | {
-        str(path.relative_to(docs).with_suffix("")): path for path in found
-    }
+    top = {name: ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")}
+    return {str(path.relative_to(docs).with_suffix("")): path for path in found} | top
 
 
 def blocks(path: Path) -> list[Block]:
