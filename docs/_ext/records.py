@@ -35,8 +35,9 @@ class RecordOf(SphinxDirective):
         name, docs = self.arguments[0], Path(self.env.srcdir)
         path = docs / "results" / f"{name}.json"
         lines = ["*Not recorded yet: the command makes it.*"]
+        self.env.note_dependency(str(path))
+        self.env.note_dependency(str(docs / "pictures" / "figures"))
         if path.exists():
-            self.env.note_dependency(str(path))
             record = Record.read(path)
             lines = [*table(record), "", origin(record)]
         for picture in sorted((docs / "pictures" / "figures").glob(f"{name}-*.png")):
