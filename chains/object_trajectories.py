@@ -13,11 +13,23 @@ first frame in which it was seen, and leaves out what was not seen for long enou
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..inference.core.protocols import BatchIncoming, Port, Smoothed
-from ..inference.objects.trajectories import Boxes, Comings, Motion, joined, joins, messages_of, smoothed
+from ..inference.objects.blobs import Track, middle_covariance
+from ..inference.objects.trajectories import (
+    Boxes,
+    Comings,
+    Motion,
+    Smooth,
+    joined,
+    joins,
+    messages_of,
+    smoothed,
+)
 from ..models.core.short_repr import short_repr
 from ..models.objects.box_detector import FOOT_Y, HEIGHT, WIDTH
 from ..models.objects.box_message import BoxMessage
@@ -32,20 +44,46 @@ class ObjectsOverTime:
     Parameters
     ----------
     boxes
-        of all objects in all frames, with one identity for each object.
+        of all objects in all frames, with one identity for each object; `n` in all.
+    velocities
+        `(n, 2)` px/s of their feet, to the right and down.
+    seen
+        `(n,)` bool: whether the frame shows them; in gaps they are known from before and after.
     """
 
     boxes: Boxes
+    velocities: NDArray[np.float64]
+    seen: NDArray[np.bool_]
 
-    def at(self, index: int) -> list[tuple[int, tuple[float, float, float, float]]]:
-        """Identity and box (x, y, width, height px) of every object in a frame, by index from 0."""
-        rows = self.boxes[self.boxes.frames == index]
-        corners = rows.means - np.outer(rows.means[:, WIDTH], [0.5, 0, 0, 0])
-        corners[:, FOOT_Y] -= rows.means[:, HEIGHT]
+    @classmethod
+    def of(cls, tracks: Sequence[Smooth]) -> Self:
+        """Those of objects that are known, of tracks ordered by identity."""
+        known = [track.known() for track in tracks]
+        return cls(
+            Boxes.together([track.boxes()[rows] for track, rows in zip(tracks, known, strict=True)]),
+            np.concatenate(
+                [np.zeros((0, 2)), *(t.feet.mean[rows, 2:] for t, rows in zip(tracks, known, strict=True))]
+            ),
+            np.concatenate(
+                [np.zeros(0, bool), *(t.seen[rows] for t, rows in zip(tracks, known, strict=True))]
+            ),
+        )
+
+    def at(self, index: int) -> list[Track]:
+        """Every object in a frame, by index from 0; of who is reported here, nobody is unsure any more."""
+        rows = np.flatnonzero(self.boxes.frames == index)
+        boxes = self.boxes[rows]
+        corners = boxes.means - np.outer(boxes.means[:, WIDTH], [0.5, 0, 0, 0])
+        corners[:, FOOT_Y] -= boxes.means[:, HEIGHT]
         return [
-            (identity, (x, y, width, height))
-            for identity, (x, y, width, height) in zip(
-                rows.identities.tolist(), corners.tolist(), strict=True
+            Track(identity, (x, y, width, height), 1.0, (vx, vy), seen, middle_covariance(variance))
+            for identity, (x, y, width, height), (vx, vy), seen, variance in zip(
+                boxes.identities.tolist(),
+                corners.tolist(),
+                self.velocities[rows].tolist(),
+                self.seen[rows].tolist(),
+                boxes.variances,
+                strict=True,
             )
         ]
 
@@ -100,8 +138,7 @@ class ObjectTrajectories:
         comings = Comings(size, len(known) / max(times[-1] - times[0], 1.0), self.patience)
         next_of = joins(known, times, motion, comings)
         together = joined(boxes, known, next_of).tracks()
-        found = [smoothed(track, times, motion).known() for track in together]
-        return Smoothed(ObjectsOverTime(Boxes.together(found)))
+        return Smoothed(ObjectsOverTime.of([smoothed(track, times, motion) for track in together]))
 
     def messages(
         self,

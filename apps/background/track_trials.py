@@ -24,7 +24,7 @@ from ..io.ground_truth import BoxTruth, read_ground_truth
 from ..io.sources.open_source import open_source
 from ..reports.expectations import Expectation
 from ..runs.interruption import Interruption
-from ..runs.parallel import in_processes
+from ..runs.parallel import in_parallel
 from .application import build_model
 from .job import WHOLE_FILM, BackgroundJob, Engine
 from .methods import CHAINS, Model
@@ -149,7 +149,7 @@ class Scored:
 def run_trials(label: str, trials: Sequence[Trial]) -> dict[str, list[Tracks]]:
     """The tracks of all trials by name, one table a seed; worked out in several processes."""
     work = [(trial.tracks, (seed,)) for trial in trials for seed in trial.seeds]
-    made = iter(in_processes(label, work))
+    made = iter(in_parallel(label, work))
     return {trial.name: [next(made) for _ in trial.seeds] for trial in trials}
 
 
@@ -200,7 +200,7 @@ def whole_film_tracks(film: AnnotatedFilm, every: int | None, seed: int) -> Trac
         count = source.n_frames
     assert count is not None
     return _table(
-        [(index + 1, identity, *box) for index in range(count) for identity, box in objects.at(index)]
+        [(index + 1, track.identity, *track.box) for index in range(count) for track in objects.at(index)]
     )
 
 
@@ -261,7 +261,7 @@ def best_associations(film: AnnotatedFilm, every: int) -> dict[str, tuple[str, p
     """What plain association is best with on this film, in IDF1 and in MOTA: in words, and its tracks."""
     combined = list(product(SCORE_QUANTILES, ASSOCIATIONS))
     work = [(_association_scores, (film, every, *each)) for each in combined]
-    scores: list[TrackScores] = in_processes(f"{film.name}, association", work)
+    scores: list[TrackScores] = in_parallel(f"{film.name}, association", work)
     best = {}
     for title in ("IDF1", "MOTA"):
         values = [getattr(each, MEASURES[title]) for each in scores]
@@ -326,15 +326,17 @@ def detector_expectations(
     above = ours.mean("mota") - plain["MOTA"].mean("mota")
     found = [
         Expectation(f"{film} with a detector: IDF1", ours.mean("idf1"), ">=", wanted[0]),
-        Expectation("the same: MOTA", ours.mean("mota"), ">=", wanted[1]),
-        Expectation("IDF1 over plain association", times, ">=", 1.15),
-        Expectation("MOTA above plain association", above, ">=", 0.04),
-        Expectation("IDF1 lost with the detector on every fifth frame", lost, "<=", 0.03),
-        Expectation("the same of plain association", plain_lost),
-        Expectation("IDF1 above feed-forward with the detector", feedback, ">=", 0.05),
+        Expectation(f"{film} with a detector: MOTA", ours.mean("mota"), ">=", wanted[1]),
+        Expectation(f"{film}: IDF1 over plain association", times, ">=", 1.15),
+        Expectation(f"{film}: MOTA above plain association", above, ">=", 0.04),
+        Expectation(f"{film}: IDF1 lost with the detector on every fifth frame", lost, "<=", 0.03),
+        Expectation(f"{film}: the same of plain association", plain_lost),
+        Expectation(f"{film}: IDF1 above feed-forward with the detector", feedback, ">=", 0.05),
     ]
     if switches is not None:
-        found.append(Expectation("id switches with a detector", ours.mean("switches"), "<=", switches))
+        found.append(
+            Expectation(f"{film} with a detector: id switches", ours.mean("switches"), "<=", switches)
+        )
     return found
 
 

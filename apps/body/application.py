@@ -1,7 +1,8 @@
 """The body application: from a film of a person to the pose of the upper body in every frame."""
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, ClassVar
@@ -21,10 +22,13 @@ from ..runs.film_run import FilmRun, Writer
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import BODY, SAMPLE
 from ..runs.saved_run import SavedRun
+from ..view.film import Film, Row
+from ..view.page import View
 from .job import BodyJob
 from .joint_files import ClickedJoints, read_joints
 from .report import BodyRecord, write_body_report
 from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
+from .view import body_view, drawn_of
 from .writer import BodyWriter, lengths
 
 _log = logging.getLogger(__name__)
@@ -140,7 +144,22 @@ class BodyRun(FilmRun[BodyJob]):
     def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
         """Write the frame's poses."""
         detected = belief[self._flesh].unseen == 0
-        self._writer.add(belief.frame, belief[self._pose], detected, seconds)
+        self._row = self._writer.add(belief.frame, belief[self._pose], detected, seconds)
+
+    def drawn(self, belief: Belief, found: Any) -> Callable[[], Row]:
+        """Joints and some samples."""
+        samples = belief[self._pose]
+        return partial(drawn_of, self._row, samples.log_evidence, samples.effective)
+
+    @property
+    def title(self) -> str:
+        """The source, and what of it is followed."""
+        return f"{Path(self.source.name).name}: upper body"
+
+    def view(self, film: Film) -> View:
+        """The body over the film, and in space."""
+        body = self._start.body
+        return body_view(film, body.upper_arm + body.forearm)
 
     def facts(self) -> dict[str, Any]:
         """What was seen, and what is assumed of the person."""
@@ -155,8 +174,7 @@ class BodyRun(FilmRun[BodyJob]):
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the report."""
-        title = f"{Path(self.source.name).name}: upper body"
-        write_body_report(self.job.out / "report.html", self.record, summary, title)
+        write_body_report(self.job.out / "report.html", self.record, summary, self.title)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """How much was seen."""

@@ -1,7 +1,9 @@
 """What a run of the body application leaves: arrays and a video that grow with the frames."""
 
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,8 +89,8 @@ class BodyWriter(PoseWriter):
         self._record = record
         self._overlay = BodyOverlay(body.upper_arm + body.forearm)
 
-    def add(self, frame: Frame, samples: BodySamples, detected: Mask, seconds: float) -> None:
-        """Take in a frame.
+    def add(self, frame: Frame, samples: BodySamples, detected: Mask, seconds: float) -> Mapping[str, Any]:
+        """Take in a frame; its row of `poses.npz` is returned.
 
         Parameters
         ----------
@@ -124,6 +126,7 @@ class BodyWriter(PoseWriter):
         )
         drawing = self.write(frame, row, lambda image: self._overlay.draw(image, shown, caption(frame)))
         self._record.add(frame, found, seen, samples, seconds, overlay=drawing)
+        return row
 
 
 def lengths(body: UpperBody) -> dict[str, float]:

@@ -172,8 +172,8 @@ def write_face_report(
     """
     sections: list[Section] = []
     note = paragraph(
-        "Red: vertices of all experts; light blue: the given landmarks, carried on the surface. "
-        "Lower left: axes of the mean pose; lower right: the mean shape from the front and from the side."
+        "Yellow: vertices of all experts; light blue: the given landmarks, carried on the surface. "
+        "Beside the frame the mean: its shape from the front and from the side, and its axes."
     )
     sections.append(("Pictures over time", [note, record.snapshots.row("overlay")]))
     sections.append(("Pose", [_pose(record)]))

@@ -2,10 +2,10 @@
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Protocol, Self, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ TRACK_FIELDS = np.dtype(
 
 
 class TrackedObject(Protocol):
-    """What is written of a track."""
+    """What is reported of a track in a frame."""
 
     @property
     def identity(self) -> int:
@@ -40,33 +40,55 @@ class TrackedObject(Protocol):
     def confidence(self) -> float:
         """How sure the tracker is of it, 0 to 1."""
 
+    @property
+    def velocity(self) -> tuple[float, float]:
+        """To the right and down, px/s; NaN where that is not known."""
+
+    @property
+    def seen(self) -> bool:
+        """Whether the frame shows it, or it is only predicted."""
+
+    @property
+    def position_covariance(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Of the middle of the box along x and y, px^2; NaN where that is not known."""
+
 
 @dataclass(frozen=True)
 class TrackedBox:
-    """A tracked object of which nothing else is known.
+    """A tracked object of which perhaps nothing else is known.
 
     Parameters
     ----------
-    identity, box, confidence
+    identity, box, confidence, velocity, seen, position_covariance
         as in `TrackedObject`.
     """
 
     identity: int
     box: BoundingBox
     confidence: float = 1.0
+    velocity: tuple[float, float] = (math.nan, math.nan)
+    seen: bool = True
+    position_covariance: tuple[tuple[float, float], tuple[float, float]] = ((math.nan,) * 2,) * 2
 
 
-class TrackWriter:
-    """`tracks.txt` in MOT format: frame, id, x, y, width, height, confidence, -1, -1, -1.
+class LineWriter:
+    """A text file of lines that begin with the number of their frame, and survives the end of its process.
 
-    Frames count from 1, and so do pixels, as MOT has it: the upper left corner of a box at (0, 0) is written
-    as 1, 1.
+    Parameters
+    ----------
+    path
+        of the file; what is there is replaced.
+    header
+        its first line, without the line's end; "" for none.
+    resume_after
+        number of the frame up to which lines that are there are kept; 0 for none.
     """
 
-    def __init__(self, path: str | Path, resume_after: int = 0) -> None:
+    def __init__(self, path: str | Path, header: str = "", resume_after: int = 0) -> None:
         self._path = path = Path(path)
-        kept = _lines_until(path, resume_after) if resume_after and path.exists() else ""
-        write_text(path, kept)
+        first = f"{header}\n" if header else ""
+        kept = _lines_until(path, first, resume_after) if resume_after and path.exists() else ""
+        write_text(path, first + kept)
         with naming(path):
             self._file = path.open("a", encoding="utf-8", newline="\n")
 
@@ -76,15 +98,10 @@ class TrackWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def write(self, number: int, tracks: Sequence[TrackedObject]) -> None:
-        """Append the boxes (0-based px) of a frame."""
-        lines = []
-        for track in tracks:
-            x, y, w, h = track.box
-            box = f"{x + 1:.2f},{y + 1:.2f},{w:.2f},{h:.2f}"
-            lines.append(f"{number},{track.identity},{box},{track.confidence:.4f},-1,-1,-1\n")
+    def append(self, lines: Iterable[str]) -> None:
+        """Append lines, of the frame after those before."""
         with naming(self._path):
-            self._file.write("".join(lines))
+            self._file.write("".join(f"{line}\n" for line in lines))
 
     def checkpoint(self) -> None:
         """Return when everything is on disk."""
@@ -102,16 +119,41 @@ class TrackWriter:
             raise
 
 
-def _lines_until(path: Path, number: int) -> str:
+def _lines_until(path: Path, header: str, number: int) -> str:
     """Return the whole lines up to a frame; frames ascend, and a last line may be cut off."""
     kept = []
     with path.open(encoding="utf-8", newline="\n") as file:
+        file.seek(len(header.encode()))
         for line in file:
             frame = line.partition(",")[0]
             if not line.endswith("\n") or not frame.isdecimal() or int(frame) > number:
                 break
             kept.append(line)
     return "".join(kept)
+
+
+class TrackWriter(LineWriter):
+    """`tracks.txt` in MOT format: frame, id, x, y, width, height, confidence, -1, -1, -1.
+
+    Frames count from 1, and so do pixels, as MOT has it: the upper left corner of a box at (0, 0) is written
+    as 1, 1.
+    """
+
+    def __init__(self, path: str | Path, resume_after: int = 0) -> None:
+        super().__init__(path, resume_after=resume_after)
+
+    def write(self, number: int, tracks: Sequence[TrackedObject]) -> None:
+        """Append the boxes (0-based px) of a frame."""
+        self.append(
+            f"{number},{track.identity},{box_columns(track, origin=1)},{track.confidence:.4f},-1,-1,-1"
+            for track in tracks
+        )
+
+
+def box_columns(track: TrackedObject, origin: int = 0) -> str:
+    """The box as x,y,width,height px, to a hundredth; the first pixel is `origin`."""
+    x, y, width, height = track.box
+    return f"{x + origin:.2f},{y + origin:.2f},{width:.2f},{height:.2f}"
 
 
 def read_tracks(path: str | Path) -> NDArray[np.void]:
@@ -152,14 +194,19 @@ def read_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
         if the file cannot be read.
     """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=1):
-            if "\0" in line:
-                raise ValueError(f"{path}: got binary data, expected MOT boxes")
-            if line.strip():
-                try:
-                    yield number, _parse_line(line)
-                except ValueError as error:
-                    raise ValueError(f"{path}, line {number}: {error}") from None
+        yield from lines_of(file, str(path))
+
+
+def lines_of(file: TextIO, name: str) -> Iterator[tuple[int, list[float]]]:
+    """What `read_lines` reads, of a text that is open and is called `name` in messages."""
+    for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=1):
+        if "\0" in line:
+            raise ValueError(f"{name}: got binary data, expected MOT boxes")
+        if line.strip():
+            try:
+                yield number, _parse_line(line)
+            except ValueError as error:
+                raise ValueError(f"{name}, line {number}: {error}") from None
 
 
 def _parse_line(line: str) -> list[float]:

@@ -1,9 +1,14 @@
-"""What is wanted beside what was measured, as a table."""
+"""What is wanted beside what was measured, as a table, and how sure that is."""
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+DRAWS = 200
+"""How often seeds are drawn again; standard errors are then known to 5 %."""
 
 
 @dataclass(frozen=True)
@@ -18,12 +23,16 @@ class Expectation:
         its value.
     relation, bound
         what is wanted of it; `None` where nothing is, and the value only informs.
+    spread, seeds
+        standard error of the value, and the number of seeds that it comes from; NaN where there is but one.
     """
 
     what: str
     measured: float
     relation: Literal["<=", ">="] = "<="
     bound: float | None = None
+    spread: float = math.nan
+    seeds: int = 1
 
     @property
     def verdict(self) -> str:
@@ -34,18 +43,64 @@ class Expectation:
         return "pass" if holds else "short"
 
     @property
-    def cells(self) -> tuple[str, str, str, str]:
-        """What, wanted, measured, verdict."""
+    def cells(self) -> tuple[str, str, str, str, str]:
+        """What, wanted, measured, its standard error, verdict."""
         wanted = "" if self.bound is None else f"{self.relation} {self.bound:g}"
-        return self.what, wanted, _rounded(self.measured), self.verdict
+        error = "" if math.isnan(self.spread) else f"{self.spread:.2g}"
+        return self.what, wanted, rounded(self.measured), error, self.verdict
 
 
-HEADER = ("measure", "wanted", "measured", "")
+HEADER = ("measure", "wanted", "measured", "±", "")
+
+
+def over_seeds(judge: Callable[[Any], Sequence[Expectation]], found: Mapping[Any, Any]) -> list[Expectation]:
+    """What is judged of all seeds, with the standard errors that the choice of seeds brings.
+
+    Seeds are drawn again from those there are (the bootstrap of Efron, 1979), the same for all methods, so
+    ratios of methods keep what they have in common.
+
+    Parameters
+    ----------
+    judge
+        gives the expectations of what was found, always in the same order.
+    found
+        mappings, of mappings perhaps, of lists with a value a seed; lists of one value stay as they are.
+    """
+    n_seeds = max(map(len, _lists(found)))
+    judged = list(judge(found))
+    if n_seeds == 1:
+        return judged
+    random = np.random.default_rng(0)
+    draws = [judge(_drawn(found, random.integers(0, n_seeds, n_seeds).tolist())) for _ in range(DRAWS)]
+    return [
+        replace(each, spread=_deviation([draw[place].measured for draw in draws]), seeds=n_seeds)
+        for place, each in enumerate(judged)
+    ]
+
+
+def _deviation(values: Sequence[float]) -> float:
+    """Standard deviation of those values that are finite; NaN of fewer than two."""
+    finite = [value for value in values if math.isfinite(value)]
+    return float(np.std(finite, ddof=1)) if len(finite) > 1 else math.nan
+
+
+def _lists(found: Mapping[Any, Any]) -> Iterable[Sequence[Any]]:
+    for value in found.values():
+        if isinstance(value, Mapping):
+            yield from _lists(value)
+        else:
+            yield value
+
+
+def _drawn(found: Any, seeds: Sequence[int]) -> Any:
+    if isinstance(found, Mapping):
+        return {name: _drawn(value, seeds) for name, value in found.items()}
+    return found if len(found) == 1 else [found[seed] for seed in seeds]
 
 
 def in_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Lay out a table as text; numbers are rounded and set to the right."""
-    cells = [[_rounded(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
+    cells = [[rounded(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
     numeric = [all(_is_number(row[k]) for row in cells) for k in range(len(header))]
     widths = [max(len(line[k]) for line in (header, *cells)) for k in range(len(header))]
 
@@ -59,16 +114,8 @@ def in_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join([line(header), line(["-" * width for width in widths]), *map(line, cells)])
 
 
-def print_tables(
-    header: Sequence[str], lines: Sequence[Sequence[object]], expectations: Sequence[Expectation]
-) -> None:
-    """Print what was measured, and below it what is wanted of it."""
-    print(in_columns(header, lines))
-    print()
-    print(in_columns(HEADER, [expectation.cells for expectation in expectations]))
-
-
-def _rounded(value: float) -> str:
+def rounded(value: float) -> str:
+    """A number to three digits; a dash for what is not finite."""
     if not math.isfinite(value):
         return "–"
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"

@@ -1,5 +1,6 @@
-"""What an experiment leaves: printed tables, figures, numbers as JSON, and a page with everything."""
+"""What an experiment leaves: printed tables, figures, a record as JSON, and a page with everything."""
 
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,10 +8,10 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from ..io.files import write_json
-from .expectations import HEADER, Expectation, print_tables
+from .expectations import HEADER, Expectation, in_columns
 from .page import Section, table, write_page
 from .plots import figure, write_figure
+from .record import Record, Stopwatch, Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,54 +25,61 @@ class Plot:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
-    """What was measured: names of the columns, rows, and what is said above them."""
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[object]]
-    caption: str = ""
-
-
-def publish(
-    out: Path,
-    title: str,
-    measured: Table,
-    expectations: Sequence[Expectation],
-    *,
-    plots: Sequence[Plot] = (),
-    sections: Sequence[Section] = (),
-    numbers: Any = None,
-) -> None:
-    """Print what was measured and what was wanted of it, and write it with its figures into a folder.
+class Experiment:
+    """What an experiment found.
 
     Parameters
     ----------
-    out
-        folder of the experiment.
     title
         heading of the page, `index.html`.
-    measured, expectations
-        first on the page and on standard output.
+    tables, expectations
+        what was measured, and what was wanted of it: printed, on the page, and in the record.
     plots
         each is on the page and a file of its own.
     sections
         what else is on the page.
-    numbers
-        content of `results.json`; `None` for no such file.
+    runs
+        every run's measures, for the record in the experiment's folder.
+    """
+
+    title: str
+    tables: Sequence[Table]
+    expectations: Sequence[Expectation]
+    plots: Sequence[Plot] = ()
+    sections: Sequence[Section] = ()
+    runs: Any = None
+
+
+def run_and_publish(name: str, command: str, out: Path, run: Callable[[], Experiment]) -> None:
+    """Run an experiment; print what it found, and write it with its figures and its record into a folder.
+
+    Parameters
+    ----------
+    name, command
+        for the record: of the experiment, and what repeats it.
+    out
+        folder of the experiment, made if need be.
+    run
+        does the work.
 
     Raises
     ------
     OSError
         if something cannot be written.
     """
-    print_tables(measured.header, measured.rows, expectations)
-    for plot in plots:
+    out.mkdir(parents=True, exist_ok=True)
+    watch = Stopwatch()
+    found = run()
+    record = Record(name, found.title, command, watch.provenance(), found.expectations, found.tables)
+    record.write(out / "results.json", found.runs)
+    for each in found.tables:
+        print(*textwrap.wrap(each.caption, 110), in_columns(each.header, each.rows), "", sep="\n")
+    wanted = [expectation.cells for expectation in found.expectations]
+    print(in_columns(HEADER, wanted))
+    for plot in found.plots:
         write_figure(out / plot.name, plot.draw, plot.size)
-    if numbers is not None:
-        write_json(out / "results.json", numbers)
-    wanted = table(HEADER, [each.cells for each in expectations])
-    figures = [figure(plot.draw, plot.size, plot.caption) for plot in plots]
-    everything = table(measured.header, measured.rows, measured.caption)
-    first: list[Section] = [("", [wanted]), *([("Figures", figures)] if figures else [])]
-    write_page(out / "index.html", title, [*first, ("Measured", [everything]), *sections])
+    figures = [figure(plot.draw, plot.size, plot.caption) for plot in found.plots]
+    first: list[Section] = [("", [table(HEADER, wanted)]), *([("Figures", figures)] if figures else [])]
+    measured = [table(each.header, each.rows, each.caption) for each in found.tables]
+    write_page(out / "index.html", found.title, [*first, ("Measured", measured), *found.sections])
     print(f"\npage: {out / 'index.html'}")

@@ -7,10 +7,11 @@ known before the first frame, and in what they write.
 import logging
 import time
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
 from itertools import chain
+from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
 from ...inference import Belief, RecursiveBP
@@ -21,6 +22,8 @@ from ..io.files import write_json
 from ..io.sources.blank_frames import SeenFrames
 from ..io.sources.open_source import Source, describe, open_source
 from ..options.job import FilmJob
+from ..view.film import ROWS, Film, FilmWriter, Row, read_film
+from ..view.page import VIEW, View, write_view
 from .interruption import Interrupted, Outcome
 from .memory import check_memory
 from .progress import Progress
@@ -119,6 +122,10 @@ class FilmRun(Run[F]):
     def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
         """Write a frame, which took so many seconds."""
 
+    def drawn(self, belief: Belief, found: Any) -> Callable[[], Row]:
+        """What makes that which `view.html` draws on a frame; called in a thread."""
+        return dict
+
     @abstractmethod
     def facts(self) -> dict[str, Any]:
         """What `summary.json` says beside what it says of every run."""
@@ -126,6 +133,15 @@ class FilmRun(Run[F]):
     @abstractmethod
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write what is written once, at the end."""
+
+    @property
+    def title(self) -> str:
+        """Of the pages about the run."""
+        return f"{Path(self.source.name).name}: {self.application}"
+
+    def view(self, film: Film) -> View:
+        """What `view.html` shows."""
+        return View()
 
     # --- the run ---
 
@@ -161,6 +177,7 @@ class FilmRun(Run[F]):
             if self.interruption.signal is not None and not self.record.numbers:
                 raise Interrupted(self.interruption.signal)
             summary = self._film_summary()
+            self._write_view()
             self.finish(summary)
             write_json(job.out / "summary.json", summary)
             if not self._ended_early:
@@ -168,6 +185,12 @@ class FilmRun(Run[F]):
         if self._frames.error is not None:
             raise self._frames.error
         return self.outcome(summary, signalled=self._ended_early)
+
+    def _write_view(self) -> None:
+        out = self.job.out
+        if (out / ROWS).exists():  # or there was no image at all
+            film = read_film(out, self.source.size)
+            write_view(out / VIEW, self.title, film, len(self.record.numbers), self.view(film))
 
     def no_frame(self, reason: str) -> Exception | Interrupted:
         """Why there is no frame to begin with: the source's own error, a signal, or `reason`."""
@@ -246,7 +269,9 @@ class FilmRun(Run[F]):
             done = len(self.record.numbers)
             progress = stack.enter_context(Progress(self.application, self.source.n_frames, done))
             self._save()
-            writers = self.writers(self.source.rate / job.step, number)
+            rate = self.source.rate / job.step
+            film = FilmWriter(job.out, rate, number)
+            writers = [*self.writers(rate, number), film]
             for writer in writers:
                 stack.enter_context(writer)
             unsaved = 0
@@ -257,6 +282,7 @@ class FilmRun(Run[F]):
                 seconds = time.perf_counter() - before
                 self.state = belief.state
                 self.take_in(belief, found, seconds)
+                film.add(frame, self.drawn(belief, found))
                 unsaved += 1
                 if unsaved == job.every:
                     unsaved = 0

@@ -7,6 +7,8 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from ..io.segments import segment_pattern
 from ..options.job import Job
+from ..view.film import FILM, ROWS
+from ..view.page import VIEW
 from .interruption import Interruption, Outcome
 from .output_folder import OutputFolder, output_folder
 from .saved_run import STATE, saying_how_to_go_on
@@ -14,7 +16,8 @@ from .versions import versions
 
 J = TypeVar("J", bound=Job)
 
-ALWAYS = (STATE, "summary.json", "report.html", "overlay.mp4", segment_pattern("overlay.mp4"))
+_GROWING = ("overlay.mp4", FILM, ROWS)
+ALWAYS = (STATE, "summary.json", "report.html", VIEW, *_GROWING, *map(segment_pattern, _GROWING))
 """Files that every run may leave."""
 
 

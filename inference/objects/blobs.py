@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 
 from ...models.background.kernels.layers import Sprite
 from ...models.background.layers import log_density_ratio
+from ...models.camera.affine_map import AffineMap
 from ...models.core.short_repr import short_repr
+from ...models.objects.box_detector import FOOT_X, FOOT_Y, HEIGHT
 from ...models.objects.kernels.blobs import UNKNOWN_COLOUR
 from ...models.objects.kernels.masks import MaskShape, shape_of
 
 Map = NDArray[np.float32]
 Pair = NDArray[np.float64]
 Box = tuple[float, float, float, float]
+Covariance = tuple[tuple[float, float], tuple[float, float]]
 
 HALF_OVERLAP = 0.37
 """Sum of a box's errors, each as a share of its side, at which it shares half of its area with the true one.
@@ -56,12 +59,35 @@ class Track:
         frame leaves it as it was. Of who was detected it is the probability that there is such an object.
     velocity
         px/s to the right and down.
+    seen
+        whether this frame shows it, to its pixels or to a detector; else it is only predicted.
+    position_covariance
+        px^2, of the middle of the box, along x and y.
     """
 
     identity: int
     box: Box
     confidence: float
     velocity: tuple[float, float]
+    seen: bool
+    position_covariance: Covariance
+
+    def seen_by(self, view: AffineMap) -> Self:
+        """The same as a frame shows it whose camera has moved by `view`; its velocity stays the scene's."""
+        linear = view.matrix[:, :2]
+        vx, vy = (linear @ self.velocity).tolist()
+        (xx, xy), (yx, yy) = (linear @ self.position_covariance @ linear.T).tolist()
+        return replace(
+            self, box=view.box(self.box), velocity=(vx, vy), position_covariance=((xx, xy), (yx, yy))
+        )
+
+
+def middle_covariance(variance: Pair) -> Covariance:
+    """Of a box's middle: its foot's, and half its height's, of `(4,)` px^2 as of `ObjectBoxes`."""
+    return (
+        (float(variance[FOOT_X]), 0.0),
+        (0.0, float(variance[FOOT_Y] + 0.25 * variance[HEIGHT])),
+    )
 
 
 @short_repr
@@ -230,13 +256,18 @@ class Blob:
         return left + x - 0.5 * width, top + y - height, width, height
 
     @property
+    def reported_variance(self) -> Pair:
+        """`(4,)` px^2 of foot x and y, width and height: of its place, and of the detected box there."""
+        place = np.array([self.covariance[0, 0], self.covariance[0, 0], 0.0, 0.0])
+        return place if self.detected is None else self.detected.variance + place
+
+    @property
     def is_likely(self) -> bool:
         """Whether it is likelier than not that it exists and covers half of the box that was detected."""
         if self.detected is None:
             return False
         sides = np.tile(self.detected.mean[2:], 2)
-        place = self.detected.variance + np.array([self.covariance[0, 0]] * 2 + [0.0, 0.0])
-        off = np.array([1.0, 1.0, 0.5, 0.5]) * np.sqrt(place) / sides
+        off = np.array([1.0, 1.0, 0.5, 0.5]) * np.sqrt(self.reported_variance) / sides
         # overlap is lost by the sum of four errors, whose sizes are half normal; sides that grow lose none
         mean, deviation = math.sqrt(2 / math.pi) * off.sum(), math.sqrt(1 - 2 / math.pi) * math.hypot(*off)
         near = 0.5 + 0.5 * math.erf((HALF_OVERLAP - mean) / (math.sqrt(2) * deviation))
@@ -333,12 +364,19 @@ class BlobState:
             sure = blob.is_likely if self.detecting else blob.seen >= self.confirmed_time
             if sure and (blob.detected is not None or not blob.is_fragment):
                 found.setdefault(blob.whole, []).append(blob)
-        return [_track(identity, parts) for identity, parts in sorted(found.items())]
+        shown = self.elapsed == 0
+        return [_track(identity, parts, shown) for identity, parts in sorted(found.items())]
 
 
-def _track(identity: int, parts: Sequence[Blob]) -> Track:
+def _track(identity: int, parts: Sequence[Blob], shown: bool) -> Track:
+    """What is reported of an object with these parts; `shown` says whether there was an image."""
     largest = max(parts, key=lambda blob: blob.shape.mass)
     box = reduce(around, (part.reported_box for part in parts))
     speed_y, speed_x = largest.velocity.tolist()
     confidence = largest.confidence if largest.detected is None else largest.existence_probability
-    return Track(identity, box, confidence, (speed_x, speed_y))
+    seen = any(
+        (shown and part.unseen == 0) or (part.detected is not None and part.detected.unfound == 0)
+        for part in parts
+    )
+    covariance = middle_covariance(largest.reported_variance)
+    return Track(identity, box, confidence, (speed_x, speed_y), seen, covariance)

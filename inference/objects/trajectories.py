@@ -182,11 +182,11 @@ class Smooth:
         frames = np.arange(self.first, self.last + 1)
         return Boxes(frames, np.full(len(frames), self.identity), means, variances)
 
-    def known(self) -> Boxes:
-        """In the frames in which it was seen, or is known to be all the same."""
+    def known(self) -> NDArray[np.bool_]:
+        """`(n_frames,)`: whether it was seen there, or is known to be there all the same."""
         boxes = self.boxes()
         unsure = np.sqrt(boxes.variances[:, [FOOT_X, FOOT_Y]].max(axis=1))
-        return boxes[self.seen | (unsure < KNOWN * boxes.means[:, WIDTH])]
+        return np.asarray(self.seen | (unsure < KNOWN * boxes.means[:, WIDTH]))
 
 
 def smoothed(track: Boxes, times: Numbers, motion: Motion) -> Smooth:

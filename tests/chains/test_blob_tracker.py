@@ -151,7 +151,8 @@ def test_what_enters_over_the_edge_is_one_object(size, speed, colour):
 def test_what_vanishes_is_given_up_when_patience_is_over():
     frames = film(70, (TALL, RED, lambda time: (-20 + 60 * time, 50) if time < 1.58 else None))
     beliefs = run(frames)
-    assert [track.confidence for track in tracks_of(beliefs[41])] == [0]
+    assert [(track.confidence, track.seen) for track in tracks_of(beliefs[41])] == [(0, False)]
+    assert [track.seen for track in tracks_of(beliefs[35])] == [True]
     assert len(tracks_of(beliefs[40 + 5])) == 1
     assert not any(tracks_of(belief) for belief in beliefs[40 + 15 :])
     impatient = run(frames, patience=0.1)
@@ -245,6 +246,10 @@ def test_missing_frames_are_bridged_by_the_motion(walk):
     for number in range(30, 70):
         (track,) = tracks_of(beliefs[number])
         assert track.box[0] == pytest.approx(-20 + 60 * number * DT, abs=3)
+        assert track.seen == (number not in range(30, 38))
+    unsure = [tracks_of(belief)[0].position_covariance[0][0] for belief in beliefs[29:39]]
+    assert (np.diff(unsure[:9]) > 0).all()
+    assert unsure[9] < unsure[1]
     seen = [belief["blobs"].blobs[0].seen for belief in beliefs[29:39]]
     assert seen[:9] == [seen[0]] * 9
     assert seen[9] == pytest.approx(seen[0] + 9 * DT)

@@ -59,9 +59,13 @@ def test_one_walk_is_one_object_and_a_moment_is_none() -> None:
     found = solution[trajectories]
     assert set(found.boxes.identities.tolist()) == {7}
     for frame in (0, 30, 50, 99):
-        ((identity, box),) = found.at(frame)
-        assert identity == 7
-        np.testing.assert_allclose(box, [100 + 2 * frame - 10, 100, 20, 50], atol=0.5)
+        (track,) = found.at(frame)
+        assert track.identity == 7
+        np.testing.assert_allclose(track.box, [100 + 2 * frame - 10, 100, 20, 50], atol=0.5)
+        np.testing.assert_allclose(track.velocity, (50, 0), atol=3)  # 25 frames a second
+        assert track.seen == (frame != 50)
+    hidden, shown = (np.linalg.det(found.at(frame)[0].position_covariance) for frame in (50, 30))
+    assert hidden > 4 * shown > 0
     said = solution.messages(trajectories, BOXES)
     _, means, _ = said[50].objects.moments
     np.testing.assert_allclose(means, [[200, 150, 20, 50]], atol=0.5)

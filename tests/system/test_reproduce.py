@@ -11,6 +11,7 @@ from rsmcm.apps.background.methods import Model, ModelSubtractor, Usual
 from rsmcm.apps.drawing.mosaic import mosaic
 from rsmcm.apps.evaluation.masks import PixelScore, joined
 from rsmcm.apps.experiments.bench.__main__ import enumeration_error, in_turns, stages
+from rsmcm.apps.experiments.reproduce import run_experiment
 from rsmcm.apps.experiments.reproduce import sleeping_man as experiment
 from rsmcm.apps.experiments.trials.baselines import SETTINGS, CleanUp, OpenCVSubtractor
 from rsmcm.apps.reports.expectations import Expectation, in_columns
@@ -23,8 +24,8 @@ SIZE = (96, 72)
 def test_claims_say_whether_they_hold() -> None:
     assert Expectation("x", 0.3, "<=", 0.35).verdict == "pass"
     assert Expectation("x", 0.4, "<=", 0.35).verdict == "short"
-    assert Expectation("x", 1.3, ">=", 1.25).cells == ("x", ">= 1.25", "1.3", "pass")
-    assert Expectation("x", 12345.6).cells == ("x", "", "12346", "")
+    assert Expectation("x", 1.3, ">=", 1.25).cells == ("x", ">= 1.25", "1.3", "", "pass")
+    assert Expectation("x", 12345.6).cells == ("x", "", "12346", "", "")
     assert Expectation("x", float("nan"), "<=", 1).verdict == "short"
 
 
@@ -126,7 +127,7 @@ def test_nothing_is_found_before_the_first_image() -> None:
 
 @pytest.mark.slow
 def test_sleeping_man_orders_the_methods(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    experiment.reproduce_sleeping_man(tmp_path, long=False)
+    run_experiment("sleeping-man", tmp_path, False)
     printed = capsys.readouterr().out
     assert "short" not in printed, printed
     assert (tmp_path / "fig-1.png").exists()

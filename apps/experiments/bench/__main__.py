@@ -29,7 +29,9 @@ from ...background.methods import Model
 from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source
 from ...io.track_files import frames_of_tracks
-from ...reports.expectations import HEADER, Expectation, in_columns
+from ...reports.expectations import Expectation
+from ...reports.experiment import Experiment, run_and_publish
+from ...reports.record import Table
 from ...runs.progress import Progress
 from ...scenes import cylinder, sleeping_man
 from ...structure.reconstruction import engine_for
@@ -51,13 +53,17 @@ PX = 100.0  # per radius of the cylinder
 FEEDBACK_ROUNDS = 5
 
 Image = NDArray[np.uint8]
-Table = NDArray[np.float64]
+Probabilities = NDArray[np.float64]
 
 
 def main() -> None:
-    """Print the table; `--long` runs 10,000 frames for the memory instead of 1,500."""
+    """Measure everything; `--long` runs 10,000 frames for the memory instead of 1,500."""
+    run_and_publish("bench", "make bench", Path("results") / "bench", bench)
+
+
+def bench() -> Experiment:
+    """Everything, beside what is wanted of it."""
     frames, label = _preloaded()
-    print(f"{len(frames)} frames of {label}, {SIZE[0]}x{SIZE[1]} colour, preloaded\n")
     expectations = [
         Expectation("BP against enumeration, greatest difference", enumeration_error(), "<=", 1e-12)
     ]
@@ -74,11 +80,12 @@ def main() -> None:
     ]
     of_bodies, stages_of_bodies = body_expectations()
     expectations += [*of_bodies, *bootstrap_times()]
-    print(in_columns(HEADER, [expectation.cells for expectation in expectations]))
-    print("\nwhere the time of a frame goes, one thread\n")
-    print(in_columns(STAGE, stages(frames)))
-    print("\nwhere the time of the body tracker goes, two threads\n")
-    print(in_columns(STAGE, stages_of_bodies))
+    film = f"{len(frames)} frames of {label}, {SIZE[0]}x{SIZE[1]} colour, preloaded"
+    tables = [
+        Table(STAGE, stages(frames), f"Where the time of a frame goes, one thread; {film}."),
+        Table(STAGE, stages_of_bodies, "Where the time of the body tracker goes, two threads."),
+    ]
+    return Experiment("Speed beside peers", tables, expectations)
 
 
 def feedback_in_rounds() -> Expectation:
@@ -286,30 +293,30 @@ class _Toy:
     """A hidden state with a few values and a table p(F | X) for each feature."""
 
     name: str
-    prior: Table
-    transition: Table
-    tables: Mapping[str, Table]
+    prior: Probabilities
+    transition: Probabilities
+    tables: Mapping[str, Probabilities]
 
     ports = (Port(Categorical, many=True),)
 
-    def initial(self, frame: Frame) -> Table:
+    def initial(self, frame: Frame) -> Probabilities:
         return self.prior
 
-    def predict(self, state: Table, dt: float) -> Table:
-        moved: Table = state @ self.transition
+    def predict(self, state: Probabilities, dt: float) -> Probabilities:
+        moved: Probabilities = state @ self.transition
         return moved
 
-    def message(self, state: Table, feature: Categorical, incoming: Incoming) -> CategoricalMessage:
+    def message(self, state: Probabilities, feature: Categorical, incoming: Incoming) -> CategoricalMessage:
         return CategoricalMessage(
             np.log(self._heard(state, incoming, feature.name) @ self.tables[feature.name])
         )
 
-    def update(self, state: Table, incoming: Incoming) -> Table:
+    def update(self, state: Probabilities, incoming: Incoming) -> Probabilities:
         weights = self._heard(state, incoming)
         weights /= weights.sum()
         return weights
 
-    def _heard(self, state: Table, incoming: Incoming, without: str = "") -> Table:
+    def _heard(self, state: Probabilities, incoming: Incoming, without: str = "") -> Probabilities:
         for name, message in incoming.by_name(Categorical).items():
             if name != without:
                 state = state * (self.tables[name] @ np.exp(message.log_weights))
@@ -323,8 +330,8 @@ def enumeration_error(n_frames: int = 10) -> float:
     """
     random = np.random.default_rng(0)
 
-    def table() -> Table:
-        values: Table = random.random((3, 3)) + 0.05
+    def table() -> Probabilities:
+        values: Probabilities = random.random((3, 3)) + 0.05
         values /= values.sum(axis=1, keepdims=True)
         return values
 
@@ -335,7 +342,7 @@ def enumeration_error(n_frames: int = 10) -> float:
     }
     emissions = {name: table() for name in ("f", "g")}
 
-    def likelihood(name: str, frame: Frame) -> Table:
+    def likelihood(name: str, frame: Frame) -> Probabilities:
         assert frame.image is not None
         return emissions[name][:, frame.image[0, "fg".index(name)]]
 

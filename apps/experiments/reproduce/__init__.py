@@ -35,6 +35,25 @@ def usual_folder(name: str) -> Path:
 
 
 def run_experiment(name: str, out: Path, *long: bool) -> None:
-    """Reproduce a figure; what that needs is imported now. `long` is for those that can take longer."""
+    """Reproduce a figure, and leave all results in a folder; what that needs is imported now.
+
+    Parameters
+    ----------
+    name
+        one of `EXPERIMENTS`.
+    out
+        folder, made if need be.
+    long
+        whether to do what takes longer, for those of `LONG`.
+
+    Raises
+    ------
+    OSError
+        if data cannot be found or fetched, or the folder cannot be written to.
+    """
+    from ...reports.experiment import run_and_publish
+
     module = name.replace("-", "_")
-    getattr(import_module(f".{module}", __name__), f"reproduce_{module}")(out, *long)
+    reproduce = getattr(import_module(f".{module}", __name__), f"reproduce_{module}")
+    command = " ".join(["rsmcm reproduce", name, *(["--long"] if any(long) else [])])
+    run_and_publish(name, command, out, lambda: reproduce(out, *long))

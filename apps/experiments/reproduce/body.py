@@ -1,6 +1,5 @@
 """Fig. 6 of the RSMCM paper: likelihood sampling with a tracker of flesh, without it, and CONDENSATION."""
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -27,9 +26,10 @@ from ...body.overlay import BodyOverlay
 from ...drawing.mosaic import mosaic
 from ...io.files import write_image
 from ...reports import page
-from ...reports.expectations import Expectation, in_columns
-from ...reports.experiment import Plot, Table, publish
-from ...runs.parallel import in_processes
+from ...reports.expectations import Expectation, over_seeds
+from ...reports.experiment import Experiment, Plot
+from ...reports.record import Table
+from ...runs.parallel import in_parallel
 from ...scenes import signer
 from ..trials.body import BodyTracker, on_one_scene
 
@@ -89,7 +89,7 @@ Found = dict[str, list[BodyTrial]]
 """By tracker, one for each seed."""
 
 
-def reproduce_body(out: Path) -> None:
+def reproduce_body(out: Path) -> Experiment:
     """Fig. 6, with what is wanted of it.
 
     Raises
@@ -97,16 +97,14 @@ def reproduce_body(out: Path) -> None:
     OSError
         if the folder cannot be written to.
     """
-    out.mkdir(parents=True, exist_ok=True)
     trackers = compared()
     work = [(on_one_scene, (trackers, {**SCENE, "seed": seed}, SHOWN)) for seed in SEEDS]
-    trials = in_processes("body", work)
+    trials = in_parallel("body", work)
     found = {tracker.name: [one[place] for one in trials] for place, tracker in enumerate(trackers)}
 
-    expectations = expectations_of(found)
+    expectations = over_seeds(expectations_of, found)
     errors = [[each.name, each.samples or "", *errors_of(found[each.name])] for each in trackers]
     behaviour = [[name, *behaviour_of(one, found[RSMCM.name])] for name, one in found.items()]
-    print(f"{textwrap.fill(FAIR, 110)}\n\n{in_columns(ERRORS, errors)}\n")
 
     scene = signer(**SCENE, seed=SEEDS[0])
     frames = {index: scene.frame(index) for index in SHOWN}
@@ -115,17 +113,16 @@ def reproduce_body(out: Path) -> None:
     write_image(out / "fig-6.png", sheet)
     caption = f"Mean over {len(SEEDS)} scenes: over time, and over the time that is spent."
     pictures = page.picture(sheet, "Fig. 6: 40 poses of the posterior, over the picture and from the side.")
-    publish(
-        out,
+    return Experiment(
         "Body",
-        Table(BEHAVIOUR, behaviour, NOTE),
+        [
+            Table(ERRORS, errors, f"Of the posterior mean, over all frames but the first. {FAIR}"),
+            Table(BEHAVIOUR, behaviour, NOTE),
+        ],
         expectations,
         plots=[Plot("errors.png", lambda canvas: draw_errors(canvas, found), (12.0, 4.5), caption)],
-        sections=[
-            ("Errors", [page.table(ERRORS, errors, "Of the posterior mean, over all frames but the first.")]),
-            ("Poses", [page.paragraph(FAIR), pictures]),
-        ],
-        numbers=as_json(trackers, found),
+        sections=[("Poses", [pictures])],
+        runs=as_json(trackers, found),
     )
 
 
@@ -136,7 +133,7 @@ def compared() -> list[BodyTracker]:
     """All trackers; those of CONDENSATION with as many samples as take the time they are given."""
     scenes = [{**SCENE, "n_frames": TIMED_FRAMES, "seed": seed} for seed in SEEDS[:2]]
     trackers = [RSMCM, *(BodyTracker(f"{count}", "condensation", count) for count in TIMED_SAMPLES)]
-    timed = in_processes("times", [(on_one_scene, (trackers, scene)) for scene in scenes])
+    timed = in_parallel("times", [(on_one_scene, (trackers, scene)) for scene in scenes])
     rsmcm, few, many = (
         float(np.median([trial.seconds[WARM_UP:] for trial in trials])) for trials in zip(*timed, strict=True)
     )

@@ -9,7 +9,8 @@ from markupsafe import Markup
 from ...io.datasets import data_folder
 from ...io.files import write_image
 from ...reports.expectations import Expectation
-from ...reports.experiment import Table, publish
+from ...reports.experiment import Experiment
+from ...reports.record import Table
 from ...runs.progress import Progress
 from ...structure.application import Film, read_film
 from ...structure.files import point_colours, write_ply
@@ -48,7 +49,7 @@ class Result:
 LINE = ("sequence", "method", "frames", "tracks", "points", "median frames of a point", "error, px", "shape")
 
 
-def reproduce_box(out: Path) -> None:
+def reproduce_box(out: Path) -> Experiment:
     """Fig. 12 on CMU's hotel and on a table top: tracker and shape together, and one after the other.
 
     Raises
@@ -57,7 +58,6 @@ def reproduce_box(out: Path) -> None:
         if a sequence cannot be found, or the folder cannot be written to.
     """
     folders = {name: data_folder(name) for name in SEQUENCES}
-    out.mkdir(parents=True, exist_ok=True)
     lines: list[list[object]] = []
     expectations: list[Expectation] = []
     sections: list[tuple[str, list[Markup]]] = []
@@ -93,7 +93,7 @@ def reproduce_box(out: Path) -> None:
             if image is not None:
                 write_image(out / f"{start}.png", draw_points(image, result.found, middle))
         sections.append((name, parts))
-    publish(out, "Turning objects", Table(LINE, lines), expectations, sections=sections)
+    return Experiment("Turning objects", [Table(LINE, lines)], expectations, sections=sections)
 
 
 def _result(sequence: str, method: str, film: Film) -> Result:

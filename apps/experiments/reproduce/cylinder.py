@@ -13,9 +13,10 @@ from ....inference.factor_analysis.factorisation import factorise, predicted
 from ....models.points.affine_camera import affine_alignment
 from ...io.track_files import frames_of_tracks
 from ...reports import page
-from ...reports.expectations import Expectation
-from ...reports.experiment import Plot, Table, publish
-from ...runs.parallel import in_processes
+from ...reports.expectations import Expectation, over_seeds
+from ...reports.experiment import Experiment, Plot
+from ...reports.record import Table
+from ...runs.parallel import in_parallel
 from ...scenes import Cylinder, cylinder
 from ...structure.job import Coherence
 from ...structure.metrics import REJECTED, StructureScores, score_structure
@@ -151,15 +152,8 @@ MEASURES = {
 """Fields of the scores, and how tables call them."""
 
 
-def reproduce_cylinder(out: Path) -> None:
-    """Figs. 9 and 10, with what is wanted of them.
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be written to.
-    """
-    out.mkdir(parents=True, exist_ok=True)
+def reproduce_cylinder(out: Path) -> Experiment:
+    """Figs. 9 and 10, with what is wanted of them."""
     everything = measure(cells(), SEEDS)
     errors = [
         [*cell.named, *(_in_words(values[name], "reprojection_error") for name in METHODS)]
@@ -172,11 +166,10 @@ def reproduce_cylinder(out: Path) -> None:
     ]
     example = Cell(*FIG_9, REGAIN).sequence(0)
     shapes = recover(example)
-    publish(
-        out,
+    return Experiment(
         "Cylinder",
-        Table((*CHANCES, *METHODS), errors, "Reprojection error in radii: median (quartiles)."),
-        expectations_of(everything),
+        [Table((*CHANCES, *METHODS), errors, "Reprojection error in radii: median (quartiles).")],
+        over_seeds(expectations_of, everything),
         plots=[
             Plot(
                 "fig-10.png",
@@ -202,7 +195,7 @@ def reproduce_cylinder(out: Path) -> None:
 def measure(wanted: Sequence[Cell], seeds: Sequence[int]) -> dict[Cell, Measured]:
     """Run everything, in two processes at most."""
     work = [(cell, seed) for cell in wanted for seed in seeds]
-    found = dict(zip(work, in_processes("cylinder", [(scores, item) for item in work]), strict=True))
+    found = dict(zip(work, in_parallel("cylinder", [(scores, item) for item in work]), strict=True))
     return {cell: {name: [found[cell, seed][name] for seed in seeds] for name in METHODS} for cell in wanted}
 
 

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...reports.expectations import Expectation
-from ...reports.experiment import Plot, Table, publish
+from ...reports.expectations import Expectation, over_seeds
+from ...reports.experiment import Experiment, Plot
+from ...reports.record import Table
 from ..trials.face import Measured, Tracker, as_json, measure, median, n_lost, quartiles
 
 SEEDS = range(10)
@@ -81,29 +82,21 @@ COLOURS = (
 LINE = ("system", "error, px", "error in 3-D, px", f"lost of {len(SEEDS)}")
 
 
-def reproduce_experts(out: Path) -> None:
-    """Fig. 3a, with what is wanted of it.
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be written to.
-    """
-    out.mkdir(parents=True, exist_ok=True)
+def reproduce_experts(out: Path) -> Experiment:
+    """Fig. 3a, with what is wanted of it."""
     found = measure("experts", trackers(), SCENE, SEEDS)
-    expectations = expectations_of(found)
+    expectations = over_seeds(expectations_of, found)
     lines = [
         [name, quartiles(evaluations), quartiles(evaluations, "error_3d"), n_lost(evaluations)]
         for name, evaluations in found.items()
     ]
     caption = f"Fig. 3a: error of the mean pose's vertices, median of {len(SEEDS)} sequences."
-    publish(
-        out,
+    return Experiment(
         "Experts",
-        Table(LINE, lines, "Medians and quartiles over the sequences."),
+        [Table(LINE, lines, "Medians and quartiles over the sequences.")],
         expectations,
         plots=[Plot("fig-3a.png", lambda canvas: draw(canvas, found), (9.0, 5.0), caption)],
-        numbers=as_json(found),
+        runs=as_json(found),
     )
 
 

@@ -15,9 +15,10 @@ from ....chains.gflow import GFlow
 from ....inference.core.graph import MultiChain
 from ....inference.core.recursive_bp import RecursiveBP, RunState
 from ....models.background.pixel_labels import PixelLabels
-from ...reports.expectations import Expectation
-from ...reports.experiment import Plot, Table, publish
-from ...runs.parallel import in_processes
+from ...reports.expectations import Expectation, over_seeds
+from ...reports.experiment import Experiment, Plot
+from ...reports.record import Table
+from ...runs.parallel import in_parallel
 from ...scenes import FaceScene, face
 from ..trials.face import Evaluation, Measured, as_json, median, n_lost, quartiles
 
@@ -110,7 +111,7 @@ def measure(seeds: Sequence[int]) -> Found:
     """Run everything."""
     cells = [(condition, method) for condition, methods in COMPARED for method in methods]
     evaluations = iter(
-        in_processes(
+        in_parallel(
             "face and background",
             [(run, (condition, method, seed)) for condition, method in cells for seed in seeds],
         )
@@ -146,17 +147,10 @@ def expectations_of(found: Found) -> list[Expectation]:
     return expectations
 
 
-def reproduce_face_background(out: Path) -> None:
-    """Errors with no background, a shared one, and one an expert; and with self-occlusion handled and not.
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be written to.
-    """
-    out.mkdir(parents=True, exist_ok=True)
+def reproduce_face_background(out: Path) -> Experiment:
+    """Errors with no background, a shared one, and one an expert; and with self-occlusion handled and not."""
     found = measure(SEEDS)
-    expectations = expectations_of(found)
+    expectations = over_seeds(expectations_of, found)
     lines = [
         [scene, method, quartiles(evaluations), n_lost(evaluations), f"{median(evaluations, 'time'):.0f}"]
         for scene, methods in found.items()
@@ -164,13 +158,12 @@ def reproduce_face_background(out: Path) -> None:
     ]
     caption = f"Mean vertex error in each of {len(SEEDS)} scenes of {N_FRAMES} frames, and the median."
     note = "Medians and quartiles over the scenes; time in one thread, with another run beside it."
-    publish(
-        out,
+    return Experiment(
         "Face and background",
-        Table(LINE, lines, note),
+        [Table(LINE, lines, note)],
         expectations,
         plots=[Plot("errors.png", lambda canvas: draw(canvas, found), (12.0, 4.5), caption)],
-        numbers={scene: _as_json(methods) for scene, methods in found.items()},
+        runs={scene: _as_json(methods) for scene, methods in found.items()},
     )
 
 

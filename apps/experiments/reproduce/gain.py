@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...reports.expectations import Expectation
-from ...reports.experiment import Plot, Table, publish
+from ...reports.expectations import Expectation, over_seeds
+from ...reports.experiment import Experiment, Plot
+from ...reports.record import Table
 from ..trials.face import Measured, Tracker, as_json, measure, median, n_lost, quartiles
 
 SEEDS = range(10)
@@ -39,17 +40,10 @@ def _name(gain: float | str) -> str:
     return gain if isinstance(gain, str) else f"{gain:g}"
 
 
-def reproduce_gain(out: Path) -> None:
-    """Fig. 3b, with what is wanted of it.
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be written to.
-    """
-    out.mkdir(parents=True, exist_ok=True)
+def reproduce_gain(out: Path) -> Experiment:
+    """Fig. 3b, with what is wanted of it."""
     everything = {name: measure(f"gain, {name}", trackers(), scene, SEEDS) for name, scene in SCENES.items()}
-    expectations = expectations_of(everything)
+    expectations = over_seeds(expectations_of, everything)
     lines = [
         [scene, gain, quartiles(evaluations), quartiles(evaluations, "error_3d"), n_lost(evaluations)]
         for scene, found in everything.items()
@@ -59,13 +53,12 @@ def reproduce_gain(out: Path) -> None:
         f"Fig. 3b: error of the mean pose's vertices over the gain, median and quartiles of {len(SEEDS)} "
         "sequences; dashed, gains learned by each texel."
     )
-    publish(
-        out,
+    return Experiment(
         "Gain",
-        Table(LINE, lines, "Medians and quartiles over the sequences."),
+        [Table(LINE, lines, "Medians and quartiles over the sequences.")],
         expectations,
         plots=[Plot("fig-3b.png", lambda canvas: draw(canvas, everything), (8.0, 4.5), caption)],
-        numbers={scene: as_json(found) for scene, found in everything.items()},
+        runs={scene: as_json(found) for scene, found in everything.items()},
     )
 
 

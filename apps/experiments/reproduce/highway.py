@@ -12,7 +12,8 @@ from ...io.datasets import data_folder
 from ...io.ground_truth import MaskTruth, read_ground_truth
 from ...io.sources.open_source import open_source
 from ...reports.expectations import Expectation
-from ...reports.experiment import Table, publish
+from ...reports.experiment import Experiment
+from ...reports.record import Table
 from ...runs.progress import Progress
 from ..trials.baselines import SETTINGS, CleanUp, Setting, readable_images, sweep_subtractors
 
@@ -21,18 +22,17 @@ Image = NDArray[np.uint8]
 MEDIAN = CleanUp(median=5)
 
 
-def reproduce_highway(out: Path) -> None:
+def reproduce_highway(out: Path) -> Experiment:
     """Foreground of CDnet's highway against its masks, raw and after a 5x5 median.
 
     Raises
     ------
     OSError
-        if the sequence cannot be found, or the folder cannot be written to.
+        if the sequence cannot be found.
     """
     folder = data_folder("cdnet-highway")
     truth = read_ground_truth(folder)
     assert isinstance(truth, MaskTruth)
-    out.mkdir(parents=True, exist_ok=True)
     video = str(folder / "input")
     with open_source(video) as source:
         size, rate, n_frames = source.size, source.rate, source.n_frames
@@ -69,4 +69,4 @@ def reproduce_highway(out: Path) -> None:
         Expectation("F, after a 5x5 median", measured["RSMCM", 5], ">=", 0.955),
     ]
     header = ("method", "clean-up", "precision", "recall", "F")
-    publish(out, "CDnet highway", Table(header, lines), expectations)
+    return Experiment("CDnet highway", [Table(header, lines)], expectations)

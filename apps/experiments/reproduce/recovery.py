@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from ....chains.gflow import GFlow
 from ....models.face.pose import Poses
-from ...reports.expectations import Expectation
-from ...reports.experiment import Plot, Table, publish
-from ...runs.parallel import in_processes
+from ...reports.expectations import Expectation, over_seeds
+from ...reports.experiment import Experiment, Plot
+from ...reports.record import Table
+from ...runs.parallel import in_parallel
 from ..trials.face import Clip, ground_truth_texture
 from ..trials.face_baselines import states
 
@@ -56,18 +57,11 @@ class Recovery:
     vertices: Numbers
 
 
-def reproduce_recovery(out: Path) -> None:
-    """Fig. 4: the texture is known at the start, or learned by each expert at its own wrong pose.
-
-    Raises
-    ------
-    OSError
-        if the folder cannot be written to.
-    """
-    out.mkdir(parents=True, exist_ok=True)
-    results = in_processes("recovery", [(recover, (seed,)) for seed in SEEDS])
+def reproduce_recovery(out: Path) -> Experiment:
+    """Fig. 4: the texture is known at the start, or learned by each expert at its own wrong pose."""
+    results = in_parallel("recovery", [(recover, (seed,)) for seed in SEEDS])
     found = {start: [one[start] for one in results] for start in STARTS}
-    expectations = expectations_of(found)
+    expectations = over_seeds(expectations_of, found)
     lines = [
         [start, *(_in_words([float(one.errors[index]) for one in runs]) for index in SHOWN)]
         for start, runs in found.items()
@@ -77,10 +71,9 @@ def reproduce_recovery(out: Path) -> None:
     clip = Clip.of(seed=SEEDS[0], **SCENE)
     pictures = [clip.scene.image(index) for index in SHOWN]
     firsts = {start: found[start][0] for start in STARTS}
-    publish(
-        out,
+    return Experiment(
         "Recovery",
-        Table(line, lines, "Medians over the sequences (least - most)."),
+        [Table(line, lines, "Medians over the sequences (least - most).")],
         expectations,
         plots=[
             Plot(
@@ -96,7 +89,7 @@ def reproduce_recovery(out: Path) -> None:
                 f"Error of the mean pose on {len(SEEDS)} sequences.",
             ),
         ],
-        numbers={start: {"errors": [one.errors for one in runs]} for start, runs in found.items()},
+        runs={start: {"errors": [one.errors for one in runs]} for start, runs in found.items()},
     )
 
 

@@ -12,7 +12,8 @@ from ....inference.structure.nonrigid import LEAST_FRAMES, NonrigidShape, learn_
 from ...io.datasets import data_folder
 from ...reports import plots
 from ...reports.expectations import Expectation
-from ...reports.experiment import Table, publish
+from ...reports.experiment import Experiment
+from ...reports.record import Table
 from ...runs.progress import Progress
 
 Numbers = NDArray[np.float64]
@@ -64,16 +65,15 @@ class LearnedShape:
         return normalised_error(turned_onto(self.placed, self.truth), self.truth)
 
 
-def reproduce_shapes(out: Path) -> None:
+def reproduce_shapes(out: Path) -> Experiment:
     """Learn the shapes of three sequences, also from partial tracks, and measure their 3-D errors.
 
     Raises
     ------
     OSError
-        if the sequences cannot be found, or the folder cannot be written to.
+        if the sequences cannot be found.
     """
     folder = data_folder("nrsfm-torresani")
-    out.mkdir(parents=True, exist_ok=True)
     results = []
     with Progress("shapes", len(BASES) * len(MISSING), unit="shapes") as progress:
         for name, bases in BASES.items():
@@ -111,7 +111,7 @@ def reproduce_shapes(out: Path) -> None:
         if each.missing in (MISSING[0], MISSING[-1])
     ]
     measured = Table(header, lines, EXPLANATION)
-    publish(out, "Deformable shapes", measured, expectations, sections=[("Shapes", pictures)])
+    return Experiment("Deformable shapes", [measured], expectations, sections=[("Shapes", pictures)])
 
 
 EXPLANATION = (

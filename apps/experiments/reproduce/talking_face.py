@@ -22,7 +22,8 @@ from ...face.start import FaceStart, start_from_landmarks
 from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source
 from ...reports.expectations import Expectation
-from ...reports.experiment import Plot, Table, publish
+from ...reports.experiment import Experiment, Plot
+from ...reports.record import Table
 from ...runs.progress import Progress
 
 Numbers = NDArray[np.float64]
@@ -67,18 +68,17 @@ class Followed:
         ]  # fmt: skip
 
 
-def reproduce_talking_face(out: Path) -> None:
+def reproduce_talking_face(out: Path) -> Experiment:
     """Track the talking face and measure all 68 landmarks in every annotated frame.
 
     Raises
     ------
     OSError
-        if the film or the model cannot be found, or the folder cannot be written to.
+        if the film or the model cannot be found.
     """
     folder, surrey = data_folder("talking-face"), data_folder("surrey-face")
     truth = landmarks_of_film(np.load(folder / "landmarks_0000-1999.npy"))
     unit = float(np.linalg.norm(truth[0, PUPILS[0]] - truth[0, PUPILS[1]]))
-    out.mkdir(parents=True, exist_ok=True)
     half = len(truth) // 2
     pairs = read_correspondences(folder / "fgnet_to_ibug.txt")
     generic = start_from_landmarks(read_model(surrey), truth[0], pairs)
@@ -121,10 +121,9 @@ def reproduce_talking_face(out: Path) -> None:
     ]
     header = ("method", "frames", "mean, %", "median, %", "95 %, %", "worst, %", "lost")
     lines = [each.row for each in outcomes]
-    publish(
-        out,
+    return Experiment(
         "A talking face",
-        Table(header, lines, EXPLANATION),
+        [Table(header, lines, EXPLANATION)],
         expectations,
         plots=[Plot("errors.png", lambda canvas: draw(canvas, outcomes), (12.0, 5.0), EXPLANATION)],
     )

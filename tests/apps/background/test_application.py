@@ -74,7 +74,8 @@ def whole(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_all_results_are_there_and_readable(whole: Path, scene: Path) -> None:
     expected = {"foreground", "tracks.txt", "background.png", "overlay.mp4", "summary.json", "report.html"}
-    expected |= {"predictions.npz", "state.npz", "manifest.json"}
+    expected |= {"predictions.npz", "film.mp4", "view.npz", "view.html", "state.npz", "manifest.json"}
+    expected |= {"tracks.csv"}
     assert names(whole) == expected, "and no segments or unfinished files"
     assert list(masks_of(whole)) == [f"bin{number:06d}.png" for number in range(1, N_FRAMES + 1)]
     for path in (whole / "foreground").glob("*.png"):

@@ -24,7 +24,7 @@ from rsmcm.apps.background.track_trials import (
     whole_film_tracks,
 )
 from rsmcm.apps.evaluation.tracks import evaluate_tracks, track_rows
-from rsmcm.apps.experiments.reproduce.pets import reproduce_pets
+from rsmcm.apps.experiments.reproduce import run_experiment
 from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.scenes import sleeping_man
@@ -169,7 +169,7 @@ def test_pets_on_a_small_film(
         video.write(frame.image, frame.number, frame.time)
     video.close(finished=True)
     monkeypatch.setenv("RSMCM_DATA", str(tmp_path))
-    reproduce_pets(tmp_path / "out", long=False)
+    run_experiment("pets", tmp_path / "out", False)
     printed = capsys.readouterr().out
     for words in (
         "IDF1 lost with the detector on every fifth frame",

@@ -33,7 +33,19 @@ complaint = run.complaint
 
 Image = NDArray[np.uint8]
 
-RESULTS = {"overlay.mp4", "poses.npz", "summary.json", "report.html", "state.npz", "manifest.json"}
+GROWING = (("overlay", "mp4"), ("film", "mp4"), ("view", "npz"), ("poses", "npz"))
+RESULTS = {
+    "overlay.mp4",
+    "film.mp4",
+    "view.npz",
+    "view.html",
+    "poses.npz",
+    "summary.json",
+    "report.html",
+    "state.npz",
+    "manifest.json",
+}
+SEGMENTS = {f"{name}.part000000005.{kind}" for name, kind in GROWING}
 N_FRAMES = 16
 SIZE = (320, 180)
 FEW = ("--samples", "100")
@@ -423,7 +435,7 @@ def test_a_source_that_breaks(
     folder = write_pictures(tmp_path / "film", [*images[:5], images[5][:100]])
     out = tmp_path / "out"
     assert "frame 6 is" in complaint(capfd, folder, *head, "--out", out, *FEW)
-    assert names(out) == {*RESULTS, "overlay.part000000005.mp4", "poses.part000000005.npz"}
+    assert names(out) == RESULTS | SEGMENTS
     assert summary_of(out)["frames"] == 5
     assert summary_of(out)["ended_early"]
 
@@ -472,7 +484,7 @@ def test_control_c(
     assert capfd.readouterr().err == line
     assert out.exists() == bool(n_frames)
     if n_frames:
-        assert names(out) == {*RESULTS, "overlay.part000000005.mp4", "poses.part000000005.npz"}
+        assert names(out) == RESULTS | SEGMENTS
         summary = summary_of(out)
         assert summary["ended_early"]
         assert summary["frames"] == n_frames

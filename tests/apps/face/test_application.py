@@ -30,8 +30,12 @@ from ...conftest import Command, names, summary_of
 run = Command("face")
 complaint = run.complaint
 
+GROWING = (("overlay", "mp4"), ("film", "mp4"), ("view", "npz"), ("poses", "npz"))
 RESULTS = {
     "overlay.mp4",
+    "film.mp4",
+    "view.npz",
+    "view.html",
     "poses.npz",
     "texture.png",
     "texture_variance.png",
@@ -40,6 +44,7 @@ RESULTS = {
     "state.npz",
     "manifest.json",
 }
+SEGMENTS = {f"{name}.part000000005.{kind}" for name, kind in GROWING}
 N_FRAMES = 16
 SIZE = (200, 160)
 FEW = ("--experts", "4")
@@ -167,7 +172,7 @@ def test_poses_say_where_vertices_are(finished: Path) -> None:
 def test_pictures(finished: Path) -> None:
     video = cv2.VideoCapture(str(finished / "overlay.mp4"))
     size = [video.get(each) for each in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
-    assert size == [600, 480], "three times as large"
+    assert size == [754, 480], "three times as large, and the mean beside it"
     assert sum(iter(lambda: video.read()[0], False)) == N_FRAMES
     texture, variance = (
         cv2.imread(str(finished / name), cv2.IMREAD_UNCHANGED)
@@ -449,7 +454,7 @@ def test_a_source_that_breaks(
     folder = write_pictures(tmp_path / "film", [*images[:5], images[5][:100]])
     out = tmp_path / "out"
     assert "frame 6 is" in complaint(capfd, folder, "--landmarks", start, "--out", out, *FEW)
-    assert names(out) == {*RESULTS, "overlay.part000000005.mp4", "poses.part000000005.npz"}
+    assert names(out) == RESULTS | SEGMENTS
     assert summary_of(out)["frames"] == 5
     assert summary_of(out)["ended_early"]
 
@@ -646,7 +651,7 @@ def test_control_c(
     assert capfd.readouterr().err == line
     assert out.exists() == bool(n_frames)
     if n_frames:
-        assert names(out) == {*RESULTS, "overlay.part000000005.mp4", "poses.part000000005.npz"}
+        assert names(out) == RESULTS | SEGMENTS
         summary = summary_of(out)
         assert summary["ended_early"]
         assert summary["frames"] == n_frames

@@ -59,15 +59,49 @@ def is_colour(picture: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArr
 def test_vertices_of_all_experts_are_dots(model: MorphableModel, overlay: FaceOverlay) -> None:
     face = tracked(model)
     picture = overlay.draw(blank(), face, "frame 1")
-    assert picture.shape == (480, 640, 3), "enlarged"
-    red = is_colour(picture, DOT)
+    assert picture.shape == (480, 640 + round(0.32 * 480), 3), "enlarged, and the mean beside it"
+    yellow = is_colour(picture, DOT)
     places = np.rint(2 * (model.project(face.experts) + 0.5) - 0.5).astype(int)
-    shown = red[places[..., 1], places[..., 0]]
+    shown = yellow[places[..., 1], places[..., 0]]
     assert np.count_nonzero(shown) >= 3 * min(model.n_vertices, MOST_DOTS)
-    far = np.ones_like(red)
+    far = np.ones_like(yellow)
     for x, y in places.reshape(-1, 2):
         far[y - 4 : y + 5, x - 4 : x + 5] = False
-    assert not (red & far).any()
+    assert not (yellow & far).any()
+
+
+@pytest.mark.parametrize("grey", [0, 40, 90, 150, 200, 255])
+@pytest.mark.parametrize(("height", "size"), [(240, 40.0), (480, 80.0), (1080, 60.0), (1080, 180.0)])
+def test_dots_stand_out_from_any_skin(
+    model: MorphableModel, overlay: FaceOverlay, grey: int, height: int, size: float
+) -> None:
+    """Some of every dot is much brighter or darker than the skin, and most of the face is left to be seen."""
+    width = height * 4 // 3
+    mean = Poses.upright(np.array([[width / 2, height / 2]]), np.array([size]), model.n_bases)
+    image = np.full((height, width, 3), grey, np.uint8)
+    picture = overlay.draw(image, TrackedFace(mean, mean, NOWHERE, False), "")
+    scale = picture.shape[0] // height
+    luma = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(int)
+    contrast = cv2.dilate(np.abs(luma - grey).astype(np.uint8), np.ones((9, 9)))
+    x, y = np.rint(scale * (model.project(mean)[0] + 0.5) - 0.5).astype(int).T
+    drawn = is_colour(picture, DOT)[y, x]
+    assert np.count_nonzero(drawn) >= min(model.n_vertices, MOST_DOTS)
+    assert contrast[y, x][drawn].min() >= 60
+    left, right, top, bottom = x.min(), x.max(), y.min(), y.max()
+    hidden = (picture[top:bottom, left:right] != grey).any(axis=2).mean()
+    assert hidden < 0.5
+
+
+def test_nothing_but_dots_is_drawn_on_the_face(model: MorphableModel, overlay: FaceOverlay) -> None:
+    """Wherever the face is in the picture: the views are beside it."""
+    for x, y in ((40, 40), (280, 40), (40, 200), (280, 200), (160, 120)):
+        mean = Poses.upright(np.array([[x, y]], float), np.array([40.0]), model.n_bases)
+        picture = overlay.draw(blank(), TrackedFace(mean, mean, NOWHERE, False), "")
+        places = np.rint(2 * (model.project(mean)[0] + 0.5) - 0.5).astype(int)
+        elsewhere = (picture[:, :640] != GREY).any(axis=2)
+        for column, row in places:
+            elsewhere[max(row - 5, 0) : row + 6, max(column - 5, 0) : column + 6] = False
+        assert not elsewhere[30:].any(), "below the caption"
 
 
 def test_landmarks_are_drawn_where_they_are(model: MorphableModel, overlay: FaceOverlay) -> None:
@@ -94,7 +128,7 @@ def test_any_size_of_picture(
 ) -> None:
     for image in (blank(height, width), blank(height, width)[..., 0]):
         picture = overlay.draw(image, tracked(model), "frame 1")
-        assert picture.shape == (scale * height, scale * width, 3)
+        assert picture.shape == (scale * height, scale * width + round(0.32 * scale * height), 3)
 
 
 def test_a_face_far_outside(model: MorphableModel, overlay: FaceOverlay) -> None:
@@ -110,7 +144,7 @@ def test_axes_turn_with_the_face(model: MorphableModel, overlay: FaceOverlay) ->
         turned = Poses(exponential(np.array([[0.0, turn, 0.0]])), face.mean.translations, face.mean.morphs)
         picture = overlay.draw(blank(), TrackedFace(face.experts, turned, NOWHERE, False), "").astype(int)
         blue = (picture[..., 0] > 200) & (picture[..., 2] < 120)
-        return float(np.nonzero(blue[360:, :130])[1].mean())
+        return float(np.nonzero(blue[400:, 640:])[1].mean())
 
     assert gaze(0.6) < gaze(0.0) - 5
     assert gaze(-0.6) > gaze(0.0) + 5

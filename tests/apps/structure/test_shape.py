@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.experiments.reproduce import shapes
+from rsmcm.apps.experiments.reproduce import run_experiment, shapes
 from rsmcm.apps.io.datasets import data_folder
 from rsmcm.inference.structure.nonrigid import learn_shape
 from rsmcm.models.face.model_files import read_model
@@ -119,7 +119,7 @@ def test_tables_and_page(
     monkeypatch.setattr(shapes, "read_truth", lambda path: deforming(n_frames=20)[1])
     monkeypatch.setattr(shapes, "BASES", {"face": N_BASES})
     monkeypatch.setattr(shapes, "MISSING", (0.0, 0.2))
-    shapes.reproduce_shapes(tmp_path / "out")
+    run_experiment("shapes", tmp_path / "out")
     printed = capsys.readouterr().out
     assert "face, 20% missing: 3-D error" in printed
     assert (tmp_path / "out" / "index.html").read_text().count("<svg") == 2

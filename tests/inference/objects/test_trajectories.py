@@ -58,7 +58,7 @@ def test_smoothing_follows_a_straight_walk_through_gaps() -> None:
 def test_in_a_long_gap_nobody_is_reported_in_the_middle() -> None:
     seen = np.r_[5:40, 115:150]
     track = smoothed(walk(3, seen, (100, 200), (40, 10)), TIMES, MOTION)
-    known = set(track.known().frames.tolist())
+    known = set(track.boxes().frames[track.known()].tolist())
     assert set(seen.tolist()) < known < set(range(5, 150))
     assert 41 in known
     assert 113 in known

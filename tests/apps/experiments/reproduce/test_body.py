@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 from rsmcm.apps.body.measures import BodyTrial
 from rsmcm.apps.body.overlay import TrackedBody
-from rsmcm.apps.experiments.reproduce import body
+from rsmcm.apps.experiments.reproduce import body, run_experiment
 
 from ....conftest import names
 
@@ -131,12 +131,12 @@ def test_every_result_stands_at_its_tracker_and_seed(
             trials.append(row)
         return trials
 
-    monkeypatch.setattr(body, "in_processes", numbered)
+    monkeypatch.setattr(body, "in_parallel", numbered)
     monkeypatch.setattr(body, "SHOWN", (1, 2))
     monkeypatch.setattr(body, "SCENE", {"n_frames": 3, "detector_dropout": 0.2})
-    body.reproduce_body(tmp_path / "out")
+    run_experiment("body", tmp_path / "out")
     assert names(tmp_path / "out") == {"index.html", "fig-6.png", "errors.png", "results.json"}
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    results = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
     assert list(results) == NAMES
     for place, name in enumerate(NAMES):
         assert results[name]["error"] == pytest.approx([1.0 + place + seed / 10 for seed in body.SEEDS])
@@ -155,8 +155,8 @@ def test_short_scenes_in_earnest(
     monkeypatch.setattr(body, "SCENE", {"n_frames": 12})
     monkeypatch.setattr(body, "TIMED_FRAMES", 8)
     monkeypatch.setattr(body, "SHOWN", (4, 9))
-    body.reproduce_body(tmp_path / "out")
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    run_experiment("body", tmp_path / "out")
+    results = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
     counts = [results[body.CONDENSATION.format(times)]["samples"] for times in body.MULTIPLES]
     assert counts == sorted(counts)
     assert all(0 < error < 300 for error in results[body.RSMCM.name]["error"])

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.experiments.reproduce import box
+from rsmcm.apps.experiments.reproduce import box, run_experiment
 
 from ....support.reconstructions import write_film
 
@@ -16,7 +16,7 @@ def test_tables_and_pictures(
     write_film(film, n_frames=8)
     monkeypatch.setattr(box, "SEQUENCES", ("film",))
     monkeypatch.setattr(box, "data_folder", lambda name: film)
-    box.reproduce_box(out)
+    run_experiment("box", out)
     printed = capsys.readouterr().out
     assert "film: median length of tracks, over stand-alone" in printed
     assert "film: reprojection error, over stand-alone" in printed

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from rsmcm.apps.experiments.reproduce import experts, face_background, gain, recovery
+from rsmcm.apps.experiments.reproduce import experts, face_background, gain, recovery, run_experiment
 from rsmcm.apps.experiments.trials.face import (
     Clip,
     Evaluation,
@@ -196,14 +196,14 @@ def test_page_of_face_and_background(
             evaluation([0.0, 1.0 + order.index((at.name, how)) + seed / 10]) for _, (at, how, seed) in work
         ]
 
-    monkeypatch.setattr(face_background, "in_processes", numbered)
-    face_background.reproduce_face_background(tmp_path / "out")
+    monkeypatch.setattr(face_background, "in_parallel", numbered)
+    run_experiment("face-background", tmp_path / "out")
     assert names(tmp_path / "out") == {
         "index.html",
         "errors.png",
         "results.json",
     }
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    results = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
     for number, (scene, method) in enumerate(order):
         errors = [1.0 + number + seed / 10 for seed in face_background.SEEDS]
         assert results[scene][method]["error"] == pytest.approx(errors)

@@ -1,0 +1,5 @@
+"""Results as other tools take them: tables, boxes, masks and points."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

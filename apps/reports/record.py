@@ -1,0 +1,234 @@
+"""What an experiment measured, and where and when: records that are compared, kept and shown."""
+
+import hashlib
+import json
+import math
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import psutil
+
+from ...models.numerics.threads import thread_count
+from ..io.files import write_json
+from ..runs.versions import versions
+from .expectations import Expectation
+
+ROOT = Path(__file__).resolve().parents[2]
+"""Where the packages lie: the checkout, or the installed package."""
+
+TRACKING = ("models", "inference", "chains")
+"""Packages on whose code measurements depend."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where, when and with what something was measured.
+
+    Parameters
+    ----------
+    date
+        when it began, ISO 8601 in UTC, to the second.
+    seconds
+        how long it took.
+    commit
+        of the checkout, ten hex digits; empty for an installed package.
+    changed
+        whether the checkout had changes that were not committed.
+    modules, state
+        files of the code that tracks which it took, from `ROOT`, and a digest of them: it is the same as long
+        as they are.
+    processor, cores, memory
+        of the machine; memory in GB.
+    load
+        mean number of processes that wanted to run in the minute before: speeds need a quiet machine.
+    threads
+        of our loops in this process.
+    versions
+        of Python, this package and others, by name.
+    """
+
+    date: str
+    seconds: float
+    commit: str
+    changed: bool
+    modules: Sequence[str]
+    state: str
+    processor: str
+    cores: int
+    memory: float
+    load: float
+    threads: int
+    versions: Mapping[str, str]
+
+    @property
+    def machine(self) -> str:
+        """In words."""
+        return f"{self.processor}, {self.cores} cores, {self.memory:.0f} GB"
+
+    def is_of(self, root: Path) -> bool:
+        """Whether the code that tracks is the same in a checkout."""
+        return self.state == _joint_digest({name: _digest(root / name) for name in self.modules})
+
+
+class Stopwatch:
+    """Notes where and when it was made; `provenance` adds how long it took since."""
+
+    def __init__(self) -> None:
+        self._started = time.perf_counter()
+        commit, changed = _commit()
+        files = (path for package in TRACKING for path in (ROOT / package).rglob("*.py"))
+        self._digests = {path.relative_to(ROOT).as_posix(): _digest(path) for path in sorted(files)}
+        self._known = {
+            "date": datetime.now(UTC).isoformat(timespec="seconds"),
+            "commit": commit,
+            "changed": changed,
+            "processor": _processor(),
+            "cores": os.cpu_count() or 1,
+            "memory": psutil.virtual_memory().total / 2**30,
+            "load": psutil.getloadavg()[0],
+            "versions": versions(),
+        }
+
+    def provenance(self) -> Provenance:
+        """Of what was measured since."""
+        seconds = time.perf_counter() - self._started
+        loaded = {Path(file).resolve() for each in list(sys.modules.values()) if (file := _file(each))}
+        taken = {name: digest for name, digest in self._digests.items() if (ROOT / name) in loaded}
+        return Provenance(
+            **self._known,
+            seconds=seconds,
+            threads=thread_count(),
+            modules=list(taken),
+            state=_joint_digest(taken),
+        )
+
+
+def _file(module: object) -> str | None:
+    return getattr(module, "__file__", None)
+
+
+def _digest(path: Path) -> str:
+    """Of a file; nothing where there is none."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else ""
+
+
+def _joint_digest(digests: Mapping[str, str]) -> str:
+    text = "".join(f"{name} {digest}\n" for name, digest in sorted(digests.items()))
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _commit() -> tuple[str, bool]:
+    """Commit of the checkout, and whether it has changes; nothing for a package that is installed."""
+    try:
+        _git("ls-files", "--error-unmatch", str(Path(__file__).resolve()))
+        return _git("rev-parse", "HEAD")[:10], bool(_git("status", "--porcelain", "--", *TRACKING, "apps"))
+    except (OSError, subprocess.CalledProcessError):
+        return "", False
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", "-C", ROOT, *arguments], capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """What was measured: names of the columns, rows, and what is said above them."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    caption: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What an experiment measured.
+
+    Parameters
+    ----------
+    name, title
+        of the experiment.
+    command
+        that repeats it.
+    made
+        where, when and with what.
+    expectations
+        figures, beside what is wanted of them.
+    tables
+        everything that was measured.
+    """
+
+    name: str
+    title: str
+    command: str
+    made: Provenance
+    expectations: Sequence[Expectation]
+    tables: Sequence[Table]
+
+    @cached_property
+    def by_what(self) -> dict[str, Expectation]:
+        """Figures by what they are."""
+        return {each.what: each for each in self.expectations}
+
+    def write(self, path: Path, runs: Any = None) -> None:
+        """Write it as JSON, with every run's measures if they are given.
+
+        Raises
+        ------
+        OSError
+            if the file cannot be written.
+        """
+        content = {field.name: getattr(self, field.name) for field in fields(self)}
+        content["made"] = asdict(self.made)
+        content["expectations"] = [{**asdict(each), "verdict": each.verdict} for each in self.expectations]
+        content["tables"] = [asdict(each) for each in self.tables]
+        write_json(path, content if runs is None else {**content, "runs": runs})
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read what `write` has written, but for the runs.
+
+        Raises
+        ------
+        OSError
+            if the file cannot be read.
+        ValueError
+            if it is no such record; one line that names the file.
+        """
+        try:
+            content = json.loads(path.read_text())
+            return cls(
+                content["name"],
+                content["title"],
+                content["command"],
+                Provenance(**content["made"]),
+                [_expectation(each) for each in content["expectations"]],
+                [Table(**each) for each in content["tables"]],
+            )
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{path}: no record of an experiment: {error!r}") from error
+
+
+def _expectation(content: Mapping[str, Any]) -> Expectation:
+    known = {name: value for name, value in content.items() if name != "verdict"}
+    for name in ("measured", "spread"):
+        if known[name] is None:  # JSON knows no NaN
+            known[name] = math.nan
+    return Expectation(**known)

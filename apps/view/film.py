@@ -1,0 +1,206 @@
+"""The film behind `view.html`: small, without drawings, and what is to be drawn on each of its frames."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+import av
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.frame import Frame
+from ...models.files.atomic_files import sync, write_atomically
+from ..io.segmented_video import PLAYABLE, SegmentedVideo
+from ..io.segments import drop_segments, join_segments, segment_name, segments_of
+from ..io.worker import Worker
+
+Image = NDArray[np.uint8]
+Row = Mapping[str, NDArray[Any]]
+"""What is drawn on a frame: arrays whose first axis may have another length in every frame."""
+
+FILM, ROWS = "film.mp4", "view.npz"
+
+LONGEST_SIDE = 640  # px of the film
+MOST_BYTES = 24 << 20
+"""Of film and rows together, a third more in the page: beyond, the film's beginning goes."""
+
+SEGMENT = 250  # pictures: as many as libx264 has between pictures that stand for themselves
+AHEAD = 8  # frames that wait to be written while a run saves its state
+
+SMALL = replace(PLAYABLE, options={**PLAYABLE.options, "crf": "28"})
+
+
+class FilmWriter:
+    """`film.mp4` and `view.npz`, of the last part of a run if it is long.
+
+    Both grow by segments as `SegmentedVideo` does. Whenever they take more than `MOST_BYTES`, the oldest go,
+    so that a stream may last for ever. A frame without image shows the one before.
+
+    Parameters
+    ----------
+    folder
+        of the results.
+    rate
+        frames per second.
+    resume_after
+        number of the frame after which this run goes on; 0 for a new one.
+    """
+
+    def __init__(self, folder: Path, rate: float, resume_after: int = 0) -> None:
+        self._film, self._rows = folder / FILM, folder / ROWS
+        self._video = SegmentedVideo(self._film, rate, SMALL, resume_after)
+        drop_segments(self._rows, behind=resume_after)
+        self._drop_unpaired()
+        self._worker = Worker("film", AHEAD)
+        self._columns: dict[str, list[NDArray[Any]]] = {}
+        self._image: Image | None = None
+        self._n_pictures = 0  # since the last segment
+        self._last = 0  # number of the last frame
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            self._worker.stop()
+        finally:
+            self._cut()
+            self._video.close(finished=kind is None)
+            join_segments(self._rows, _join, finished=kind is None)
+
+    def add(self, frame: Frame, drawn: Callable[[], Row]) -> None:
+        """Append a frame and what is drawn on it, made in a thread by `drawn`; it must not change any more.
+
+        Raises
+        ------
+        OSError
+            if it cannot be written; it may come with a later frame.
+        """
+        self._worker.submit(self._add, frame, drawn)
+
+    def checkpoint(self) -> None:
+        """Return when everything is on disk and readable."""
+        self._worker.wait()
+        self._cut()
+
+    def _add(self, frame: Frame, drawn: Callable[[], Row]) -> None:
+        if frame.image is not None:
+            self._image = _small(frame.image)
+        if self._image is None:
+            return  # nothing seen yet, not even the size
+        self._video.write(self._image, frame.number, frame.time)
+        self._columns.setdefault("number", []).append(np.array([frame.number]))
+        self._columns.setdefault("time", []).append(np.array([frame.time]))
+        for name, values in drawn().items():
+            self._columns.setdefault(name, []).append(values)
+        self._n_pictures, self._last = self._n_pictures + 1, frame.number
+        if self._n_pictures == SEGMENT:
+            self._cut()
+
+    def _cut(self) -> None:
+        """Complete a segment of both files, and drop the oldest if they have become too large."""
+        if not self._n_pictures:
+            return
+        self._video.checkpoint()
+        segment = segment_name(self._rows, self._last)
+        arrays = {name: np.concatenate(values) for name, values in self._columns.items()}
+        counts = {f"{name}.count": [len(each) for each in values] for name, values in self._columns.items()}
+        with write_atomically(segment) as unfinished:
+            np.savez(unfinished, allow_pickle=False, **arrays, **counts)
+        sync(segment)
+        self._columns, self._n_pictures = {}, 0
+        pairs = list(zip(segments_of(self._film), segments_of(self._rows), strict=True))
+        sizes = [sum(path.stat().st_size for path in pair) for pair in pairs]
+        while sum(sizes) > MOST_BYTES and len(pairs) > 1:
+            del sizes[0]
+            for path in pairs.pop(0):
+                path.unlink()
+
+    def _drop_unpaired(self) -> None:
+        """Of a kill between two files of a pair."""
+        films, rows = (
+            {path.stem.rpartition("part")[2] for path in segments_of(of)} for of in (self._film, self._rows)
+        )
+        for last in films ^ rows:
+            for of in (self._film, self._rows):
+                segment_name(of, int(last)).unlink(missing_ok=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """What was written of a film.
+
+    Parameters
+    ----------
+    path
+        of the video; `None` where there are no pictures.
+    size
+        `(width, height)` px of the source.
+    numbers, times
+        of its frames, 1-based, and s of the source.
+    moments
+        `(n_frames,)` at which each is shown, s of the video.
+    columns
+        what is drawn: by name, arrays of all frames after each other.
+    counts
+        by name, how many entries of the array are of each frame.
+    """
+
+    path: Path | None
+    size: tuple[int, int]
+    numbers: NDArray[np.int64]
+    times: NDArray[np.float64]
+    moments: NDArray[np.float64]
+    columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    counts: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+
+
+def read_film(folder: Path, size: tuple[int, int]) -> Film:
+    """Read what `FilmWriter` has written of frames of `size` (width, height) px.
+
+    Raises
+    ------
+    OSError
+        if there is nothing.
+    """
+    path = folder / FILM
+    with np.load(folder / ROWS) as file:
+        arrays = dict(file)
+    columns = {name: values for name, values in arrays.items() if not name.endswith(".count")}
+    numbers, times = columns.pop("number"), columns.pop("time")
+    counts = {name: arrays[f"{name}.count"] for name in columns}
+    return Film(path, size, numbers, times, _moments(path), columns, counts)
+
+
+def _moments(path: Path) -> NDArray[np.float64]:
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert stream.time_base is not None
+        ticks = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
+    return np.array(ticks, np.float64) * float(stream.time_base)
+
+
+def _small(image: Image) -> Image:
+    """In colour, with sides of at most `LONGEST_SIDE`, which are even where it is shrunk."""
+    if image.ndim == 2:
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+    height, width = image.shape[:2]
+    scale = LONGEST_SIDE / max(height, width)
+    if scale >= 1:
+        return image
+    sides = [max(2, 2 * round(side * scale / 2)) for side in (width, height)]
+    return np.asarray(cv2.resize(image, sides, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _join(segments: Sequence[Path], path: Path) -> None:
+    parts = []
+    for segment in segments:
+        with np.load(segment) as file:
+            parts.append(dict(file))
+    np.savez(
+        path,
+        allow_pickle=False,
+        **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
+    )

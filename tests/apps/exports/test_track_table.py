@@ -1,0 +1,121 @@
+"""`tracks.csv`, and the tools that read it."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas
+import polars
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rsmcm.apps.exports import TrackTableWriter, read_tracks_table
+from rsmcm.apps.exports.track_table import COLUMNS, HEADER
+from rsmcm.apps.io.mot import TrackedBox, TrackWriter, read_tracks
+
+ROWS = [
+    (1, 0.0, TrackedBox(7, (0.0, 0.0, 10.0, 20.5), 0.25, (-3.5, 12.25), False)),
+    (2, 0.04, TrackedBox(7, (1.0, 0.0, 10.0, 20.5), 1.0)),
+    (2, 0.04, TrackedBox(9, (-4.5, 3.0, 7.0, 8.0), 0.5, (0.0, -0.01))),
+]
+
+
+def write(path: Path, rows: list[tuple[int, float, TrackedBox]] = ROWS, after: int = 0) -> Path:
+    with TrackTableWriter(path, after) as writer:
+        for number in sorted({number for number, _, _ in rows}):
+            some = [row for row in rows if row[0] == number]
+            writer.write(number, some[0][1], [track for _, _, track in some])
+    return path
+
+
+def test_a_row_is_an_object_in_a_frame(tmp_path: Path) -> None:
+    assert write(tmp_path / "tracks.csv").read_text() == (
+        "frame,time,id,x,y,width,height,confidence,vx,vy,seen\n"
+        "1,0.000000,7,0.00,0.00,10.00,20.50,0.2500,-3.50,12.25,0\n"
+        "2,0.040000,7,1.00,0.00,10.00,20.50,1.0000,,,1\n"
+        "2,0.040000,9,-4.50,3.00,7.00,8.00,0.5000,0.00,-0.01,1\n"
+    )
+
+
+def test_pandas_and_polars_have_the_same_table(tmp_path: Path) -> None:
+    path = write(tmp_path / "tracks.csv")
+    columns = read_tracks_table(tmp_path)
+    assert columns["seen"].tolist() == [False, True, True]
+    for table in (pandas.DataFrame(columns), polars.DataFrame(columns), pandas.read_csv(path)):
+        assert list(table.columns) == list(COLUMNS)
+        for name in COLUMNS:
+            np.testing.assert_array_equal(table[name].to_numpy(), columns[name], err_msg=name)
+    by_polars = polars.read_csv(path)
+    for name in COLUMNS:
+        np.testing.assert_array_equal(by_polars[name].to_numpy(), columns[name], err_msg=name)
+
+
+number = st.floats(-1e4, 1e4)
+size = st.floats(0, 1e3)
+tracks = st.builds(
+    TrackedBox,
+    st.integers(1, 1 << 53),
+    st.tuples(number, number, size, size),
+    st.floats(0, 1),
+    st.tuples(number, number) | st.just((math.nan, math.nan)),
+    st.booleans(),
+)
+
+
+@given(st.lists(st.tuples(st.integers(1, 50), tracks), max_size=8))
+def test_what_was_written_is_read(tmp_path_factory: pytest.TempPathFactory, found: list) -> None:
+    rows = [(frame, frame / 30, track) for frame, track in sorted(found, key=lambda row: row[0])]
+    folder = tmp_path_factory.mktemp("tracks")
+    columns = read_tracks_table(write(folder / "tracks.csv", rows))
+    assert {name: column.dtype for name, column in columns.items()} == {
+        name: np.dtype(kind) for name, kind in COLUMNS.items()
+    }
+    assert columns["id"].tolist() == [track.identity for _, _, track in rows]
+    assert columns["seen"].tolist() == [track.seen for _, _, track in rows]
+    expected = [(frame, time, *track.box, track.confidence, *track.velocity) for frame, time, track in rows]
+    names = ("frame", "time", "x", "y", "width", "height", "confidence", "vx", "vy")
+    read = np.stack([columns[name] for name in names], axis=1)
+    np.testing.assert_allclose(read, np.reshape(expected, (-1, len(names))), rtol=0, atol=0.0051)
+
+
+def test_boxes_are_those_of_mot(tmp_path: Path) -> None:
+    columns = read_tracks_table(write(tmp_path / "tracks.csv"))
+    with TrackWriter(tmp_path / "tracks.txt") as writer:
+        for number, _, track in ROWS:
+            writer.write(number, [track])
+    mot = read_tracks(tmp_path / "tracks.txt")
+    boxes = np.stack([columns[name] for name in ("x", "y", "width", "height")], axis=1)
+    np.testing.assert_array_equal(boxes, mot["box"])
+    np.testing.assert_array_equal(columns["confidence"], mot["confidence"])
+
+
+def test_it_is_gone_on_with_behind_a_frame(tmp_path: Path) -> None:
+    whole = write(tmp_path / "whole.csv").read_text()
+    path = tmp_path / "tracks.csv"
+    path.write_text(whole[:-9])  # killed in the middle of a line
+    write(path, ROWS[1:], after=1)
+    assert path.read_text() == whole
+    write(path, [], after=0)
+    assert path.read_text() == HEADER + "\n"
+    assert len(read_tracks_table(path)["frame"]) == 0
+    path.unlink()
+    write(path, ROWS[1:], after=1)
+    assert read_tracks_table(path)["frame"].tolist() == [2, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ("frame,id\n", "line 1: got 'frame,id', expected frame,time,id"),
+        ("", "line 1: got ''"),
+        (f"{HEADER}\n1,0,1\n", "line 2: got '1,0,1', expected numbers"),
+        (f"{HEADER}\n1,0,1,1,1,1,1,1,1,1,2\n", "line 2: got seen 2, expected 0 or 1"),
+        (f"{HEADER}\n0,0,1,1,1,1,1,1,1,1,1\n", "line 2: got frame 0, id 1, expected whole numbers"),
+        (f"{HEADER}\n1,0,1,inf,1,1,1,1,1,1,1\n", "line 2: got .*, expected numbers"),
+    ],
+)
+def test_what_is_no_such_table_is_named(tmp_path: Path, text: str, wrong: str) -> None:
+    path = tmp_path / "tracks.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=rf"tracks\.csv, {wrong}"):
+        read_tracks_table(path)
