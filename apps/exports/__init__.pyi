@@ -1,3 +1,19 @@
+from .coco import to_coco
+from .cvat import to_cvat
+from .finished_run import FinishedRun, RunFrame
+from .for_supervision import to_key_points, to_supervision
+from .movement import movement_dataset, to_movement
 from .track_table import TrackTableWriter, read_tracks_table
 
-__all__ = ["TrackTableWriter", "read_tracks_table"]
+__all__ = [
+    "FinishedRun",
+    "RunFrame",
+    "TrackTableWriter",
+    "movement_dataset",
+    "read_tracks_table",
+    "to_coco",
+    "to_cvat",
+    "to_key_points",
+    "to_movement",
+    "to_supervision",
+]

@@ -2,7 +2,7 @@
 
 import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -80,20 +80,24 @@ def read_tracks_table(path: str | Path) -> dict[str, NDArray[Any]]:
         if the file cannot be read.
     """
     path = Path(path)
-    if path.is_dir():
-        path = path / TABLE
     numbers = array("d")
+    for row in table_rows(path / TABLE if path.is_dir() else path):
+        numbers.extend(row)
+    table = np.frombuffer(numbers, np.float64).reshape(-1, len(COLUMNS))
+    return {name: table[:, k].astype(kind) for k, (name, kind) in enumerate(COLUMNS.items())}
+
+
+def table_rows(path: Path) -> Iterator[list[float]]:
+    """Rows of `tracks.csv` one by one, with the values of `COLUMNS`; raises as `read_tracks_table`."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         header = file.readline(LONGEST_LINE).strip()
         if header != HEADER:
             raise ValueError(f"{path}, line 1: got {header[:60]!r}, expected {HEADER}")
         for place, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=2):
             try:
-                numbers.extend(_parse_line(line))
+                yield _parse_line(line)
             except ValueError as error:
                 raise ValueError(f"{path}, line {place}: {error}") from None
-    table = np.frombuffer(numbers, np.float64).reshape(-1, len(COLUMNS))
-    return {name: table[:, k].astype(kind) for k, (name, kind) in enumerate(COLUMNS.items())}
 
 
 def _parse_line(line: str) -> list[float]:

@@ -1,9 +1,11 @@
-"""Ground truth: boxes in MOT format, or CDnet's labelled masks."""
+"""Ground truth: boxes in MOT format, also as CVAT exports them, or CDnet's labelled masks."""
 
+import io
 import math
 import re
+import zipfile
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -12,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.short_repr import short_repr
+from ...models.files.array_files import ARCHIVE, PACKED
 from ...models.files.limits import MOST_SETTINGS, MOST_TEXT
 from ...models.files.text_files import read_text
-from .mot import read_lines
+from .mot import lines_of, read_lines
 from .sources.images import read_grey
 
 SHADOW, OUTSIDE, UNKNOWN, FOREGROUND = 50, 85, 170, 255
@@ -40,6 +43,24 @@ _KIND_OF_CLASS = {
     7: Kind.PEDESTRIAN,  # standing still
 }
 """MOT16's classes; 8 to 13 are distractors, occluders, reflections and crowds."""
+
+_CLASS_OF_LABEL = {
+    "pedestrian": 1,
+    "person on vehicle": 2,
+    "car": 3,
+    "bicycle": 4,
+    "motorbike": 5,
+    "non motorized vehicle": 6,
+    "static person": 7,
+    "distractor": 8,
+    "occluder": 9,
+    "occluder on the ground": 10,
+    "occluder full": 11,
+    "reflection": 12,
+}
+"""CVAT's names of these classes; boxes with any other label count as pedestrians."""
+
+IN_ARCHIVE = "expected CVAT's MOT 1.1, with gt/gt.txt"
 
 
 @short_repr
@@ -134,14 +155,16 @@ def read_ground_truth(path: str | Path) -> BoxTruth | MaskTruth:
     Parameters
     ----------
     path
-        a MOT `gt.txt`; a folder with `gt/gt.txt` or `gt.txt`; or a CDnet folder with `groundtruth/`, and
-        where they exist `ROI.bmp` and `temporalROI.txt`.
+        a MOT `gt.txt`; a folder with `gt/gt.txt` or `gt.txt`; a zip file of CVAT's "MOT 1.1", with
+        `gt/gt.txt` and perhaps `gt/labels.txt`; or a CDnet folder with `groundtruth/`, and where they exist
+        `ROI.bmp` and `temporalROI.txt`.
 
     Notes
     -----
     A MOT line is frame, identity, left, top, width, height, flag (0: ignore) and then, in MOT16 and later,
     class and visibility (nine columns), in MOT15 x, y, z (ten columns; all are pedestrians). Coordinates
-    are 1-based pixels in the file, 0-based in what is returned.
+    are 1-based pixels in the file, 0-based in what is returned. In CVAT's zip they are 0-based, and classes
+    are lines of `labels.txt`: those with names of MOT16's classes are these.
 
     Raises
     ------
@@ -160,7 +183,9 @@ def read_ground_truth(path: str | Path) -> BoxTruth | MaskTruth:
         raise FileNotFoundError(f"--ground-truth: {path} holds no gt/gt.txt, gt.txt or groundtruth folder")
     if not path.exists():
         raise FileNotFoundError(f"--ground-truth: no such file or folder: {path}")
-    return _read_boxes(path)
+    with path.open("rb") as file:
+        archived = file.read(4) in ARCHIVE
+    return _read_archive(path) if archived else _read_boxes(path)
 
 
 def common_frames(truth: BoxTruth | MaskTruth, processed: range) -> Sequence[int]:
@@ -190,14 +215,56 @@ def common_frames(truth: BoxTruth | MaskTruth, processed: range) -> Sequence[int
 def _read_boxes(path: Path) -> BoxTruth:
     if path.stat().st_size > MOST_TEXT:
         raise ValueError(f"{path}: got more than {MOST_TEXT} bytes, expected MOT ground truth")
+    return _boxes(str(path), read_lines(path), 1, _KIND_OF_CLASS)
+
+
+def _read_archive(path: Path) -> BoxTruth:
+    """Boxes of a zip file as CVAT writes them."""
+    found, boxes, labels = _unpacked(path)
+    kinds: Mapping[int, Kind] = _KIND_OF_CLASS
+    if labels is not None:
+        classes = [_CLASS_OF_LABEL.get(label.strip().lower(), 1) for label in labels.splitlines()]
+        kinds = {
+            number: _KIND_OF_CLASS.get(known, Kind.IGNORED) for number, known in enumerate(classes, start=1)
+        }
+    name = f"{path}, {found}"
+    return _boxes(name, lines_of(io.StringIO(boxes), name), 0, kinds)
+
+
+def _unpacked(path: Path) -> tuple[str, str, str | None]:
+    """Name and text of the boxes in an archive, and its labels; none of more bytes than a text may have."""
+    wrong = ""
+    with path.open("rb") as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                members = {member.filename: member for member in archive.infolist()}
+                found = next((name for name in ("gt/gt.txt", "gt.txt") if name in members), "")
+                wrong = "" if found else f"members {', '.join(members)[:60]!r}"
+                texts = []
+                for name in filter(members.get, (found, found.replace("gt.txt", "labels.txt"))):
+                    if members[name].compress_type not in PACKED or members[name].file_size > MOST_TEXT:
+                        wrong = f"{name} of more than {MOST_TEXT} bytes, or packed in an unusual way"
+                    else:
+                        texts.append(archive.read(name).decode("utf-8-sig", "replace"))
+        except Exception as error:  # broken bytes make zip raise almost anything
+            wrong = f"a damaged file ({' '.join(str(error).split())[:80] or type(error).__name__})"
+    if wrong:
+        raise ValueError(f"{path}: got {wrong}, {IN_ARCHIVE}")
+    return found, texts[0], texts[1] if len(texts) > 1 else None
+
+
+def _boxes(
+    path: str, lines: Iterable[tuple[int, list[float]]], origin: int, kinds: Mapping[int, Kind]
+) -> BoxTruth:
+    """Boxes of lines in MOT format, whose first pixel is `origin`; `kinds` are of classes."""
     rows: list[tuple[float, ...]] = []
-    for number, values in read_lines(path):
+    for number, values in lines:
         width, height = values[4:6]
         if min(width, height) <= 0:
             raise ValueError(
                 f"{path}, line {number}: got a box of {width:g} x {height:g} pixels, expected a positive size"
             )
-        rows.append((*values[:6], _kind_of(values)))
+        rows.append((*values[:6], _kind_of(values, kinds)))
     if not rows:
         raise ValueError(f"{path}: holds no boxes")
     table = np.array(rows)
@@ -209,19 +276,19 @@ def _read_boxes(path: Path) -> BoxTruth:
         frame, identity = named[repeated[0], :2]
         raise ValueError(f"{path}: identity {identity:.0f} occurs twice in frame {frame:.0f}")
     box = table[:, 2:6]
-    box[:, :2] -= 1
+    box[:, :2] -= origin
     return BoxTruth(
         table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), box, table[:, 6].astype(np.int64)
     )
 
 
-def _kind_of(values: Sequence[float]) -> Kind:
-    """The kind of box that a line is of."""
+def _kind_of(values: Sequence[float], kinds: Mapping[int, Kind]) -> Kind:
+    """The kind of box that a line is of, by its class."""
     if len(values) > 6 and values[6] == 0:
         return Kind.IGNORED
     # Ten columns are MOT15's, where the eighth is a coordinate and no class.
     if len(values) in (8, 9) and values[7] != -1:
-        return _KIND_OF_CLASS.get(int(values[7]), Kind.IGNORED) if math.isfinite(values[7]) else Kind.IGNORED
+        return kinds.get(int(values[7]), Kind.IGNORED) if math.isfinite(values[7]) else Kind.IGNORED
     return Kind.PEDESTRIAN
 
 

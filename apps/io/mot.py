@@ -5,7 +5,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Protocol, Self, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,14 +194,19 @@ def read_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
         if the file cannot be read.
     """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=1):
-            if "\0" in line:
-                raise ValueError(f"{path}: got binary data, expected MOT boxes")
-            if line.strip():
-                try:
-                    yield number, _parse_line(line)
-                except ValueError as error:
-                    raise ValueError(f"{path}, line {number}: {error}") from None
+        yield from lines_of(file, str(path))
+
+
+def lines_of(file: TextIO, name: str) -> Iterator[tuple[int, list[float]]]:
+    """What `read_lines` reads, of a text that is open and is called `name` in messages."""
+    for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=1):
+        if "\0" in line:
+            raise ValueError(f"{name}: got binary data, expected MOT boxes")
+        if line.strip():
+            try:
+                yield number, _parse_line(line)
+            except ValueError as error:
+                raise ValueError(f"{name}, line {number}: {error}") from None
 
 
 def _parse_line(line: str) -> list[float]:

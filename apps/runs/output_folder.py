@@ -167,9 +167,10 @@ def output_folder(
         folder = OutputFolder(path, application)
         if folder.holds_results and not (overwrite or resume or add):
             raise FileExistsError(f"{path}: already holds results: use --overwrite or --resume")
-        if resume and folder.holds_results and _application(path) != application:
+        if resume and folder.holds_results and application_of(path) != application:
             raise ValueError(
-                f"--resume: {path} holds results of rsmcm {_application(path)}, expected rsmcm {application}"
+                f"--resume: {path} holds results of rsmcm {application_of(path)}, expected rsmcm "
+                f"{application}"
             )
         if resume and folder.found(_listed(path)) and not (path / STATE).exists():
             raise ValueError(f"--resume: {path / STATE} is not there, so start anew with --overwrite")
@@ -190,6 +191,17 @@ def output_folder(
             for empty in made:
                 with suppress(OSError):
                     empty.rmdir()
+
+
+def was_cut_off(path: Path) -> bool:
+    """Whether the process of a run that wrote into this folder has ended before the run did."""
+    if not (path / HOLDER).exists():
+        return False
+    try:
+        with FileLock(path / LOCK, timeout=0):
+            return True
+    except Timeout:
+        return False
 
 
 def _holder(path: Path) -> str:
@@ -229,5 +241,13 @@ def _listed(path: Path) -> list[str]:
     return files
 
 
-def _application(path: Path) -> Any:
-    return _manifest(path)["application"]
+def application_of(path: Path) -> str | None:
+    """Name of the application whose results a folder holds; `None` if it holds none.
+
+    Raises
+    ------
+    ValueError
+        if its manifest is none of a run.
+    """
+    application: str | None = _manifest(path)["application"]
+    return application

@@ -17,7 +17,8 @@ class StructureJob(Job):
     ----------
     source
         A video file, a folder or glob of images, or a track file: an .npz with tracks (n_frames, n_points, 2)
-        in px, NaN where a point is missing. At least 3 frames and 4 points.
+        in px, NaN where a point is missing, or as CoTracker or TAP-Vid have them. At least 3 frames and 4
+        points.
     coherence
         second-order: the camera moves smoothly. none: every frame's camera is on its own.
     association

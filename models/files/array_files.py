@@ -4,6 +4,7 @@ import math
 import os
 import warnings
 import zipfile
+from collections.abc import Collection
 from pathlib import Path
 from typing import IO, Any
 
@@ -25,7 +26,9 @@ ENCRYPTED = 1  # flag of a member
 Arrays = dict[str, NDArray[Any]]
 
 
-def read_arrays(path: Path, expected: str, most: int = MOST_NUMBERS) -> Arrays:
+def read_arrays(
+    path: Path, expected: str, most: int = MOST_NUMBERS, shape_only: Collection[str] = ()
+) -> Arrays:
     """Read all arrays of a file.
 
     Parameters
@@ -36,6 +39,9 @@ def read_arrays(path: Path, expected: str, most: int = MOST_NUMBERS) -> Arrays:
         what the file should hold, for messages: "expected ...".
     most
         numbers that it may hold in all.
+    shape_only
+        names of arrays of which only shape and type are wanted: they come as zeros that take no memory, and
+        do not count.
 
     Raises
     ------
@@ -47,7 +53,7 @@ def read_arrays(path: Path, expected: str, most: int = MOST_NUMBERS) -> Arrays:
     """
     with path.open("rb") as file:
         try:
-            return _arrays(file, most)
+            return _arrays(file, most, shape_only)
         except _WrongError as error:
             wrong = str(error)
         except Exception as error:  # broken bytes make zip and numpy raise almost anything
@@ -59,7 +65,7 @@ class _WrongError(Exception):
     """What is wrong with a file, in our own words."""
 
 
-def _arrays(file: IO[bytes], most: int) -> Arrays:
+def _arrays(file: IO[bytes], most: int, shape_only: Collection[str]) -> Arrays:
     beginning = file.read(4)
     size = file.seek(0, os.SEEK_END)
     file.seek(0)
@@ -77,6 +83,10 @@ def _arrays(file: IO[bytes], most: int) -> Arrays:
             if member.compress_type not in PACKED or member.flag_bits & ENCRYPTED or member.comment:
                 raise _WrongError(f"array {name[:60]!r} packed in a way that is not numpy's")
             with archive.open(member) as stream:
+                if name in shape_only:
+                    shape, dtype = _header(stream, f"array {name[:60]!r}")
+                    arrays[name] = np.broadcast_to(np.zeros((), dtype), shape)
+                    continue
                 arrays[name] = _array(stream, f"array {name[:60]!r}", member.file_size, most)
             most -= _numbers(arrays[name].shape, arrays[name].dtype)
     return arrays
@@ -88,16 +98,7 @@ def _array(stream: IO[bytes], what: str, size: int, most: int) -> NDArray[Any]:
         raise _WrongError(f"{what} of {size} bytes, more than are taken")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about headers of older versions
-        if np.lib.format.read_magic(stream) == (1, 0):
-            shape, _, dtype = np.lib.format.read_array_header_1_0(stream, LONGEST_HEADER)
-        else:
-            shape, _, dtype = np.lib.format.read_array_header_2_0(stream, LONGEST_HEADER)
-        if dtype.hasobject:
-            raise _WrongError(f"{what} of objects")
-        if dtype.kind not in KINDS:
-            raise _WrongError(f"{what} of {dtype}")
-        if min(shape, default=0) < 0:
-            raise _WrongError(f"{what} of shape {shape}")
+        shape, dtype = _header(stream, what)
         if _numbers(shape, dtype) > most:
             raise _WrongError(f"{what} {shape} {dtype}, more numbers than are taken")
         stated, held = math.prod(shape) * dtype.itemsize, size - stream.tell()
@@ -106,6 +107,21 @@ def _array(stream: IO[bytes], what: str, size: int, most: int) -> NDArray[Any]:
         stream.seek(0)
         array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
     return array
+
+
+def _header(stream: IO[bytes], what: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of the array of a stream, which is read up to its numbers."""
+    if np.lib.format.read_magic(stream) == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(stream, LONGEST_HEADER)
+    else:
+        shape, _, dtype = np.lib.format.read_array_header_2_0(stream, LONGEST_HEADER)
+    if dtype.hasobject:
+        raise _WrongError(f"{what} of objects")
+    if dtype.kind not in KINDS:
+        raise _WrongError(f"{what} of {dtype}")
+    if min(shape, default=0) < 0:
+        raise _WrongError(f"{what} of shape {shape}")
+    return shape, dtype
 
 
 def _numbers(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:

@@ -21,7 +21,7 @@ from rsmcm.apps import command_line
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.command_line import main
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
-from rsmcm.apps.runs.parallel import in_processes
+from rsmcm.apps.runs.parallel import in_parallel
 from rsmcm.apps.scenes import sleeping_man
 
 from ..conftest import modified
@@ -113,7 +113,7 @@ def test_wrong_options(
 
 def test_wrong_subcommands(capfd: pytest.CaptureFixture[str]) -> None:
     assert "unknown command 'backgroud', did you mean background?" in complaint(capfd, "backgroud")
-    assert "unknown command 'x', expected reproduce, background, " in complaint(capfd, "x")
+    assert "unknown command 'x', expected background, structure, " in complaint(capfd, "x")
     assert "unknown command 'nothing', expected sleeping-man, " in complaint(capfd, "reproduce", "nothing")
     assert "unknown option --frobnicate" in complaint(capfd, "--frobnicate")
     assert "SOURCE is needed" in complaint(capfd, "face")
@@ -126,7 +126,7 @@ def options() -> Iterator[tuple[tuple[str, ...], str, Any]]:
     def of(app: App, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str, Any]]:
         if app.default_command is not None:
             for argument in app.assemble_argument_collection():
-                if argument.field_info.is_keyword_only:
+                if argument.field_info.is_keyword_only and not argument.children:
                     yield path, argument.name, argument.hint
         for name in app:
             if not name.startswith("-"):
@@ -153,8 +153,8 @@ def test_every_option_is_named_in_what_is_wrong_with_it(
     kinds = [kind for kind in get_args(hint) or [hint] if kind is not NoneType]
     values = wrong.get(kinds[0], ["no such choice"])
     needed = [] if path[0] in ("demo", "reproduce") else ["nowhere"]
-    for other, value in (("--out", "x"), ("--bases", "3")):
-        if other != option and (other == "--out" or path == ("shape",)):
+    for other, value in (("--out", "x"), ("--bases", "3"), ("--to", "coco")):
+        if other != option and {"--bases": "shape", "--to": "export"}.get(other, path[0]) == path[0]:
             needed += [other, value]
     for value in values:
         line = complaint(capfd, *path, *needed, f"{option}={value}")
@@ -188,7 +188,7 @@ def test_experiments_in_processes_are_quiet_too(
     """What starts processes wants a standard output that can be flushed."""
 
     def two_numbers(name: str, out: Path) -> None:
-        print(sum(in_processes(name, [(abs, (-1,)), (abs, (-2,))])))
+        print(sum(in_parallel(name, [(abs, (-1,)), (abs, (-2,))])))
 
     monkeypatch.setattr(command_line, "run_experiment", two_numbers)
     assert say(capfd, "reproduce", "gain", "--out", tmp_path, "--quiet") == ("", "")

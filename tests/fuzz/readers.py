@@ -82,6 +82,11 @@ def boxes(folder: Path) -> None:
     scoring.measures(np.array([[1.0, 1, 3, 5, 10, 20]]))
 
 
+def archives(folder: Path) -> None:
+    """True boxes in a zip file."""
+    boxes(folder)
+
+
 def results(folder: Path) -> None:
     """Boxes that a run has written."""
     track_rows(read_tracks(folder / "gt.txt"))
@@ -155,7 +160,7 @@ SLOW = {"detectors": 20}
 READERS: dict[str, Callable[[Path], None]] = {
     reader.__name__: reader
     for reader in (
-        films, pictures, masks, regions, boxes, results, detections, parameters, tracks, landmarks, models,
-        correspondences, joints, states, predictions, detectors,
+        films, pictures, masks, regions, boxes, archives, results, detections, parameters, tracks, landmarks,
+        models, correspondences, joints, states, predictions, detectors,
     )
 }  # fmt: skip

@@ -3,6 +3,7 @@
 import io
 import json
 import tempfile
+import zipfile
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -108,6 +109,19 @@ def _boxes(_: Path) -> list[Files]:
     ]
 
 
+def _archives(_: Path) -> list[Files]:
+    """Boxes as CVAT packs them, with labels and without."""
+    lines = "".join(f"{frame},{who},{3 + frame},5,10,20,1,{who},1\n" for frame in (1, 2) for who in (1, 2))
+    made = []
+    for members in ({"gt/gt.txt": lines, "gt/labels.txt": "person\ncar\n"}, {"gt.txt": lines}):
+        stream = io.BytesIO()
+        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, text in members.items():
+                archive.writestr(name, text)
+        made.append({"gt.txt": stream.getvalue()})
+    return made
+
+
 def _detections(_: Path) -> list[Files]:
     rows = [(frame, 3 + frame, 5, 10, 20, 0.5) for frame in range(1, 6) for _ in range(2)]
     results = [{"image_id": row[0], "category_id": 1, "bbox": row[1:5], "score": row[5]} for row in rows]
@@ -137,7 +151,10 @@ def _points(_: Path) -> list[Files]:
     points = np.random.default_rng(0).uniform(0, 99, (6, 7, 2))
     whole = points.astype(np.int16)
     points[1, 2] = np.nan
+    flags, video = np.arange(42).reshape(6, 7) % 5 > 0, np.zeros((6, 48, 64, 3), np.uint8)
     return [
+        {"a.npz": _npz(tracks=whole[None], visibility=flags[None])},
+        {"a.npz": _npz(points=whole.swapaxes(0, 1) / 100, occluded=~flags.T, video=video)},
         {"a.npz": _npz(tracks=points)},
         {"a.npz": _npz(some=points.astype(np.float32))},
         {"a.npy": _npy(points)},
@@ -229,6 +246,7 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "masks": _masks,
     "regions": _regions,
     "boxes": _boxes,
+    "archives": _archives,
     "results": _boxes,
     "detections": _detections,
     "parameters": _parameters,

@@ -1,6 +1,7 @@
 """Ground truth is read in every form it comes in, and refused in one line when it is broken."""
 
 import tracemalloc
+import zipfile
 from pathlib import Path
 
 import cv2
@@ -183,3 +184,47 @@ def test_nothing_grows_with_the_number_of_a_frame(tmp_path: Path) -> None:
     finally:
         tracemalloc.stop()
     assert peak < 2 * MOST_TEXT
+
+
+def archive(path: Path, members: dict[str, str | bytes], how: int = zipfile.ZIP_DEFLATED) -> Path:
+    with zipfile.ZipFile(path, "w", how) as file:
+        for name, content in members.items():
+            file.writestr(name, content)
+    return path
+
+
+def test_a_zip_of_cvat_counts_pixels_from_0_and_has_labels(tmp_path: Path) -> None:
+    lines = "1,1,10,20,30,80,1,1,1\n1,2,0,0,50,40,1,2,0.5\n2,1,1,1,5,4,1,3,1\n3,1,1,1,5,4,0,1,1\n"
+    members = {"gt/gt.txt": lines, "gt/labels.txt": "Somebody\ncar\nreflection\n"}
+    truth = boxes(archive(tmp_path / "task.zip", members))
+    assert truth.kind.tolist() == [Kind.PEDESTRIAN, Kind.VEHICLE, Kind.IGNORED, Kind.IGNORED]
+    np.testing.assert_array_equal(truth.box[:2], [[10, 20, 30, 80], [0, 0, 50, 40]])
+    usual = boxes(archive(tmp_path / "usual.zip", {"gt.txt": lines}))
+    assert usual.kind.tolist() == [Kind.PEDESTRIAN, Kind.PEDESTRIAN, Kind.VEHICLE, Kind.IGNORED]
+
+
+@pytest.mark.parametrize(
+    ("members", "wrong"),
+    [
+        ({"a.txt": ""}, "got members 'a.txt', expected CVAT's MOT 1.1"),
+        ({}, "got members '', expected CVAT's MOT 1.1"),
+        ({"gt/gt.txt": ""}, "gt/gt.txt: holds no boxes"),
+        ({"gt/gt.txt": "1,1,1,1,0,5\n"}, "gt/gt.txt, line 1: got a box of 0 x 5"),
+        ({"gt/gt.txt": "x\n"}, "gt/gt.txt, line 1: got 'x'"),
+        ({"gt/gt.txt": bytes(MOST_TEXT + 1)}, "got gt/gt.txt of more than"),
+    ],
+)
+def test_a_zip_of_something_else_is_named(
+    tmp_path: Path, members: dict[str, str | bytes], wrong: str
+) -> None:
+    with pytest.raises(ValueError, match=rf"task\.zip.*({wrong})"):
+        read_ground_truth(archive(tmp_path / "task.zip", members))
+
+
+def test_a_zip_that_is_cut_off_is_named(tmp_path: Path) -> None:
+    path = archive(tmp_path / "task.zip", {"gt/gt.txt": "1,1,10,20,30,80\n" * 99})
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(ValueError, match=r"task\.zip: got a damaged file"):
+        read_ground_truth(path)
+    with pytest.raises(ValueError, match=r"packed in an unusual way"):
+        read_ground_truth(archive(path, {"gt.txt": "1,1,1,1,5,5\n"}, zipfile.ZIP_BZIP2))

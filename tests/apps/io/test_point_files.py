@@ -1,11 +1,13 @@
 """Files of points: what is read, and what is refused in one line."""
 
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from rsmcm.apps.io.point_files import read_points
+from rsmcm.models.files.limits import MOST_NUMBERS
 
 POINTS = np.arange(60, dtype=np.float64).reshape(5, 6, 2)
 POINTS[1, 2] = POINTS[:, 4] = np.nan
@@ -83,3 +85,82 @@ def test_archives_without_one(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=rf"^{path}: ") as raised:
             read_points(path)
         assert words in str(raised.value)
+
+
+VISIBLE = ~np.isnan(POINTS[:, :, 0])
+TRACKED = np.where(np.isnan(POINTS), 7.0, POINTS)  # point trackers guess where they see nothing
+SIZE = np.array([200.0, 100.0])  # width, height
+SHARES = (TRACKED.swapaxes(0, 1) + 0.5) / SIZE
+VIDEO = np.zeros((5, 100, 200, 3), np.uint8)
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"tracks": TRACKED, "visibility": VISIBLE},
+        {"pred_tracks": TRACKED[None].astype(np.float32), "pred_visibility": VISIBLE[None]},
+        {"tracks": TRACKED[None], "visibility": np.where(VISIBLE, 0.9, 0.2)[None, :, :, None]},
+        {"tracks": np.where(VISIBLE[..., None], POINTS, np.inf), "visibility": VISIBLE.astype(np.uint8)},
+        {"points": SHARES, "occluded": ~VISIBLE.T, "video": VIDEO},
+        {"points": SHARES[None], "occluded": ~VISIBLE.T[None], "video": VIDEO[None]},
+    ],
+)
+def test_point_trackers_say_where_points_are_and_which_they_see(
+    arrays: dict[str, Any], tmp_path: Path
+) -> None:
+    np.testing.assert_allclose(read_points(archive(tmp_path, **arrays)), POINTS, atol=1e-12)
+    np.testing.assert_array_equal(read_points(single(tmp_path, TRACKED[None])), TRACKED)
+
+
+def test_a_point_at_the_edges_is_half_a_pixel_beyond_the_middles(tmp_path: Path) -> None:
+    shares = np.array([[[0.0, 0.0]], [[1.0, 1.0]], [[0.5 / 200, 0.5 / 100]]])
+    path = archive(tmp_path, points=shares, occluded=np.zeros((3, 1), bool), video=VIDEO[:1])
+    np.testing.assert_allclose(read_points(path)[0], [[-0.5, -0.5], [199.5, 99.5], [0, 0]], atol=1e-12)
+
+
+def test_the_video_is_not_read(tmp_path: Path) -> None:
+    """It may have more numbers than a file of arrays may."""
+    video = np.zeros((5, 1080, 8000, 3), np.uint8)
+    assert video.size > MOST_NUMBERS
+    path = tmp_path / "points.npz"
+    np.savez_compressed(path, points=SHARES, occluded=~VISIBLE.T, video=video)
+    tracemalloc.start()
+    try:
+        points = read_points(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert np.nanmax(points[..., 0]) > 300
+    assert peak < video.size / 10
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        (
+            {"tracks": TRACKED, "visibility": VISIBLE.T},
+            "got visibility (6, 5) bool, expected (5, 6)",
+        ),
+        (
+            {"tracks": np.stack([TRACKED] * 2), "visibility": VISIBLE},
+            "got tracks (2, 5, 6, 2) float64",
+        ),
+        ({"tracks": TRACKED, "visibility": VISIBLE.astype(str)}, "got visibility (5, 6) <U5"),
+        (
+            {"points": SHARES, "occluded": ~VISIBLE.T},
+            "got points from 0 to 1 without 'video'",
+        ),
+        ({"points": 100 * SHARES, "occluded": ~VISIBLE.T, "video": VIDEO}, "got points beyond 0 to 1"),
+        ({"points": SHARES, "occluded": ~VISIBLE.T, "video": VIDEO[:3]}, "got video (3, 100, 200, 3) uint8"),
+        (
+            {"points": SHARES, "occluded": ~VISIBLE, "video": VIDEO},
+            "got occluded (5, 6) bool, expected",
+        ),
+        ({"points": SHARES, "occluded": ~VISIBLE.T, "video": np.array([None])}, "of objects"),
+    ],
+)
+def test_what_no_point_tracker_writes_is_refused(arrays: dict[str, Any], words: str, tmp_path: Path) -> None:
+    path = archive(tmp_path, **arrays)
+    with pytest.raises(ValueError, match=rf"^{path}: got [^\n]*$") as raised:
+        read_points(path)
+    assert words in str(raised.value)

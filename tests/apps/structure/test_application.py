@@ -21,7 +21,7 @@ run = Command("structure")
 complaint = run.complaint
 
 ALWAYS = {
-    "cameras.json", "tracks.npz", "predictions.npz", "summary.json", "report.html", "state.npz",
+    "cameras.json", "tracks.npz", "predictions.npz", "summary.json", "report.html", "view.html", "state.npz",
     "manifest.json",
 }  # fmt: skip
 ALONE = ("--association", "none")  # quicker, where it makes no difference
@@ -87,6 +87,24 @@ def test_files_of_a_run_on_tracks(finished: Path, tracks: NDArray[np.float64]) -
     assert summary["observations"] == np.count_nonzero(found["observed"])
     assert f"element vertex {n_points}\n".encode() in (finished / "structure.ply").read_bytes()
     assert (finished / "report.html").read_text().endswith("</html>\n")
+
+
+def test_tracks_of_point_trackers_are_the_same_tracks(
+    finished: Path, tracks: NDArray[np.float64], tmp_path: Path
+) -> None:
+    """In CoTracker's layout and in that of TAP-Vid, which guess where a point is that they do not see."""
+    seen, places = ~np.isnan(tracks[:, :, 0]), np.nan_to_num(tracks, nan=1.0)
+    video = np.zeros((len(tracks), 480, 640, 3), np.uint8)
+    shares = (places.swapaxes(0, 1) + 0.5) / (640, 480)
+    np.savez(tmp_path / "cotracker.npz", tracks=places[None], visibility=seen[None])
+    np.savez_compressed(tmp_path / "tap.npz", points=shares, occluded=~seen.T, video=video)
+    with np.load(finished / "tracks.npz") as content:
+        expected = dict(content)
+    for name, tolerance in (("cotracker", 0.0), ("tap", 1e-6)):
+        assert run(tmp_path / f"{name}.npz", "--out", tmp_path / name) == 0
+        with np.load(tmp_path / name / "tracks.npz") as content:
+            np.testing.assert_array_equal(content["point_of_track"], expected["point_of_track"])
+            np.testing.assert_allclose(content["position"], expected["position"], rtol=0, atol=tolerance)
 
 
 def test_partial_tracks_become_points(finished: Path, truth: Cylinder, tracks: NDArray[np.float64]) -> None:

@@ -1,0 +1,58 @@
+"""`rsmcm export`: the results of a finished run as a file that another tool takes."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Literal, get_args
+
+from .coco import to_coco
+from .cvat import to_cvat
+from .movement import to_movement
+
+Format = Literal["coco", "cvat", "movement"]
+
+EXPORTS: Mapping[Format, tuple[str, Callable[[Path, Path], str]]] = {
+    "coco": (".json", to_coco),
+    "cvat": (".zip", to_cvat),
+    "movement": (".nc", to_movement),
+}
+"""How the name of the file ends, and what writes it."""
+
+
+def run_export(run: Path, to: Format, out: Path, *, overwrite: bool = False) -> str:
+    """Write the results of a run in the format of another tool.
+
+    Parameters
+    ----------
+    run
+        folder of the run.
+    to
+        the format: one of `EXPORTS`.
+    out
+        file to write, whole or not at all.
+    overwrite
+        replace it if it is there.
+
+    Returns
+    -------
+    str
+        what was written, in words.
+
+    Raises
+    ------
+    ValueError
+        if the run holds nothing for that format, its files are damaged, `out` has another suffix, or a
+        package is missing.
+    OSError
+        if a file cannot be read, or `out` is there or cannot be written.
+    """
+    if to not in EXPORTS:
+        raise ValueError(f"--to: got {to!r}, expected one of {', '.join(get_args(Format))}")
+    suffix, export = EXPORTS[to]
+    if out.suffix.lower() != suffix:
+        raise ValueError(f"--out: got {out}, expected a name that ends with {suffix}")
+    if out.exists() and not overwrite:
+        raise FileExistsError(f"{out}: is there already: use --overwrite")
+    try:
+        return export(run, out)
+    except ImportError as error:
+        raise ValueError(f"--to {to}: {error}") from error

@@ -1,0 +1,190 @@
+"""The folder of a finished run, as it is read again."""
+
+import errno
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.files.limits import LAST_FRAME
+from ...models.files.text_files import read_text
+from ..io.mot import TrackedBox
+from ..io.sources.image_reader import images_among
+from ..io.sources.images import read_grey
+from ..runs.output_folder import application_of
+from .track_table import TABLE, table_rows
+
+SUMMARY = "summary.json"
+
+
+class RunFrame(NamedTuple):
+    """A frame of a background run.
+
+    Parameters
+    ----------
+    number
+        from 1.
+    tracks
+        objects in it; their covariances are in no file, and NaN.
+    foreground
+        `(height, width)` uint8, 0 or 255; `None` where the run wrote no mask.
+    """
+
+    number: int
+    tracks: list[TrackedBox]
+    foreground: NDArray[np.uint8] | None
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """A run whose results are in a folder.
+
+    Parameters
+    ----------
+    folder
+        of the results.
+    application
+        that wrote them: "background", "structure", "face" or "body".
+    summary
+        the content of its `summary.json`.
+    """
+
+    folder: Path
+    application: str
+    summary: dict[str, Any]
+
+    @classmethod
+    def of(cls, folder: str | Path, *applications: str) -> "FinishedRun":
+        """Open a folder of results, of one of these applications if any are named.
+
+        Raises
+        ------
+        ValueError
+            if no such run has finished in it.
+        OSError
+            if there is no such folder, or it cannot be read.
+        """
+        folder = Path(folder)
+        if not folder.exists():
+            raise FileNotFoundError(errno.ENOENT, "no such folder", str(folder))
+        if not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "expected the folder of a finished run", str(folder))
+        application, path = application_of(folder), folder / SUMMARY
+        if application is None or not path.exists():
+            raise ValueError(f"{folder}: holds no results of a finished run of rsmcm")
+        if applications and application not in applications:
+            raise ValueError(
+                f"{folder}: got results of rsmcm {application}, expected rsmcm {' or '.join(applications)}"
+            )
+        try:
+            summary = json.loads(read_text(path, "expected a summary"))
+        except (ValueError, RecursionError):
+            summary = None
+        if not isinstance(summary, dict):
+            raise ValueError(f"{path}: got something else than JSON of a run's summary")
+        return cls(folder, application, summary)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """`(width, height)` px of the pictures."""
+        size = self.summary.get("size")
+        if not (isinstance(size, list) and len(size) == 2 and all(map(_is_count, size))):
+            raise self._wrong("size", "two numbers of px")
+        return size[0], size[1]
+
+    @property
+    def rate(self) -> float:
+        """Frames a second that were processed."""
+        rate = self.summary.get("rate")
+        if not isinstance(rate, int | float) or not 0 < rate < 1e6:
+            raise self._wrong("rate", "frames a second")
+        return rate / self.numbers.step
+
+    @property
+    def numbers(self) -> range:
+        """Numbers of the frames that were processed; of a live stream, of those that it dropped as well."""
+        first, last = self.summary.get("first_frame", 0), self.summary.get("last_frame", 0)
+        parameters = self.summary.get("parameters")
+        step = parameters.get("step", 0) if isinstance(parameters, dict) else 0
+        for value in (first, last, step):
+            if not _is_count(value):
+                raise self._wrong("first_frame, last_frame and parameters.step", "whole numbers from 1")
+        return range(int(first), int(last) + 1, int(step))
+
+    @property
+    def picture_names(self) -> list[str]:
+        """Names of the files of the source's pictures, in order; none unless it is a folder that is there."""
+        source = Path(str(self.summary.get("source")))
+        return [path.name for path in images_among(source.iterdir())] if source.is_dir() else []
+
+    def frames(self, masks: bool = True) -> Iterator[RunFrame]:
+        """Read the frames of a background run, one after the other.
+
+        Parameters
+        ----------
+        masks
+            whether masks are wanted.
+
+        Raises
+        ------
+        ValueError, OSError
+            if tracks or masks are missing or damaged.
+        """
+        numbers, path = self.numbers, self.folder / TABLE
+        pictures = self._masks(numbers) if masks else (None for _ in numbers)
+        groups = groupby(table_rows(path), key=lambda row: int(row[0]))
+        following = next(groups, None)
+        for number, foreground in zip(numbers, pictures, strict=True):
+            tracks = []
+            if following is not None and following[0] == number:
+                tracks = [_tracked(row) for row in following[1]]
+                following = next(groups, None)
+            yield RunFrame(number, tracks, foreground)
+        if following is not None:
+            raise ValueError(f"{path}: got objects of frame {following[0]}, which is none of the run's")
+
+    def _masks(self, numbers: range) -> Iterator[NDArray[np.uint8] | None]:
+        folder, video = self.folder / "foreground", self.folder / "foreground.mkv"
+        if folder.is_dir():
+            for number in numbers:
+                path = folder / f"bin{number:06d}.png"
+                yield self._checked(path, read_grey(path)) if path.exists() else None
+        elif video.exists():
+            if self.summary.get("frames") != len(numbers):
+                raise ValueError(
+                    f"{video}: which frames its pictures show is not known, since the stream has dropped "
+                    "some; --masks png numbers them"
+                )
+            try:
+                with av.open(str(video)) as container:
+                    for _, picture in zip(numbers, container.decode(video=0), strict=True):
+                        yield self._checked(video, picture.to_ndarray(format="gray"))
+            except av.FFmpegError as error:
+                raise ValueError(f"{video}: got a damaged video ({error.strerror})") from None
+        else:
+            yield from (None for _ in numbers)
+
+    def _checked(self, path: Path, mask: NDArray[Any] | None) -> NDArray[np.uint8]:
+        width, height = self.size
+        if mask is None or mask.shape != (height, width):
+            got = "no picture" if mask is None else f"{mask.shape[1]}x{mask.shape[0]} px"
+            raise ValueError(f"{path}: got {got}, expected a mask of {width}x{height} px")
+        return np.asarray(mask, np.uint8)
+
+    def _wrong(self, name: str, expected: str) -> ValueError:
+        return ValueError(f"{self.folder / SUMMARY}: got no {name} of a film, expected {expected}")
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and 0 < value <= LAST_FRAME
+
+
+def _tracked(row: list[float]) -> TrackedBox:
+    _, _, identity, x, y, width, height, confidence, vx, vy, seen = row
+    return TrackedBox(int(identity), (x, y, width, height), confidence, (vx, vy), bool(seen))

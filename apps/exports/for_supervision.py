@@ -1,0 +1,91 @@
+"""Objects and points as `supervision` takes them, to draw, count and filter."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..io.mot import TrackedObject
+from .object_masks import object_masks
+from .optional import needed
+
+if TYPE_CHECKING:
+    import supervision
+
+
+def to_supervision(
+    tracks: Sequence[TrackedObject], foreground: NDArray[np.uint8] | None = None
+) -> "supervision.Detections":
+    """Objects of a frame as `supervision.Detections`.
+
+    Parameters
+    ----------
+    tracks
+        as a belief has them, `belief["blobs"].tracks()`, or a frame of `FinishedRun.frames`.
+    foreground
+        `(height, width)`, 0 or 255; what of it lies in an object's box becomes its mask.
+
+    Returns
+    -------
+    supervision.Detections
+        `xyxy` px, from the left edge of the first pixel (0) to the right edge of the last one (the width);
+        `confidence`, `tracker_id`, `class_id` 0; `mask` if `foreground` is given; and `data`: `velocity` `(n,
+        2)` px/s, `seen` `(n,)` bool, and `covariance` `(n, 2, 2)` px^2 of the middles of boxes, NaN of a
+        finished run, which does not store it.
+
+    Raises
+    ------
+    ImportError
+        if `supervision` is not installed.
+    """
+    boxes = np.array([track.box for track in tracks], np.float64).reshape(-1, 4)
+    detections: supervision.Detections = needed("supervision").Detections(
+        xyxy=np.hstack([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]]),
+        mask=None if foreground is None else object_masks(foreground, boxes),
+        confidence=np.array([track.confidence for track in tracks], np.float64),
+        class_id=np.zeros(len(tracks), np.int64),
+        tracker_id=np.array([track.identity for track in tracks], np.int64),
+        data={
+            "velocity": np.array([track.velocity for track in tracks], np.float64).reshape(-1, 2),
+            "seen": np.array([track.seen for track in tracks], bool),
+            "covariance": np.array([track.position_covariance for track in tracks]).reshape(-1, 2, 2),
+        },
+    )
+    return detections
+
+
+def to_key_points(
+    points: ArrayLike, covariances: ArrayLike, visible: ArrayLike | None = None
+) -> "supervision.KeyPoints":
+    """Points of one body or face as `supervision.KeyPoints`, whose ellipse annotators draw the covariances.
+
+    Parameters
+    ----------
+    points
+        `(n, 2)` px, or `(n, 3)` with depth, which is left out; NaN for a point that is not there.
+    covariances
+        `(n, 2, 2)` or `(n, 3, 3)` px^2.
+    visible
+        `(n,)` bool: which points to take; default: all. Others are at 0, 0, which stands for "not there".
+
+    Returns
+    -------
+    supervision.KeyPoints
+        one instance; `data["covariance"]` is `(1, n, 2, 2)`.
+
+    Raises
+    ------
+    ImportError
+        if `supervision` is not installed.
+    """
+    xy = np.asarray(points, np.float64)[None, :, :2]
+    shown = np.isfinite(xy) if visible is None else np.isfinite(xy) & np.asarray(visible, bool)[:, None]
+    key_points: supervision.KeyPoints = needed(
+        "supervision"
+    ).KeyPoints(
+        xy=np.where(shown, xy, 0).astype(np.float32),  # which no annotator draws
+        class_id=np.zeros(1, np.int64),
+        data={"covariance": np.asarray(covariances, np.float64)[None, :, :2, :2]},
+    )
+    return key_points

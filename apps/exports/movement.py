@@ -1,0 +1,179 @@
+"""Tracks, bodies and faces as netCDF files of `movement`, which napari opens with its plugin."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.body.upper_body import PARTS
+from ...models.files.atomic_files import write_atomically
+from ...models.files.limits import MOST_NUMBERS
+from .finished_run import FinishedRun
+from .optional import needed
+from .track_table import read_tracks_table
+
+if TYPE_CHECKING:
+    import xarray
+
+Array = NDArray[np.float64]
+
+SPACE = ["x", "y"]
+
+
+def to_movement(run: str | Path, out: str | Path) -> str:
+    """Write what a run has tracked as a netCDF file of `movement`, whole or not at all.
+
+    Parameters
+    ----------
+    run
+        folder of a background, body or face run; see `movement_dataset`.
+    out
+        netCDF file to write.
+
+    Returns
+    -------
+    str
+        what was written, in words.
+
+    Raises
+    ------
+    ValueError
+        if this is another run, its files are damaged, or it is too large for one array.
+    ImportError
+        if `xarray` is not installed.
+    OSError
+        if a file cannot be read or written.
+    """
+    dataset = movement_dataset(run)
+    with write_atomically(Path(out)) as unfinished:
+        dataset.to_netcdf(unfinished, engine="scipy")  # netCDF 3, which every reader of netCDF takes
+    sizes = ", ".join(f"{name} {size}" for name, size in dataset.sizes.items())
+    return f"{dataset.attrs['ds_type']}, {sizes}"
+
+
+def movement_dataset(run: str | Path) -> "xarray.Dataset":
+    """What a run has tracked as a dataset of `movement`, from version 0.17 on (before, dims were plural).
+
+    Of a background run bounding boxes: `position` (the middle, px from the left and upper edge of the
+    picture), `shape` (width and height, px) and `confidence`. Of a body and a face poses: `position` (px, the
+    first pixel's middle at 0) and `confidence`: of a body's head and hands 1 where they were seen and 0 where
+    not, NaN of the joints in between, which no detector looks for; of a face its fit, the share of the
+    picture under it that its texture explains, 0 where it is lost and NaN where it was only predicted. A
+    face's points are its landmarks, or its vertices where there are none. Depth stays in `poses.npz`.
+
+    Parameters
+    ----------
+    run
+        folder of the run.
+
+    Returns
+    -------
+    xarray.Dataset
+        with dims `time` (s), `space`, `keypoint` of poses, and `individual`; NaN where there is nothing.
+
+    Raises
+    ------
+    ValueError, ImportError, OSError
+        as of `to_movement`.
+    """
+    finished = FinishedRun.of(run, "background", "body", "face")
+    make = {"background": _boxes, "body": _body, "face": _face}[finished.application]
+    return make(finished)
+
+
+def _boxes(run: FinishedRun) -> "xarray.Dataset":
+    table, numbers = read_tracks_table(run.folder), run.numbers
+    names = np.unique(table["id"])
+    shape = (len(numbers), 2, len(names))
+    if 2 * np.prod(shape, dtype=float) > MOST_NUMBERS:
+        raise ValueError(
+            f"{run.folder}: got {len(names)} objects in {len(numbers)} frames, expected at most "
+            f"{MOST_NUMBERS} numbers in movement's dense arrays; tracks.csv holds them row by row"
+        )
+    row, column = (table["frame"] - numbers.start) // numbers.step, np.searchsorted(names, table["id"])
+    if not ((row >= 0) & (row < len(numbers))).all():
+        raise ValueError(f"{run.folder}: got objects in frames that are none of the run's")
+    position, size, confidence = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape[::2], np.nan)
+    for axis, (start, side) in enumerate((("x", "width"), ("y", "height"))):
+        position[row, axis, column] = table[start] + table[side] / 2
+        size[row, axis, column] = table[side]
+    confidence[row, column] = table["confidence"]
+    variables = {
+        "position": (("time", "space", "individual"), position),
+        "shape": (("time", "space", "individual"), size),
+        "confidence": (("time", "individual"), confidence),
+    }
+    coordinates = {
+        "time": _times(numbers, table["frame"], table["time"], run.rate),
+        "individual": [f"id_{name}" for name in names.tolist()],
+    }
+    return _dataset(run, "bboxes", variables, coordinates)
+
+
+def _times(numbers: range, known: NDArray[np.int64], times: Array, rate: float) -> Array:
+    """`(n,)` s of all frames: between those that are known, with objects, even; beyond them at the rate."""
+    frames = np.arange(len(numbers), dtype=np.float64)
+    if not len(known):
+        return (numbers.start - 1 + frames * numbers.step) / (rate * numbers.step)
+    rows, first = np.unique((known - numbers.start) // numbers.step, return_index=True)
+    times = times[first]
+    beyond = np.minimum(frames - rows[0], 0) + np.maximum(frames - rows[-1], 0)
+    return np.asarray(np.interp(frames, rows, times) + beyond / rate)
+
+
+def _body(run: FinishedRun) -> "xarray.Dataset":
+    poses = _read_poses(run, ("times", "joints_2d", "seen", "joint_names"))
+    joints = [str(name) for name in poses["joint_names"]]
+    confidence = np.full(poses["joints_2d"].shape[:2], np.nan)
+    confidence[:, [joints.index(part) for part in PARTS]] = poses["seen"]
+    return _poses(run, poses["times"], poses["joints_2d"], confidence, joints)
+
+
+def _face(run: FinishedRun) -> "xarray.Dataset":
+    poses = _read_poses(run, ("times", "landmarks", "fit", "lost"))
+    points, kind = poses["landmarks"], "landmark"
+    there = np.isfinite(points).all(axis=2).any(axis=0)
+    if not there.any():
+        points, kind = _read_poses(run, ("vertices_2d",))["vertices_2d"], "vertex"
+        there = np.ones(points.shape[1], bool)
+    confidence = np.where(poses["lost"], 0.0, poses["fit"])[:, None] * np.ones(there.sum())
+    names = [f"{kind}_{place}" for place in np.flatnonzero(there)]
+    return _poses(run, poses["times"], points[:, there], confidence, names)
+
+
+def _read_poses(run: FinishedRun, names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Some arrays of `poses.npz`; the others, which may be large, stay where they are."""
+    path = run.folder / "poses.npz"
+    with path.open("rb") as file:
+        try:
+            with np.load(file, allow_pickle=False) as arrays:
+                return {name: arrays[name] for name in names}
+        except Exception as error:  # broken bytes make zip and numpy raise almost anything
+            raise ValueError(f"{path}: got a damaged file ({type(error).__name__}), expected poses") from None
+
+
+def _poses(
+    run: FinishedRun, times: Array, points: NDArray[np.floating], confidence: Array, names: Sequence[str]
+) -> "xarray.Dataset":
+    """Poses of one individual: `points (n_frames, n_points, 2)` px, `confidence (n_frames, n_points)`."""
+    variables = {
+        "position": (("time", "space", "keypoint", "individual"), points.swapaxes(1, 2)[..., None]),
+        "confidence": (("time", "keypoint", "individual"), confidence[..., None]),
+    }
+    return _dataset(run, "poses", variables, {"time": times, "keypoint": names, "individual": ["id_1"]})
+
+
+def _dataset(
+    run: FinishedRun, kind: str, variables: dict[str, Any], coordinates: dict[str, Any]
+) -> "xarray.Dataset":
+    attributes = {
+        "source_software": "rsmcm",
+        "ds_type": kind,
+        "fps": run.rate,
+        "time_unit": "seconds",
+        "source_file": str(run.folder),
+    }
+    dataset: xarray.Dataset = needed("xarray").Dataset(variables, {"space": SPACE, **coordinates}, attributes)
+    return dataset

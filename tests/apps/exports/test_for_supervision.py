@@ -1,0 +1,97 @@
+"""Objects and points as supervision takes and draws them."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import supervision
+from rsmcm.apps.exports import FinishedRun, to_key_points, to_supervision
+from rsmcm.apps.exports.object_masks import object_masks
+from rsmcm.apps.io.mot import TrackedBox
+from rsmcm.apps.scenes import sleeping_man
+from rsmcm.chains import AdaptiveBackground, BlobTracker
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.models import PixelLabels
+
+COVARIANCE = ((4.0, 1.0), (1.0, 9.0))
+
+
+def test_a_belief_becomes_detections() -> None:
+    pixels = PixelLabels()
+    model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
+    film = sleeping_man(40, size=(128, 96), enter=5, car_leaves=20)
+    *_, belief = RecursiveBP(model).run(film)
+    tracks, foreground = belief["blobs"].tracks(), belief[pixels].foreground()
+    found = to_supervision(tracks, foreground)
+    assert isinstance(found, supervision.Detections)
+    assert len(found) == len(tracks) > 0
+    boxes = np.array([track.box for track in tracks])
+    np.testing.assert_allclose(supervision.xyxy_to_xywh(found.xyxy), boxes)
+    np.testing.assert_array_equal(found.mask, object_masks(foreground, boxes))
+    assert found.tracker_id is not None
+    assert found.tracker_id.tolist() == [track.identity for track in tracks]
+    assert found.confidence is not None
+    assert found.confidence.tolist() == [track.confidence for track in tracks]
+    np.testing.assert_array_equal(found.data["velocity"], [track.velocity for track in tracks])
+    np.testing.assert_array_equal(found.data["covariance"], [track.position_covariance for track in tracks])
+    assert found.data["seen"].tolist() == [track.seen for track in tracks]
+    moving = found[np.hypot(*found.data["velocity"].T) > 1]
+    assert len(moving.data["covariance"]) == len(moving)
+
+
+def test_supervision_draws_and_counts_the_frames_of_a_run(background: Path) -> None:
+    run = FinishedRun.of(background)
+    width, height = run.size
+    zone = supervision.PolygonZone(np.array([[0, 0], [width, 0], [width, height], [0, height]]))
+    annotators = (
+        supervision.BoxAnnotator(),
+        supervision.MaskAnnotator(),
+        supervision.LabelAnnotator(),
+        supervision.TraceAnnotator(),
+    )
+    counted = 0
+    for frame in run.frames():
+        found = to_supervision(frame.tracks, frame.foreground)
+        picture = np.zeros((height, width, 3), np.uint8)
+        for annotator in annotators:
+            picture = annotator.annotate(picture, found)
+        assert picture.any() == bool(frame.tracks)
+        counted += int(zone.trigger(found).sum())
+        assert np.isnan(found.data["covariance"]).all()
+    assert counted > 20
+
+
+def test_no_object_is_no_detection() -> None:
+    found = to_supervision([], np.zeros((9, 12), np.uint8))
+    assert len(found) == 0
+    assert found.is_empty()
+    assert to_supervision([TrackedBox(1, (0, 0, 2, 3))]).mask is None
+
+
+def test_ellipses_are_drawn_where_points_are_and_as_wide_as_they_are_unsure() -> None:
+    points = [[40.0, 50.0, 3.0], [math.nan, math.nan, math.nan], [90.0, 20.0, 1.0], [120.0, 60.0, 0.0]]
+    covariances = np.tile(np.diag([100.0, 4.0, 1.0]), (4, 1, 1))
+    key_points = to_key_points(points, covariances, visible=[True, True, True, False])
+    assert isinstance(key_points, supervision.KeyPoints)
+    annotator = supervision.VertexEllipseAreaAnnotator(sigma=2.0, color=supervision.Color.WHITE, opacity=1.0)
+    drawn = annotator.annotate(np.zeros((80, 150, 3), np.uint8), key_points)
+    rows, columns = np.nonzero(drawn[:, :, 0])
+    for x, y in ((40, 50), (90, 20)):
+        near = (abs(columns - x) < 25) & (abs(rows - y) < 10)
+        assert (columns[near].min(), columns[near].max()) == pytest.approx((x - 20, x + 20), abs=1)
+        assert (rows[near].min(), rows[near].max()) == pytest.approx((y - 4, y + 4), abs=1)
+    assert not drawn[:, 115:].any()
+
+
+def test_joints_of_a_body_are_drawn(body: Path) -> None:
+    with np.load(body / "poses.npz") as poses:
+        joints, covariances = poses["joints_2d"], poses["joints_2d_covariances"]
+    key_points = to_key_points(joints[-1], covariances[-1])
+    np.testing.assert_allclose(key_points.xy[0], joints[-1], rtol=1e-6)
+    outlines = supervision.VertexEllipseOutlineAnnotator(
+        sigma=3.0, color=supervision.Color.WHITE, thickness=1
+    )
+    drawn = outlines.annotate(np.zeros((180, 320, 3), np.uint8), key_points)
+    for x, y in joints[-1]:
+        assert drawn[int(max(y - 30, 0)) : int(y + 30), int(max(x - 30, 0)) : int(x + 30)].any()
