@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..drawing.boxes import identity_colour
+from ..events.report import Happened
+from ..events.watch import Event
 from ..events.zones import Zones
 from ..io.mot import TrackedObject
 from .film import LONGEST_SIDE, Film, Row
@@ -49,8 +51,8 @@ def _outlines(foreground: NDArray[np.uint8]) -> list[NDArray[np.int16]]:
     return [polygon for polygon in polygons if len(polygon) > 2]
 
 
-def tracks_view(film: Film, zones: Zones | None = None) -> View:
-    """The page of a film with what `drawn_of` gives, and zones that were watched."""
+def tracks_view(film: Film, happened: Happened | None = None) -> View:
+    """The page of a film with what `drawn_of` gives, and with what `happened` to zones that were watched."""
     ids, counts = film.columns["id"], film.counts["id"]
     order = np.argsort(ids, kind="stable")
     frames = np.repeat(np.arange(len(counts)), counts)[order]
@@ -64,7 +66,21 @@ def tracks_view(film: Film, zones: Zones | None = None) -> View:
     layer = {name: film.columns[name] for name in (*OF_TRACKS, *OF_OUTLINES)}
     layer |= {"count": counts.astype(np.int32), "polygons": film.counts["corners"].astype(np.int32)}
     plots = [Plot("tracks", "", counts), Plot("foreground", "%", 100 * film.columns["foreground"])]
-    return View({"zones": (zones or Zones()).plain(), "tracks": layer}, rows, plots)
+    zones, events = (Zones(), ()) if happened is None else (happened.zones, happened.events)
+    shown = [_plain(event) for event in events if film.numbers[0] <= event.moment.frame <= film.numbers[-1]]
+    return View({"events": shown, "zones": zones.plain(), "tracks": layer}, rows, plots)
+
+
+def _plain(event: Event) -> dict[str, object]:
+    lasted = "" if event.duration is None else f"{event.duration:.1f} s"
+    return {
+        "frame": event.moment.frame,
+        "time": event.moment.time,
+        "id": event.identity,
+        "kind": event.kind.value,
+        "zone": event.zone,
+        "more": event.direction or lasted,
+    }
 
 
 def _spans(frames: NDArray[np.int64], seen: NDArray[np.uint8]) -> NDArray[np.int64]:
