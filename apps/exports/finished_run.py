@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
@@ -125,8 +126,9 @@ class FinishedRun:
     @property
     def picture_names(self) -> list[str]:
         """Names of the files of the source's pictures, in order; none unless it is a folder that is there."""
-        source = Path(self.source)
-        return [path.name for path in images_among(source.iterdir())] if source.is_dir() else []
+        if not os.path.isdir(self.source):  # which asks for any text, unlike `Path.is_dir`
+            return []
+        return [path.name for path in images_among(Path(self.source).iterdir())]
 
     def frames(self, masks: bool = True) -> Iterator[RunFrame]:
         """Read the frames of a background run, one after the other.
