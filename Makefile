@@ -8,7 +8,7 @@ MODULES := $(sort $(shell find $(PACKAGES) -type f -not -path '*/__pycache__/*')
 # Shows all that pyenv has, where there is one.
 NOX := PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd :) $(BIN)/nox
 
-.PHONY: help demo docs docs-links test test-all test-versions test-newest check constraints bench fuzz clean
+.PHONY: help demo docs docs-links test test-all test-versions test-newest check constraints bench reproduce results fuzz dist clean
 .DELETE_ON_ERROR:
 
 help:
@@ -22,7 +22,10 @@ help:
 	@echo "make check          lint, format, types"
 	@echo "make constraints    choose the newest versions to be the tested ones"
 	@echo "make bench          speed and accuracy beside peers"
+	@echo "make reproduce      all experiments: hours"
+	@echo "make results        docs/results.md and README's figures, from the records of bench and reproduce"
 	@echo "make fuzz           damaged inputs for every reader: 100,000 in about ten minutes"
+	@echo "make dist           source distribution and wheel of what is committed, in dist/"
 	@echo "make clean          remove everything that make made, .venv too"
 
 demo: $(INSTALLED)
@@ -60,8 +63,22 @@ constraints: $(INSTALLED)
 bench: $(INSTALLED)
 	$(BIN)/python -m rsmcm.apps.experiments.bench
 
+reproduce: $(INSTALLED)
+	for name in $$($(BIN)/python -c 'from rsmcm.apps.experiments.reproduce import EXPERIMENTS; print(*EXPERIMENTS)'); \
+		do $(BIN)/rsmcm reproduce $$name || exit 1; done
+
+results: $(INSTALLED)
+	$(BIN)/python -m rsmcm.apps.experiments.results
+
 fuzz: $(INSTALLED)
 	$(BIN)/python -m tests.fuzz
+
+dist: $(INSTALLED)
+	git diff --quiet HEAD || (echo "make dist: commit first: there are changes" >&2; exit 2)
+	rm -rf build dist
+	mkdir -p build/committed
+	git archive HEAD | tar -x -C build/committed
+	$(BIN)/python -m build --no-isolation --outdir dist build/committed
 
 clean:
 	rm -rf .venv .nox build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis \

@@ -1,6 +1,7 @@
 """The command `rsmcm`. Everything heavy is imported where a subcommand starts, so that help comes at once."""
 
 import logging
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -8,11 +9,12 @@ from contextlib import redirect_stdout
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
 from .background.job import BackgroundJob
+from .batch.job import APPLICATIONS, Batch, options_of
 from .body.job import BodyJob
 from .experiments.reproduce import EXPERIMENTS, LONG, run_experiment, usual_folder
 from .face.job import FaceJob
@@ -25,6 +27,7 @@ from .runs.interruption import Outcome
 from .structure.job import StructureJob
 
 STREAM_LOST = 1
+SOME_FAILED = 1
 USAGE_ERROR = 2
 SIGNALLED = 128  # plus the number of the signal: 130 for Ctrl-C
 
@@ -37,8 +40,6 @@ app = App(
     config=options_from_file,
 )
 reproduce = App(name="reproduce", help="Reproduce figures of the papers, wanted values beside measured ones.")
-app.command(reproduce)
-app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
 app.meta.suppress_keyboard_interrupt = False
 app.meta.group_parameters = Group("Of every command", sort_key=2)
 
@@ -46,6 +47,19 @@ T = TypeVar("T")
 Fields = Annotated[T, Parameter(name="*")]
 """A dataclass whose fields are the options."""
 Figures = Annotated[Path, Parameter(help="Folder for the figures.")]
+
+OF_BATCH = """Run rsmcm {} over many films or cameras.
+
+    Each has a folder of results, as of a run of its own; summary.csv and index.html are over all of them.
+    Run again, the same command leaves what is complete as it is, and goes on with what was broken off. A
+    film that fails is named at the end and stops no other. All options of the single run are for all films.
+
+    Parameters
+    ----------
+    sources
+        Video files, folders of images, folders of films, globs of them in quotation marks, addresses, or a
+        TOML file that lists cameras.
+    """
 
 
 @app.command
@@ -171,6 +185,23 @@ def demo(*, out: Path = Path("results/demo")) -> int:
 
 
 @app.command
+def view(run: Path) -> int:
+    """Show the results of a run in the browser: the film, with what was found drawn over it.
+
+    On a machine without a screen, the page is named only.
+
+    Parameters
+    ----------
+    run
+        Folder of the run, or of a batch.
+    """
+    from .view.open_page import open_page
+
+    print(open_page(run))
+    return 0
+
+
+@app.command
 def validity(run: Path) -> int:
     """Say which chains of a finished run help each other, and why.
 
@@ -182,6 +213,26 @@ def validity(run: Path) -> int:
     from .evaluation.validity import report_validity
 
     print(report_validity(run))
+    return 0
+
+
+@app.command
+def events(run: Path, *, zones: Path) -> int:
+    """Say what happened in zones of a finished run of rsmcm background.
+
+    Writes events.csv, events.html and the counts in summary.json, as --zones of the run itself would have;
+    what an earlier call wrote there is replaced.
+
+    Parameters
+    ----------
+    run
+        Folder of the run.
+    zones
+        TOML file with zones and lines of the picture, or JSON as LabelMe writes it.
+    """
+    from .events.finished import run_events
+
+    print(*run_events(run, zones), sep="\n")
     return 0
 
 
@@ -200,8 +251,36 @@ def _experiment(name: str) -> Callable[..., None]:
     return perhaps_long if name in LONG else usual
 
 
+app.command(reproduce)
 for name, text in EXPERIMENTS.items():
     reproduce.command(_experiment(name), name=name, help=text)
+app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
+
+
+def _batched(application: str) -> Callable[..., int]:
+    """An application over many films, as a command."""
+    kind = options_of(application)
+
+    def batched(*sources: str, batch: Fields[Batch], options: Any = kind()) -> int:  # noqa: B008
+        from .batch.application import commands, in_words, report_failures, run_batch
+
+        if batch.only_print:
+            print(*commands(application, sources, batch, options), sep="\n")
+            return 0
+        ended = run_batch(application, sources, batch, options)
+        report_failures(ended)
+        print(*in_words(ended, batch.out), sep="\n")
+        return SIGNALLED + ended.signal if ended.signal is not None else SOME_FAILED * bool(ended.failed)
+
+    batched.__doc__ = OF_BATCH.format(application)
+    batched.__annotations__["options"] = Annotated[kind, Parameter(name="*")]
+    return batched
+
+
+batch = App(name="batch", help="Run an application over many films or cameras, a folder of results for each.")
+app.command(batch)
+for name in APPLICATIONS:
+    batch.command(_batched(name), name=name)
 
 
 def _reported(job: Job, outcome: Outcome) -> Outcome:
@@ -256,7 +335,7 @@ def launch(
 
             set_threads(threads)
             logging.getLogger("rsmcm").info("threads: %d", threads)
-        with redirect_stdout(None if quiet else sys.stdout):
+        with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere if quiet else sys.stdout):
             code: int | None = function(*bound.args, **bound.kwargs)
     except ValueError as error:
         raise about_options(error, launch, function) from None

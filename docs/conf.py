@@ -1,6 +1,7 @@
 """How Sphinx makes these pages: `make docs`. Nothing here needs a network."""
 
 import os
+import re
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
@@ -20,6 +21,8 @@ version = release = installed_version("rsmcm")
 
 extensions = [
     "mathml",
+    "parameters",
+    "records",
     "myst_parser",
     "numpydoc",
     "sphinx.ext.autodoc",
@@ -38,6 +41,7 @@ html_title = "rsmcm"
 html_static_path = ["_static"]
 html_css_files = ["pages.css"]
 html_math_renderer = "mathml"
+html_context = {"default_mode": "auto"}
 html_show_sphinx = False
 html_show_copyright = False
 html_theme_options = {
@@ -60,6 +64,7 @@ autosummary_imported_members = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
+python_maximum_signature_line_length = 88
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 
@@ -83,6 +88,8 @@ def write_command_reference(app: Sphinx) -> None:
 
     page = HERE / "generated" / "commands.rst"
     text = command_line.generate_docs(output_format="rst")
+    text = re.sub(r"=+\nrsmcm\n=+", "Commands\n========", text, count=1)
+    text = re.sub(r"\.\. contents::.*\n(   .*\n)+", "", text)  # the theme shows them beside the page
     page.parent.mkdir(exist_ok=True)
     if not page.exists() or page.read_text() != text:
         page.write_text(text)

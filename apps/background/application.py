@@ -1,7 +1,7 @@
 """The background application: from a source of frames to masks, tracks, pictures and a report."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,18 +15,20 @@ from ...inference import Belief, MultiChain, RecursiveBP
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
 from ..drawing.boxes import OverlayWriter, draw_overlay
 from ..evaluation.predictions import FILE, write_predictions
-from ..evaluation.scoring import Scoring
+from ..evaluation.scoring import Scoring, scoring_of
 from ..evaluation.tracks import track_rows
+from ..events.event_files import EVENTS, EventWriter, read_events
+from ..events.report import Happened
+from ..events.zone_files import read_zones
+from ..events.zones import Zones
 from ..exports.track_table import TABLE, TrackTableWriter
-from ..io.detections.attached import with_boxes
-from ..io.detections.read import digest, read_detections
+from ..io.detections.attached import given_boxes, with_boxes
+from ..io.detections.read import digest
 from ..io.detections.table import Detections
 from ..io.files import write_image
-from ..io.ground_truth import MaskTruth, common_frames, read_ground_truth
 from ..io.masks import MaskWriter
 from ..io.mot import TrackedObject, TrackWriter, read_tracks
 from ..io.segments import segment_pattern
-from ..io.sources.open_source import Source
 from ..runs.film_run import FilmRun, Writer
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import BACKGROUND
@@ -182,14 +184,14 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         super().__init__(job)
         parameters = read_parameters(job.config, job.chain)
         self.settings |= with_defaults(parameters)
-        if job.detections is not None:
-            self.settings["detections"] = {
-                "file": str(job.detections.resolve()),
-                "sha256": digest(job.detections),
-            }
+        for name, file in (("detections", job.detections), ("zones", job.zones)):
+            if file is not None:
+                self.settings[name] = {"file": str(file.resolve()), "sha256": digest(file)}
         self.engine = RecursiveBP(build_model(job.engine, parameters, job.camera))
         self.record = RunRecord()
         self._region: NDArray[np.uint8] | None = None
+        self._zones: Zones | None = None
+        self._events: EventWriter | None = None
         self._scoring: Scoring | None = None
         self._trajectories: ObjectsOverTime | None = None
         self._detections: Detections | None = None
@@ -204,9 +206,10 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             "png": ["foreground/bin[0-9]*.png"],
             "video": ["foreground.mkv", segment_pattern("foreground.mkv")],
         }
-        compared = COMPARISON if self.job.compare else ()
-        predicted = (FILE,) if self.predicts else ()
-        return ["tracks.txt", TABLE, "background.png", *predicted, *masks[self.job.masks], *compared]
+        more = [*COMPARISON] if self.job.compare else []
+        more += [FILE] if self.predicts else []
+        more += [EVENTS] if self.job.zones else []
+        return ["tracks.txt", TABLE, "background.png", *masks[self.job.masks], *more]
 
     @property
     def chains(self) -> Mapping[str, Any]:
@@ -243,7 +246,10 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """What a detector has found in the frames."""
-        self._detections = read_given(self.job, self.source)
+        job = self.job
+        self._detections = given_boxes(
+            job.detections, job.class_names, self.source, job.start, job.stop, job.step
+        )
         return self._with_detections(frames)
 
     def _with_detections(self, frames: Iterator[Frame]) -> Iterator[Frame]:
@@ -266,7 +272,10 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     def _read_masks(self) -> None:
         self._region = read_region(self.job.roi, self.source.size) if self.job.roi else None
-        self._scoring = read_truth(self.job, self.source, self._region)
+        self._zones = read_zones(self.job.zones, self.source.size) if self.job.zones else None
+        self._scoring = scoring_of(
+            self.job.ground_truth, self.source, self.job.start, self.job.step, self._region
+        )
 
     def go_on(self, memory: Mapping[str, Any]) -> None:
         """Take up record and scores."""
@@ -290,8 +299,12 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._tracks = TrackWriter(out / "tracks.txt", after)
         self._table = TrackTableWriter(out / TABLE, after)
         self._masks = MaskWriter(out, self.job.masks, rate, after)
-        self._overlay = OverlayWriter(out / "overlay.mp4", rate, after)
-        return [self._tracks, self._table, self._masks, self._overlay]
+        self._overlay = OverlayWriter(out / "overlay.mp4", rate, after, self._zones)
+        growing: list[Writer] = [self._tracks, self._table, self._masks, self._overlay]
+        if self._zones is not None:
+            self._events = EventWriter(out / EVENTS, self._zones, out / TABLE, after)
+            growing.append(self._events)
+        return growing
 
     def found(self, belief: Belief) -> Found:
         """Mask and tracks."""
@@ -306,6 +319,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         frame = belief.frame
         self._tracks.write(frame.number, found.tracks)
         self._table.write(frame.number, frame.time, found.tracks)
+        if self._events is not None:
+            self._events.write(frame.number, frame.time, found.tracks)
         self._masks.write(found.foreground, frame.number, frame.time)
         self._overlay.add(frame, found.foreground, found.tracks)
         if self._predictions is not None:
@@ -318,7 +333,13 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         def overlay() -> NDArray[np.uint8]:
             assert frame.image is not None
             return draw_overlay(
-                frame.image, found.foreground, found.tracks, {}, f"frame {frame.number}", frame.boxes
+                frame.image,
+                found.foreground,
+                found.tracks,
+                {},
+                f"frame {frame.number}",
+                frame.boxes,
+                self._zones,
             )
 
         due = len(self.record.numbers) % EVIDENCE_EVERY == 0
@@ -342,7 +363,22 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         given = None
         if self._detections is not None:
             given = self._detections.counted(set(self.record.numbers) - set(self.record.missing))
-        return {"tracks": len(self.record.tracks), "detections": given, "metrics": metrics}
+        happened = self._happened()
+        events = None if happened is None else happened.counts()
+        return {
+            "tracks": len(self.record.tracks),
+            "detections": given,
+            "metrics": metrics,
+            "events": events,
+        }
+
+    def _happened(self) -> Happened | None:
+        """To zones, up to the last frame so far."""
+        if self._zones is None:
+            return None
+        times = self.record.times
+        span = (times[0], times[-1]) if times else (0.0, 0.0)
+        return Happened(self._zones, read_events(self.job.out / EVENTS), span)
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write predictions, the empty scene and the report."""
@@ -360,6 +396,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
                 summary["metrics"],
                 self.title,
                 summary["detections"],
+                self._happened(),
+                COMPARISON[-1:] if job.compare else (),
             )
 
     def drawn(self, belief: Belief, found: Found) -> Callable[[], Row]:
@@ -395,50 +433,3 @@ def _listed(measured: object) -> str:
         f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in measured.items()
     )
-
-
-def read_given(job: BackgroundJob, source: Source) -> Detections | None:
-    """Read the job's detections, if any, and make sure that they belong to this source.
-
-    Raises
-    ------
-    ValueError
-        if the source is live, or they are of frames or places that it does not have.
-    """
-    if job.detections is None:
-        return None
-    if source.live:
-        raise ValueError(f"--detections: {source.name} is live, so nobody has seen its frames before")
-    found = read_detections(job.detections, job.class_names, film=source.name, pictures=source.pictures)
-    last = None
-    if source.n_frames is not None and source.counted:
-        last = job.start + source.n_frames * job.step - 1
-        if job.stop is not None and job.stop <= last:  # the film may go on behind it
-            last = None
-    found.check(source.name, source.size, last)
-    return found
-
-
-def read_truth(job: BackgroundJob, source: Source, region: NDArray[np.uint8] | None) -> Scoring | None:
-    """Read the job's ground truth, if any, and make sure that it belongs to this source.
-
-    Raises
-    ------
-    ValueError
-        if it has no frame in common with the source, or masks of another size.
-    """
-    if job.ground_truth is None:
-        return None
-    truth = read_ground_truth(job.ground_truth)
-    numbers: Sequence[int] = truth.frames
-    if source.n_frames is not None:
-        last = job.start + (source.n_frames - 1) * job.step
-        numbers = common_frames(truth, range(job.start, last + 1, job.step))
-    if isinstance(truth, MaskTruth):
-        height, width = truth.labels(numbers[0]).shape
-        if (width, height) != source.size:
-            raise ValueError(
-                f"--ground-truth: {truth.files[numbers[0]]} has {width}x{height} px, "
-                f"expected {source.size[0]}x{source.size[1]} like {source.name}"
-            )
-    return Scoring(truth, region)

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from ...models.files.atomic_files import write_text
 from ..drawing.mosaic import mosaic
-from ..evaluation.scoring import Scoring
+from ..evaluation.scoring import Scoring, scoring_of
 from ..experiments.trials.baselines import CleanUp, OpenCVSubtractor
-from ..io.detections.attached import with_boxes
+from ..io.detections.attached import given_boxes, with_boxes
 from ..io.files import write_image, write_json
 from ..io.sources.open_source import open_source
 from ..reports import page, plots, snapshots
@@ -27,7 +27,7 @@ from ..runs.interruption import Interruption, Outcome
 from ..runs.output_folder import output_folder
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
-from .application import COMPARISON, BackgroundRun, Found, read_given, read_truth
+from .application import COMPARISON, BackgroundRun, Found
 from .job import BackgroundJob, Camera
 from .methods import Method, Model, Usual
 from .parameters import Parameters, read_parameters
@@ -186,7 +186,7 @@ def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
             raise ValueError(f"--compare: {source.name} is live and cannot be read again")
         region = read_region(job.roi, source.size) if job.roi else None
         tallies = {
-            method.name: Tally(method, read_truth(job, source, region))
+            method.name: Tally(method, scoring_of(job.ground_truth, source, job.start, job.step, region))
             for method in methods_of_figure_8(source.size, parameters, job.camera)
         }
         alone = tallies[f"stand-alone, P(B) = {SHOWN_PRIOR}"].method
@@ -194,7 +194,7 @@ def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
         assert isinstance(alone, Model)
         assert isinstance(dual, Model)
         gallery, n_frames = Gallery(), 0
-        given = read_given(job, source)
+        given = given_boxes(job.detections, job.class_names, source, job.start, job.stop, job.step)
         frames = interruption.items(source)
         with Progress("comparison", source.n_frames) as progress:
             for frame in frames if given is None else with_boxes(frames, given):

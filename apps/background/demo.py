@@ -19,6 +19,7 @@ from ..reports.expectations import in_columns
 from ..runs.interruption import Outcome
 from ..runs.progress import Progress
 from ..scenes import FaceScene, Scene, SignerScene, cylinder, face, signer, sleeping_man
+from ..view.page import VIEW
 from .application import run_background
 from .compare import run_compare
 from .job import BackgroundJob
@@ -68,7 +69,8 @@ def run_demo(out: Path) -> Outcome:
         outcome, lines = run_compare(job)
         names = ("method", "F", "precision", "recall", "missed objects", "ghosts", "ms a frame")
         print(in_columns(names, [[line.get(name, "") for name in names] for line in lines]))
-    print(f"\nreport:     {out / 'report.html'}")
+    print(f"\nfilm:       {out / VIEW}")
+    print(f"report:     {out / 'report.html'}")
     print(f"comparison: {out / 'compare.html'}")
     print(f"video:      {out / 'overlay.mp4'}")
     return outcome

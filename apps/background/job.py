@@ -54,6 +54,9 @@ class BackgroundJob(FilmJob):
         width, height, score, class).
     classes
         Names of classes of detections to take, with commas; all if not given.
+    zones
+        Zones and lines of the picture, TOML: who enters, leaves, crosses, stays or stands still is written
+        to events.csv.
     compare
         Also run the background by itself, feed-forward, MOG2 and KNN on the source, and draw the comparison.
     """
@@ -66,6 +69,7 @@ class BackgroundJob(FilmJob):
     ground_truth: Path | None = None
     detections: Path | None = None
     classes: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
+    zones: Path | None = None
     compare: Flag = False
     chain: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
 
@@ -77,6 +81,8 @@ class BackgroundJob(FilmJob):
             raise ValueError("--detections and --camera moving: got both, expected one of them")
         if self.detections is not None and self.engine == "stand-alone":
             raise ValueError("--detections and --engine stand-alone: got both, expected one of them")
+        if self.zones is not None and self.engine == "stand-alone":
+            raise ValueError("--zones and --engine stand-alone: got both, expected one of them")
         if self.classes and self.detections is None:
             raise ValueError("--classes: got it without --detections, expected both")
         if self.warm_up is not None:
@@ -121,4 +127,5 @@ class BackgroundJob(FilmJob):
             "ground_truth": resolved(self.ground_truth),
             "detections": resolved(self.detections),
             "classes": self.class_names,
+            "zones": resolved(self.zones),
         }

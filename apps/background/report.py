@@ -10,6 +10,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ..drawing.boxes import identity_colour
+from ..events.drawing import draw_zones
+from ..events.report import Happened
+from ..events.zones import Zones
 from ..reports.page import Section, cards, flat, paragraph, picture, picture_grid, table, write_run_page
 from ..reports.plots import figure
 from .record import RunRecord, Snapshot, TrackHistory
@@ -28,6 +31,8 @@ def write_report(
     metrics: Mapping[str, object] | None = None,
     title: str = "Background and tracks",
     detections: Mapping[str, int] | None = None,
+    happened: Happened | None = None,
+    coming: Sequence[str] = (),
 ) -> None:
     """Write the report of a run as one HTML file.
 
@@ -47,6 +52,10 @@ def write_report(
         heading of the page.
     detections
         how many `boxes` a detector has found, and in how many `frames` it looked, if it was given.
+    happened
+        what happened to zones and lines, if there were any.
+    coming
+        names of files that will lie beside it, to be linked.
 
     Raises
     ------
@@ -62,17 +71,23 @@ def write_report(
         sections.append(("Against the ground truth", [table(("measure", "value"), flat(metrics))]))
     sections.append(("Pictures over time", [_strip(record.snapshots.kept)]))
     text = "Where the feet went, on the background at the end: from the ring to the dot with the number."
-    sections.append(("Tracks", [picture(draw_tracks(background, record.tracks), text), _track_table(record)]))
+    drawn = draw_tracks(background, record.tracks, None if happened is None else happened.zones)
+    sections.append(("Tracks", [picture(drawn, text), _track_table(record)]))
+    if happened is not None:
+        sections += happened.sections()
     sections.append(("Over time", [_plots(record)]))
-    write_run_page(path, title, _summary(record, background, detections), (), sections, parameters)
+    summary = _summary(record, background, detections)
+    write_run_page(path, title, summary, (), sections, parameters, coming)
 
 
-def draw_tracks(background: Image, tracks: Mapping[int, TrackHistory]) -> Image:
+def draw_tracks(background: Image, tracks: Mapping[int, TrackHistory], zones: Zones | None = None) -> Image:
     """Every track's path on a picture, `(height, width, 3)` uint8 with 960 px or more at its longer side."""
     scale = max(1.0, 960 / max(background.shape[:2]))
     size = (round(background.shape[1] * scale), round(background.shape[0] * scale))
     canvas = cv2.resize(_in_colour(background), size, interpolation=cv2.INTER_CUBIC)
     canvas = cv2.addWeighted(canvas, 0.75, np.full_like(canvas, 128), 0.25, 0)  # paler than the paths
+    if zones is not None:
+        draw_zones(canvas, zones, scale)
     edge = (20, 20, 20)
     ends = {}
     for identity, history in sorted(tracks.items()):

@@ -24,7 +24,7 @@ from ..io.ground_truth import BoxTruth, read_ground_truth
 from ..io.sources.open_source import open_source
 from ..reports.expectations import Expectation
 from ..runs.interruption import Interruption
-from ..runs.parallel import in_processes
+from ..runs.parallel import in_parallel
 from .application import build_model
 from .job import WHOLE_FILM, BackgroundJob, Engine
 from .methods import CHAINS, Model
@@ -149,7 +149,7 @@ class Scored:
 def run_trials(label: str, trials: Sequence[Trial]) -> dict[str, list[Tracks]]:
     """The tracks of all trials by name, one table a seed; worked out in several processes."""
     work = [(trial.tracks, (seed,)) for trial in trials for seed in trial.seeds]
-    made = iter(in_processes(label, work))
+    made = iter(in_parallel(label, work))
     return {trial.name: [next(made) for _ in trial.seeds] for trial in trials}
 
 
@@ -261,7 +261,7 @@ def best_associations(film: AnnotatedFilm, every: int) -> dict[str, tuple[str, p
     """What plain association is best with on this film, in IDF1 and in MOTA: in words, and its tracks."""
     combined = list(product(SCORE_QUANTILES, ASSOCIATIONS))
     work = [(_association_scores, (film, every, *each)) for each in combined]
-    scores: list[TrackScores] = in_processes(f"{film.name}, association", work)
+    scores: list[TrackScores] = in_parallel(f"{film.name}, association", work)
     best = {}
     for title in ("IDF1", "MOTA"):
         values = [getattr(each, MEASURES[title]) for each in scores]

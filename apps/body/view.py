@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...models.body.upper_body import JOINTS, PARTS
+from ..drawing.boxes import css_colour
 from ..view.film import Film, Row
 from ..view.page import Plot, TimelineRow, View, spans_of
 from .overlay import CHAINS, TRUNK
@@ -40,14 +41,14 @@ def drawn_of(row: Mapping[str, Any], log_evidence: float, effective: float) -> R
     }
 
 
-def body_view(film: Film, reach: float) -> View:
-    """The page of a film with what `drawn_of` gives; `reach` is the length of a stretched arm, px."""
+def body_view(film: Film, arm: float) -> View:
+    """The page of a film with what `drawn_of` gives; `arm` is the length of a stretched one, px."""
     columns = film.columns
     seen = columns["seen"] & ~columns["missing"][:, None]
     inks = dict.fromkeys(range(len(JOINTS)), GREY)
     bones = []
     for colour, chain in CHAINS:
-        ink = GREY if colour == TRUNK else _css(colour)
+        ink = GREY if colour == TRUNK else css_colour(colour)
         bones += [(*bone, ink) for bone in pairwise(chain)]
         if colour != TRUNK:
             inks.update(dict.fromkeys(chain, ink))
@@ -55,6 +56,8 @@ def body_view(film: Film, reach: float) -> View:
     for joint in sorted(inks, key=lambda joint: joint not in PART_JOINTS):
         there = seen[:, PART_JOINTS.index(joint)] if joint in PART_JOINTS else np.zeros(len(seen), np.bool_)
         rows.append(TimelineRow(joint, JOINTS[joint].replace("_", " "), inks[joint], spans_of(there)))
+    joints = columns["joints"].reshape(len(seen), len(JOINTS), -1)
+    low, high = np.quantile(joints[..., :3], (0.02, 0.98), axis=(0, 1))
     layer = {
         "joints": columns["joints"],
         "samples": columns["samples"],
@@ -63,20 +66,16 @@ def body_view(film: Film, reach: float) -> View:
         "colours": [inks[joint] for joint in range(len(JOINTS))],
         "parts": PART_JOINTS,
         "seen": seen,
-        "reach": reach,
+        "arm": arm,
+        "centre": [*((low[:2] + high[:2]) / 2).tolist(), 0.0],
+        "reach": 1.2 * float(max(*(high - low)[:2] / 2, *np.abs([low[2], high[2]]))),
     }
-    variances = columns["joints"].reshape(len(seen), len(JOINTS), -1)[:, PART_JOINTS, 3:]
-    spread = np.sqrt(np.maximum(variances[..., 0] + variances[..., 3], 0))
+    spread = np.sqrt(np.maximum(joints[:, PART_JOINTS, 3] + joints[:, PART_JOINTS, 6], 0))  # of x and y
     plots = [
-        Plot(f"{part.replace('_', ' ')} unsure by", "px", spread[:, place])
+        Plot(f"{part.replace('_', ' ')} unsure", "px", spread[:, place])
         for place, part in enumerate(PARTS)
         if part != "head"
     ]
     plots.append(Plot("log evidence", "nats", columns["evidence"]))
     plots.append(Plot("samples, effective", "", columns["effective"]))
     return View({"body": layer}, rows, plots)
-
-
-def _css(colour: tuple[int, int, int]) -> str:
-    blue, green, red = colour
-    return f"#{red:02x}{green:02x}{blue:02x}"

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame, GivenBoxes
+from ..events.drawing import draw_zones
+from ..events.zones import Zones
 from ..io.mot import TrackedObject
 from .overlay_video import OverlayVideo, caption
 
@@ -32,6 +34,12 @@ def identity_colour(identity: int) -> tuple[int, int, int]:
     return round(255 * blue), round(255 * green), round(255 * red)
 
 
+def css_colour(colour: Sequence[int]) -> str:
+    """A BGR colour as pages take it, `#rrggbb`."""
+    blue, green, red = colour
+    return f"#{red:02x}{green:02x}{blue:02x}"
+
+
 def draw_overlay(
     image: NDArray[np.uint8],
     foreground: NDArray[np.uint8] | None,
@@ -39,6 +47,7 @@ def draw_overlay(
     trails: dict[int, NDArray[np.float64]],
     caption: str,
     given: GivenBoxes | None = None,
+    zones: Zones | None = None,
 ) -> NDArray[np.uint8]:
     """Draw what was found on a copy of the frame.
 
@@ -56,6 +65,8 @@ def draw_overlay(
         text in the upper left corner.
     given
         boxes of a detector: thin and grey, below the tracks.
+    zones
+        zones and lines, below everything but the mask.
 
     Returns
     -------
@@ -67,6 +78,8 @@ def draw_overlay(
     thick = max(1, round(1.6 * unit))
     if foreground is not None:
         _tint(picture, foreground, max(1, round(unit)))
+    if zones is not None:
+        draw_zones(picture, zones)
     for identity, points in trails.items():
         if len(points) > 1:
             cv2.polylines(
@@ -123,12 +136,13 @@ def _write_label(
 class OverlayWriter(OverlayVideo):
     """`overlay.mp4`: the frames with masks, boxes, identities and the trails of the last two seconds.
 
-    Parameters as of `OverlayVideo`.
+    Parameters as of `OverlayVideo`, and of `draw_overlay`.
     """
 
-    def __init__(self, path: Path, rate: float, resume_after: int = 0) -> None:
+    def __init__(self, path: Path, rate: float, resume_after: int = 0, zones: Zones | None = None) -> None:
         super().__init__(path, rate, resume_after, AHEAD)
         self._trails: dict[int, deque[tuple[float, float, float]]] = {}
+        self._zones = zones
         self._last_image: NDArray[np.uint8] | None = None
 
     def add(
@@ -159,4 +173,4 @@ class OverlayWriter(OverlayVideo):
             return None  # nothing seen yet, not even the size
         self._last_image = image
         trails = {identity: np.array(trail)[:, 1:] for identity, trail in self._trails.items()}
-        return draw_overlay(image, foreground, tracks, trails, caption(frame), frame.boxes)
+        return draw_overlay(image, foreground, tracks, trails, caption(frame), frame.boxes, self._zones)

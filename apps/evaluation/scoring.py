@@ -1,13 +1,15 @@
 """Scores of one method on one source, gathered frame by frame, with whatever truth there is."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..io.ground_truth import OUTSIDE, BoxTruth, Kind, MaskTruth
+from ..io.ground_truth import OUTSIDE, BoxTruth, Kind, MaskTruth, common_frames, read_ground_truth
+from ..io.sources.open_source import Source
 from ..runs.region import stands_inside
 from .masks import ErrorClasses, PixelScore, error_classes, mask_error_classes
 from .tracks import evaluate_tracks
@@ -106,3 +108,40 @@ class Scoring:
         numbers, counts = data["pixels"]
         self.pixels = PixelScore(list(numbers), [(tp, fp, fn, tn) for tp, fp, fn, tn in counts])
         self.errors = ErrorClasses(**data["errors"])
+
+
+def scoring_of(
+    path: Path | None, source: Source, start: int, step: int, region: Mask | None
+) -> Scoring | None:
+    """Read ground truth, if it is given, and make sure that it belongs to a source.
+
+    Parameters
+    ----------
+    path
+        as of `read_ground_truth`; without one there is nothing.
+    source
+        opened.
+    start, step
+        which of its frames are taken.
+    region
+        as of `Scoring`.
+
+    Raises
+    ------
+    ValueError
+        if it has no frame in common with the source, or masks of another size.
+    """
+    if path is None:
+        return None
+    truth = read_ground_truth(path)
+    numbers: Sequence[int] = truth.frames
+    if source.n_frames is not None:
+        numbers = common_frames(truth, range(start, start + (source.n_frames - 1) * step + 1, step))
+    if isinstance(truth, MaskTruth):
+        height, width = truth.labels(numbers[0]).shape
+        if (width, height) != source.size:
+            raise ValueError(
+                f"--ground-truth: {truth.files[numbers[0]]} has {width}x{height} px, "
+                f"expected {source.size[0]}x{source.size[1]} like {source.name}"
+            )
+    return Scoring(truth, region)

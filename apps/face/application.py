@@ -1,8 +1,8 @@
 """The face application: from a film of a face to its pose, deformation and texture in every frame."""
 
 import logging
-from collections.abc import Iterator, Mapping
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar
@@ -25,10 +25,14 @@ from ..runs.film_run import FilmRun, Writer
 from ..runs.interruption import Outcome
 from ..runs.memory import EXPERT, FACE, FACE_EXPERT
 from ..runs.saved_run import SavedRun
+from ..view.film import Film, Row
+from ..view.page import View
 from .job import FaceJob
 from .landmark_files import GivenLandmarks
+from .overlay import vertices_on_texture
 from .report import FaceRecord, write_face_report
 from .start import FaceStart, find_face, start_from_box, start_from_landmarks
+from .view import FaceDrawing
 from .writer import FaceWriter, write_textures
 
 _log = logging.getLogger(__name__)
@@ -124,6 +128,7 @@ class FaceRun(FilmRun[FaceJob]):
     def _begin_with(self, start: FaceStart) -> None:
         job = self.job
         self._start = start
+        self._drawing = FaceDrawing(start.model)
         self._chain = GFlow(start.model, start.pose, experts=job.experts, gain=job.gain, seed=job.seed)
         self.engine = RecursiveBP(MultiChain().connect(self._chain, PixelLabels()))
         if self.state.states:
@@ -139,8 +144,26 @@ class FaceRun(FilmRun[FaceJob]):
     def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
         """Write the frame's poses."""
         state = belief[self._chain]
-        self._writer.add(belief.frame, state, seconds, restarted=state.relocations > self._restarts)
+        self._row = self._writer.add(
+            belief.frame, state, seconds, restarted=state.relocations > self._restarts
+        )
         self._restarts = state.relocations
+
+    def drawn(self, belief: Belief, found: Any) -> Callable[[], Row]:
+        """Pose and points."""
+        return partial(self._drawing.drawn, self._row, self.record.errors[-1])
+
+    @property
+    def title(self) -> str:
+        """The source, and what of it is followed."""
+        return f"{Path(self.source.name).name}: face"
+
+    def view(self, film: Film) -> View:
+        """The face over the film, and in space."""
+        state = self.state.states["gflow"]
+        morphs = self._chain.mean_pose(state).morphs[0]
+        places = vertices_on_texture(self._start.model, morphs, self._chain.object.texels)
+        return self._drawing.view(film, self._textures, places)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """How much was lost, and the error."""
@@ -205,9 +228,10 @@ class FaceRun(FilmRun[FaceJob]):
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the report."""
-        title = f"{Path(self.source.name).name}: face"
         names = self._start.model.names
-        write_face_report(self.job.out / "report.html", self.record, summary, names, self._textures, title)
+        write_face_report(
+            self.job.out / "report.html", self.record, summary, names, self._textures, self.title
+        )
 
 
 def _check_inside(landmarks: Array, image: Image) -> None:

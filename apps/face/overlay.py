@@ -80,7 +80,7 @@ class FaceOverlay:
 
     def __init__(self, model: MorphableModel) -> None:
         self._model = model
-        self._dots = _spread_vertices(model.bases[0], MOST_DOTS)
+        self._dots = spread_vertices(model.bases[0], MOST_DOTS)
         self._surface = SurfaceTexels.dense(model, N_SHADED)
         low, high = model.bases[0].min(axis=0), model.bases[0].max(axis=0)
         self._middle, self._sides = (low + high) / 2, ROOM * (high - low)
@@ -176,7 +176,7 @@ class FaceOverlay:
         return np.asarray(panel, np.uint8)
 
 
-def _spread_vertices(shape: Array, most: int) -> NDArray[np.int64]:
+def spread_vertices(shape: Array, most: int) -> NDArray[np.int64]:
     """At most so many of the vertices `(n_vertices, 3)`, each as far as can be from those before it."""
     if len(shape) <= most:
         return np.arange(len(shape), dtype=np.int64)
@@ -249,13 +249,8 @@ def texture_picture(model: MorphableModel, morphs: Array, texels: SurfaceTexels,
     NDArray[np.float64]
         `(480, width)`: mean of the values round each pixel; NaN where there is no texel near.
     """
-    frontal = Poses(exponential(FRONT), np.zeros((1, 2)), morphs[None])
-    positions = model.positions(frontal)
-    corners = texels.groups[texels.group_of_texel].astype(np.int64)
-    shown = visible(positions, model.triangles, corners, texels.weights.astype(np.float64))[0]
-    places = (_places(texels, positions[0, :, :2]) + texels.offsets)[shown]
-    low, high = places.min(axis=0), places.max(axis=0)
-    px = float((high - low)[1]) / TEXTURE_HEIGHT
+    _, shown, places = _from_the_front(model, morphs, texels)
+    low, high, px = _picture_of(places)
     shape = (TEXTURE_HEIGHT, max(1, round(float((high - low)[0]) / px)))
     rows, columns = np.indices(shape)
     tree = KDTree(places)
@@ -266,3 +261,28 @@ def texture_picture(model: MorphableModel, morphs: Array, texels: SurfaceTexels,
     total = weights.sum(axis=2)
     known = np.append(values[shown].astype(np.float64), 0.0)  # the last one stands for "none near"
     return np.where(total > 0, (weights * known[nearest]).sum(axis=2) / np.maximum(total, 1e-300), np.nan)
+
+
+def vertices_on_texture(model: MorphableModel, morphs: Array, texels: SurfaceTexels) -> Array:
+    """`(n_vertices, 2)` px: where vertices are on a picture of `texture_picture`."""
+    positions, _, places = _from_the_front(model, morphs, texels)
+    low, _, px = _picture_of(places)
+    on_texture: Array = (positions[:, :2] - low) / px
+    return on_texture
+
+
+def _from_the_front(
+    model: MorphableModel, morphs: Array, texels: SurfaceTexels
+) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Vertices `(n_vertices, 3)`, which texels are seen, and the places `(n_seen, 2)` of these, px."""
+    frontal = Poses(exponential(FRONT), np.zeros((1, 2)), morphs[None])
+    positions = model.positions(frontal)
+    corners = texels.groups[texels.group_of_texel].astype(np.int64)
+    shown = visible(positions, model.triangles, corners, texels.weights.astype(np.float64))[0]
+    return positions[0], shown, (_places(texels, positions[0, :, :2]) + texels.offsets)[shown]
+
+
+def _picture_of(places: Array) -> tuple[Array, Array, float]:
+    """Corners of the picture of texels at `places` `(n, 2)`, and the side of its pixels."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    return low, high, float((high - low)[1]) / TEXTURE_HEIGHT

@@ -1,6 +1,8 @@
 """What a face-tracking run leaves: arrays and a video that grow with the frames, pictures of the texture."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,8 +75,11 @@ class FaceWriter(PoseWriter):
         self._record = record
         self._overlay = FaceOverlay(start.model)
 
-    def add(self, frame: Frame, state: GFlowState, seconds: float, *, restarted: bool) -> None:
-        """Take in a frame, which took the tracker so long; it may have found the face again in it."""
+    def add(self, frame: Frame, state: GFlowState, seconds: float, *, restarted: bool) -> Mapping[str, Any]:
+        """Take in a frame, which took the tracker so long; it may have found the face again in it.
+
+        Its row of `poses.npz` is returned.
+        """
         mean = self._chain.mean_pose(state)
         vertices, covariance = self._chain.vertices(state)
         present = self._start.present
@@ -118,6 +123,7 @@ class FaceWriter(PoseWriter):
             restarted=restarted,
             overlay=drawn,
         )
+        return row
 
 
 def write_textures(folder: Path, chain: GFlow, state: GFlowState) -> tuple[float, dict[str, Image]]:

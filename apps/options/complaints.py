@@ -45,15 +45,15 @@ def convert_strictly(kind: Any, tokens: Sequence[Token]) -> Any:
     return convert(kind, tokens)
 
 
-def not_negative(_: object, number: int) -> None:
-    """Refuse a number below 0.
+def not_negative(_: object, number: int | None) -> None:
+    """Refuse a number below 0; one that was not given is none.
 
     Raises
     ------
     ValueError
         if it is one.
     """
-    if number < 0:
+    if number is not None and number < 0:
         raise ValueError("expected 0 or more")
 
 

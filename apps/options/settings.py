@@ -8,7 +8,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
-from cyclopts import App, ArgumentCollection
+from cyclopts import App, Argument, ArgumentCollection
 from cyclopts.config import Dict
 
 from ...models.files.limits import MOST_SETTINGS
@@ -19,6 +19,9 @@ T = TypeVar("T")
 
 OPTION = "--config"
 """Which names the file on the command line."""
+
+ALWAYS_TYPED = "Of a batch"
+"""The group of the options that are about many runs, which stand in no file of one."""
 
 SCALARS = (bool, int, float, str)
 
@@ -56,7 +59,7 @@ def options_from_file(app: App, commands: tuple[str, ...], arguments: ArgumentCo
     path = next((each.tokens[0].value for each in arguments if OPTION in each.names and each.tokens), "")
     if path:
         options = top_level(read_settings(Path(path)))
-        names = {name for each in arguments for name in each.names} - {OPTION}
+        names = {name for each in arguments if not _always_typed(each) for name in each.names} - {OPTION}
         known = [name.removeprefix("--").replace("-", "_") for name in names]
         for key in options:  # cyclopts would pass over those of every command
             if key.replace("-", "_") not in known:
@@ -67,6 +70,11 @@ def options_from_file(app: App, commands: tuple[str, ...], arguments: ArgumentCo
             if isinstance(value, list) and f"--{key.replace('_', '-')}" not in several:
                 options[key] = str(value)
         Dict(options, source=path, use_commands_as_keys=False)(app, commands, arguments)
+
+
+def _always_typed(argument: Argument) -> bool:
+    groups = argument.parameter.group
+    return isinstance(groups, tuple) and any(getattr(group, "name", "") == ALWAYS_TYPED for group in groups)
 
 
 def top_level(settings: Mapping[str, Any]) -> dict[str, Any]:

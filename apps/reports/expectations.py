@@ -47,7 +47,7 @@ class Expectation:
         """What, wanted, measured, its standard error, verdict."""
         wanted = "" if self.bound is None else f"{self.relation} {self.bound:g}"
         error = "" if math.isnan(self.spread) else f"{self.spread:.2g}"
-        return self.what, wanted, _rounded(self.measured), error, self.verdict
+        return self.what, wanted, rounded(self.measured), error, self.verdict
 
 
 HEADER = ("measure", "wanted", "measured", "±", "")
@@ -100,7 +100,7 @@ def _drawn(found: Any, seeds: Sequence[int]) -> Any:
 
 def in_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Lay out a table as text; numbers are rounded and set to the right."""
-    cells = [[_rounded(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
+    cells = [[rounded(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
     numeric = [all(_is_number(row[k]) for row in cells) for k in range(len(header))]
     widths = [max(len(line[k]) for line in (header, *cells)) for k in range(len(header))]
 
@@ -114,7 +114,8 @@ def in_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join([line(header), line(["-" * width for width in widths]), *map(line, cells)])
 
 
-def _rounded(value: float) -> str:
+def rounded(value: float) -> str:
+    """A number to three digits; a dash for what is not finite."""
     if not math.isfinite(value):
         return "–"
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"

@@ -16,6 +16,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...models.files.atomic_files import write_text
+from .links import links_beside
 
 Image = NDArray[np.uint8]
 
@@ -62,15 +63,19 @@ def write_run_page(
     notes: Iterable[str],
     sections: Iterable[Section],
     parameters: Mapping[str, object],
+    coming: Sequence[str] = (),
 ) -> None:
     """Write a page about a run: its summary and what is out of the ordinary first, every setting last.
+
+    It links the run's other results, those that lie beside it and those that are `coming`.
 
     Raises
     ------
     OSError
         if the file cannot be written; nothing half-written stays behind.
     """
-    beginning = [summary, *map(paragraph, notes)]
+    links = links_beside(path, coming)
+    beginning = [*([Markup(_parts.links(links))] if links else []), summary, *map(paragraph, notes)]
     settings = table(("parameter", "value"), flat(parameters))
     write_page(path, title, [("", beginning), *sections, ("Parameters", [settings])])
 

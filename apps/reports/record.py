@@ -6,6 +6,7 @@ import math
 import os
 import platform
 import subprocess
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -42,8 +43,9 @@ class Provenance:
         of the checkout, ten hex digits; empty for an installed package.
     changed
         whether the checkout had changes that were not committed.
-    state
-        digest of the code that tracks: it is the same as long as that code is.
+    modules, state
+        files of the code that tracks which it took, from `ROOT`, and a digest of them: it is the same as long
+        as they are.
     processor, cores, memory
         of the machine; memory in GB.
     load
@@ -58,6 +60,7 @@ class Provenance:
     seconds: float
     commit: str
     changed: bool
+    modules: Sequence[str]
     state: str
     processor: str
     cores: int
@@ -71,6 +74,10 @@ class Provenance:
         """In words."""
         return f"{self.processor}, {self.cores} cores, {self.memory:.0f} GB"
 
+    def is_of(self, root: Path) -> bool:
+        """Whether the code that tracks is the same in a checkout."""
+        return self.state == _joint_digest({name: _digest(root / name) for name in self.modules})
+
 
 class Stopwatch:
     """Notes where and when it was made; `provenance` adds how long it took since."""
@@ -78,11 +85,12 @@ class Stopwatch:
     def __init__(self) -> None:
         self._started = time.perf_counter()
         commit, changed = _commit()
+        files = (path for package in TRACKING for path in (ROOT / package).rglob("*.py"))
+        self._digests = {path.relative_to(ROOT).as_posix(): _digest(path) for path in sorted(files)}
         self._known = {
             "date": datetime.now(UTC).isoformat(timespec="seconds"),
             "commit": commit,
             "changed": changed,
-            "state": tracking_state(),
             "processor": _processor(),
             "cores": os.cpu_count() or 1,
             "memory": psutil.virtual_memory().total / 2**30,
@@ -93,17 +101,29 @@ class Stopwatch:
     def provenance(self) -> Provenance:
         """Of what was measured since."""
         seconds = time.perf_counter() - self._started
-        return Provenance(**self._known, seconds=seconds, threads=thread_count())
+        loaded = {Path(file).resolve() for each in list(sys.modules.values()) if (file := _file(each))}
+        taken = {name: digest for name, digest in self._digests.items() if (ROOT / name) in loaded}
+        return Provenance(
+            **self._known,
+            seconds=seconds,
+            threads=thread_count(),
+            modules=list(taken),
+            state=_joint_digest(taken),
+        )
 
 
-def tracking_state(root: Path = ROOT) -> str:
-    """Digest of the code that tracks: twelve hex digits."""
-    digest = hashlib.sha256()
-    for package in TRACKING:
-        for path in sorted((root / package).rglob("*.py")):
-            digest.update(f"{path.relative_to(root).as_posix()}\0".encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
+def _file(module: object) -> str | None:
+    return getattr(module, "__file__", None)
+
+
+def _digest(path: Path) -> str:
+    """Of a file; nothing where there is none."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else ""
+
+
+def _joint_digest(digests: Mapping[str, str]) -> str:
+    text = "".join(f"{name} {digest}\n" for name, digest in sorted(digests.items()))
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def _commit() -> tuple[str, bool]:

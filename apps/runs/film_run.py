@@ -177,8 +177,8 @@ class FilmRun(Run[F]):
             if self.interruption.signal is not None and not self.record.numbers:
                 raise Interrupted(self.interruption.signal)
             summary = self._film_summary()
-            self.finish(summary)
             self._write_view()
+            self.finish(summary)
             write_json(job.out / "summary.json", summary)
             if not self._ended_early:
                 self._save(finished=summary)

@@ -5,7 +5,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import FrameType
-from typing import Any, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 T = TypeVar("T")
 
@@ -60,9 +60,13 @@ class Interruption:
 
     Attributes
     ----------
+    heeded
+        signals that are heard; in a process that works for another one, Ctrl-C is that one's.
     signal
         number of the signal that arrived; `None` as long as none did.
     """
+
+    heeded: ClassVar[Sequence[signal.Signals]] = (signal.SIGINT, signal.SIGTERM)
 
     def __init__(self) -> None:
         self.signal: int | None = None
@@ -71,7 +75,7 @@ class Interruption:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in self.heeded:
                 self._before[number] = signal.signal(number, self._arrive)
         return self
 

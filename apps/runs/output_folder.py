@@ -193,6 +193,17 @@ def output_folder(
                     empty.rmdir()
 
 
+def was_cut_off(path: Path) -> bool:
+    """Whether the process of a run that wrote into this folder has ended before the run did."""
+    if not (path / HOLDER).exists():
+        return False
+    try:
+        with FileLock(path / LOCK, timeout=0):
+            return True
+    except Timeout:
+        return False
+
+
 def _holder(path: Path) -> str:
     try:
         holder = json.loads((path / HOLDER).read_text(encoding="utf-8"))

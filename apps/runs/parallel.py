@@ -1,31 +1,191 @@
-"""Experiments on several sequences at once, each in a process of one thread."""
+"""Work on many things at once: in processes on this machine, or on a Dask cluster that is there."""
 
-from collections.abc import Callable, Sequence
+import os
+import signal
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, as_completed
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from importlib import import_module
+from logging import ERROR
 from typing import Any
 
-from joblib import Parallel, cpu_count, delayed, parallel_config
+from joblib import cpu_count
+from joblib.externals.loky import ProcessPoolExecutor
 
 from ...models.numerics.threads import set_threads
-from .progress import Progress
+from .interruption import Interruption
+from .progress import Progress, show_messages
 
-MOST_WORKERS = 2
+Task = tuple[Callable[..., Any], tuple[Any, ...]]
+"""A function and its arguments, all of which can be sent to another process."""
+
+OF_LIBRARIES = ("OMP", "OPENBLAS", "MKL", "BLIS", "VECLIB_MAXIMUM", "NUMEXPR", "NUMBA")
+"""Whose threads are limited by a variable `..._NUM_THREADS` that they read when they are loaded."""
+
+PATIENCE = 20.0
+"""Seconds for which a cluster may have no worker."""
+
+REPLACED = "A worker stopped while some jobs were given to the executor"
+"""Begins loky's warning when a process has grown by more than 300 MB and is replaced by a fresh one, between
+two tasks: films of other sizes than the first one's do that, and nothing is lost."""
+
+_ending = threading.Event()
+"""Of a worker process that was asked to end."""
 
 
-def in_processes(label: str, work: Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]) -> list[Any]:
-    """Results of functions with their arguments, in order, worked out in two processes at most."""
+@dataclass(frozen=True)
+class Workers:
+    """Who does the work.
+
+    Parameters
+    ----------
+    jobs
+        processes; as many as there are cores if not given.
+    threads
+        of each of them.
+    dask
+        address of a scheduler whose workers do it instead, in one thread each.
+
+    Raises
+    ------
+    ValueError
+        if there would be no process.
+    """
+
+    jobs: int = field(default_factory=cpu_count)
+    threads: int = 1
+    dask: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs < 1:
+            raise ValueError(f"jobs: got {self.jobs}, expected 1 or more")
+
+
+_chosen: ContextVar[Workers | None] = ContextVar("workers", default=None)
+
+
+@contextmanager
+def working(workers: Workers) -> Iterator[None]:
+    """Have these workers do what is worked on in parallel inside the block."""
+    before = _chosen.set(workers)
+    try:
+        yield
+    finally:
+        _chosen.reset(before)
+
+
+def in_parallel(label: str, work: Sequence[Task]) -> list[Any]:
+    """Results of functions with their arguments, in order; what one of them raises is raised."""
     found: dict[int, Any] = {}
-    tasks = (delayed(_alone)(number, *task) for number, task in enumerate(work))
-    workers = min(MOST_WORKERS, cpu_count())
-    with (
-        parallel_config("loky", n_jobs=workers, inner_max_num_threads=1),  # linear algebra's threads
-        Progress(label, len(work), unit="sequences") as progress,
-    ):
-        for number, result in Parallel(return_as="generator_unordered")(tasks):
-            found[number] = result
-            progress.update()
+    for number, future in as_they_end(label, work, "sequences"):
+        found[number] = future.result()
     return [found[number] for number in range(len(work))]
 
 
-def _alone(number: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
-    set_threads(1)  # of our own loops
-    return number, function(*arguments)
+def as_they_end(
+    label: str, work: Sequence[Task], unit: str, stopping: Callable[[], bool] = lambda: False
+) -> Iterator[tuple[int, Future[Any]]]:
+    """Number of each task and what became of it, in the order in which they end.
+
+    Parameters
+    ----------
+    label, unit
+        of the progress that is shown.
+    work
+        the tasks.
+    stopping
+        when it is true, what has not been begun is left out.
+
+    Raises
+    ------
+    ValueError
+        if there is no cluster at the address of the `Workers`, or nobody works there.
+    """
+    workers = _chosen.get() or Workers()
+    with Progress(label, len(work), unit=unit) as progress, _executor(workers, len(work)) as executor:
+        futures = {
+            executor.submit(_alone, workers.threads, *task): number for number, task in enumerate(work)
+        }
+        for future in as_completed(futures):
+            if stopping():
+                for waiting in futures:
+                    waiting.cancel()
+            if not future.cancelled():
+                yield futures[future], future
+                progress.update()
+
+
+@contextmanager
+def _executor(workers: Workers, tasks: int) -> Iterator[Executor]:
+    """Who takes in tasks; they are ended at once where the block is left by an error."""
+    if workers.dask is not None:
+        with _cluster(workers.dask) as executor:
+            yield executor
+        return
+    limits = {f"{library}_NUM_THREADS": str(workers.threads) for library in OF_LIBRARIES}
+    executor = ProcessPoolExecutor(
+        min(workers.jobs, max(tasks, 1)), initializer=_settle, initargs=(os.getpid(),), env=limits
+    )
+    completed = False
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", REPLACED)
+            yield executor
+        completed = True
+    finally:
+        executor.shutdown(wait=True, kill_workers=not completed)
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Executor]:
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError:
+        raise ValueError("--dask needs distributed: pip install 'rsmcm[dask]'") from None
+    try:
+        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"--dask: got {address}, expected the address of a scheduler ({error})") from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError:
+            raise ValueError(f"--dask: nobody works at {address}: start dask worker {address}") from None
+        yield client.get_executor(pure=False)
+
+
+def _settle(parent: int) -> None:
+    """Begin to work in a process: Ctrl-C is the parent's, which asks for the end by SIGTERM."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: _ending.set())
+    Interruption.heeded = (signal.SIGTERM,)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    """End when the parent was killed: nobody would take the result, and a folder would stay locked."""
+    while os.getppid() == parent or sys.platform == "win32":
+        time.sleep(0.5)
+    os._exit(1)
+
+
+def _alone(threads: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    set_threads(threads)  # of our own loops, and of OpenCV
+    show_messages(ERROR)  # progress is the parent's
+    return function(*arguments)
+
+
+def is_ending() -> bool:
+    """Whether this process works for another one that wants it to end."""
+    return _ending.is_set()
+
+
+def end_working() -> None:
+    """Begin nothing more in this process, where a run that it had begun took the signal to end."""
+    _ending.set()

@@ -22,6 +22,7 @@ from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, check_memory
 from ..runs.progress import Progress
 from ..runs.run import Run
 from ..runs.saved_run import STATE, about_of, check_source
+from ..view.page import VIEW, write_view
 from .files import point_colours, write_cameras, write_ply, write_tracks
 from .job import StructureJob
 from .reconstruction import (
@@ -33,6 +34,7 @@ from .reconstruction import (
 )
 from .report import write_structure_report
 from .track_overlay import write_overlay
+from .view import EDGE, film_of_tracks, structure_view, write_film
 
 FEWEST_FRAMES = 3
 TRACK_FILES = (".npy", ".npz")
@@ -184,8 +186,18 @@ class StructureRun(Run[StructureJob]):
         summary = self.summary(film.name, [frame.number for frame in frames], missing, facts)
         title = f"{Path(film.name).name}: structure from motion"
         write_structure_report(folder / "report.html", frames, found, colours, notes, self.settings, title)
+        self._write_view(found, colours, title)
         write_json(folder / "summary.json", summary)
         return summary
+
+    def _write_view(self, found: Reconstruction, colours: NDArray[np.uint8], title: str) -> None:
+        folder, frames = self.job.out, self._film.frames
+        if self._film.n_tracks is None:
+            shown, corner = write_film(folder, frames, self._film.rate), EDGE
+        else:
+            shown, corner = film_of_tracks(frames, found)
+        view = structure_view(frames, found, colours, shown, corner)
+        write_view(folder / VIEW, title, shown, len(frames), view)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Points, and how well they fit."""

@@ -22,7 +22,7 @@ Row = Mapping[str, NDArray[Any]]
 
 FILM, ROWS = "film.mp4", "view.npz"
 
-WIDEST = 640  # px of the film
+LONGEST_SIDE = 640  # px of the film
 MOST_BYTES = 24 << 20
 """Of film and rows together, a third more in the page: beyond, the film's beginning goes."""
 
@@ -183,14 +183,15 @@ def _moments(path: Path) -> NDArray[np.float64]:
 
 
 def _small(image: Image) -> Image:
-    """In colour, at most `WIDEST` wide, with even sides, as the encoder has them."""
+    """In colour, with sides of at most `LONGEST_SIDE`, which are even where it is shrunk."""
     if image.ndim == 2:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
     height, width = image.shape[:2]
-    if width <= WIDEST:
+    scale = LONGEST_SIDE / max(height, width)
+    if scale >= 1:
         return image
-    size = (WIDEST, max(2, 2 * round(height * WIDEST / width / 2)))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    sides = [max(2, 2 * round(side * scale / 2)) for side in (width, height)]
+    return np.asarray(cv2.resize(image, sides, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _join(segments: Sequence[Path], path: Path) -> None:

@@ -13,6 +13,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...models.files.atomic_files import write_text
+from ..reports.links import links_beside
 from .film import Film
 
 VIEW = "view.html"
@@ -130,9 +131,13 @@ def write_view(path: Path, title: str, film: Film, n_frames: int, view: View) ->
         "layers": view.layers,
     }
     inlined = "" if film.path is None else base64.b64encode(film.path.read_bytes()).decode("ascii")
+    files = links_beside(path, coming=["report.html"])
     template = _environment.get_template("view.html")
     write_text(
-        path, template.render(title=title, layers=list(view.layers), data=_json(data), film=Markup(inlined))
+        path,
+        template.render(
+            title=title, files=files, layers=list(view.layers), data=_json(data), film=Markup(inlined)
+        ),
     )
 
 

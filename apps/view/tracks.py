@@ -8,16 +8,32 @@ from numpy.typing import NDArray
 
 from ..drawing.boxes import identity_colour
 from ..io.mot import TrackedObject
-from .film import Film, Row
-from .page import SEEN, Plot, TimelineRow, View
+from .film import LONGEST_SIDE, Film, Row
+from .page import PREDICTED, SEEN, Plot, TimelineRow, View
+
+OF_TRACKS = ("id", "box", "confidence", "velocity", "seen", "covariance")
+OF_OUTLINES = ("outline", "corners")
 
 
 def drawn_of(foreground: NDArray[np.uint8], tracks: Sequence[TrackedObject]) -> Row:
-    """What is drawn on a frame: boxes with identities, and the foreground's outlines, in px of the source."""
+    """What is drawn on a frame: objects, and the foreground's outlines, in px of the source.
+
+    Parameters
+    ----------
+    foreground
+        `(height, width)` uint8, 0 or 255.
+    tracks
+        objects of the frame.
+    """
     outlines = _outlines(foreground)
+    covariances = np.array([track.position_covariance for track in tracks], np.float32).reshape(-1, 4)
     return {
         "id": np.array([track.identity for track in tracks], np.int32),
         "box": np.array([track.box for track in tracks], np.float32).reshape(-1, 4),
+        "confidence": np.array([track.confidence for track in tracks], np.float32),
+        "velocity": np.array([track.velocity for track in tracks], np.float32).reshape(-1, 2),
+        "seen": np.array([track.seen for track in tracks], np.uint8),
+        "covariance": covariances[:, [0, 1, 3]],
         "outline": np.concatenate([np.zeros((0, 2), np.int16), *outlines]),
         "corners": np.array([len(outline) for outline in outlines], np.int32),
         "foreground": np.array([np.count_nonzero(foreground) / foreground.size], np.float32),
@@ -26,7 +42,7 @@ def drawn_of(foreground: NDArray[np.uint8], tracks: Sequence[TrackedObject]) -> 
 
 def _outlines(foreground: NDArray[np.uint8]) -> list[NDArray[np.int16]]:
     """Polygons around the foreground, and around its holes."""
-    near = max(foreground.shape) / 640  # px that nobody sees in the film
+    near = max(1.0, max(foreground.shape) / LONGEST_SIDE)  # px of the source: about one of the film
     found, _ = cv2.findContours(foreground, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     polygons = [cv2.approxPolyDP(contour, near, closed=True)[:, 0].astype(np.int16) for contour in found]
     return [polygon for polygon in polygons if len(polygon) > 2]
@@ -35,28 +51,26 @@ def _outlines(foreground: NDArray[np.uint8]) -> list[NDArray[np.int16]]:
 def tracks_view(film: Film) -> View:
     """The page of a film with what `drawn_of` gives."""
     ids, counts = film.columns["id"], film.counts["id"]
-    frames = np.repeat(np.arange(len(counts)), counts)
-    rows = []
-    for identity in np.unique(ids).tolist():
-        there = frames[ids == identity]
-        rows.append(TimelineRow(identity, str(identity), _css(identity), _spans(there)))
-    layer = {
-        "ids": ids,
-        "boxes": film.columns["box"],
-        "counts": counts.astype(np.int32),
-        "outline": film.columns["outline"],
-        "corners": film.columns["corners"],
-        "polygons": film.counts["corners"].astype(np.int32),
-    }
+    order = np.argsort(ids, kind="stable")
+    frames = np.repeat(np.arange(len(counts)), counts)[order]
+    seen = film.columns["seen"][order]
+    identities, starts = np.unique(ids[order], return_index=True)
+    ends = np.append(starts, len(ids))[1:]
+    rows = [
+        TimelineRow(identity, str(identity), _css(identity), _spans(frames[start:end], seen[start:end]))
+        for identity, start, end in zip(identities.tolist(), starts, ends, strict=True)
+    ]
+    layer = {name: film.columns[name] for name in (*OF_TRACKS, *OF_OUTLINES)}
+    layer |= {"count": counts.astype(np.int32), "polygons": film.counts["corners"].astype(np.int32)}
     plots = [Plot("tracks", "", counts), Plot("foreground", "%", 100 * film.columns["foreground"])]
-    return View({"tracks": layer}, rows, plots)
+    return View({"zones": {"zones": [], "lines": []}, "tracks": layer}, rows, plots)
 
 
-def _spans(frames: NDArray[np.int64]) -> NDArray[np.int64]:
-    """First, last and kind of runs of frames."""
-    breaks = np.flatnonzero(np.diff(frames) > 1) + 1
-    runs = np.split(frames, breaks)
-    return np.array([(run[0], run[-1], SEEN) for run in runs])
+def _spans(frames: NDArray[np.int64], seen: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """First, last and kind of runs of frames, `(n, 3)`."""
+    ends = np.flatnonzero((np.diff(frames) > 1) | (np.diff(seen.astype(np.int8)) != 0))
+    first, last = np.append(0, ends + 1), np.append(ends, len(frames) - 1)
+    return np.stack([frames[first], frames[last], np.where(seen[first], SEEN, PREDICTED)], axis=1)
 
 
 def _css(identity: int) -> str:

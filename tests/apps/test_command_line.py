@@ -21,6 +21,7 @@ from rsmcm.apps import command_line
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.command_line import main
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
+from rsmcm.apps.runs.parallel import in_parallel
 from rsmcm.apps.scenes import sleeping_man
 
 from ..conftest import modified
@@ -112,7 +113,7 @@ def test_wrong_options(
 
 def test_wrong_subcommands(capfd: pytest.CaptureFixture[str]) -> None:
     assert "unknown command 'backgroud', did you mean background?" in complaint(capfd, "backgroud")
-    assert "unknown command 'x', expected reproduce, background, " in complaint(capfd, "x")
+    assert "unknown command 'x', expected background, structure, " in complaint(capfd, "x")
     assert "unknown command 'nothing', expected sleeping-man, " in complaint(capfd, "reproduce", "nothing")
     assert "unknown option --frobnicate" in complaint(capfd, "--frobnicate")
     assert "SOURCE is needed" in complaint(capfd, "face")
@@ -125,7 +126,7 @@ def options() -> Iterator[tuple[tuple[str, ...], str, Any]]:
     def of(app: App, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str, Any]]:
         if app.default_command is not None:
             for argument in app.assemble_argument_collection():
-                if argument.field_info.is_keyword_only:
+                if argument.field_info.is_keyword_only and not argument.children:
                     yield path, argument.name, argument.hint
         for name in app:
             if not name.startswith("-"):
@@ -179,6 +180,19 @@ def say(capfd: pytest.CaptureFixture[str], *arguments: object) -> tuple[str, str
     assert ended.value.code == 0
     out, err = capfd.readouterr()
     return out, err
+
+
+def test_experiments_in_processes_are_quiet_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """What starts processes wants a standard output that can be flushed."""
+
+    def two_numbers(name: str, out: Path) -> None:
+        print(sum(in_parallel(name, [(abs, (-1,)), (abs, (-2,))])))
+
+    monkeypatch.setattr(command_line, "run_experiment", two_numbers)
+    assert say(capfd, "reproduce", "gain", "--out", tmp_path, "--quiet") == ("", "")
+    assert "3" in say(capfd, "reproduce", "gain", "--out", tmp_path)[0]
 
 
 def test_quiet_and_verbose(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -29,7 +29,7 @@ from ...reports import page
 from ...reports.expectations import Expectation, over_seeds
 from ...reports.experiment import Experiment, Plot
 from ...reports.record import Table
-from ...runs.parallel import in_processes
+from ...runs.parallel import in_parallel
 from ...scenes import signer
 from ..trials.body import BodyTracker, on_one_scene
 
@@ -99,7 +99,7 @@ def reproduce_body(out: Path) -> Experiment:
     """
     trackers = compared()
     work = [(on_one_scene, (trackers, {**SCENE, "seed": seed}, SHOWN)) for seed in SEEDS]
-    trials = in_processes("body", work)
+    trials = in_parallel("body", work)
     found = {tracker.name: [one[place] for one in trials] for place, tracker in enumerate(trackers)}
 
     expectations = over_seeds(expectations_of, found)
@@ -133,7 +133,7 @@ def compared() -> list[BodyTracker]:
     """All trackers; those of CONDENSATION with as many samples as take the time they are given."""
     scenes = [{**SCENE, "n_frames": TIMED_FRAMES, "seed": seed} for seed in SEEDS[:2]]
     trackers = [RSMCM, *(BodyTracker(f"{count}", "condensation", count) for count in TIMED_SAMPLES)]
-    timed = in_processes("times", [(on_one_scene, (trackers, scene)) for scene in scenes])
+    timed = in_parallel("times", [(on_one_scene, (trackers, scene)) for scene in scenes])
     rsmcm, few, many = (
         float(np.median([trial.seconds[WARM_UP:] for trial in trials])) for trials in zip(*timed, strict=True)
     )

@@ -16,7 +16,7 @@ from ...reports import page
 from ...reports.expectations import Expectation, over_seeds
 from ...reports.experiment import Experiment, Plot
 from ...reports.record import Table
-from ...runs.parallel import in_processes
+from ...runs.parallel import in_parallel
 from ...scenes import Cylinder, cylinder
 from ...structure.job import Coherence
 from ...structure.metrics import REJECTED, StructureScores, score_structure
@@ -195,7 +195,7 @@ def reproduce_cylinder(out: Path) -> Experiment:
 def measure(wanted: Sequence[Cell], seeds: Sequence[int]) -> dict[Cell, Measured]:
     """Run everything, in two processes at most."""
     work = [(cell, seed) for cell in wanted for seed in seeds]
-    found = dict(zip(work, in_processes("cylinder", [(scores, item) for item in work]), strict=True))
+    found = dict(zip(work, in_parallel("cylinder", [(scores, item) for item in work]), strict=True))
     return {cell: {name: [found[cell, seed][name] for seed in seeds] for name in METHODS} for cell in wanted}
 
 

@@ -18,7 +18,7 @@ from ....models.background.pixel_labels import PixelLabels
 from ...reports.expectations import Expectation, over_seeds
 from ...reports.experiment import Experiment, Plot
 from ...reports.record import Table
-from ...runs.parallel import in_processes
+from ...runs.parallel import in_parallel
 from ...scenes import FaceScene, face
 from ..trials.face import Evaluation, Measured, as_json, median, n_lost, quartiles
 
@@ -111,7 +111,7 @@ def measure(seeds: Sequence[int]) -> Found:
     """Run everything."""
     cells = [(condition, method) for condition, methods in COMPARED for method in methods]
     evaluations = iter(
-        in_processes(
+        in_parallel(
             "face and background",
             [(run, (condition, method, seed)) for condition, method in cells for seed in seeds],
         )

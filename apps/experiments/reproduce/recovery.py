@@ -14,7 +14,7 @@ from ....models.face.pose import Poses
 from ...reports.expectations import Expectation, over_seeds
 from ...reports.experiment import Experiment, Plot
 from ...reports.record import Table
-from ...runs.parallel import in_processes
+from ...runs.parallel import in_parallel
 from ..trials.face import Clip, ground_truth_texture
 from ..trials.face_baselines import states
 
@@ -59,7 +59,7 @@ class Recovery:
 
 def reproduce_recovery(out: Path) -> Experiment:
     """Fig. 4: the texture is known at the start, or learned by each expert at its own wrong pose."""
-    results = in_processes("recovery", [(recover, (seed,)) for seed in SEEDS])
+    results = in_parallel("recovery", [(recover, (seed,)) for seed in SEEDS])
     found = {start: [one[start] for one in results] for start in STARTS}
     expectations = over_seeds(expectations_of, found)
     lines = [

@@ -16,7 +16,7 @@ from ....inference.face.texture_likelihood import TextureLikelihood
 from ....models.core.frame import Frame
 from ....models.face.image_pyramid import Level, image_pyramid
 from ....models.face.pose import Poses
-from ...runs.parallel import in_processes
+from ...runs.parallel import in_parallel
 from ...scenes import FaceScene, face
 from .face_baselines import (
     constrained_flow,
@@ -290,7 +290,7 @@ def measure(
 ) -> Measured:
     """Run all trackers on the scene of every seed, in two processes at most."""
     work = [(_on_one_scene, (trackers, {**scene, "seed": seed})) for seed in seeds]
-    found = in_processes(label, work)
+    found = in_parallel(label, work)
     return {tracker.name: [one[number] for one in found] for number, tracker in enumerate(trackers)}
 
 

@@ -1,10 +1,14 @@
 """Frames with what a detector finds in them."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from ....models.core.frame import Frame, GivenBoxes
+from ..sources.open_source import Source
+from .read import read_detections
+from .table import Detections
 
 
 def with_boxes(frames: Iterable[Frame], detector: Callable[[Frame], Any], every: int = 1) -> Iterator[Frame]:
@@ -51,3 +55,36 @@ def _attached(frames: Iterable[Frame], detector: Callable[[Frame], Any], every: 
         except ValueError as error:
             raise ValueError(f"frame {frame.number}: {error}") from None
         yield replace(frame, boxes=boxes)
+
+
+def given_boxes(
+    path: Path | None, classes: Sequence[str], source: Source, start: int, stop: int | None, step: int
+) -> Detections | None:
+    """Read what a detector has found in a source, if that is given, and make sure that it belongs to it.
+
+    Parameters
+    ----------
+    path, classes
+        as of `read_detections`; without a path there is nothing.
+    source
+        opened.
+    start, stop, step
+        which of its frames are taken.
+
+    Raises
+    ------
+    ValueError
+        if the source is live, or they are of frames or places that it does not have.
+    """
+    if path is None:
+        return None
+    if source.live:
+        raise ValueError(f"--detections: {source.name} is live, so nobody has seen its frames before")
+    found = read_detections(path, classes, film=source.name, pictures=source.pictures)
+    last = None
+    if source.n_frames is not None and source.counted:
+        last = start + source.n_frames * step - 1
+        if stop is not None and stop <= last:  # the film may go on behind it
+            last = None
+    found.check(source.name, source.size, last)
+    return found

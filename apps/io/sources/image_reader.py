@@ -21,13 +21,18 @@ SCALED = "Pictures of 16 bits a channel are scaled to 8: 65535 becomes 255."
 
 
 def images_among(paths: Iterable[Path]) -> list[Path]:
-    """Return the image files among some, sorted naturally: `frame2` before `frame10`."""
+    """Return the image files among some, in natural order."""
+    return in_natural_order(path for path in paths if _is_image(path))
+
+
+def in_natural_order(paths: Iterable[Path]) -> list[Path]:
+    """Return paths sorted as people count: `frame2` before `frame10`."""
 
     def key(path: Path) -> tuple[tuple[str | int, ...], str]:
         parts = re.split(r"(\d+)", str(path))  # text and numbers alternate, so that equals meet equals
         return tuple(int(part) if index % 2 else part for index, part in enumerate(parts)), str(path)
 
-    return sorted((path for path in paths if _is_image(path)), key=key)
+    return sorted(paths, key=key)
 
 
 def _is_image(path: Path) -> bool:

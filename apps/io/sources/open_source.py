@@ -19,7 +19,7 @@ from .live_reader import LiveReader
 from .reader import DEFAULT_RATE, Reader, Selection
 from .video_reader import VideoReader, without_password
 
-__all__ = ["DEFAULT_RATE", "Selection", "Source", "describe", "open_source"]
+__all__ = ["DEFAULT_RATE", "Selection", "Source", "describe", "fingerprint", "open_source"]
 
 _log = logging.getLogger(__name__)
 
@@ -273,6 +273,21 @@ def open_source(
     if reconnect is not None and not 0 < reconnect < math.inf:
         raise ValueError(f"--reconnect: got {reconnect:g}, expected seconds, more than 0")
     return Source(lambda: _open_reader(source, image_rate, reconnect), selection)
+
+
+def fingerprint(source: str) -> dict[str, Any]:
+    """Return what `Source.fingerprint` does, of a file or a folder or glob of images; no picture is decoded.
+
+    Raises
+    ------
+    ValueError, OSError
+        as of `open_source`.
+    """
+    reader = _open_reader(source, None, None)
+    try:
+        return reader.fingerprint()
+    finally:
+        reader.close()
 
 
 def _open_reader(source: str, image_rate: float | None, reconnect: float | None) -> Reader:

@@ -1,12 +1,15 @@
 // What moves through the frames: the film, or where there is none a timer.
 
-/** The film: frames are told by the browser as they are shown, so what is drawn is of the same frame. */
+/** The film: the browser tells which picture it shows, so what is drawn over it is of the same frame. */
 function filmClock(video) {
   const moments = view.data.moments;
-  const half = view.count > 1 ? (moments[view.count - 1] - moments[0]) / (view.count - 1) / 2 : 0.02;
+  const middleOf = (i) => {
+    const k = Math.min(i, view.count - 2);
+    return moments[i] + (k < 0 ? 0.001 : (moments[k + 1] - moments[k]) / 2);
+  };
   let wanted = null; // the frame that was last asked for, until the film is there
   const shown = (time) => {
-    const i = lastAtMost(moments, time + half / 8);
+    const i = lastAtMost(moments, time + 0.0005);
     if (wanted !== null && i !== wanted && video.seeking) return;
     wanted = null;
     if (i !== view.frame) view.at(i);
@@ -24,6 +27,7 @@ function filmClock(video) {
     };
     requestAnimationFrame(next);
   }
+  video.addEventListener("ended", () => shown(Infinity)); // a fast film may not show its last picture
   return {
     get playing() { return !video.paused && !video.ended; },
     get speed() { return video.playbackRate; },
@@ -35,7 +39,7 @@ function filmClock(video) {
     pause() { video.pause(); },
     seek(i) {
       wanted = i;
-      video.currentTime = moments[i] + half;
+      video.currentTime = middleOf(i);
       view.at(i);
     },
     onchange(listener) {

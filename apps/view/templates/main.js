@@ -1,9 +1,5 @@
 // Everything is there: begin.
 
-for (const row of data.rows) addRow(row);
-for (const plot of data.plots) addPlot(plot);
-layers.forEach((begin, k) => begin(Object.values(data.layers)[k]));
-
 const bytes = byId("film-bytes").textContent;
 const video = byId("video");
 let clock;
@@ -19,9 +15,13 @@ if (data.frames > view.count) {
   byId("part").textContent = `Frames ${view.numbers[0]} to ${view.numbers[view.count - 1]}, ${view.count} of ${data.frames}: this page holds the last part of a long run.`;
   byId("part").hidden = false;
 }
+beginPlayer(clock);
+for (const row of data.rows) addRow(row);
+for (const plot of data.plots) addPlot(plot);
+layers.forEach((begin, k) => begin(Object.values(data.layers)[k]));
 beginStage();
 beginTimeline();
 beginPlots();
 beginDetails();
-beginPlayer(clock);
+beginKeys();
 view.at(0);

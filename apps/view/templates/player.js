@@ -1,5 +1,6 @@
 // Buttons, slider and keys.
 
+const PLAY = byId("play").querySelector("path").getAttribute("d"), PAUSE = "M3.5 2.5h3v11h-3zM9.5 2.5h3v11h-3z";
 const SPEEDS = [0.125, 0.25, 0.5, 1, 2, 4, 8];
 
 function beginPlayer(clock) {
@@ -7,7 +8,7 @@ function beginPlayer(clock) {
   seek.max = view.count - 1;
   for (const value of SPEEDS) speed.append(new Option(`${value}×`, value, value === 1, value === 1));
 
-  const by = (n) => () => { clock.pause(); view.show(view.frame + n); };
+  const by = (n) => (event) => { clock.pause(); view.show(view.frame + (event.shiftKey ? 10 * n : n)); };
   const to = (i) => () => { clock.pause(); view.show(i); };
   const playOrPause = () => (clock.playing ? clock.pause() : clock.play());
   const faster = (n) => () => {
@@ -37,15 +38,14 @@ function beginPlayer(clock) {
     byId("clock").textContent = frameName(i);
   });
   clock.onchange(() => {
-    play.textContent = clock.playing ? "⏸" : "▶";
+    play.querySelector("path").setAttribute("d", clock.playing ? PAUSE : PLAY);
     play.setAttribute("aria-label", clock.playing ? "Pause" : "Play");
     speed.value = clock.speed;
   });
-  beginKeys(by);
 }
 
 /** Keys work wherever they have no meaning of their own. */
-function beginKeys(by) {
+function beginKeys() {
   const dialog = byId("keys");
   const help = () => dialog.showModal();
   addKey("?", "these keys", help);
@@ -62,10 +62,9 @@ function beginKeys(by) {
     if (at.matches("input[type=text], textarea, select")) return;
     if (event.key === " " && at.matches("button, input, summary, [role=option]")) return;
     if (at.matches("input[type=range]") && event.key !== " " && /^(Arrow|Home|End|Page)/.test(event.key)) return;
-    const ten = event.shiftKey && { ArrowLeft: by(-10), ArrowRight: by(10) }[event.key];
-    const does = ten || keys.find(({ key }) => key === event.key)?.does;
+    const does = keys.find(({ key }) => key === event.key)?.does;
     if (!does) return;
     event.preventDefault();
-    does();
+    does(event);
   });
 }

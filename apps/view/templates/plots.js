@@ -9,19 +9,19 @@ function addPlot({ name, unit = "", values }) {
 }
 
 function beginPlots() {
+  const cursor = element("div", { className: "cursor" });
   const drawn = plots.map(({ name, unit, values }) => {
     const line = svg("path", { class: "line", "vector-effect": "non-scaling-stroke" });
     const picture = svg("svg", { viewBox: `0 0 ${view.count} 1`, preserveAspectRatio: "none", role: "img", "aria-label": `${name} over time` }, line);
     const least = element("span", { className: "least" }), most = element("span", { className: "most" });
     const now = element("output", {});
-    const cursor = element("div", { className: "cursor" });
-    const frame = element("div", { className: "curve" }, picture, most, least);
+    const frame = element("div", { className: "curve" }, picture);
     frame.addEventListener("click", (event) => {
       const box = picture.getBoundingClientRect();
       view.show((event.clientX - box.left) / box.width * view.count - 0.5);
     });
     const whole = element("div", { className: "plot" },
-      element("div", { className: "label" }, element("span", { textContent: name }), now), frame, cursor);
+      element("div", { className: "label" }, element("span", { textContent: name }), now, most, least), frame);
     byId("plots").append(whole);
     const one = { values: null, whole };
     one.take = (given) => {
@@ -34,7 +34,6 @@ function beginPlots() {
       most.textContent = short(high);
     };
     one.move = (i) => {
-      cursor.style.setProperty("--at", (i + 0.5) / view.count);
       const value = one.values?.[i];
       now.textContent = Number.isFinite(value) ? `${short(value)} ${unit}` : "–";
     };
@@ -45,12 +44,16 @@ function beginPlots() {
     }
     return one;
   });
-  view.on("frame", (i) => drawn.forEach((one) => one.move(i)));
+  byId("plots").append(cursor);
+  view.on("frame", (i) => {
+    cursor.style.setProperty("--at", (i + 0.5) / view.count);
+    drawn.forEach((one) => one.move(i));
+  });
 }
 
 function short(value) {
   if (Number.isInteger(value)) return String(value);
-  return Math.abs(value) >= 100 ? value.toFixed(0) : Number(value.toPrecision(3)).toString();
+  return Math.abs(value) >= 99.5 ? value.toFixed(0) : Number(value.toPrecision(3)).toString();
 }
 
 /** From 0 where nothing is below it, to the largest value. */

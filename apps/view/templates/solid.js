@@ -70,33 +70,43 @@ class Solid {
     }
   }
 
-  /** Triangles with a colour r, g, b (0 to 255) at each of their places; `owner` of a pixel is the nearest corner. */
-  triangles(corners, placed, shades) {
-    const [width, height] = [this.picture.width, this.picture.height];
+  /**
+   * Triangles, lit from the viewer's upper left. Their colour is `ink`, or where there is a texture, `width` wide with
+   * `pixels` 0xAABBGGRR, that of the place `on` (2 an end) in it, unless nothing is known there (0). The owner of a
+   * pixel is the nearest corner.
+   */
+  triangles(corners, placed, ink, texture, on) {
+    const { width, height } = this.picture;
+    const deep = this.space.scale * this.space.fine;
     for (let t = 0; t < corners.length; t += 3) {
-      const [a, b, c] = [3 * corners[t], 3 * corners[t + 1], 3 * corners[t + 2]];
-      const ax = placed[a], ay = placed[a + 1], bx = placed[b], by = placed[b + 1], cx = placed[c], cy = placed[c + 1];
-      const area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax);
+      const p = corners[t], q = corners[t + 1], r = corners[t + 2];
+      const ax = placed[3 * p], ay = placed[3 * p + 1], az = placed[3 * p + 2];
+      const bx = placed[3 * q] - ax, by = placed[3 * q + 1] - ay, bz = placed[3 * q + 2] - az;
+      const cx = placed[3 * r] - ax, cy = placed[3 * r + 1] - ay, cz = placed[3 * r + 2] - az;
+      const area = bx * cy - by * cx;
       if (!area) continue;
-      const left = Math.max(0, Math.ceil(Math.min(ax, bx, cx)));
-      const right = Math.min(width - 1, Math.floor(Math.max(ax, bx, cx)));
-      const top = Math.max(0, Math.ceil(Math.min(ay, by, cy)));
-      const bottom = Math.min(height - 1, Math.floor(Math.max(ay, by, cy)));
+      // the normal towards the viewer
+      const side = area < 0 ? 1 : -1, nx = side * deep * (by * cz - bz * cy), ny = side * deep * (bz * cx - bx * cz);
+      const towards = (-0.35 * nx - 0.45 * ny + 0.82 * Math.abs(area)) / Math.hypot(nx, ny, area);
+      const light = texture ? 0.75 + 0.25 * Math.max(towards, 0) : 0.35 + 0.65 * Math.max(towards, 0);
+      const left = Math.max(0, Math.ceil(ax + Math.min(0, bx, cx))), right = Math.min(width - 1, Math.floor(ax + Math.max(0, bx, cx)));
+      const top = Math.max(0, Math.ceil(ay + Math.min(0, by, cy))), bottom = Math.min(height - 1, Math.floor(ay + Math.max(0, by, cy)));
       for (let y = top; y <= bottom; y++) {
         for (let x = left; x <= right; x++) {
-          const v = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area;
-          const w = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area;
-          const u = 1 - v - w;
+          const v = ((x - ax) * cy - (y - ay) * cx) / area, w = (bx * (y - ay) - by * (x - ax)) / area, u = 1 - v - w;
           if (u < 0 || v < 0 || w < 0) continue;
-          const depth = u * placed[a + 2] + v * placed[b + 2] + w * placed[c + 2];
-          const pixel = y * width + x;
+          const depth = az + v * bz + w * cz, pixel = y * width + x;
           if (depth >= this.depths[pixel]) continue;
           this.depths[pixel] = depth;
-          const red = u * shades[a] + v * shades[b] + w * shades[c];
-          const green = u * shades[a + 1] + v * shades[b + 1] + w * shades[c + 1];
-          const blue = u * shades[a + 2] + v * shades[b + 2] + w * shades[c + 2];
+          this.owners[pixel] = u >= v && u >= w ? p : v >= w ? q : r;
+          let colour = ink;
+          if (texture) {
+            const column = Math.round(u * on[2 * p] + v * on[2 * q] + w * on[2 * r]);
+            const row = Math.round(u * on[2 * p + 1] + v * on[2 * q + 1] + w * on[2 * r + 1]);
+            if (column >= 0 && column < texture.width) colour = texture.pixels[row * texture.width + column] || ink;
+          }
+          const red = light * (colour & 255), green = light * ((colour >> 8) & 255), blue = light * ((colour >> 16) & 255);
           this.colours[pixel] = 0xff000000 | (blue << 16) | (green << 8) | red;
-          this.owners[pixel] = (u >= v && u >= w ? a : v >= w ? b : c) / 3;
         }
       }
     }

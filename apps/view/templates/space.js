@@ -36,7 +36,9 @@ class Space {
     this.canvas = element("canvas", { className: "space", tabIndex: 0, role: "application", "aria-label": `${label}. Arrow keys turn it, plus and minus change its size, 0 resets.` });
     this.pen = this.canvas.getContext("2d");
     this.hint = element("p", { className: "quiet hint", textContent: "Drag to turn; + and − for the size; 0 or double click resets." });
-    parent.append(this.canvas, this.hint);
+    const large = element("button", { textContent: "Full screen", hidden: !document.fullscreenEnabled });
+    large.addEventListener("click", () => this.canvas.requestFullscreen());
+    parent.append(this.canvas, element("div", { className: "choices" }, this.hint, large));
     this.reset();
     const on = (event, does) => this.canvas.addEventListener(event, does);
     on("pointerdown", (event) => this.press(event));

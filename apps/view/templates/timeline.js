@@ -7,8 +7,16 @@ function addRow({ id, label, colour, spans }) {
   view.rows.push({ id, label, colour, spans });
 }
 
+const makers = [];
+
+/** Things that are too many to be listed: `make(id)` gives the row of one, which is shown while it is selected. */
+function addRows(make) {
+  makers.push(make);
+}
+
 function rowOf(id) {
-  return view.rows.find((row) => row.id === id) ?? null;
+  const row = view.rows.find((row) => row.id === id);
+  return row ?? makers.map((make) => make(id)).find((made) => made) ?? null;
 }
 
 /** First and last frame of a row. */
@@ -20,7 +28,8 @@ function beginTimeline() {
   if (!view.rows.length) return;
   const list = element("div", { className: "rows", tabIndex: 0, role: "listbox", "aria-label": "Everything that is followed" });
   const options = new Map();
-  for (const row of view.rows) {
+  let unlisted = null; // the selected one, if it is none of them
+  const optionOf = (row) => {
     const option = element("div", { className: "row", role: "option", id: `row-${row.id}`, "aria-selected": "false" },
       element("span", { className: "label" }, element("i", { style: `background:${row.colour}` }), row.label), strip(row));
     option.addEventListener("click", (event) => {
@@ -29,6 +38,10 @@ function beginTimeline() {
       const share = (event.clientX - bar.left) / bar.width;
       view.show(share >= 0 ? share * view.count - 0.5 : clamped(view.frame, ...lifeOf(row)));
     });
+    return option;
+  };
+  for (const row of view.rows) {
+    const option = optionOf(row);
     options.set(row.id, option);
     list.append(option);
   }
@@ -43,13 +56,18 @@ function beginTimeline() {
   });
   view.on("select", (id) => {
     for (const [of, option] of options) option.setAttribute("aria-selected", of === id);
-    const option = options.get(id);
+    unlisted?.remove();
+    unlisted = null;
+    if (id !== null && !options.has(id)) list.prepend(unlisted = optionOf(rowOf(id)));
+    const option = options.get(id) ?? unlisted;
+    option?.setAttribute("aria-selected", true);
     list.setAttribute("aria-activedescendant", option ? option.id : "");
     option?.scrollIntoView({ block: "nearest" });
   });
   const cursor = element("div", { className: "cursor" });
   view.on("frame", (i) => cursor.style.setProperty("--at", (i + 0.5) / view.count));
-  byId("timeline").append(element("div", { className: "scroll" }, list), cursor);
+  list.append(cursor);
+  byId("timeline").append(list);
   byId("timeline").hidden = false;
 }
 

@@ -172,7 +172,7 @@ def test_poses_say_where_vertices_are(finished: Path) -> None:
 def test_pictures(finished: Path) -> None:
     video = cv2.VideoCapture(str(finished / "overlay.mp4"))
     size = [video.get(each) for each in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
-    assert size == [600, 480], "three times as large"
+    assert size == [754, 480], "three times as large, and the mean beside it"
     assert sum(iter(lambda: video.read()[0], False)) == N_FRAMES
     texture, variance = (
         cv2.imread(str(finished / name), cv2.IMREAD_UNCHANGED)

@@ -21,7 +21,7 @@ run = Command("structure")
 complaint = run.complaint
 
 ALWAYS = {
-    "cameras.json", "tracks.npz", "predictions.npz", "summary.json", "report.html", "state.npz",
+    "cameras.json", "tracks.npz", "predictions.npz", "summary.json", "report.html", "view.html", "state.npz",
     "manifest.json",
 }  # fmt: skip
 ALONE = ("--association", "none")  # quicker, where it makes no difference

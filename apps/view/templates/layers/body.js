@@ -1,11 +1,11 @@
 // A body: its skeleton over the film and in space, with how sure each joint is.
 
-addLayers(({ joints, samples, perPx, bones, colours, parts, seen, reach }) => {
+addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, reach }) => {
   const n = colours.length, perFrame = samples.length / 3 / view.count;
   const NEAR = 15; // px of the screen: a click selects the joint that is not farther away
   const joint = (i, j) => joints.subarray(9 * (n * i + j), 9 * (n * i + j + 1));
   const isSeen = (i, j) => parts.includes(j) && seen[parts.length * i + parts.indexOf(j)] === 1;
-  const shade = (colour, depth) => mixed(colour, depth < 0 ? "#ffffff" : "#000000", 0.45 * Math.min(1, Math.abs(depth) / reach));
+  const shade = (colour, depth) => mixed(colour, depth < 0 ? "#ffffff" : "#000000", 0.45 * Math.min(1, Math.abs(depth) / arm));
   let thin = 1;
 
   /** Draw a skeleton, far bones first; `at(j)` is a joint's x, y and depth. */
@@ -14,7 +14,7 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, reach }) => {
     lines.sort((one, other) => other.a[2] + other.b[2] - one.a[2] - one.b[2]);
     pen.lineCap = "round";
     for (const { a, b, colour } of lines) {
-      const depth = (a[2] + b[2]) / 2, width = (4 - 1.5 * clamped(depth / reach, -1, 1)) * unit;
+      const depth = (a[2] + b[2]) / 2, width = (4 - 1.5 * clamped(depth / arm, -1, 1)) * unit;
       pen.beginPath();
       pen.moveTo(a[0], a[1]);
       pen.lineTo(b[0], b[1]);
@@ -76,10 +76,9 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, reach }) => {
   addSwitch({
     name: "regions", label: "90 % regions of joints", key: "u", draw(pen, i) {
       for (let j = 0; j < n; j++) {
-        if (!parts.includes(j) && j !== view.selected && !/elbow/.test(rowOf(j).label)) continue;
         const [x, y, , xx, xy, , yy] = joint(i, j);
         region(pen, x + 0.5, y + 0.5, xx, xy, yy, REGION_OF_2);
-        pen.fillStyle = colours[j] + "30";
+        pen.fillStyle = colours[j] + (isSeen(i, j) ? "30" : "14");
         pen.fill();
         [pen.strokeStyle, pen.lineWidth] = [colours[j], 1.5 * pen.thin];
         pen.setLineDash(isSeen(i, j) ? [] : [4 * pen.thin, 3 * pen.thin]);
@@ -96,6 +95,10 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, reach }) => {
       knobs(pen, i, onFilm(i), thin);
     },
     hit: (x, y, i) => nearest(onFilm(i), x, y, NEAR * thin),
+    place(j, i) {
+      const [x, y] = onFilm(i)(j);
+      return [x - arm / 4, y - arm / 4, arm / 2, arm / 2];
+    },
   });
 
   const nearest = (at, x, y, within) => {
@@ -110,7 +113,7 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, reach }) => {
   let where = null; // of the joints in the view that turns
   const space = new Space(addPanel("In space"), {
     label: "The body in space",
-    centre: middleOf(joints), reach: 1.25 * reach,
+    centre, reach,
     draw(space) {
       const i = view.frame, { pen } = space;
       where = (j) => space.place(...joint(i, j).subarray(0, 3));
@@ -129,12 +132,6 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, reach }) => {
     pick: (x, y) => view.select(nearest(where, x, y, NEAR)),
   });
 
-  /** Median of the neck's places in the picture, a little below; its depth is 0. */
-  function middleOf() {
-    const median = (k) => Float32Array.from({ length: view.count }, (_, i) => joint(i, 1)[k]).sort()[view.count >> 1];
-    return [median(0), median(1) + 0.25 * reach, 0];
-  }
-
   const speed = (j, i) => {
     const [a, b] = [Math.max(i - 1, 0), Math.min(i + 1, view.count - 1)], [p, q] = [joint(a, j), joint(b, j)];
     return a === b ? NaN : Math.hypot(q[0] - p[0], q[1] - p[1]) / (view.times[b] - view.times[a]);
@@ -151,6 +148,6 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, reach }) => {
       ["speed", `${speed(j, i).toFixed(0)} px/s`],
     ];
   });
-  addPlot({ name: "speed of the selected", unit: "px/s", values: (j) => Float32Array.from({ length: view.count }, (_, i) => speed(j, i)) });
-  addPlot({ name: "depth of the selected", unit: "px", values: (j) => Float32Array.from({ length: view.count }, (_, i) => joint(i, j)[2]) });
+  addPlot({ name: "selected: speed", unit: "px/s", values: (j) => Float32Array.from({ length: view.count }, (_, i) => speed(j, i)) });
+  addPlot({ name: "selected: depth", unit: "px", values: (j) => Float32Array.from({ length: view.count }, (_, i) => joint(i, j)[2]) });
 });

@@ -131,7 +131,7 @@ def test_every_result_stands_at_its_tracker_and_seed(
             trials.append(row)
         return trials
 
-    monkeypatch.setattr(body, "in_processes", numbered)
+    monkeypatch.setattr(body, "in_parallel", numbered)
     monkeypatch.setattr(body, "SHOWN", (1, 2))
     monkeypatch.setattr(body, "SCENE", {"n_frames": 3, "detector_dropout": 0.2})
     run_experiment("body", tmp_path / "out")

@@ -196,7 +196,7 @@ def test_page_of_face_and_background(
             evaluation([0.0, 1.0 + order.index((at.name, how)) + seed / 10]) for _, (at, how, seed) in work
         ]
 
-    monkeypatch.setattr(face_background, "in_processes", numbered)
+    monkeypatch.setattr(face_background, "in_parallel", numbered)
     run_experiment("face-background", tmp_path / "out")
     assert names(tmp_path / "out") == {
         "index.html",

@@ -1,0 +1,141 @@
+"""What a batch is asked for, and how the options of an application pass through it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, make_dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
+
+from cyclopts import App, CycloptsError, Group, Parameter
+
+from ..background.job import BackgroundJob
+from ..body.job import BodyJob
+from ..face.job import FaceJob
+from ..options.complaints import convert_strictly, one_line
+from ..options.job import Flag, Job
+from ..options.settings import ALWAYS_TYPED, options_from_file
+from ..structure.job import StructureJob
+
+APPLICATIONS: Mapping[str, type[Job]] = {
+    "background": BackgroundJob,
+    "structure": StructureJob,
+    "face": FaceJob,
+    "body": BodyJob,
+}
+
+OWN = ("source", "out", "resume", "overwrite")
+"""Fields of a job that a batch chooses itself."""
+
+Typed = Mapping[str, Any]
+"""Options of an application with their values, by the names of a job's fields."""
+
+T = TypeVar("T")
+OfBatch = Annotated[T, Parameter(group=Group(ALWAYS_TYPED, sort_key=0))]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """Where the results of many films go, and who works on them.
+
+    Parameters
+    ----------
+    out
+        Folder for the results: a folder for each film, summary.csv and index.html.
+    jobs
+        Films at the same time; as many as there are cores if not given, and no fewer than live cameras.
+    dask
+        Address of the scheduler of a Dask cluster that is there; its workers take the films, instead of
+        processes on this machine.
+    overwrite
+        Remove the results that are in the folders, and begin anew.
+    only_print
+        Print one shell command for each film, and do nothing.
+    """
+
+    out: OfBatch[Path]
+    jobs: OfBatch[int | None] = None
+    dask: OfBatch[str | None] = None
+    overwrite: OfBatch[Flag] = False
+    only_print: Annotated[OfBatch[Flag], Parameter(name="--print")] = False
+
+    def __post_init__(self) -> None:
+        if self.jobs is not None and self.jobs < 1:
+            raise ValueError(f"--jobs: got {self.jobs}, expected 1 or more")
+        if self.jobs is not None and self.dask is not None:
+            raise ValueError("--jobs and --dask: got both, expected one of them (its workers are the jobs)")
+
+
+def options_of(application: str) -> type[Any]:
+    """The options of an application as a dataclass; those that were not given are `None`.
+
+    It is derived from the application's job, so that names, kinds and help are the same. Values are judged
+    when the job of a film is made of them.
+    """
+    kind = APPLICATIONS[application]
+    hints = get_type_hints(kind, include_extras=True)
+    options: list[tuple[str, Any, Any]] = []
+    for each in fields(kind):
+        if each.name not in OWN:
+            shown = Parameter(show_default=_always(each.default)) if each.default else Parameter()
+            options.append((each.name, Annotated[hints[each.name], shown], field(default=None)))
+    documented = [type(each.__name__, (), {"__doc__": each.__doc__}) for each in kind.__mro__[:-1]]
+    return make_dataclass(
+        f"{application.capitalize()}Options",
+        options,
+        bases=tuple(documented),  # whose docstrings are the help
+        namespace={"__module__": __name__},  # or it is taken for a built-in type
+        frozen=True,
+        kw_only=True,
+    )
+
+
+def _always(default: Any) -> Any:
+    return lambda _: str(default)
+
+
+def typed(options: Any) -> Typed:
+    """The options that were given."""
+    values = {each.name: getattr(options, each.name) for each in fields(options)}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def words_of(application: str, values: Typed) -> list[str]:
+    """Options as they are typed: the names of fields or those of a TOML file, and their values."""
+    hints = get_type_hints(APPLICATIONS[application], include_extras=True)
+    words: list[str] = []
+    for name, value in values.items():
+        option = _option(name, hints.get(name))
+        if isinstance(value, bool):
+            words += [option] * value
+        else:
+            several = value if isinstance(value, list | tuple) else [value]
+            words += [word for one in several for word in (option, str(one))]
+    return words
+
+
+def _option(name: str, hint: Any) -> str:
+    given = [tuple(each.name or ()) for each in get_args(hint)[1:] if isinstance(each, Parameter)]
+    return next((names[0] for names in given if names), f"--{name.replace('_', '-')}")
+
+
+def job_of(application: str, words: Sequence[str]) -> Job:
+    """The job that a command line asks for, without the name of the application.
+
+    Raises
+    ------
+    ValueError, OSError
+        in one line, if it is wrong.
+    """
+    kind: Any = APPLICATIONS[application]
+
+    def asked(job: Any) -> None:
+        """Nothing but its parameter counts."""
+
+    asked.__annotations__["job"] = Annotated[kind, Parameter(name="*")]
+    app = App(default_parameter=Parameter(converter=convert_strictly), config=options_from_file)
+    app.default(asked)
+    try:
+        _, bound, _ = app.parse_args(list(words), exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        raise ValueError(one_line(error)) from None
+    job: Job = bound.arguments["job"]
+    return job

@@ -1,0 +1,167 @@
+"""Which films a batch is about: files, folders, globs, addresses, and a TOML list of cameras."""
+
+import glob
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from ..io.sources.image_reader import images_among, in_natural_order
+from ..io.sources.images import IMAGE_SUFFIXES
+from ..options.settings import read_settings
+from .job import Typed
+
+FILMS = frozenset(
+    {".3gp", ".avi", ".flv", ".m2ts", ".m4v", ".mjpeg", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg"}
+    | {".mts", ".mxf", ".ogv", ".ts", ".webm", ".wmv"}
+)
+"""Suffixes of the files in a folder that are films; a file that is named may have any."""
+
+TRACKS = frozenset({".npy", ".npz"})
+"""The same of track files, for `structure`."""
+
+LIST = ".toml"
+CAMERA = "camera"
+"""The key of a list under which its cameras are."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A film or camera.
+
+    Parameters
+    ----------
+    source
+        as a run takes it.
+    name
+        that was given to it; `None` where it is made of the source.
+    options
+        of its own, by name.
+    where
+        it is listed, for messages; empty for what was typed.
+    """
+
+    source: str
+    name: str | None = None
+    options: Typed = field(default_factory=dict)
+    where: str = ""
+
+    @property
+    def live(self) -> bool:
+        """Whether it can only be watched as it happens: a camera, or an address that names no file."""
+        if self.source.isascii() and self.source.isdigit():
+            return not os.path.exists(self.source)
+        scheme, separator, _ = self.source.partition("://")
+        if not separator:
+            return False
+        return scheme.lower().startswith("rtsp") or _suffix(urlsplit(self.source).path) not in FILMS
+
+
+def find_films(sources: Iterable[str], *, tracks: bool = False) -> list[Found]:
+    """All films that some sources name, each once, in their order.
+
+    Parameters
+    ----------
+    sources
+        video files, folders of images or of films, globs of them in quotation marks, addresses, numbers of
+        cameras, and TOML files that list cameras: `[[camera]]` with `source`, perhaps `name`, and any option
+        of the application; options at the top are for all of them.
+    tracks
+        whether track files are films.
+
+    Raises
+    ------
+    ValueError
+        if one names no film, or a list is wrong.
+    OSError
+        if there is no such file or folder, or it cannot be read.
+    """
+    kinds = FILMS | TRACKS if tracks else FILMS
+    found: dict[str, Found] = {}
+    for source in sources:
+        for each in _listed(Path(source)) if source.lower().endswith(LIST) else _named(source, kinds):
+            if each.source not in found:
+                found[each.source] = each
+            elif each.name is not None:  # one camera with two settings is most likely one that was copied
+                raise ValueError(f"{each.where}: got {each.source} twice, expected another source")
+    if not found:
+        raise ValueError("SOURCES is needed: films, folders of them, or a TOML file that lists cameras")
+    return list(found.values())
+
+
+def _named(source: str, kinds: frozenset[str]) -> Iterator[Found]:
+    """The films that are meant by one that was typed."""
+    path = Path(source)
+    if "://" in source or (source.isascii() and source.isdigit() and not path.exists()):
+        yield Found(source)
+    elif path.exists() or not glob.has_magic(source):
+        yield from _on_disk(path, kinds)
+    else:
+        matches = [Path(match) for match in glob.glob(source, recursive=True)]
+        if not matches:
+            raise FileNotFoundError(f"{source}: matches nothing")
+        if images_among(matches):
+            yield Found(os.path.abspath(source))
+        for match in in_natural_order(path for path in matches if _suffix(path) not in IMAGE_SUFFIXES):
+            yield from _on_disk(match, kinds)
+
+
+def _on_disk(path: Path, kinds: frozenset[str]) -> Iterator[Found]:
+    if path.is_dir():
+        yield from _in_folder(path, kinds)
+    elif not path.exists():
+        raise FileNotFoundError(f"{path}: no such file or folder")
+    elif _suffix(path) in IMAGE_SUFFIXES:
+        raise ValueError(
+            f"{path}: got a picture, expected a film: name its folder, or a glob in quotation marks"
+        )
+    else:
+        yield Found(os.path.abspath(path))
+
+
+def _in_folder(folder: Path, kinds: frozenset[str]) -> Iterator[Found]:
+    """A folder of images is a film; one of films holds files and folders of images."""
+    inside = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    films = [path for path in inside if path.is_file() and _suffix(path) in kinds]
+    if images_among(inside):
+        if films:
+            raise ValueError(f"{folder}: holds images and films ({films[0].name}): name those that are meant")
+        yield Found(os.path.abspath(folder))
+        return
+    films += [path for path in inside if path.is_dir() and images_among(path.iterdir())]
+    if not films:
+        raise FileNotFoundError(f"{folder}: the folder holds no images and no films")
+    yield from (Found(os.path.abspath(path)) for path in in_natural_order(films))
+
+
+def _listed(path: Path) -> Iterator[Found]:
+    """The cameras of a list, with the options at its top and their own."""
+    settings = read_settings(path)
+    cameras = settings.pop(CAMERA, None)
+    if not isinstance(cameras, list) or not cameras or not all(isinstance(each, dict) for each in cameras):
+        raise ValueError(f"{path}: expected [[{CAMERA}]] for each camera, with source and its options")
+    for number, own in enumerate(cameras, 1):
+        where = f"{path}, camera {number}"
+        options: dict[str, Any] = {**_underscored(settings), **_underscored(own)}
+        source, name = options.pop("source", None), options.pop("name", None)
+        if isinstance(source, int) and not isinstance(source, bool):
+            source = str(source)
+        if not isinstance(source, str) or not source:
+            raise ValueError(f"{where}: source: got {source!r}, expected an address, a file or a number")
+        if name is not None and not (isinstance(name, str) and name.strip()):
+            raise ValueError(f"{where}: name: got {name!r}, expected a text")
+        for key, value in options.items():
+            if not isinstance(value, str | int | float | list):
+                raise ValueError(f"{where}: {key}: got {value!r}, expected the value of an option")
+        local = os.path.abspath(source) if os.path.exists(source) else source
+        yield Found(local, name, options, where if name is None else f"{where} ({name})")
+
+
+def _underscored(options: Typed) -> dict[str, Any]:
+    return {name.replace("-", "_"): value for name, value in options.items()}
+
+
+def _suffix(path: str | Path) -> str:
+    return os.path.splitext(path)[1].lower()

@@ -1,0 +1,174 @@
+"""What became of all films of a batch: `summary.csv` for tables, `index.html` to look at."""
+
+import csv
+import io
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import jinja2
+from markupsafe import Markup
+
+from ...models.files.atomic_files import write_text
+from ...models.files.text_files import read_text
+from ..reports.page import cards, paragraph, write_page
+from .film import Told
+
+SUMMARY, INDEX = "summary.csv", "index.html"
+
+OF_TOLD = ("state", "frames", "missing", "tracks", "seconds", "frames_per_second", "error")
+COLUMNS = ("source", "folder", *OF_TOLD)
+
+MOST_BYTES = 1 << 28
+"""Of a summary that is read: a million films."""
+
+MOST_PICTURES = 2000
+"""On the page, which holds them itself: about 8 MB."""
+
+PAUSE, SHARE = 1.0, 20
+"""Seconds between two times that the files are written, and how often the time that this took: a batch of
+many thousand films does not spend itself on them."""
+
+_page = jinja2.Environment(
+    loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+    autoescape=True,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    undefined=jinja2.StrictUndefined,
+).get_template("films.html")
+
+
+@dataclass(frozen=True)
+class Line:
+    """A film's line.
+
+    Parameters
+    ----------
+    source
+        without user and password of an address.
+    folder
+        of its results, in that of the batch.
+    told
+        what became of it.
+    """
+
+    source: str
+    folder: str
+    told: Told
+
+
+class Summary:
+    """The lines of all films whose results are in a folder, those of earlier batches included.
+
+    Parameters
+    ----------
+    out
+        the folder.
+
+    Attributes
+    ----------
+    lines
+        by source.
+
+    Raises
+    ------
+    FileExistsError
+        if there is a file of the same name that no batch has written.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self.lines = {line.source: line for line in _read(out / SUMMARY)}
+        self._next = 0.0
+
+    @property
+    def folders(self) -> dict[str, str]:
+        """Names of folders by source."""
+        return {source: line.folder for source, line in self.lines.items()}
+
+    def tell(self, line: Line) -> None:
+        """Take in a line, and write both files, if they were not written just now."""
+        self.lines[line.source] = line
+        if time.monotonic() >= self._next:
+            self.write()
+
+    def write(self) -> None:
+        """Write both files, each of them whole or not at all."""
+        began = time.monotonic()
+        self._out.mkdir(parents=True, exist_ok=True)
+        rows = io.StringIO(newline="")
+        writer = csv.writer(rows, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for line in self.lines.values():
+            told = asdict(line.told)
+            writer.writerow([line.source, line.folder, *(_cell(told[name]) for name in OF_TOLD)])
+        write_text(self._out / SUMMARY, rows.getvalue())
+        write_index(self._out, list(self.lines.values()))
+        took = time.monotonic() - began
+        self._next = time.monotonic() + max(PAUSE, SHARE * took)
+
+
+def _cell(value: object) -> object:
+    """Numbers with as many digits as mean something; nothing where there is none."""
+    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else value
+
+
+def _read(path: Path) -> list[Line]:
+    if not path.exists():
+        return []
+    text = read_text(path, "expected the summary of a batch", MOST_BYTES)
+    reader = csv.DictReader(io.StringIO(text, newline=""))
+    if tuple(reader.fieldnames or ()) != COLUMNS:
+        raise FileExistsError(f"{path}: no batch has written it: move it, or choose another folder")
+    return [_line(row) for row in reader if row["folder"] and row["source"]]
+
+
+def _line(row: Mapping[str, Any]) -> Line:
+    def number(name: str, kind: Any) -> Any:
+        try:
+            return kind(row[name])
+        except (TypeError, ValueError):
+            return None
+
+    whole = {name: number(name, int) for name in ("frames", "missing", "tracks")}
+    parts = {name: number(name, float) for name in ("seconds", "frames_per_second")}
+    return Line(row["source"], row["folder"], Told(row["state"], row["error"] or "", **whole, **parts))
+
+
+def write_index(out: Path, lines: Sequence[Line]) -> None:
+    """Write the page over all films: how many are in which state, and each with its picture and its links."""
+    states = Counter(line.told.state for line in lines)
+    frames = sum(line.told.frames or 0 for line in lines)
+    counted = {str(state): str(count) for state, count in sorted(states.items())}
+    parts = [cards({"films": str(len(lines)), **counted, "frames": f"{frames:,}"})]
+    if len(lines) > MOST_PICTURES:
+        parts.append(paragraph(f"Pictures are shown of the first {MOST_PICTURES} films."))
+    entries = [_entry(out, line, number < MOST_PICTURES) for number, line in enumerate(lines)]
+    parts.append(Markup(_page.render(entries=entries)))
+    write_page(out / INDEX, out.resolve().name, [("", parts)])
+
+
+def _entry(out: Path, line: Line, pictured: bool) -> dict[str, Any]:
+    told, folder = line.told, out / line.folder
+    numbers = [
+        f"{told.frames} frames" if told.frames is not None else "",
+        f"{told.missing} missing" if told.missing else "",
+        f"{told.tracks} tracks" if told.tracks is not None else "",
+        f"{told.frames_per_second:.3g} a second" if told.frames_per_second is not None else "",
+    ]
+    files = {"report": "report.html", "view": "view.html", "video": "overlay.mp4", "tracks": "tracks.csv"}
+    return {
+        "name": line.folder,
+        "source": line.source,
+        "state": told.state,
+        "error": told.error,
+        "numbers": ", ".join(filter(None, numbers)),
+        "picture": told.thumbnail if pictured else "",
+        "links": {
+            name: quote(f"{line.folder}/{file}") for name, file in files.items() if (folder / file).exists()
+        },
+    }

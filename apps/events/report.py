@@ -1,0 +1,170 @@
+"""What a report and a summary say of events: how many, how long, and how many were there at a time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import mean
+from typing import Any
+
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from ..reports.page import Section, paragraph, table
+from ..reports.plots import figure
+from ..reports.time_plots import BLUE, ORANGE
+from .watch import Event, Kind
+from .zones import Line, Zones
+
+MOST_ROWS = 100  # of a table
+MOST_PLOTS = 12
+COMES = (Kind.ENTERED, Kind.APPEARED)
+GOES = (Kind.LEFT, Kind.DISAPPEARED, Kind.REMAINED)
+
+
+@dataclass(frozen=True, eq=False)
+class Happened:
+    """What happened to zones in a film.
+
+    Parameters
+    ----------
+    zones
+        that were looked after.
+    events
+        of the whole film.
+    span
+        times of the first and the last frame, s.
+    """
+
+    zones: Zones
+    events: Sequence[Event]
+    span: tuple[float, float]
+
+    def counts(self) -> dict[str, Any]:
+        """By zone, how often what happened and s of the mean and the longest stay; by line, its crossings.
+
+        This is what `summary.json` has.
+        """
+        found: dict[str, Any] = {}
+        for zone in self.zones.zones:
+            stays = self._stays(zone.name)
+            kinds = {
+                kind.value: sum(each.kind == kind for each in self._of(zone.name))
+                for kind in (*COMES, *GOES, Kind.STANDS)
+            }
+            dwell = {"mean_dwell": mean(stays), "longest_dwell": max(stays)} if stays else {}
+            found[zone.name] = {**kinds, **dwell}
+        for line in self.zones.lines:
+            found[line.name] = self._crossings(line)
+        return found
+
+    def in_words(self) -> list[str]:
+        """A line for each zone and line."""
+        counts = self.counts()
+        return [
+            f"{name}: {', '.join(f'{key} {_rounded(value)}' for key, value in of.items())}".replace("_", " ")
+            for name, of in counts.items()
+        ]
+
+    def sections(self) -> list[Section]:
+        """Of the report: curves over time, crossings, dwell times."""
+        return [("Zones and lines", [self._plots(), *self._tables()])]
+
+    def _of(self, name: str) -> list[Event]:
+        return [event for event in self.events if event.zone == name]
+
+    def _stays(self, name: str) -> list[float]:
+        return [event.duration or 0.0 for event in self._of(name) if event.kind in GOES]
+
+    def _crossings(self, line: Line) -> dict[str, int]:
+        directions = [event.direction for event in self._of(line.name)]
+        return {name: directions.count(name) for name in (line.left_to_right, line.right_to_left)}
+
+    def _plots(self) -> Markup:
+        """How many were in each zone, and how often each line had been crossed."""
+        zones, lines = self.zones.zones[:MOST_PLOTS], self.zones.lines[:MOST_PLOTS]
+        curves: list[tuple[str, list[tuple[str, str, list[tuple[float, int]]]]]] = []
+        for zone in zones:
+            steps = [(e.moment.time, 1) for e in self._of(zone.name) if e.kind in COMES]
+            steps += [
+                (e.moment.time, -1) for e in self._of(zone.name) if e.kind in (Kind.LEFT, Kind.DISAPPEARED)
+            ]
+            curves.append((f"in {zone.name}", [("", BLUE, steps)]))
+        for line in lines:
+            of = self._of(line.name)
+            curves.append(
+                (
+                    f"across {line.name}",
+                    [
+                        (name, colour, [(e.moment.time, 1) for e in of if e.direction == name])
+                        for name, colour in ((line.left_to_right, BLUE), (line.right_to_left, ORANGE))
+                    ],
+                )
+            )
+
+        def draw(canvas: Figure) -> None:
+            axes = canvas.subplots(len(curves), sharex=True, squeeze=False)[:, 0]
+            for axis, (name, of) in zip(axes, curves, strict=True):
+                for label, colour, steps in of:
+                    times, numbers = [self.span[0]], [0]
+                    for time, step in sorted(steps):
+                        times.append(time)
+                        numbers.append(numbers[-1] + step)
+                    axis.plot(
+                        [*times, self.span[1]],
+                        [*numbers, numbers[-1]],
+                        color=colour,
+                        linewidth=1.4,
+                        drawstyle="steps-post",
+                        label=label,
+                    )
+                axis.set_ylabel(name)
+                axis.set_ylim(bottom=0)
+                axis.margins(x=0.01, y=0.12)
+                axis.yaxis.get_major_locator().set_params(integer=True)
+                if len(of) > 1:
+                    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9)
+            axes[-1].set_xlabel("time in the video, s")
+            canvas.align_ylabels()
+
+        caption = "How many are in each zone, and how often each line has been crossed so far."
+        return figure(draw, (11, 1.0 + 1.6 * len(curves)), caption)
+
+    def _tables(self) -> list[Markup]:
+        parts: list[Markup] = []
+        if self.zones.zones:
+            header = ("zone", *COMES, *GOES, Kind.STANDS, "mean dwell, s", "longest, s")
+            rows = []
+            for zone in self.zones.zones:
+                values = list(self.counts()[zone.name].values())
+                dwell = [round(value, 1) for value in values[6:]] or ["–", "–"]
+                rows.append((zone.name, *values[:6], *dwell))
+            parts.append(table(header, rows))
+        if self.zones.lines:
+            crossed = [
+                (line.name, name, count)
+                for line in self.zones.lines
+                for name, count in self._crossings(line).items()
+            ]
+            parts.append(table(("line", "direction", "crossed"), crossed))
+        stays = sorted(
+            (e for e in self.events if e.kind in (*GOES, Kind.STOOD)), key=lambda e: -(e.duration or 0.0)
+        )
+        if not stays:
+            return [*parts, paragraph("Nobody stayed in a zone or stood still.")]
+        lasted = [
+            (
+                "stood still" if e.kind == Kind.STOOD else "stayed",
+                e.zone or "in no zone",
+                e.identity,
+                round(e.moment.time - (e.duration or 0.0), 1),
+                round(e.moment.time, 1),
+                round(e.duration or 0.0, 1),
+            )
+            for e in stays[:MOST_ROWS]
+        ]
+        caption = f"The {MOST_ROWS} longest of {len(stays)}." if len(stays) > MOST_ROWS else ""
+        names = ("", "zone", "identity", "from, s", "to, s", "for, s")
+        return [*parts, table(names, lasted, caption)]
+
+
+def _rounded(value: float) -> str:
+    return f"{value:.1f} s" if isinstance(value, float) else str(value)

@@ -1,0 +1,279 @@
+"""Events from tracks: who enters and leaves zones, crosses lines, and stands still.
+
+The point that counts is the foot, the middle of a box's lower edge. It is known up to an error,
+
+    foot ~ N(middle of the lower edge, (ERROR^2 + MOTION t^3 / 3) height^2)
+
+after t s in which it was not seen but predicted (white acceleration moves it meanwhile). Somebody at a signed
+distance d from a border that is straight on this scale is inside with probability Phi(d / deviation). A side
+is only believed when that is more than Phi(1) = 0.84 or less than Phi(-1) = 0.16, and stays until the other
+one is: a foot within its own standard deviation of a border does not flicker. The crossing is dated back to
+where the way last met the border. All this is in heights and seconds, and the same for any size of picture.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+from .zones import Zones
+
+ERROR = 0.05
+"""Heights: standard deviation of a foot that is seen, along either axis."""
+
+MOTION = 0.4
+"""Heights^2/s^3: of the white acceleration of somebody who is not seen, as of `BlobTracker.acceleration`."""
+
+SLOWEST = 0.1
+"""Heights/s: who is slower stands; people walk at 0.7 to 0.9."""
+
+CLOCK = 1e-4
+"""s: within it, times are the same."""
+
+
+class Kind(StrEnum):
+    """What happens."""
+
+    ENTERED = "entered"
+    """A zone, over its border."""
+    LEFT = "left"
+    """A zone, over its border."""
+    APPEARED = "appeared"
+    """The track begins in a zone."""
+    DISAPPEARED = "disappeared"
+    """The track ends in a zone."""
+    REMAINED = "remained"
+    """The film ends, and it is in a zone."""
+    CROSSED = "crossed"
+    """A line."""
+    STANDS = "stands"
+    """It begins to stand still."""
+    STOOD = "stood"
+    """It ends to stand still, or the track ends."""
+
+
+class Moment(NamedTuple):
+    """Where a foot is at a time: s, number of the frame, px."""
+
+    time: float
+    frame: int
+    x: float
+    y: float
+
+
+class Sighting(NamedTuple):
+    """Somebody in a frame: identity, foot x and y and height (px), and whether the frame shows it."""
+
+    identity: int
+    x: float
+    y: float
+    height: float
+    seen: bool
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened.
+
+    Parameters
+    ----------
+    moment
+        when and where.
+    kind
+        what it is.
+    zone
+        name of the zone or line; "" of who stands in no zone.
+    identity
+        of the track.
+    duration
+        s: of the stay that ends, or of the standing; `None` of events that end nothing.
+    direction
+        of a crossing; else "".
+    """
+
+    moment: Moment
+    kind: Kind
+    zone: str
+    identity: int
+    duration: float | None = None
+    direction: str = ""
+
+
+@dataclass
+class Border:
+    """On which side of a border a foot is: 1 or -1, 0 while that is not sure."""
+
+    side: int = 0
+    distance: float = math.nan
+    met: Moment | None = None
+
+    def take_in(self, distance: float, deviation: float, before: Moment, now: Moment) -> bool:
+        """Go on with a signed distance and its standard deviation, px; whether the side has changed.
+
+        `met` is then where the way from before last met the border; `None` if it never did.
+        """
+        if not math.isnan(self.distance) and (distance > 0) != (self.distance > 0):
+            self.met = _between(before, now, self.distance, distance)
+        self.distance = distance
+        side = 1 if distance > deviation else -1 if distance < -deviation else self.side
+        self.side, changed = side, side != self.side
+        return changed
+
+
+def _between(before: Moment, now: Moment, distance: float, later: float) -> Moment:
+    """Where a way meets a border, given signed distances at its ends; the frame is that of the end."""
+    share = distance / (distance - later)
+    time, x, y = (a + share * (b - a) for a, b in zip(_where(before), _where(now), strict=True))
+    return Moment(time, now.frame, x, y)
+
+
+def _where(moment: Moment) -> tuple[float, float, float]:
+    return moment.time, moment.x, moment.y
+
+
+@dataclass
+class Stillness:
+    """Whether a foot stands still: within `seconds`, its places differ by no more than slow ways and errors.
+
+    A straight way at speed v spreads the places of T s by (v T)^2 / 12 along it, errors by ERROR^2 along both
+    axes. Somebody stands as long as there are times T s apart between which that is so.
+    """
+
+    seconds: float
+    window: deque[tuple[Moment, float]] = field(default_factory=deque)
+    since: Moment | None = None
+    until: Moment | None = None
+
+    def take_in(self, now: Moment, height: float) -> tuple[Moment, Moment] | None:
+        """Go on with a foot that is seen; a standing that has ended, from when until when."""
+        window = self.window
+        window.append((now, height))
+        while len(window) > 1 and window[1][0].time <= now.time - self.seconds + CLOCK:
+            window.popleft()
+        still = self._still() if window[0][0].time <= now.time - self.seconds + CLOCK else []
+        if still:
+            self.since, self.until = self.since or still[0], max(self.until or still[-1], still[-1])
+        elif self.since is not None and self.until is not None and window[0][0].time > self.until.time:
+            ended = self.since, self.until
+            self.since = None
+            return ended
+        return None
+
+    def _still(self) -> list[Moment]:
+        """The moments of the window but those on the way there and away; none if it is not still."""
+        moments = [moment for moment, _ in self.window]
+        count = len(moments)
+        height = sum(height for _, height in self.window) / count
+        x, y = (sum(moment[axis] for moment in moments) / count for axis in (2, 3))
+        off = [(moment.x - x) ** 2 + (moment.y - y) ** 2 for moment in moments]
+        variance = height**2 * ((SLOWEST * self.seconds) ** 2 / 12 + 2 * ERROR**2)
+        if sum(off) > count * variance:
+            return []
+        return [moment for moment, square in zip(moments, off, strict=True) if square <= 4 * variance]
+
+
+class _Track:
+    """What is known of one track."""
+
+    def __init__(self, identity: int, zones: Zones, first: Moment) -> None:
+        self.identity = identity
+        self.first = self.last = first
+        self.seen = first.time
+        self._zones = zones
+        self._inside = [Border() for _ in zones.zones]
+        self._entered = [first for _ in zones.zones]
+        self._beside = [Border() for _ in zones.lines]
+        self._stillness = Stillness(zones.still_after)
+        self._stands_in: list[str] = []
+
+    def take_in(self, now: Moment, height: float, seen: bool) -> Iterator[Event]:
+        """What happens on the way from where it was to where it is now."""
+        if seen:
+            self.seen = now.time
+        deviation = height * math.sqrt(ERROR**2 + MOTION * (now.time - self.seen) ** 3 / 3)
+        place, before, self.last = (now.x, now.y), self.last, now
+        for k, (zone, border) in enumerate(zip(self._zones.zones, self._inside, strict=True)):
+            side = border.side
+            if border.take_in(zone.distance(place), deviation, before, now):
+                when = border.met if side and border.met is not None else self.first
+                if border.side > 0:
+                    self._entered[k] = when
+                    yield Event(when, Kind.ENTERED if side else Kind.APPEARED, zone.name, self.identity)
+                elif side:
+                    duration = when.time - self._entered[k].time
+                    yield Event(when, Kind.LEFT, zone.name, self.identity, duration)
+        for line, border in zip(self._zones.lines, self._beside, strict=True):
+            side = border.side
+            changed = border.take_in(line.distance(place), deviation, before, now)
+            met = border.met if changed and side else None
+            if met is not None and line.is_beside((met.x, met.y)):
+                direction = line.left_to_right if border.side > 0 else line.right_to_left
+                yield Event(met, Kind.CROSSED, line.name, self.identity, None, direction)
+        if seen:
+            yield from self._stands(now, height)
+
+    def _stands(self, now: Moment, height: float) -> Iterator[Event]:
+        stood = self._stillness.since is not None
+        ended = self._stillness.take_in(now, height)
+        if ended is not None:
+            yield from self._stood(*ended)
+        elif self._stillness.since is not None and not stood:
+            zones = zip(self._zones.zones, self._inside, strict=True)
+            self._stands_in = [zone.name for zone, border in zones if border.side > 0] or [""]
+            for name in self._stands_in:
+                yield Event(self._stillness.since, Kind.STANDS, name, self.identity)
+
+    def _stood(self, since: Moment, until: Moment) -> Iterator[Event]:
+        for name in self._stands_in:
+            yield Event(until, Kind.STOOD, name, self.identity, until.time - since.time)
+
+    def end(self, kind: Kind) -> Iterator[Event]:
+        """What ends with the track, or with the film."""
+        if self._stillness.since is not None and self._stillness.until is not None:
+            yield from self._stood(self._stillness.since, self._stillness.until)
+        for zone, border, entered in zip(self._zones.zones, self._inside, self._entered, strict=True):
+            if border.side > 0:
+                yield Event(self.last, kind, zone.name, self.identity, self.last.time - entered.time)
+
+
+class Watch:
+    """What happens to zones and lines, frame after frame; memory grows with those who are there at a time.
+
+    Events come when they are known: a crossing when it is sure, that somebody is gone after `Zones.patience`.
+
+    Parameters
+    ----------
+    zones
+        to look after.
+    """
+
+    def __init__(self, zones: Zones) -> None:
+        self._zones = zones
+        self._tracks: dict[int, _Track] = {}
+
+    def take_in(self, time: float, number: int, sightings: Iterable[Sighting]) -> list[Event]:
+        """Go on with who is in a frame; a frame with nobody may be left out."""
+        found: list[Event] = []
+        for track in self._by_age():
+            if time - track.last.time > self._zones.patience + CLOCK:
+                found += self._tracks.pop(track.identity).end(Kind.DISAPPEARED)
+        for identity, x, y, height, seen in sorted(sightings):
+            now = Moment(time, number, x, y)
+            if identity not in self._tracks:
+                self._tracks[identity] = _Track(identity, self._zones, now)
+            found += self._tracks[identity].take_in(now, height, seen)
+        return found
+
+    def end(self, last: int) -> list[Event]:
+        """What ends with the film, whose last frame has that number."""
+        found: list[Event] = []
+        for track in self._by_age():
+            kind: Kind = Kind.REMAINED if track.last.frame == last else Kind.DISAPPEARED
+            found += track.end(kind)
+        self._tracks.clear()
+        return found
+
+    def _by_age(self) -> list[_Track]:
+        return sorted(self._tracks.values(), key=lambda track: (track.last.time, track.identity))

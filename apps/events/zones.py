@@ -1,0 +1,128 @@
+"""Zones and lines in the picture, and how far a foot is from their borders."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.short_repr import short_repr
+
+Corners = NDArray[np.float64]
+
+ON_EDGE = 0.01
+"""Share of the picture's side, up to which a corner beside the picture's edge is taken to lie on it."""
+
+WITHIN = 1e-9
+"""Share of the picture's side by which a foot at its edge is inside of it."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Zone:
+    """A polygon of the picture.
+
+    Where it reaches the picture's edge it has no border: nobody can be seen to cross it there.
+
+    Parameters
+    ----------
+    name
+        of the zone.
+    polygon
+        `(n, 2)` px, corners in either order; pixels' edges are at whole numbers, as of boxes.
+    size
+        `(width, height)` px of the picture.
+    """
+
+    name: str
+    polygon: Corners
+    size: tuple[int, int]
+    _starts: Corners = field(init=False, repr=False)
+    _ways: Corners = field(init=False, repr=False)
+    _inner: NDArray[np.bool_] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        size = np.array(self.size, np.float64)
+        starts = np.where(self.polygon <= ON_EDGE * size, 0.0, self.polygon)
+        starts = np.where(starts >= (1 - ON_EDGE) * size, size, starts)
+        ends = np.roll(starts, -1, axis=0)
+        on_edge = (starts == ends) & ((starts == 0) | (starts == size))
+        object.__setattr__(self, "_starts", starts)
+        object.__setattr__(self, "_ways", ends - starts)
+        object.__setattr__(self, "_inner", ~on_edge.any(axis=1))
+
+    def distance(self, place: tuple[float, float]) -> float:
+        """How far a place is inside of the border, px; negative outside, infinite where there is no border.
+
+        A place out of the picture counts as the nearest one in it.
+        """
+        size = np.array(self.size, np.float64)
+        foot = np.clip(place, WITHIN * size, (1 - WITHIN) * size)
+        offsets, ways = foot - self._starts, self._ways
+        # a ray to the right crosses the border an odd number of times
+        above, below = offsets[:, 1] < 0, np.roll(offsets[:, 1] < 0, -1)
+        side = ways[:, 0] * offsets[:, 1] - ways[:, 1] * offsets[:, 0]
+        crosses = (above != below) & ((side < 0) == (ways[:, 1] < 0))
+        inside = bool(crosses.sum() % 2)
+        offsets, ways = offsets[self._inner], ways[self._inner]
+        along = np.clip((offsets * ways).sum(axis=1) / (ways * ways).sum(axis=1), 0, 1)
+        off = offsets - along[:, None] * ways
+        nearest = float(np.sqrt((off * off).sum(axis=1)).min(initial=np.inf))
+        return nearest if inside else -nearest
+
+
+@short_repr
+@dataclass(frozen=True)
+class Line:
+    """A line of the picture that is crossed from left to right, or from right to left.
+
+    Left and right are those of somebody in the picture who looks along it: of a line that goes to the right,
+    what is above it is left.
+
+    Parameters
+    ----------
+    name
+        of the line.
+    start, end
+        px, as of `Zone`.
+    left_to_right, right_to_left
+        names of the two directions.
+    """
+
+    name: str
+    start: tuple[float, float]
+    end: tuple[float, float]
+    left_to_right: str = "left to right"
+    right_to_left: str = "right to left"
+
+    def distance(self, place: tuple[float, float]) -> float:
+        """How far a place is to the right of the endless line, px; negative to its left."""
+        (x, y), (to_x, to_y) = self.start, self.end
+        dx, dy = to_x - x, to_y - y
+        return (dx * (place[1] - y) - dy * (place[0] - x)) / float(np.hypot(dx, dy))
+
+    def is_beside(self, place: tuple[float, float]) -> bool:
+        """Whether a place on the endless line is between its two ends."""
+        (x, y), (to_x, to_y) = self.start, self.end
+        dx, dy = to_x - x, to_y - y
+        return 0 <= (dx * (place[0] - x) + dy * (place[1] - y)) / (dx * dx + dy * dy) <= 1
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Zones:
+    """All zones and lines of a picture, and when somebody stands still or is gone.
+
+    Parameters
+    ----------
+    zones, lines
+        with names of which none is there twice.
+    still_after
+        s after which somebody stands still.
+    patience
+        s for which somebody may be out of sight and still be there.
+    """
+
+    zones: tuple[Zone, ...]
+    lines: tuple[Line, ...]
+    still_after: float = 2.0
+    patience: float = 3.0

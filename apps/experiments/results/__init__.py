@@ -1,0 +1,1 @@
+"""Pages made from what experiments have recorded: `python -m rsmcm.apps.experiments.results`."""

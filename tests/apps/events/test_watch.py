@@ -1,0 +1,226 @@
+"""What is true of events whatever the way: nobody leaves who is not in, and time and scale do not matter."""
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.apps.events import Event, Line, Sighting, Watch, Zone, Zones
+from rsmcm.apps.events.watch import ERROR
+
+SIZE = (320, 240)
+HEIGHT = 40.0
+STRIP = [[100, 0], [200, 0], [200, 240], [100, 240]]
+DIAMOND = [[160, 40], [260, 120], [160, 200], [60, 120]]
+IN, OUT = ("entered", "appeared"), ("left", "disappeared", "remained")
+Path = NDArray[np.float64]
+
+
+def zones(scale: float = 1.0) -> Zones:
+    size = (round(SIZE[0] * scale), round(SIZE[1] * scale))
+    made = [Zone(n, scale * np.array(c, float), size) for n, c in (("strip", STRIP), ("diamond", DIAMOND))]
+    line = Line("line", (150 * scale, 0.0), (150 * scale, 240 * scale))
+    return Zones(tuple(made), (line,))
+
+
+def events(
+    path: Path,
+    rate: float = 25.0,
+    there: Sequence[bool] | None = None,
+    scale: float = 1.0,
+    watched: Zones | None = None,
+) -> list[Event]:
+    """Of one track along feet `(n, 2)` px, in the frames in which it is there."""
+    watch, found = Watch(watched or zones(scale)), []
+    for index, (x, y) in enumerate(scale * path):
+        if there is None or there[index]:
+            found += watch.take_in(index / rate, index + 1, [Sighting(1, x, y, HEIGHT * scale, True)])
+    return found + watch.end(len(path))
+
+
+def kinds(found: Sequence[Event]) -> list[tuple[str, str]]:
+    return [(event.kind, event.zone) for event in found]
+
+
+@st.composite
+def ways(draw: st.DrawFn, least: int = 2, jitter: float = 2.0) -> Path:
+    """Feet on straight ways between some places, with pauses there and errors."""
+    place = st.tuples(st.floats(0, SIZE[0]), st.floats(0, SIZE[1]))
+    places = np.array(draw(st.lists(place, min_size=least, max_size=6)))
+    steps = draw(st.lists(st.integers(1, 60), min_size=len(places), max_size=len(places)))
+    times = np.cumsum(steps)
+    frames = np.arange(times[0], times[-1] + 1)
+    path = np.stack([np.interp(frames, times, places[:, axis]) for axis in (0, 1)], axis=1)
+    noise = np.random.default_rng(draw(st.integers(0, 99))).normal(0, jitter, path.shape)
+    return np.asarray(path + draw(st.booleans()) * noise)
+
+
+@given(ways(), st.data())
+def test_who_is_in_has_come_in_and_not_gone(path: Path, data: st.DataObject) -> None:
+    lost = data.draw(st.lists(st.tuples(st.integers(0, len(path)), st.integers(1, 120)), max_size=3))
+    there = np.ones(len(path), bool)
+    for start, length in lost:
+        there[start : start + length] = False
+    found = events(path, there=there.tolist())
+    for name in ("strip", "diamond"):
+        of_zone = [event for event in found if event.zone == name and event.kind in (*IN, *OUT)]
+        for came, went in zip(of_zone[::2], of_zone[1::2], strict=True):
+            assert came.kind in IN
+            assert went.kind in OUT
+            assert went.duration == pytest.approx(went.moment.time - came.moment.time)
+            assert went.duration >= 0
+    stood = [event for event in found if event.kind in ("stands", "stood")]
+    for begun, ended in zip(stood[::2], stood[1::2], strict=True):
+        assert (begun.kind, ended.kind) == ("stands", "stood") or begun.zone != stood[0].zone
+    crossings = [event.direction for event in found if event.kind == "crossed"]
+    assert all(one != other for one, other in pairwise(crossings)), "there and back"
+
+
+@given(ways())
+def test_a_film_backwards_swaps_directions(path: Path) -> None:
+    forth, back = events(path), events(path[::-1])
+
+    def counted(found: Sequence[Event], swap: dict[str, str]) -> Counter[tuple[str, str, str]]:
+        same = {"remained": "disappeared"} | swap
+        return Counter(
+            (same.get(each.kind, each.kind), each.zone, same.get(each.direction, each.direction))
+            for each in found
+            if each.kind not in ("stands", "stood")
+        )
+
+    swap = {
+        "entered": "left", "left": "entered", "appeared": "disappeared", "disappeared": "appeared",
+        "remained": "appeared", "left to right": "right to left", "right to left": "left to right",
+    }  # fmt: skip
+    assert counted(forth, {}) == counted(back, swap)
+
+    def standing(found: Sequence[Event]) -> list[float]:
+        return sorted(round(each.duration or 0, 6) for each in found if each.kind == "stood")
+
+    assert standing(forth) == pytest.approx(standing(back), abs=0.05)
+
+
+@given(ways(), st.sampled_from([0.25, 0.5, 2.0, 8.0]))
+def test_the_scale_changes_nothing_else(path: Path, scale: float) -> None:
+    one, other = events(path), events(path, scale=scale)
+    assert kinds(one) == kinds(other)
+    for small, large in zip(one, other, strict=True):
+        assert small.moment[:2] == pytest.approx(large.moment[:2])
+        assert np.array(small.moment[2:]) * scale == pytest.approx(np.array(large.moment[2:]))
+        assert (small.duration, small.direction) == (pytest.approx(large.duration), large.direction)
+
+
+@st.composite
+def walks(draw: st.DrawFn) -> tuple[list[float], list[float]]:
+    """Times (s) and columns (px) of somebody who walks at 0.8 heights/s between places and rests at some."""
+    columns = [draw(st.sampled_from([20.0, 60.0, 130.0, 170.0, 240.0, 300.0]))]
+    times = [0.0]
+    for _ in range(draw(st.integers(1, 4))):
+        to = draw(st.sampled_from([20.0, 60.0, 130.0, 170.0, 240.0, 300.0]).filter(columns[-1].__ne__))
+        times.append(times[-1] + abs(to - columns[-1]) / (0.8 * HEIGHT))
+        columns.append(to)
+        times.append(times[-1] + draw(st.sampled_from([0.0, 0.4, 3.2, 6.0])))
+        columns.append(to)
+    return times, columns
+
+
+@given(walks())
+@settings(deadline=None)
+def test_half_the_frames_give_the_same_events(walk: tuple[list[float], list[float]]) -> None:
+    times, columns = walk
+    strip = Zones(zones().zones[:1], zones().lines)
+    found = {}
+    for rate in (25.0, 12.5):
+        sampled = np.arange(0, times[-1], 1 / rate)
+        path = np.stack([np.interp(sampled, times, columns), np.full(len(sampled), 120.0)], axis=1)
+        found[rate] = sorted(
+            events(path, rate, watched=strip), key=lambda each: (each.kind, each.zone, each.moment.time)
+        )
+    assert kinds(found[25.0]) == kinds(found[12.5])
+    for one, other in zip(found[25.0], found[12.5], strict=True):
+        assert one.moment.time == pytest.approx(other.moment.time, abs=0.081)
+        assert (one.moment.frame - 1) / 25 == pytest.approx((other.moment.frame - 1) / 12.5, abs=0.081)
+        assert one.direction == other.direction
+
+
+def test_a_foot_at_the_border_does_not_flicker() -> None:
+    """A minute on the border, with errors of a quarter of what is allowed for."""
+    noise = np.random.default_rng(0).normal(0, 0.25 * ERROR * HEIGHT, (1500, 2))
+    path = np.concatenate([[[150.0, 120.0]] * 5, np.array([100.0, 120.0]) + noise])
+    assert ("left", "strip") not in kinds(events(path))
+    assert np.count_nonzero(np.diff(path[5:, 0] > 100)) > 500, "a border alone would be crossed often"
+
+
+def test_a_crossing_is_dated_to_the_border() -> None:
+    path = np.stack([np.linspace(60, 160, 101), np.full(101, 120.0)], axis=1)  # 1 px a frame
+    (entered,) = [each for each in events(path) if each.kind == "entered" and each.zone == "strip"]
+    assert entered.moment == pytest.approx((40 / 25, 42, 100.0, 120.0), abs=1e-6)
+    (crossed,) = [each for each in events(path) if each.kind == "crossed"]
+    assert crossed.moment[0] == pytest.approx(90 / 25)
+    assert crossed.direction == "right to left", (
+        "it goes down, so that its left is on the right of the picture"
+    )
+
+
+def test_who_is_lost_and_found_again_has_not_left() -> None:
+    path = np.tile([150.0, 120.0], (250, 1))
+    there = np.ones(250, bool)
+    there[70:140] = False  # 2.8 s
+    found = events(path, there=there.tolist())
+    assert kinds(found) == [
+        ("appeared", "strip"), ("appeared", "diamond"), ("stands", "strip"), ("stands", "diamond"),
+        ("stood", "strip"), ("stood", "diamond"), ("remained", "strip"), ("remained", "diamond"),
+    ]  # fmt: skip
+    assert [each.duration for each in found[4:]] == pytest.approx([249 / 25] * 4)
+    there[70:150] = False  # 3.2 s
+    assert Counter(kinds(events(path, there=there.tolist())))["disappeared", "strip"] == 1
+
+
+def test_who_is_lost_inside_and_found_outside_has_left() -> None:
+    path = np.concatenate([np.tile([150.0, 120.0], (50, 1)), np.tile([250.0, 120.0], (50, 1))])
+    there = np.ones(100, bool)
+    there[40:60] = False
+    (left,) = [
+        each for each in events(path, there=there.tolist()) if each.kind == "left" and each.zone == "strip"
+    ]
+    assert 39 / 25 < left.moment.time < 60 / 25
+    assert left.moment[1:3] == pytest.approx((61, 200.0))
+
+
+def test_a_place_that_is_only_predicted_is_less_sure() -> None:
+    """Somebody stops being seen before the border, and the prediction runs on beyond it."""
+    watch = Watch(zones())
+    found = []
+    for number in range(1, 58):
+        x, seen = 60.0 + number, number <= 10
+        found += watch.take_in(number / 25, number, [Sighting(1, x, 220.0, HEIGHT, seen)])
+    assert not found, "17 px beyond, after two seconds"
+    found = watch.take_in(58 / 25, 58, [Sighting(1, 120.0, 220.0, HEIGHT, True)])
+    assert kinds(found) == [("entered", "strip")]
+
+
+def test_who_walks_around_the_end_of_a_line_has_not_crossed_it() -> None:
+    watched = Zones((), (Line("gate", (150.0, 100.0), (150.0, 140.0), "in", "out"),))
+    through = np.stack([np.linspace(100, 200, 80), np.full(80, 120.0)], axis=1)
+    around = np.stack([np.linspace(200, 100, 80), np.full(80, 180.0)], axis=1)
+    found = events(np.concatenate([through, around, through]), watched=watched)
+    assert [each.direction for each in found if each.kind == "crossed"] == ["out", "out"]
+
+
+@pytest.mark.parametrize(("speed", "stands"), [(0.0, True), (0.05, True), (0.3, False), (0.8, False)])
+def test_slower_than_a_tenth_of_a_height_a_second_is_standing(speed: float, stands: bool) -> None:
+    times = np.arange(0, 6, 0.04)
+    path = np.stack([20 + speed * HEIGHT * times, np.full(len(times), 230.0)], axis=1)
+    path += np.random.default_rng(0).normal(0, ERROR * HEIGHT, path.shape)
+    assert ("stands" in [each.kind for each in events(path)]) == stands
+
+
+def test_memory_does_not_grow_with_those_who_are_gone() -> None:
+    watch = Watch(zones())
+    for number in range(1, 2000):
+        watch.take_in(number / 5, number, [Sighting(number, 150.0, 120.0, HEIGHT, True)])
+        assert len(watch._tracks) <= 17

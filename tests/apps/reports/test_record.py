@@ -1,0 +1,51 @@
+"""Records are read back as they were, and know where they were made."""
+
+import math
+import subprocess
+from pathlib import Path
+
+import pytest
+from rsmcm.apps.reports.expectations import Expectation
+from rsmcm.apps.reports.record import ROOT, Record, Stopwatch, Table
+
+
+def test_read_back(tmp_path: Path) -> None:
+    record = Record(
+        "name",
+        "Title",
+        "rsmcm reproduce name",
+        Stopwatch().provenance(),
+        [Expectation("a", 0.25, "<=", 1.0, 0.5, 3), Expectation("b", math.nan, ">=", 2.0)],
+        [Table(["method", "F"], [["ours", 0.5], ["theirs", 1]], "Some.")],
+    )
+    record.write(tmp_path / "results.json", runs=[1, 2])
+    back = Record.read(tmp_path / "results.json")
+    assert (back.name, back.title, back.command, back.made) == ("name", "Title", record.command, record.made)
+    assert back.expectations[0] == record.expectations[0]
+    assert back.expectations[1].verdict == "short"
+    assert math.isnan(back.expectations[1].measured)
+    assert vars(back.tables[0]) == vars(record.tables[0])
+
+
+def test_damaged_records_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "results.json"
+    for text in ("", "[]", '{"name": 3}', "null"):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=r"results\.json: no record of an experiment"):
+            Record.read(path)
+
+
+def test_provenance() -> None:
+    made = Stopwatch().provenance()
+    assert made.date.endswith("+00:00")
+    assert 0 <= made.seconds < 10
+    assert made.is_of(ROOT)
+    assert "models/numerics/threads.py" in made.modules
+    assert all(name.split("/")[0] in ("models", "inference", "chains") for name in made.modules)
+    assert made.cores >= 1
+    assert {"python", "rsmcm", "numpy", "opencv"} <= set(made.versions)
+    assert made.machine.endswith("GB")
+    if (ROOT / ".git").exists():
+        head = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True)
+        assert head.stdout.startswith(made.commit)
+        assert made.commit

@@ -1,0 +1,332 @@
+"""`view.html` in a real browser: it plays, is clicked, typed at, and is read on any screen."""
+
+import json
+import re
+import tomllib
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.exports import read_tracks_table
+from rsmcm.apps.scenes import sleeping_man
+from rsmcm.apps.view.film import Film
+from rsmcm.apps.view.page import Plot, TimelineRow, View, write_view
+
+from ...conftest import Command
+from ...support.browser import DESKTOP, PHONE, Browser, browsing, landmarks, overflow, reached_by_tab
+
+if TYPE_CHECKING:
+    import playwright.sync_api as playwright
+
+N_FRAMES = 60
+SIZE = (320, 240)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with browsing() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("view")
+    write_scene(sleeping_man(N_FRAMES, size=SIZE, enter=0), folder)
+    assert Command("background")(folder / "input", "--out", folder / "out", "--every", 25) == 0
+    return folder / "out"
+
+
+@pytest.fixture
+def page(browser: Browser, results: Path) -> "Iterator[playwright.Page]":
+    with browser.page(results / "view.html") as opened:
+        ready(opened)
+        yield opened
+
+
+def ready(page: "playwright.Page") -> None:
+    """Until the film can be played."""
+    page.wait_for_function("document.querySelector('video').readyState >= 2")
+
+
+def frame_of(page: "playwright.Page") -> int:
+    """Number of the frame that is shown."""
+    (number,) = re.findall(r"frame (\d+)", page.locator("#clock").text_content() or "")
+    return int(number)
+
+
+def inked(page: "playwright.Page") -> int:
+    """How many px of the canvas are drawn on."""
+    page.wait_for_timeout(100)
+    script = """(() => {
+        const { width, height } = document.getElementById("drawing");
+        const copy = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
+        copy.drawImage(document.getElementById("drawing"), 0, 0);
+        const px = copy.getImageData(0, 0, width, height).data;
+        let count = 0;
+        for (let k = 3; k < px.length; k += 4) count += px[k] > 0;
+        return count;
+    })()"""
+    return int(page.evaluate(script))
+
+
+def click_at(page: "playwright.Page", x: float, y: float) -> None:
+    """At a place of the source, px."""
+    box = page.locator("#drawing").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + x * box["width"] / SIZE[0], box["y"] + y * box["height"] / SIZE[1])
+
+
+def test_the_film_plays_and_stops_at_its_end(page: "playwright.Page") -> None:
+    assert frame_of(page) == 1
+    page.get_by_role("button", name="Play").click()
+    page.wait_for_function("document.querySelector('video').currentTime > 0.2")
+    assert page.get_by_role("button", name="Pause").is_visible()
+    page.select_option("#speed", "8")
+    page.wait_for_function(f"document.getElementById('clock').textContent.startsWith('frame {N_FRAMES},')")
+    page.get_by_role("button", name="Play").wait_for()
+    page.keyboard.press(" ")  # from the beginning
+    page.wait_for_function("document.querySelector('video').currentTime < 1")
+
+
+@pytest.mark.parametrize("number", [1, 2, 25, 26, 27, 51, 60])
+def test_the_film_shows_the_frame_that_is_drawn(page: "playwright.Page", number: int) -> None:
+    """Also behind the places where its segments are joined."""
+    page.locator("#seek").fill(str(number - 1))
+    page.wait_for_function("!document.querySelector('video').seeking")
+    page.wait_for_timeout(100)
+    assert frame_of(page) == number
+    at = page.evaluate("document.querySelector('video').currentTime")
+    assert (number - 1) / 25 < at < number / 25
+
+
+def test_keys_move_the_film(page: "playwright.Page") -> None:
+    for key, number in (
+        ("End", N_FRAMES),
+        ("ArrowLeft", N_FRAMES - 1),
+        ("Shift+ArrowLeft", N_FRAMES - 11),
+        ("ArrowRight", N_FRAMES - 10),
+        ("Home", 1),
+        ("ArrowLeft", 1),
+        ("Shift+ArrowRight", 11),
+    ):
+        page.keyboard.press(key)
+        assert frame_of(page) == number, key
+    page.keyboard.press("+")
+    page.wait_for_function("document.querySelector('video').playbackRate === 2")
+    page.keyboard.press("-")
+    page.keyboard.press("-")
+    page.wait_for_function("document.querySelector('video').playbackRate === 0.5")
+    page.wait_for_function("document.getElementById('speed').value === '0.5'")
+
+
+def test_help(page: "playwright.Page") -> None:
+    page.keyboard.press("?")
+    assert page.get_by_role("dialog", name="Keys").is_visible()
+    assert "play or pause" in (page.locator("#key-list").text_content() or "")
+    page.keyboard.press("Escape")
+    assert not page.get_by_role("dialog", name="Keys").is_visible()
+
+
+def test_a_click_on_an_object_selects_it(page: "playwright.Page", results: Path) -> None:
+    table = read_tracks_table(results)
+    last = table["frame"] == N_FRAMES
+    identity, x, y, width, height = (
+        float(table[name][last][0]) for name in ("id", "x", "y", "width", "height")
+    )
+    page.keyboard.press("End")
+    click_at(page, x + width / 2, y + height / 2)
+    details = page.locator("#details")
+    assert details.locator(".who").text_content() == f"{identity:.0f}"
+    shown = details.text_content() or ""
+    assert f"{width:.0f} × {height:.0f} px" in shown
+    mine = table["id"] == identity
+    assert f"frame {table['frame'][mine][0]}," in shown
+    assert page.locator(f"#row-{identity:.0f}").get_attribute("aria-selected") == "true"
+    assert page.get_by_label("speed over time").is_visible()
+    click_at(page, 2, 2)
+    assert page.locator("[role=option][aria-selected=true]").count() == 0
+
+
+def test_rows_are_reached_by_keys_and_lead_to_their_frames(page: "playwright.Page", results: Path) -> None:
+    table = read_tracks_table(results)
+    first = int(table["frame"][table["id"] == table["id"].min()][0])
+    page.locator(".rows").focus()
+    page.keyboard.press("ArrowDown")
+    assert page.locator("[role=option][aria-selected=true]").count() == 1
+    assert frame_of(page) == first, "it is not there at the beginning"
+
+
+@pytest.mark.parametrize("name", ["boxes", "outlines", "paths", "identities"])
+def test_what_is_drawn_can_be_switched_off(page: "playwright.Page", name: str) -> None:
+    page.keyboard.press("End")
+    before = inked(page)
+    page.get_by_label(name).uncheck()
+    assert inked(page) < before
+    page.keyboard.press(name[0])
+    assert page.get_by_label(name).is_checked()
+    assert inked(page) == before
+
+
+def test_the_zoom_follows_what_is_selected(page: "playwright.Page") -> None:
+    page.keyboard.press("End")
+    page.locator("[role=option] .label").first.click()
+    page.keyboard.press("z")
+    page.wait_for_function(
+        "new DOMMatrix(getComputedStyle(document.querySelector('video')).transform).a > 1.2"
+    )
+    middle = page.locator("#drawing").bounding_box()
+    assert middle is not None
+    page.keyboard.press("Escape")
+    page.wait_for_function(
+        "new DOMMatrix(getComputedStyle(document.querySelector('video')).transform).a === 1"
+    )
+
+
+def test_a_click_on_a_plot_goes_there(page: "playwright.Page") -> None:
+    curve = page.get_by_label("foreground over time")
+    box = curve.bounding_box()
+    assert box is not None
+    curve.click(position={"x": box["width"] * 0.755, "y": box["height"] / 2}, force=True)
+    assert frame_of(page) == round(0.755 * N_FRAMES + 0.5)
+
+
+def test_zones_that_are_drawn_become_a_file(page: "playwright.Page") -> None:
+    page.get_by_role("button", name="Draw a zone").click()
+    corners = [(40, 50), (200, 50), (200, 180), (60, 200)]
+    for x, y in corners:
+        click_at(page, x, y)
+    click_at(page, 41, 51)  # the first one again
+    page.get_by_role("button", name="Draw a line").click()
+    click_at(page, 100, 20)
+    click_at(page, 100, 220)
+    page.get_by_label("name of the line").fill('the "gate"')
+    page.get_by_role("button", name="Draw a zone").click()
+    page.keyboard.press("Enter")  # one to be typed
+    page.get_by_label("corners of zone 1").fill("1,2 30,2 30,40.5")
+    page.keyboard.press("Tab")
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Download").click()
+    assert download.value.suggested_filename == "zones.toml"
+    content = tomllib.loads(Path(download.value.path()).read_text())
+    assert [zone["name"] for zone in content["zone"]] == ["zone", "zone 1"]
+    np.testing.assert_allclose(content["zone"][0]["polygon"], corners, atol=1)
+    assert content["zone"][1]["polygon"] == [[1, 2], [30, 2], [30, 40.5]]
+    assert content["line"][0]["name"] == 'the "gate"'
+    np.testing.assert_allclose(
+        [content["line"][0][end] for end in ("from", "to")], [(100, 20), (100, 220)], atol=1
+    )
+    page.get_by_label("Remove zone 1").click()
+    assert "zone 1" not in page.locator("textarea").input_value()
+
+
+def test_typing_a_name_presses_no_keys(page: "playwright.Page") -> None:
+    page.get_by_role("button", name="Draw a zone").click()
+    page.keyboard.press("Enter")
+    page.keyboard.type("b o?+")
+    assert page.get_by_label("boxes").is_checked()
+    assert not page.get_by_role("dialog").is_visible()
+    assert page.get_by_label("name of the zone").input_value() == "b o?+"
+
+
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("size", [PHONE, (768, 1024), DESKTOP, (2560, 1440)], ids=str)
+def test_it_is_read_on_any_screen(browser: Browser, results: Path, size: tuple[int, int], dark: bool) -> None:
+    with browser.page(results / "view.html", size, dark=dark) as page:
+        ready(page)
+        page.locator("[role=option] .label").first.click()
+        assert overflow(page) <= 0
+        parts = ["Film", "Show", "Selected", "Zones and lines", "Over time", "Keys"]
+        assert landmarks(page) == (1, ["input: recursive-bp", *parts])
+        film = page.locator("#stage").bounding_box()
+        assert film is not None
+        assert film["width"] >= min(size[0] - 24, 0.4 * size[0])
+        assert film["width"] / film["height"] == pytest.approx(SIZE[0] / SIZE[1], rel=0.01)
+        assert contrast(page) >= 4.5
+
+
+def contrast(page: "playwright.Page") -> float:
+    """Of the palest text, as WCAG counts it."""
+    script = """(() => {
+        const light = ([r, g, b]) => [r, g, b].map((v) => v / 255)
+            .map((v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+            .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
+        const colour = (place, what) =>
+            getComputedStyle(document.querySelector(place))[what].match(/[\\d.]+/g).map(Number);
+        const [text, card] = [light(colour("dt", "color")), light(colour(".panel", "backgroundColor"))];
+        return (Math.max(text, card) + 0.05) / (Math.min(text, card) + 0.05);
+    })()"""
+    return float(page.evaluate(script))
+
+
+def test_the_tab_key_reaches_everything(page: "playwright.Page") -> None:
+    reached = reached_by_tab(page)
+    operable = page.locator(
+        "a:visible, button:visible, input:visible, select:visible, [tabindex='0']:visible"
+    )
+    assert operable.count() > 15
+    assert {"start", "back", "play", "step", "end", "seek", "speed", "help", "follow", "draw-zone"} <= reached
+    assert len(reached) >= operable.count() - page.locator("#switches input").count()
+    outline = "getComputedStyle(document.activeElement).outlineStyle"
+    page.keyboard.press("Tab")
+    assert page.evaluate(outline) != "none", "where the focus is can be seen"
+
+
+class Links(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag == "a":
+            self.found.add(str(dict(attrs)["href"]))
+
+
+def test_the_pages_of_a_run_link_each_other(results: Path) -> None:
+    for name, wanted in (
+        ("view.html", {"report.html", "overlay.mp4", "tracks.csv"}),
+        ("report.html", {"view.html", "overlay.mp4", "tracks.csv"}),
+    ):
+        links = Links()
+        links.feed((results / name).read_text())
+        assert links.found == wanted
+        assert all((results / link).exists() for link in links.found)
+
+
+def test_no_text_of_the_user_is_taken_for_a_script(browser: Browser, tmp_path: Path) -> None:
+    """And without a film there is a slider over time."""
+    bad = '</script><script>alert("x")</script><!-- & "'
+    count = 12
+    film = Film(None, (64, 48), np.arange(1, count + 1), np.arange(count) / 5, np.arange(count) / 5)
+    row = TimelineRow(7, bad, "#ff0000", np.array([[0, 3, 0], [4, 11, 1]]))
+    values = np.where(np.arange(count) < 6, np.nan, np.arange(count))
+    view = View({}, [row], [Plot(bad, "px", values)])
+    write_view(tmp_path / "view.html", bad, film, 20, view)
+    with browser.page(tmp_path / "view.html") as page:
+        assert page.locator("h1").text_content() == bad
+        assert page.locator("video").count() == 0
+        assert "12 of 20" in (page.locator("#part").text_content() or "")
+        page.locator("[role=option]").first.click()
+        assert page.locator("#details .who").text_content() == bad
+        page.keyboard.press("Home")
+        assert "–" in (page.locator(".plot").text_content() or ""), "nothing is known"
+        page.locator("#play").click()
+        page.wait_for_function(f"document.getElementById('clock').textContent.startsWith('frame {count},')")
+
+
+def test_what_the_page_holds_is_json(results: Path) -> None:
+    text = (results / "view.html").read_text()
+    (held,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    assert json.loads(held)["frames"] == N_FRAMES
+    assert "http" not in re.sub(r"http://www\.w3\.org/\d+/svg", "", text)
+
+
+def test_nothing_half_written_stays_behind(tmp_path: Path) -> None:
+    (tmp_path / "view.html").mkdir()
+    film = Film(None, (64, 48), np.arange(1, 4), np.arange(3.0), np.arange(3.0))
+    with pytest.raises(OSError, match=r"view\.html"):
+        write_view(tmp_path / "view.html", "title", film, 3, View())
+    assert [path.name for path in tmp_path.iterdir()] == ["view.html"]

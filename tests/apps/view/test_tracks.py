@@ -1,0 +1,70 @@
+"""What the page of the background application is made of: outlines of the mask, spans of each track."""
+
+import cv2
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from rsmcm.apps.io.mot import TrackedBox
+from rsmcm.apps.view.film import Film
+from rsmcm.apps.view.page import PREDICTED, SEEN
+from rsmcm.apps.view.tracks import drawn_of, tracks_view
+
+SIZE = (96, 128)
+
+
+def test_outlines_are_those_of_the_foreground() -> None:
+    mask = np.zeros(SIZE, np.uint8)
+    cv2.ellipse(mask, (40, 50), (20, 30), 20, 0, 360, 255, -1)  # type: ignore[call-overload]
+    cv2.circle(mask, (40, 50), 8, 0, -1)  # type: ignore[call-overload]
+    cv2.rectangle(mask, (90, 10), (120, 80), 255, -1)  # type: ignore[call-overload]
+    drawn = drawn_of(mask, [])
+    assert len(drawn["corners"]) == 3, "two things, one with a hole"
+    again = np.zeros(SIZE, np.uint8)
+    polygons = np.split(drawn["outline"].astype(np.int32), np.cumsum(drawn["corners"])[:-1])
+    cv2.fillPoly(again, polygons, 255)  # type: ignore[call-overload]
+    # between the hole and its outline lie the px of the border, on both sides
+    assert np.count_nonzero(again != mask) < 0.03 * np.count_nonzero(mask)
+    assert len(drawn["outline"]) < 60
+
+
+def test_nothing_is_drawn_where_nothing_is() -> None:
+    drawn = drawn_of(np.zeros(SIZE, np.uint8), [])
+    assert {name: len(values) for name, values in drawn.items() if name != "foreground"} == {
+        name: 0 for name in drawn if name != "foreground"
+    }
+    assert drawn["box"].shape == (0, 4)
+    assert drawn["outline"].shape == (0, 2)
+
+
+@given(
+    st.lists(st.lists(st.sampled_from([None, True, False]), min_size=3, max_size=3), min_size=1, max_size=12)
+)
+def test_rows_tell_when_each_was_seen(life: list[list[bool | None]]) -> None:
+    """By frame and identity: not there, seen, or predicted."""
+    rows = [
+        drawn_of(
+            np.zeros(SIZE, np.uint8),
+            [TrackedBox(k + 1, (k, 2, 3, 4), seen=seen) for k, seen in enumerate(frame) if seen is not None],
+        )
+        for frame in life
+    ]
+    count = len(life)
+    film = Film(
+        None,
+        SIZE,
+        np.arange(1, count + 1),
+        np.arange(count) / 10,
+        np.arange(count) / 10,
+        {name: np.concatenate([row[name] for row in rows]) for name in rows[0]},
+        {name: np.array([len(row[name]) for row in rows]) for name in rows[0]},
+    )
+    again: list[list[bool | None]] = [[None] * 3 for _ in life]
+    view = tracks_view(film)
+    for row in view.rows:
+        for first, last, kind in row.spans.tolist():
+            assert kind in (SEEN, PREDICTED)
+            for index in range(first, last + 1):
+                assert again[index][row.identity - 1] is None, "spans do not overlap"
+                again[index][row.identity - 1] = kind == SEEN
+    assert again == life
+    assert view.plots[0].values.tolist() == [sum(seen is not None for seen in frame) for frame in life]

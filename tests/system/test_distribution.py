@@ -1,0 +1,155 @@
+"""What is handed over: source distribution, wheel, an installed command; version, checks, citation."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.scenes import sleeping_man
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("models", "inference", "chains", "apps")
+PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+LEFT_OUT = shutil.ignore_patterns("__pycache__", "_build", "generated", "*.nb[ic]")
+MOST_SECONDS = 300
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy: the checkout stays as it is, and leftovers of older builds stay out."""
+    folder = tmp_path_factory.mktemp("source")
+    for path in ROOT.iterdir():
+        if path.is_file():
+            shutil.copy(path, folder)
+    for name in (*PACKAGES, "docs", "tests"):
+        shutil.copytree(ROOT / name, folder / name, ignore=LEFT_OUT)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def built(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the source distribution of the copy, and the wheel that is built from that."""
+    folder = tmp_path_factory.mktemp("dist")
+    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(source)]
+    subprocess.run(build, check=True, timeout=MOST_SECONDS)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def environment(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A fresh environment with the wheel in it; what that needs is this environment's."""
+    folder = tmp_path_factory.mktemp("fresh")
+    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, timeout=MOST_SECONDS)
+    (packages,) = folder.glob("[Ll]ib/**/site-packages")
+    (packages / "others.pth").write_text(sysconfig.get_path("purelib"))
+    (wheel,) = built.glob("*.whl")
+    install = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-index", str(wheel)]
+    subprocess.run([_program(folder, "python"), *install], check=True, env=_clean(), timeout=MOST_SECONDS)
+    yield folder
+    shutil.rmtree(folder)
+
+
+def _program(environment: Path, name: str) -> str:
+    return str(environment / ("Scripts" if os.name == "nt" else "bin") / name)
+
+
+def _clean() -> dict[str, str]:
+    """Without the checkout on the path."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
+
+def test_wheel_holds_the_four_packages_and_nothing_generic(source: Path, built: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    names = [name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name]
+    ours = [path.relative_to(source) for package in PACKAGES for path in (source / package).rglob("*.*")]
+    assert set(names) == {f"rsmcm/{path.as_posix()}" for path in ours}
+
+
+def test_source_distribution_holds_what_is_needed_to_work_on_it(source: Path, built: Path) -> None:
+    (archive,) = built.glob("*.tar.gz")
+    with tarfile.open(archive) as file:
+        names = {name.partition("/")[2] for name in file.getnames()}
+    wanted = {
+        path.relative_to(source).as_posix()
+        for path in source.rglob("*")
+        if path.is_file() and "egg-info" not in str(path)
+    }
+    assert wanted - names <= {".gitignore"}
+
+
+def test_the_installed_command_tells_its_version(environment: Path) -> None:
+    asked = subprocess.run(
+        [_program(environment, "rsmcm"), "--version"],
+        check=True, env=_clean(), cwd=environment, capture_output=True, text=True, timeout=MOST_SECONDS,
+    )  # fmt: skip
+    assert asked.stdout.strip() == PROJECT["version"]
+
+
+def test_what_is_installed_is_what_runs(environment: Path) -> None:
+    asked = subprocess.run(
+        [_program(environment, "python"), "-c", "import rsmcm.apps; print(rsmcm.apps.__file__)"],
+        check=True, env=_clean(), cwd=environment, capture_output=True, text=True, timeout=MOST_SECONDS,
+    )  # fmt: skip
+    assert environment.resolve() in Path(asked.stdout.strip()).resolve().parents
+
+
+def test_the_installed_command_tracks(environment: Path, tmp_path: Path) -> None:
+    write_scene(sleeping_man(6, size=(64, 48), enter=0), tmp_path / "scene")
+    run = [
+        _program(environment, "rsmcm"), "background", str(tmp_path / "scene" / "input"),
+        "--out", str(tmp_path / "found"),
+    ]  # fmt: skip
+    subprocess.run(run, check=True, env=_clean(), cwd=tmp_path, timeout=MOST_SECONDS)
+    assert len(list((tmp_path / "found" / "foreground").iterdir())) == 6
+    assert (tmp_path / "found" / "report.html").stat().st_size > 0
+
+
+def test_the_version_is_said_once() -> None:
+    """Everything else asks the installed package; what tells of the past may name it."""
+    version = re.compile(rf"\b{re.escape(PROJECT['version'])}\b")
+    others = {"pyproject.toml", "CHANGELOG.md", "constraints.txt"}
+    paths = [path for path in ROOT.iterdir() if path.is_file() and path.name not in others]
+    paths += [path for name in (*PACKAGES, "docs") for path in (ROOT / name).rglob("*.py")]
+    assert [path for path in paths if version.search(path.read_text(errors="replace"))] == []
+
+
+def test_changelog_tells_of_this_version() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text()
+    headings = re.findall(r"^## \[(.+?)\]", text, re.MULTILINE)
+    assert headings[0] == "Unreleased"
+    assert PROJECT["version"] in headings or f"will be {PROJECT['version']}" in text
+
+
+def test_citation() -> None:
+    """Complete for version 1.2 of the format, and of the licence of the package."""
+    content = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert {"cff-version", "message", "title", "authors"} <= set(content)
+    assert content["license"] == PROJECT["license"]
+    assert len(content["references"]) == 2
+    for each in content["references"]:
+        assert {"type", "title", "authors", "year", "journal"} <= set(each)
+        assert each["title"] in (ROOT / "README.md").read_text().replace("\n  ", " ")
+
+
+def test_a_commit_is_checked_by_make_check() -> None:
+    content = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())
+    hooks = [(where["repo"], hook["entry"]) for where in content["repos"] for hook in where["hooks"]]
+    assert hooks == [("local", "make check")]
+
+
+def test_help_of_make_tells_every_target() -> None:
+    text = (ROOT / "Makefile").read_text()
+    targets = set(re.findall(r"^([\w-]+):", text, re.MULTILINE)) - {"help"}
+    assert targets == set(re.findall(r'@echo "make ([\w-]+) ', text))
+    assert targets | {"help"} == set(re.findall(r"^\.PHONY: ((?:[\w-]+ ?)+)$", text, re.MULTILINE)[0].split())

@@ -1,0 +1,172 @@
+"""What README and the pages of docs tell people to type works; `support/pages.py` says how they are read.
+
+Pages that need files of their own, or of which more is to be said, have a test of their own beside this one.
+"""
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rsmcm.apps.experiments.reproduce import EXPERIMENTS
+from rsmcm.apps.scenes import sleeping_man
+
+from ..support.newcomer import write_demo, write_film
+from ..support.pages import NOT_RUN, ROOT, Reader, blocks, pages
+
+OF_THEIR_OWN = {"own-chain": "test_own_chain.py", "detectors": "test_detectors_page.py"}
+PAGES = {name: path for name, path in pages().items() if name not in OF_THEIR_OWN}
+
+NOT_RUN_BLOCKS = {
+    "detectors": 1,  # networks of others
+    "start": 1,  # pip install
+}
+"""How many blocks of a page are not run; every other block is."""
+
+
+@pytest.fixture(scope="module")
+def newcomer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with all that a newcomer has."""
+    folder = tmp_path_factory.mktemp("newcomer")
+    write_demo(folder)
+    write_film(folder, sleeping_man(60, enter=0))
+    return folder
+
+
+@pytest.mark.parametrize("name", [name for name, path in PAGES.items() if blocks(path)])
+def test_a_page_can_be_typed(
+    name: str, newcomer: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From its first line to its last, in a folder of its own, with short scenes in place of the demo's."""
+    here = tmp_path / "here"
+    shutil.copytree(newcomer, here)
+    monkeypatch.chdir(here)
+    reader = Reader(PAGES[name]).read()
+    CHECKS.get(name, lambda reader: None)(reader)
+
+
+def test_pages_of_their_own_are_tested() -> None:
+    for name, test in OF_THEIR_OWN.items():
+        assert name in pages()
+        assert f'"{name}.md"' in (Path(__file__).parent / test).read_text()
+
+
+def test_all_but_a_few_blocks_are_run() -> None:
+    left_out = {name: sum(not block.run for block in blocks(path)) for name, path in pages().items()}
+    assert {name: count for name, count in left_out.items() if count} == NOT_RUN_BLOCKS
+    for name, path in pages().items():
+        for block in blocks(path):
+            where = f"{name}, line {block.line}"
+            assert block.language in ("python", "sh", "output", "toml", "csv", "json", "text"), where
+            assert len(block.info) == 1 or block.language not in ("python", "sh") or not block.run, where
+
+
+def test_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 200
+
+
+def test_every_experiment_is_among_the_figures() -> None:
+    text = pages()["figures"].read_text()
+    for name in EXPERIMENTS:
+        assert f"```sh\nrsmcm reproduce {name}\n```\n\n```{{record}} {name}\n```" in text
+
+
+@pytest.mark.parametrize("name", pages())
+def test_files_that_are_named_are_there(name: str) -> None:
+    path = pages()[name]
+    for link in re.findall(r"\]\((?!https?:|mailto:|#)([^)#\s]+)", path.read_text()):
+        if not link.startswith("generated/"):  # by Sphinx, which looks for these itself
+            assert (path.parent / link).exists(), link
+
+
+def result_files(name: str, folder: str) -> None:
+    """The files of which the page has a table are in the folder."""
+    listed = re.findall(r"^\| `([^`]+)`", PAGES[name].read_text(), re.MULTILINE)
+    assert len(listed) > 2
+    for file in listed:
+        if not file.endswith("/"):
+            assert (Path("results") / folder / file).stat().st_size > 0, file
+
+
+def check_background(reader: Reader) -> None:
+    result_files("background", "street")
+    assert len(list(Path("results/part/foreground").iterdir())) == 4
+    tuned = json.loads(Path("results/tuned/summary.json").read_text())
+    assert tuned["parameters"]["background"]["settle_time"] == 10
+
+
+def check_structure(reader: Reader) -> None:
+    result_files("structure", "shape")
+
+
+def check_faces(reader: Reader) -> None:
+    result_files("faces", "face")
+
+
+def check_bodies(reader: Reader) -> None:
+    result_files("bodies", "body")
+    assert json.loads(Path("results/body/summary.json").read_text())["seen"]["head"] > 0.8
+    names = reader.names
+    assert names["joints"].shape == (8, 3)
+    off = names["joints"][0, :2] - names["signing"].joints[-1, 0, :2]
+    assert (abs(off) < 0.3 * names["body"].head_height).all()
+    assert names["usual"]["condensation"].effective > 1
+
+
+def check_python(reader: Reader) -> None:
+    names = reader.names
+    found = [(names[mask][names["person"]] > 0).mean() for mask in ("together", "apart")]
+    assert found[0] > found[1] + 0.2
+    assert len(list(Path("found/foreground").iterdir())) == 60
+    assert names["scores"].n_frames > 40
+    assert names["belief"]._repr_png_()
+    assert "<svg" in names["model"]._repr_svg_()
+    assert reader.printed[0].endswith("with feedback,")
+    assert names["evidence"] < 0
+    assert names["about"] == {"camera": "street"}
+    assert names["state"].number == 15
+    assert 0 < names["height"][0] < names["height"][1] < 240
+    assert names["belief"].frame.number == 30
+    assert "<svg" in Path("model.svg").read_text()
+
+
+def check_start(reader: Reader) -> None:
+    blobs = json.loads(Path("results/patient/summary.json").read_text())["parameters"]["blobs"]
+    assert blobs["hidden_patience"] == 5
+    assert len(reader.names["boxes"]) > 0
+
+
+CHECKS: dict[str, Callable[[Reader], None]] = {
+    "background": check_background,
+    "structure": check_structure,
+    "faces": check_faces,
+    "bodies": check_bodies,
+    "python": check_python,
+    "start": check_start,
+}
+
+
+def test_the_reader_notices_what_does_not_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = tmp_path / "page.md"
+    for wrong in (
+        "```python\nprint(2)\n```\n\n```output\n3\n```",
+        "```python\nprint('yes')\n```\n```output\nno\n```",
+        "```python\nnothing_of_that_name\n```",
+        f"```python {NOT_RUN}\nfor\n```",
+        "```sh\nrsmcm background no-such-film --out out\n```",
+        f"```sh {NOT_RUN}\nrsmcm background rtsp://camera --out out --no-such-option\n```",
+        "```sh\nmake tea\n```",
+        "```sh\ncurl camera\n```",
+    ):
+        page.write_text(wrong)
+        with pytest.raises(BaseException):  # noqa: B017, PT011 - whatever it is, it does not pass
+            Reader(page).read()
+    page.write_text(
+        "```toml a.toml\nx = 1\n```\n```python\nprint(open('a.toml').read())\n```\n"
+        "```output\nx = 1.01\n```\n```sh not-run\npip install .\n```"
+    )
+    assert Reader(page).read().printed == ["x = 1", ""]
+    assert (ROOT / "Makefile").exists()
