@@ -103,7 +103,7 @@ class FinishedRun:
     def rate(self) -> float:
         """Frames a second that were processed."""
         rate = self.summary.get("rate")
-        if not isinstance(rate, int | float) or not 0 < rate < 1e6:
+        if not isinstance(rate, int | float) or not 1e-6 < rate < 1e6:
             raise self._wrong("rate", "frames a second")
         return rate / self.numbers.step
 
@@ -116,7 +116,10 @@ class FinishedRun:
         for value in (first, last, step):
             if not _is_count(value):
                 raise self._wrong("first_frame, last_frame and parameters.step", "whole numbers from 1")
-        return range(int(first), int(last) + 1, int(step))
+        numbers = range(int(first), int(last) + 1, int(step))
+        if self.summary.get("stream") is None and self.summary.get("frames") != len(numbers):
+            raise self._wrong("frames", f"{len(numbers)} from {first} to {last} in steps of {step}")
+        return numbers
 
     @property
     def source(self) -> str:
