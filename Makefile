@@ -23,7 +23,7 @@ help:
 	@echo "make constraints    choose the newest versions to be the tested ones"
 	@echo "make bench          speed and accuracy beside peers"
 	@echo "make reproduce      all experiments: hours"
-	@echo "make results        docs/results.md and README's figures, from the records of bench and reproduce"
+	@echo "make results        docs/results.md, its pictures and README's figures, from records of bench and reproduce"
 	@echo "make fuzz           damaged inputs for every reader: 100,000 in about ten minutes"
 	@echo "make dist           source distribution and wheel of what is committed, in dist/"
 	@echo "make clean          remove everything that make made, .venv too"
@@ -69,6 +69,7 @@ reproduce: $(INSTALLED)
 
 results: $(INSTALLED)
 	$(BIN)/python -m rsmcm.apps.experiments.results
+	$(BIN)/python docs/pictures/figures.py
 
 fuzz: $(INSTALLED)
 	$(BIN)/python -m tests.fuzz

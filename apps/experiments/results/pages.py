@@ -108,18 +108,23 @@ def results_page(documents: Documents, root: Path) -> str:
     return "\n".join(parts)
 
 
-def _section(record: Record, note: str, root: Path) -> str:
-    made = record.made
+def figures(record: Record) -> str:
+    """What an experiment measured, beside what is wanted of it."""
     rows = []
     for each in record.expectations:
         what, wanted, measured, error, _ = each.cells
         seeds = str(each.seeds) if each.seeds > 1 else ""
         rows.append([what, _bound(wanted), measured, error, seeds, _verdict(each)])
+    return table(("measure", "wanted", "measured", "±", "n", ""), rows)
+
+
+def _section(record: Record, note: str, root: Path) -> str:
+    made = record.made
     parts = [
         f"## {record.title}\n",
         f"`{record.command}`; {_when(made, root)}; {made.machine}; {_duration(made.seconds)}, "
         f"load before it {made.load:.1f}; {_versions(made)}.\n",
-        table(("measure", "wanted", "measured", "±", "n", ""), rows),
+        figures(record),
     ]
     if note:
         parts.append(f"{note.strip()}\n")
