@@ -220,3 +220,39 @@ def test_on_a_phone(browser: Browser, folder: Path, dark: bool) -> None:
         box = page.locator(".space").bounding_box()
         assert box is not None
         assert box["width"] > 300
+
+
+# --- fingers and the whole screen ---------------------------------------------------------------------------
+
+
+def test_fingers_turn_it_and_pull_it_apart(browser: Browser, folder: Path) -> None:
+    with shown_page(browser, folder, SIZE, PHONE) as shown:
+        session = shown.page.context.new_cdp_session(shown.page)
+        session.send("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
+        canvas = shown.page.locator(".space")
+        canvas.scroll_into_view_if_needed()
+        box = canvas.bounding_box()
+        assert box is not None
+        middle, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+        def move(*ways: tuple[float, float]) -> int:
+            """Fingers go from one place to another beside the middle, px."""
+            for kind, share in (("Start", 0.0), ("Move", 0.3), ("Move", 0.6), ("Move", 1.0), ("End", None)):
+                places = [] if share is None else [a + share * (b - a) for a, b in ways]
+                points = [{"x": middle + x, "y": y, "id": number} for number, x in enumerate(places)]
+                session.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+            return shown.inked(".space")
+
+        pictures = [shown.inked(".space"), move((0, 60)), move((-20, -70), (20, 70))]
+        assert len(set(pictures)) == 3
+        assert shown.selected is None, "none of it was a click"
+        assert move((0, -60)) != pictures[2]
+        assert not overflow(shown.page)
+
+
+def test_the_whole_screen(shown: ViewPage) -> None:
+    shown.page.get_by_role("button", name="Full screen").click()
+    shown.page.wait_for_function("document.fullscreenElement?.className === 'space'")
+    shown.page.wait_for_function("document.querySelector('.space').clientHeight === innerHeight")
+    assert shown.inked(".space") > 0
+    shown.page.evaluate("document.exitFullscreen()")

@@ -192,6 +192,16 @@ def test_as_the_camera_sees_it(shown: ViewPage, found: Reconstruction) -> None:
             assert shown.selected == f"point {point}", index
 
 
+def test_regions_in_space(shown: ViewPage, found: Reconstruction) -> None:
+    """The covariances are those of balls: nothing changes about them when the camera turns."""
+    box = shown.page.get_by_label("90 % regions", exact=True)
+    before = shown.inked(".space")
+    box.check()
+    assert shown.inked(".space") != before
+    box.uncheck()
+    assert shown.inked(".space") == before
+
+
 def test_colours_and_cameras(shown: ViewPage) -> None:
     before = shown.inked(".space")
     shown.page.get_by_label("in the film's colours").check()

@@ -5,6 +5,7 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
   const NEAR = 10; // px of the screen: a click selects the point that is not farther away
   const TRAIL = 12, LONGER = 10;
   const PICKED = "#ff3b30";
+  const MOST_REGIONS = 300;
   let thin = 1;
 
   const isSeen = (i, k) => away[2 * (n * i + k)] !== unseen;
@@ -110,6 +111,8 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
     const canTurn = rotations.some(Number.isFinite);
     const choices = element("div", { className: "choices" });
     if (canTurn) choices.append(element("label", {}, withCamera, " as the frame's camera sees it"));
+    const around = element("input", { type: "checkbox" });
+    choices.append(element("label", {}, around, " 90 % regions"));
     if (colours) choices.append(element("label", {}, asPicture, " in the film's colours"));
     panel.append(choices);
     const rotation = (i) => rotations.subarray(9 * i, 9 * i + 9);
@@ -138,13 +141,10 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
         solid.end();
         if (canTurn && !byCamera) cameras(space, i);
         const k = shownAt.get(view.selected);
+        if (around.checked) for (const j of nearTo(k)) surround(space, j, byCamera && rotation(i));
         if (k !== undefined) {
           const [x, y] = space.place(...now.subarray(3 * k, 3 * k + 3));
-          if (!byCamera) {
-            region(space.pen, x, y, ...space.spread(covariances.subarray(6 * k, 6 * k + 6)), REGION_OF_3);
-            space.pen.fillStyle = PICKED + "40";
-            space.pen.fill();
-          }
+          if (!around.checked) surround(space, k, byCamera && rotation(i));
           space.pen.beginPath();
           space.pen.arc(x, y, 6, 0, 2 * Math.PI);
           [space.pen.strokeStyle, space.pen.lineWidth] = [PICKED, 2.5];
@@ -158,6 +158,28 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
       },
     });
     choices.addEventListener("change", () => space.redraw());
+
+    /** The region of a point; `turn`, if any, is by how the points are turned. */
+    function surround(space, k, turn) {
+      const [x, y] = [placed[3 * k] / space.fine, placed[3 * k + 1] / space.fine];
+      let covariance = covariances.subarray(6 * k, 6 * k + 6);
+      if (turn) covariance = turnedCovariance(turn, covariance);
+      region(space.pen, x, y, ...space.spread(covariance), REGION_OF_3);
+      space.pen.fillStyle = PICKED + "30";
+      space.pen.fill();
+      [space.pen.strokeStyle, space.pen.lineWidth] = [PICKED, 1];
+      space.pen.stroke();
+    }
+
+    /** The points nearest to one; all where they are few, or those nearest to their middle. */
+    function nearTo(k) {
+      const all = Array.from(points, (_, j) => j);
+      if (all.length <= MOST_REGIONS) return all;
+      const [x, y, z] = k === undefined ? centre : places.subarray(3 * k, 3 * k + 3);
+      const far = Float32Array.from(all, (j) => Math.hypot(places[3 * j] - x, places[3 * j + 1] - y, places[3 * j + 2] - z));
+      const limit = far.slice().sort()[MOST_REGIONS - 1];
+      return all.filter((j) => far[j] <= limit);
+    }
 
     /** The way of the camera about the points, and where it is now, with the picture's axes. */
     function cameras(space, i) {
