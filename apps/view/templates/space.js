@@ -41,12 +41,13 @@ function inkOf(name) {
 class Space {
   constructor(parent, { label, centre = [0, 0, 0], reach, draw, pick }) {
     Object.assign(this, { centre, reach, drawing: draw, pick, held: new Map(), due: false, inSight: false });
-    this.canvas = element("canvas", { className: "space", tabIndex: 0, role: "application", "aria-label": `${label}. Arrow keys turn it, plus and minus change its size, 0 resets.` });
+    const keys = "Arrow keys turn it, plus and minus change its size, 0 resets.";
+    this.canvas = element("canvas", { className: "space", tabIndex: 0, role: "application", "aria-label": `${label}. ${keys}` });
     this.pen = this.canvas.getContext("2d");
-    this.hint = element("p", { className: "quiet hint", textContent: "Drag to turn; + and − for the size; 0 or double click resets." });
+    const hint = element("p", { className: "quiet hint", textContent: "Drag to turn; + and − for the size; 0 or double click resets." });
     const large = element("button", { textContent: "Full screen", hidden: !document.fullscreenEnabled });
     large.addEventListener("click", () => this.canvas.requestFullscreen());
-    parent.append(this.canvas, element("div", { className: "choices" }, this.hint, large));
+    parent.append(this.canvas, element("div", { className: "choices" }, hint, large));
     this.reset();
     const on = (event, does) => this.canvas.addEventListener(event, does);
     on("pointerdown", (event) => this.press(event));

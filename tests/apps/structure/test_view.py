@@ -289,6 +289,7 @@ def test_an_affine_shape_has_no_cameras_in_space(
     with shown_page(browser, tmp_path, SIZE) as shown:
         before = shown.inked(".space")
         assert not shown.page.get_by_label("as the frame's camera sees it").count()
+        assert shown.page.get_by_text("Up to an affine map, since too few").is_visible()
         shown.show(10)
         assert shown.inked(".space") == before
 

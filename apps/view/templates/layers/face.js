@@ -1,9 +1,12 @@
 // A face: the mesh over the film, the head in space with its texture, how sure its points are.
 
-addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown, mesh, bases, triangles, onTexture, textures, ink }) => {
+addLayers((face) => {
+  const { points, pose, landmarks, states, angles, angleNames, errors, shown, mesh, ink } = face;
+  const { bases, triangles, onTexture, textures } = face;
   const n = shown.length, [nBases, nVertices] = bases.shape;
   const NEAR = 12; // px of the screen: a click selects the point that is not farther away
-  const SKIN = 0x96afd7, UNKNOWN = 0x707070, HOT = [[0, 0, 30], [90, 20, 110], [190, 55, 85], [245, 125, 30], [250, 235, 120]];
+  const SKIN = 0x96afd7, UNKNOWN = 0x707070;
+  const HOT = [[0, 0, 30], [90, 20, 110], [190, 55, 85], [245, 125, 30], [250, 235, 120]];
   const perPose = pose.length / view.count, perLandmarks = landmarks.length / 2 / view.count;
   const point = (i, k) => points.subarray(5 * (n * i + k), 5 * (n * i + k + 1));
   const isLost = (i) => states[3 * i] === 1, isMissing = (i) => states[3 * i + 1] === 1;
@@ -41,7 +44,9 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
   if (perLandmarks) {
     addSwitch({
       name: "landmarks", label: "landmarks, carried along", key: "l", on: false, draw(pen, i) {
-        for (let k = perLandmarks * i; k < perLandmarks * (i + 1); k++) dot(pen, landmarks[2 * k], landmarks[2 * k + 1], 2.5, "#00c8ff");
+        for (let k = perLandmarks * i; k < perLandmarks * (i + 1); k++) {
+          dot(pen, landmarks[2 * k], landmarks[2 * k + 1], 2.5, "#00c8ff");
+        }
       },
     });
   }
@@ -102,7 +107,8 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
   // --- the head in space ---
 
   const panel = addPanel("Head");
-  const look = element("select", { "aria-label": "How the head is painted" }, ...["texture", "its variance", "shape"].map((name, k) => new Option(name, k)));
+  const paints = ["texture", "its variance", "shape"].map((name, k) => new Option(name, k));
+  const look = element("select", { "aria-label": "How the head is painted" }, ...paints);
   const withFilm = element("input", { type: "checkbox", checked: true });
   panel.append(element("div", { className: "choices" }, look, element("label", {}, withFilm, " turns as in the film")));
   const solid = new Solid(), vertices = new Float32Array(3 * nVertices), placed = new Float32Array(3 * nVertices);
@@ -110,7 +116,8 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
 
   /** The vertices in frame i, px about the head's origin: in its pose, or as seen from the front. */
   const head = (i, turned) => {
-    const from = perPose * i, [a, b, c, d, e, f, g, h, k] = turned ? pose.subarray(from, from + 9) : [1, 0, 0, 0, 1, 0, 0, 0, 1];
+    const from = perPose * i, upright = [1, 0, 0, 0, 1, 0, 0, 0, 1];
+    const [a, b, c, d, e, f, g, h, k] = turned ? pose.subarray(from, from + 9) : upright;
     const size = pose[from + 11];
     for (let v = 0; v < 3 * nVertices; v += 3) {
       let x = 0, y = 0, z = 0;
@@ -159,12 +166,15 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
   const pictures = addPanel("Texture at the end");
   textures.forEach(({ caption, png }, k) => {
     const picture = element("img", { src: `data:image/png;base64,${png}`, alt: `Texture: ${caption}` });
-    pictures.append(element("figure", { className: "texture" }, picture, element("figcaption", { className: "quiet", textContent: caption })));
+    const below = element("figcaption", { className: "quiet", textContent: caption });
+    pictures.append(element("figure", { className: "texture" }, picture, below));
     picture.decode().then(() => {
-      const sheet = element("canvas", { width: picture.naturalWidth, height: picture.naturalHeight }), pen = sheet.getContext("2d");
+      const sheet = element("canvas", { width: picture.naturalWidth, height: picture.naturalHeight });
+      const pen = sheet.getContext("2d");
       pen.drawImage(picture, 0, 0);
       const greys = pen.getImageData(0, 0, sheet.width, sheet.height).data;
-      painted[k] = { width: sheet.width, pixels: Int32Array.from({ length: greys.length / 4 }, (_, at) => (k ? heat : grey)(greys[4 * at])) };
+      const pixels = Int32Array.from({ length: greys.length / 4 }, (_, at) => (k ? heat : grey)(greys[4 * at]));
+      painted[k] = { width: sheet.width, pixels };
       space.redraw();
     });
   });
@@ -182,19 +192,21 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
 
   // --- what is selected ---
 
-  addRows((id) => id > 0 && id <= n ? { id, label: `point ${shown[id - 1]}`, colour: "#ff3b30", spans: rowOf(0).spans } : null);
+  addRows((id) => id > 0 && id <= n
+    ? { id, label: `point ${shown[id - 1]}`, colour: "#ff3b30", spans: rowOf(0).spans } : null);
   const unsure = (k) => (i) => Math.sqrt(point(i, k)[2] + point(i, k)[4]);
   addDetails((id, i) => {
     const px = (value) => `${value.toFixed(1)} px`;
     const now = isMissing(i) ? "no picture" : isLost(i) ? "lost" : states[3 * i + 2] ? "found again" : "followed";
     if (id > 0) {
-      const [x, y] = point(i, id - 1);
-      return [["now", now], ["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`], ["unsure by", `${unsure(id - 1)(i).toFixed(2)} px`]];
+      const [x, y] = point(i, id - 1), off = unsure(id - 1)(i).toFixed(2);
+      return [["now", now], ["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`], ["unsure by", `${off} px`]];
     }
     const [x, y, size] = pose.subarray(perPose * i + 9, perPose * i + 12);
     const turns = angleNames.map((name, k) => [name, `${angles[3 * i + k].toFixed(1)}°`]);
     const error = Number.isFinite(errors[i]) ? [["error", `${errors[i].toFixed(2)} px`]] : [];
     return [["now", now], ["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`], ["size", px(size)], ...turns, ...error];
   });
-  addPlot({ name: "selected ±", unit: "px", values: (id) => id > 0 ? Float32Array.from({ length: view.count }, (_, i) => unsure(id - 1)(i)) : null });
+  const curve = (value) => Float32Array.from({ length: view.count }, (_, i) => value(i));
+  addPlot({ name: "selected ±", unit: "px", values: (id) => id > 0 ? curve(unsure(id - 1)) : null });
 });
