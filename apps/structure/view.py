@@ -109,7 +109,7 @@ def structure_view(
         for point in (tracked[k] for k in evenly_spread(len(tracked), MOST_ROWS))
     ]
     plots = [
-        Plot("reprojection error", "px", found.reprojection_errors[shown]),
+        Plot("error", "px", found.reprojection_errors[shown]),
         Plot("points seen", "", np.count_nonzero(observed, axis=1)),
     ]
     return View({"structure": layer}, rows, plots)

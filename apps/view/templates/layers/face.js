@@ -112,7 +112,7 @@ addLayers((face) => {
   const withFilm = element("input", { type: "checkbox", checked: true });
   panel.append(element("div", { className: "choices" }, look, element("label", {}, withFilm, " turns as in the film")));
   const solid = new Solid(), vertices = new Float32Array(3 * nVertices), placed = new Float32Array(3 * nVertices);
-  const painted = textures.map(() => null);
+  const painted = []; // texture and variance, when they are there
 
   /** The vertices in frame i, px about the head's origin: in its pose, or as seen from the front. */
   const head = (i, turned) => {
@@ -164,27 +164,33 @@ addLayers((face) => {
   // --- its texture, as it was at the end ---
 
   const pictures = addPanel("Texture at the end");
-  textures.forEach(({ caption, png }, k) => {
+  const images = textures.map(({ caption, png }) => {
     const picture = element("img", { src: `data:image/png;base64,${png}`, alt: `Texture: ${caption}` });
     const below = element("figcaption", { className: "quiet", textContent: caption });
     pictures.append(element("figure", { className: "texture" }, picture, below));
-    picture.decode().then(() => {
-      const sheet = element("canvas", { width: picture.naturalWidth, height: picture.naturalHeight });
-      const pen = sheet.getContext("2d");
-      pen.drawImage(picture, 0, 0);
-      const greys = pen.getImageData(0, 0, sheet.width, sheet.height).data;
-      const pixels = Int32Array.from({ length: greys.length / 4 }, (_, at) => (k ? heat : grey)(greys[4 * at]));
-      painted[k] = { width: sheet.width, pixels };
-      space.redraw();
-    });
+    return picture;
+  });
+  Promise.all(images.map((image) => image.decode())).then(() => {
+    const [mean, variance] = images.map(greysOf), width = images[0].naturalWidth;
+    // both are black where nothing is known, and the variance also where it is least
+    painted[0] = { width, pixels: mean.map((value) => value && grey(value)) };
+    painted[1] = { width, pixels: variance.map((value, at) => mean[at] && heat(value)) };
+    space.redraw();
   });
 
+  function greysOf(image) {
+    const sheet = element("canvas", { width: image.naturalWidth, height: image.naturalHeight });
+    const pen = sheet.getContext("2d");
+    pen.drawImage(image, 0, 0);
+    const { data } = pen.getImageData(0, 0, sheet.width, sheet.height);
+    return Int32Array.from({ length: data.length / 4 }, (_, at) => data[4 * at]);
+  }
+
   function grey(value) {
-    return value && (0xff000000 | (value << 16) | (value << 8) | value); // black: nothing is known
+    return 0xff000000 | (value << 16) | (value << 8) | value;
   }
 
   function heat(value) {
-    if (!value) return 0;
     const at = value / 255 * (HOT.length - 1), k = Math.min(Math.floor(at), HOT.length - 2);
     const [red, green, blue] = HOT[k].map((low, channel) => Math.round(low + (at - k) * (HOT[k + 1][channel] - low)));
     return 0xff000000 | (blue << 16) | (green << 8) | red;
