@@ -6,7 +6,7 @@ addLayers((face) => {
   const n = shown.length, [nBases, nVertices] = bases.shape;
   const NEAR = 12; // px of the screen: a click selects the point that is not farther away
   const SKIN = 0x96afd7, UNKNOWN = 0x707070;
-  const HOT = [[0, 0, 30], [90, 20, 110], [190, 55, 85], [245, 125, 30], [250, 235, 120]];
+  const HOT = [[50, 25, 120], [130, 35, 125], [205, 65, 85], [245, 130, 35], [250, 235, 120]];
   const perPose = pose.length / view.count, perLandmarks = landmarks.length / 2 / view.count;
   const point = (i, k) => points.subarray(5 * (n * i + k), 5 * (n * i + k + 1));
   const isLost = (i) => states[3 * i] === 1, isMissing = (i) => states[3 * i + 1] === 1;
