@@ -14,7 +14,7 @@ from rsmcm.apps.view.film import Film, read_film
 from rsmcm.apps.view.page import SEEN
 from rsmcm.models.body.upper_body import JOINTS
 
-from ...support.browser import PHONE, Browser, browsing, landmarks, overflow
+from ...support.browser import PHONE, Browser, browsing, landmarks, overflow, reached_by_tab
 from ...support.view_page import Turned, ViewPage, shown_page, write_pages
 
 N_FRAMES = 30
@@ -248,6 +248,20 @@ def test_fingers_turn_it_and_pull_it_apart(browser: Browser, folder: Path) -> No
         assert shown.selected is None, "none of it was a click"
         assert move((0, -60)) != pictures[2]
         assert not overflow(shown.page)
+
+
+def test_everything_is_reached_by_keys(shown: ViewPage) -> None:
+    reached = reached_by_tab(shown.page)
+    assert {"CANVAS", "Full screen", "play", "seek"} <= reached
+
+
+def test_a_film_of_one_frame(browser: Browser, joints: NDArray[np.float64], tmp_path: Path) -> None:
+    (frame, *_), (row, *_) = signer(1, size=SIZE), rows(joints)
+    write_pages(tmp_path, [frame], lambda _: drawn_of(row, 0.0, 9.0), lambda film: body_view(film, ARM))
+    with shown_page(browser, tmp_path, SIZE) as page:
+        page.click(joints[0, LEFT_HAND, :2])
+        assert page.selected == "left hand"
+        assert not any("NaN" in value for value in page.details.values())
 
 
 def test_the_whole_screen(shown: ViewPage) -> None:

@@ -155,7 +155,7 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, r
       ["unsure by", `${Math.sqrt(xx).toFixed(1)}, ${Math.sqrt(yy).toFixed(1)} px`],
       ["depth", z < 0 ? `${px(-z)} nearer than the neck` : `${px(z)} farther than the neck`],
       ["depth unsure by", px(Math.sqrt(zz))],
-      ["speed", `${speed(j, i).toFixed(0)} px/s`],
+      ...(view.count > 1 ? [["speed", `${speed(j, i).toFixed(0)} px/s`]] : []),
     ];
   });
   const over = (value) => (j) => Float32Array.from({ length: view.count }, (_, i) => value(j, i));

@@ -1,7 +1,7 @@
 // A reconstruction: points over the film and in space, from where the camera saw them, how sure they are.
 
 addLayers((structure) => {
-  const { corner, tracked, inks, positions, away, perPx, unseen, spreads, counts, frames } = structure;
+  const { corner, tracked, inks, positions, residuals, spreads, counts, frames } = structure;
   const { geometry, reason, space: inSpace } = structure;
   const n = tracked.length, order = new Map([...tracked].map((id, k) => [id, k]));
   const NEAR = 10; // px of the screen: a click selects the point that is not farther away
@@ -10,10 +10,10 @@ addLayers((structure) => {
   const MOST_REGIONS = 300;
   let thin = 1;
 
-  const isSeen = (i, k) => away[2 * (n * i + k)] !== unseen;
+  const isSeen = (i, k) => !Number.isNaN(residuals[2 * (n * i + k)]);
   /** Where a point is on the film: as observed, or else by shape and camera. */
   const fitted = (i, k) => [positions[2 * (n * i + k)] - corner[0], positions[2 * (n * i + k) + 1] - corner[1]];
-  const residual = (i, k) => isSeen(i, k) ? [away[2 * (n * i + k)] / perPx, away[2 * (n * i + k) + 1] / perPx] : [0, 0];
+  const residual = (i, k) => isSeen(i, k) ? residuals.subarray(2 * (n * i + k), 2 * (n * i + k) + 2) : [0, 0];
   const place = (i, k) => {
     const [[x, y], [dx, dy]] = [fitted(i, k), residual(i, k)];
     return [x + dx, y + dy];
