@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..drawing.boxes import identity_colour
+from ..events.zones import Zones
 from ..io.mot import TrackedObject
 from .film import LONGEST_SIDE, Film, Row
 from .page import PREDICTED, SEEN, Plot, TimelineRow, View
@@ -48,8 +49,8 @@ def _outlines(foreground: NDArray[np.uint8]) -> list[NDArray[np.int16]]:
     return [polygon for polygon in polygons if len(polygon) > 2]
 
 
-def tracks_view(film: Film) -> View:
-    """The page of a film with what `drawn_of` gives."""
+def tracks_view(film: Film, zones: Zones | None = None) -> View:
+    """The page of a film with what `drawn_of` gives, and zones that were watched."""
     ids, counts = film.columns["id"], film.counts["id"]
     order = np.argsort(ids, kind="stable")
     frames = np.repeat(np.arange(len(counts)), counts)[order]
@@ -63,7 +64,7 @@ def tracks_view(film: Film) -> View:
     layer = {name: film.columns[name] for name in (*OF_TRACKS, *OF_OUTLINES)}
     layer |= {"count": counts.astype(np.int32), "polygons": film.counts["corners"].astype(np.int32)}
     plots = [Plot("tracks", "", counts), Plot("foreground", "%", 100 * film.columns["foreground"])]
-    return View({"zones": {"zones": [], "lines": []}, "tracks": layer}, rows, plots)
+    return View({"zones": (zones or Zones()).plain(), "tracks": layer}, rows, plots)
 
 
 def _spans(frames: NDArray[np.int64], seen: NDArray[np.uint8]) -> NDArray[np.int64]:

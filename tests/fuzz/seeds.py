@@ -147,6 +147,20 @@ def _parameters(_: Path) -> list[Files]:
     ]
 
 
+def _zones(_: Path) -> list[Files]:
+    toml = (
+        'units = "px"\nstill_after = 2.0\npatience = 3\n\n[[zone]]\nname = "a"\n'
+        "polygon = [[5, 5], [60, 5], [60.5, 40], [5, 40]]\n\n"
+        '[[line]]\nname = "b"\nfrom = [1, 40]\nto = [60, 2]\nleft_to_right = "in"\nright_to_left = "out"\n'
+    )
+    shapes = [
+        {"label": "a", "shape_type": "polygon", "points": [[5, 5], [60, 5], [60, 40]]},
+        {"label": "b", "shape_type": "line", "points": [[5, 5], [60, 5]]},
+    ]
+    labelme = {"imageWidth": 64, "imageHeight": 48, "shapes": shapes}
+    return [{"zones.toml": toml.encode()}, {"zones.json": json.dumps(labelme, indent=1).encode()}]
+
+
 def _points(_: Path) -> list[Files]:
     points = np.random.default_rng(0).uniform(0, 99, (6, 7, 2))
     whole = points.astype(np.int16)
@@ -250,6 +264,7 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "results": _boxes,
     "detections": _detections,
     "parameters": _parameters,
+    "zones": _zones,
     "tracks": _points,
     "landmarks": _points,
     "models": _models,

@@ -17,7 +17,11 @@ from rsmcm.apps.scenes import sleeping_man
 from ..support.newcomer import write_demo, write_film
 from ..support.pages import NOT_RUN, ROOT, Reader, blocks, pages
 
-OF_THEIR_OWN = {"own-chain": "test_own_chain.py", "detectors": "test_detectors_page.py"}
+OF_THEIR_OWN = {
+    "own-chain": "test_own_chain.py",
+    "detectors": "test_detectors_page.py",
+    "events": "test_events.py",
+}
 PAGES = {name: path for name, path in pages().items() if name not in OF_THEIR_OWN}
 
 WHOLE_SCENE = ("validity",)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.events import read_zones
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.apps.view.film import Film
@@ -216,6 +217,8 @@ def test_zones_that_are_drawn_become_a_file(page: "playwright.Page") -> None:
     np.testing.assert_allclose(content["zone"][0]["polygon"], corners, atol=1)
     assert content["zone"][1]["polygon"] == [[1, 2], [30, 2], [30, 40.5]]
     assert content["line"][0]["name"] == 'the "gate"'
+    zones = read_zones(download.value.path(), SIZE)  # as --zones does
+    assert zones.plain()["zones"] == content["zone"]
     np.testing.assert_allclose(
         [content["line"][0][end] for end in ("from", "to")], [(100, 20), (100, 220)], atol=1
     )
