@@ -325,6 +325,30 @@ def test_the_pages_of_a_run_link_each_other(results: Path) -> None:
         assert all((results / link).exists() for link in links.found)
 
 
+def test_many_rows_scroll_by_themselves(browser: Browser, tmp_path: Path) -> None:
+    """And the page stays where it is, so that the film is in sight while its objects are clicked."""
+    count = 200
+    film = Film(None, (64, 48), np.arange(1, count + 1), np.arange(count) / 5, np.arange(count) / 5)
+    rows = [TimelineRow(k, str(k), "#00ff00", np.array([[k, k + 1, 0]])) for k in range(count - 1)]
+    write_view(tmp_path / "view.html", "title", film, count, View({}, rows))
+    in_sight = """(id) => {
+        const box = (query) => document.querySelector(query).getBoundingClientRect();
+        const [row, list, cursor] = [`#row-${id}`, ".rows", ".rows .cursor"].map(box);
+        return row.top >= list.top - 1 && row.bottom <= list.bottom + 1 && cursor.bottom >= row.bottom
+            && cursor.top <= row.top;
+    }"""
+    with browser.page(tmp_path / "view.html", PHONE) as page:
+        for key, row in (("End", count - 2), ("Home", 0)):
+            page.keyboard.press(key)
+            assert page.evaluate(in_sight, row)
+        page.locator(".rows").focus()
+        page.evaluate("scrollTo(0, 0)")
+        for _ in range(20):
+            page.keyboard.press("ArrowDown")
+        assert page.evaluate(in_sight, 19)
+        assert page.evaluate("scrollY") == 0
+
+
 def test_no_text_of_the_user_is_taken_for_a_script(browser: Browser, tmp_path: Path) -> None:
     """And without a film there is a slider over time."""
     bad = '</script><script>alert("x")</script><!-- & "'
