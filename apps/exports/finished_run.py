@@ -118,9 +118,14 @@ class FinishedRun:
         return range(int(first), int(last) + 1, int(step))
 
     @property
+    def source(self) -> str:
+        """What the run has read, as the user gave it."""
+        return str(self.summary.get("source"))
+
+    @property
     def picture_names(self) -> list[str]:
         """Names of the files of the source's pictures, in order; none unless it is a folder that is there."""
-        source = Path(str(self.summary.get("source")))
+        source = Path(self.source)
         return [path.name for path in images_among(source.iterdir())] if source.is_dir() else []
 
     def frames(self, masks: bool = True) -> Iterator[RunFrame]:

@@ -90,7 +90,7 @@ class FaceDrawing:
         seen: NDArray[np.bool_] = ~(states[:, 0] | states[:, 1])
         rows = [TimelineRow(0, "face", INK, spans_of(seen))]
         variances = columns["points"].reshape(len(numbers), -1, 5)[:, :, [2, 4]].sum(axis=2)
-        unsure = Plot("points unsure", "px", np.sqrt(variances.mean(axis=1)))
+        unsure = Plot("points ±", "px", np.sqrt(variances.mean(axis=1)))
         return View({"face": layer}, rows, [*_plots(numbers), unsure])
 
 

@@ -17,8 +17,8 @@ from .reconstruction import Numbers, Reconstruction
 
 MOST_POINTS = 100_000
 """In space."""
-MOST_PLACES = 200_000
-"""Of points in frames, over the film."""
+MOST_TRACKED, MOST_PLACES = 2_000, 200_000
+"""Over the film: points, and places of points in frames."""
 MOST_ROWS = 200
 """Of the timeline; other points have one while they are selected."""
 
@@ -82,7 +82,7 @@ def structure_view(
     """
     shown = np.isin([frame.number for frame in frames], film.numbers)
     points = evenly_spread(found.n_points, MOST_POINTS)
-    tracked = evenly_spread(found.n_points, MOST_PLACES // len(film.numbers))
+    tracked = evenly_spread(found.n_points, min(MOST_TRACKED, MOST_PLACES // len(film.numbers)))
     residuals = found.residuals[shown][:, tracked]
     observed = found.observed[shown]
     limits = np.iinfo(np.int16)

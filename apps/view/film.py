@@ -179,7 +179,7 @@ def _moments(path: Path) -> NDArray[np.float64]:
         stream = container.streams.video[0]
         assert stream.time_base is not None
         ticks = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
-    return np.array(ticks, np.float64) * float(stream.time_base)
+        return np.array(ticks, np.float64) * float(stream.time_base)  # closed, a stream has no memory
 
 
 def _small(image: Image) -> Image:

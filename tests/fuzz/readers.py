@@ -13,6 +13,7 @@ from rsmcm.apps.evaluation.scoring import Scoring
 from rsmcm.apps.evaluation.tracks import track_rows
 from rsmcm.apps.evaluation.validity import report_validity
 from rsmcm.apps.events import Sighting, Watch, read_zones
+from rsmcm.apps.exports import to_coco, to_cvat, to_movement
 from rsmcm.apps.io.detections.read import read_detections
 from rsmcm.apps.io.ground_truth import BoxTruth, read_ground_truth
 from rsmcm.apps.io.mot import read_tracks
@@ -158,6 +159,12 @@ def predictions(folder: Path) -> None:
     report_validity(folder)
 
 
+def exports(folder: Path) -> None:
+    """Results of a run, for other tools."""
+    for to in (to_coco, to_cvat, to_movement):
+        to(folder, folder / f"{to.__name__}.out")
+
+
 def detectors(folder: Path) -> None:
     """A network that finds faces, and what it finds."""
     default_faces(_file(folder))(Frame(IMAGE, 0.0, 1))
@@ -170,6 +177,6 @@ READERS: dict[str, Callable[[Path], None]] = {
     reader.__name__: reader
     for reader in (
         films, pictures, masks, regions, boxes, archives, results, detections, parameters, zones, tracks,
-        landmarks, models, correspondences, joints, states, predictions, detectors,
+        landmarks, models, correspondences, joints, states, predictions, exports, detectors,
     )
 }  # fmt: skip

@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rsmcm.apps.evaluation.predictions import FILE, PairRecord, ScoreRecord, write_predictions
+from rsmcm.apps.exports.track_table import TABLE, TrackTableWriter
+from rsmcm.apps.io.mot import TrackedBox
 from rsmcm.inference import RecursiveBP
 from rsmcm.inference.validity.estimate import RecordedPredictions
 from rsmcm.models.body.upper_body import JOINTS
@@ -250,6 +252,24 @@ def _predictions(folder: Path) -> list[Files]:
     return [{FILE: (folder / FILE).read_bytes()}]
 
 
+def _exports(folder: Path) -> list[Files]:
+    with TrackTableWriter(folder / TABLE) as table:
+        for number in (1, 2, 3):
+            tracks = [TrackedBox(who, (5.0 * who, 6.0, 20.0, 30.0)) for who in range(1, number)]
+            table.write(number, number / 25, tracks)
+    summary = {"size": [WIDTH, HEIGHT], "rate": 25.0, "first_frame": 1, "last_frame": 3}
+    summary |= {"source": "film.mp4", "frames": 3, "parameters": {"step": 1}}
+    masks = {f"foreground/bin00000{number}.png": _encoded("png", _picture()) for number in (1, 2, 3)}
+    return [
+        {
+            "manifest.json": json.dumps({"application": "background", "files": [TABLE]}).encode(),
+            "summary.json": json.dumps(summary).encode(),
+            TABLE: (folder / TABLE).read_bytes(),
+            **masks,
+        }
+    ]
+
+
 def _detectors(_: Path) -> list[Files]:
     return [{"faces.onnx": tiny_network()}]
 
@@ -272,6 +292,7 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "joints": _joints,
     "states": _states,
     "predictions": _predictions,
+    "exports": _exports,
     "detectors": _detectors,
 }
 

@@ -106,7 +106,7 @@ def test_rows_say_when_a_part_was_seen(folder: Path) -> None:
         if row.identity == LEFT_HAND:
             expected[list(HIDDEN)] = False
         np.testing.assert_array_equal(seen, expected, err_msg=row.label)
-    unsure = next(plot for plot in view.plots if plot.name == "left hand unsure")
+    unsure = next(plot for plot in view.plots if plot.name == "left hand ±")
     np.testing.assert_allclose(unsure.values, 5.0, rtol=1e-6)
     evidence = next(plot for plot in view.plots if plot.name == "log evidence").values
     np.testing.assert_array_equal(np.isnan(evidence), np.arange(N_FRAMES) == 20)

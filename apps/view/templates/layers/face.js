@@ -51,7 +51,7 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
       for (let k = 0; k < n; k++) {
         const [x, y, xx, xy, yy] = point(i, k);
         region(pen, x + 0.5, y + 0.5, xx, xy, yy, REGION_OF_2);
-        pen.fillStyle = ink + "50";
+        pen.fillStyle = ink + "28";
         pen.fill();
         [pen.strokeStyle, pen.lineWidth] = [ink, pen.thin];
         pen.stroke();
@@ -196,5 +196,5 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
     const error = Number.isFinite(errors[i]) ? [["error", `${errors[i].toFixed(2)} px`]] : [];
     return [["now", now], ["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`], ["size", px(size)], ...turns, ...error];
   });
-  addPlot({ name: "selected: unsure", unit: "px", values: (id) => id > 0 ? Float32Array.from({ length: view.count }, (_, i) => unsure(id - 1)(i)) : null });
+  addPlot({ name: "selected ±", unit: "px", values: (id) => id > 0 ? Float32Array.from({ length: view.count }, (_, i) => unsure(id - 1)(i)) : null });
 });

@@ -96,6 +96,11 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
   const panel = addPanel("In space");
   if (inSpace === null) panel.append(element("p", { className: "quiet", textContent: `The shape is undetermined: ${reason}.` }));
   else addSpace(panel, inSpace);
+  const few = [["Over the film", n], ["in space", inSpace?.points.length ?? counts.length]].filter(([, some]) => some < counts.length);
+  if (few.length) {
+    const words = few.map(([where, some]) => `${where}: ${some} of ${counts.length} points`);
+    panel.append(element("p", { className: "quiet hint", textContent: `${words.join(", ")}, evenly chosen.` }));
+  }
 
   function addSpace(panel, { points, places, inks, colours, covariances, rotations, centre, reach }) {
     const shownAt = new Map([...points].map((id, k) => [id, k]));
@@ -195,11 +200,11 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
     if (k === undefined) return [...seen, ["over the film", "not on this page: too many points"]];
     const [x, y] = place(i, k), [xx, , yy] = spread(i, k);
     const now = [["now", isSeen(i, k) ? "seen" : "not seen, by shape and camera"]];
-    if (Number.isFinite(x)) now.push(["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`], ["unsure by", `${Math.sqrt(xx).toFixed(2)}, ${Math.sqrt(yy).toFixed(2)} px`]);
+    if (Number.isFinite(x)) now.push(["place", `${(x + corner[0]).toFixed(1)}, ${(y + corner[1]).toFixed(1)} px`], ["unsure by", `${Math.sqrt(xx).toFixed(2)}, ${Math.sqrt(yy).toFixed(2)} px`]);
     if (isSeen(i, k)) now.push(["residual", `${Math.hypot(...residual(i, k)).toFixed(2)} px`]);
     return [...seen, ...now];
   });
   const over = (value) => (id) => order.has(id) ? Float32Array.from({ length: view.count }, (_, i) => value(i, order.get(id))) : null;
   addPlot({ name: "selected: residual", unit: "px", values: over((i, k) => isSeen(i, k) ? Math.hypot(...residual(i, k)) : NaN) });
-  addPlot({ name: "selected: unsure", unit: "px", values: over((i, k) => Math.sqrt(spread(i, k)[0] + spread(i, k)[2])) });
+  addPlot({ name: "selected ±", unit: "px", values: over((i, k) => Math.sqrt(spread(i, k)[0] + spread(i, k)[2])) });
 });
