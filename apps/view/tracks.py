@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drawing.boxes import identity_colour
+from ..drawing.boxes import css_colour, identity_colour
 from ..events.report import Happened
 from ..events.watch import Event
 from ..events.zones import Zones
@@ -60,7 +60,12 @@ def tracks_view(film: Film, happened: Happened | None = None) -> View:
     identities, starts = np.unique(ids[order], return_index=True)
     ends = np.append(starts, len(ids))[1:]
     rows = [
-        TimelineRow(identity, str(identity), _css(identity), _spans(frames[start:end], seen[start:end]))
+        TimelineRow(
+            identity,
+            str(identity),
+            css_colour(identity_colour(identity)),
+            _spans(frames[start:end], seen[start:end]),
+        )
         for identity, start, end in zip(identities.tolist(), starts, ends, strict=True)
     ]
     layer = {name: film.columns[name] for name in (*OF_TRACKS, *OF_OUTLINES)}
@@ -88,8 +93,3 @@ def _spans(frames: NDArray[np.int64], seen: NDArray[np.uint8]) -> NDArray[np.int
     ends = np.flatnonzero((np.diff(frames) > 1) | (np.diff(seen.astype(np.int8)) != 0))
     first, last = np.append(0, ends + 1), np.append(ends, len(frames) - 1)
     return np.stack([frames[first], frames[last], np.where(seen[first], SEEN, PREDICTED)], axis=1)
-
-
-def _css(identity: int) -> str:
-    blue, green, red = identity_colour(identity)
-    return f"#{red:02x}{green:02x}{blue:02x}"

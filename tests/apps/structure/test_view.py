@@ -12,7 +12,7 @@ from rsmcm.apps.scenes import Cylinder
 from rsmcm.apps.structure import view as module
 from rsmcm.apps.structure.files import GREY, orthographic_parts
 from rsmcm.apps.structure.reconstruction import Reconstruction
-from rsmcm.apps.structure.view import PER_PX, UNSEEN, film_of_tracks, structure_view, write_film
+from rsmcm.apps.structure.view import film_of_tracks, structure_view, write_film
 from rsmcm.apps.view.film import Film
 from rsmcm.apps.view.page import SEEN, write_view
 
@@ -87,10 +87,9 @@ def test_what_is_on_the_page(truth: Cylinder, found: Reconstruction, first: int)
     layer = layer_of(truth, found, numbers)
     np.testing.assert_array_equal(layer["tracked"], np.arange(15))
     np.testing.assert_allclose(layer["positions"], found.positions[first - 1 :], atol=1e-4)
-    seen = layer["away"][..., 0] != UNSEEN
+    np.testing.assert_allclose(layer["residuals"], found.residuals[first - 1 :], atol=1e-5)
+    seen = ~np.isnan(layer["residuals"]).any(axis=2)
     np.testing.assert_array_equal(seen, found.observed[first - 1 :])
-    away = found.residuals[first - 1 :][seen]
-    np.testing.assert_allclose(layer["away"][seen] / PER_PX, away, atol=0.5 / PER_PX)
     np.testing.assert_array_equal(layer["counts"], np.count_nonzero(found.observed, axis=0))
     space = layer["space"]
     np.testing.assert_allclose(space["places"], found.shape, atol=1e-6)
@@ -192,6 +191,16 @@ def test_as_the_camera_sees_it(shown: ViewPage, found: Reconstruction) -> None:
             assert shown.selected == f"point {point}", index
 
 
+def test_regions_in_space(shown: ViewPage, found: Reconstruction) -> None:
+    """The covariances are those of balls: nothing changes about them when the camera turns."""
+    box = shown.page.get_by_label("90 % regions", exact=True)
+    before = shown.inked(".space")
+    box.check()
+    assert shown.inked(".space") != before
+    box.uncheck()
+    assert shown.inked(".space") == before
+
+
 def test_colours_and_cameras(shown: ViewPage) -> None:
     before = shown.inked(".space")
     shown.page.get_by_label("in the film's colours").check()
@@ -279,6 +288,7 @@ def test_an_affine_shape_has_no_cameras_in_space(
     with shown_page(browser, tmp_path, SIZE) as shown:
         before = shown.inked(".space")
         assert not shown.page.get_by_label("as the frame's camera sees it").count()
+        assert shown.page.get_by_text("Up to an affine map, since too few").is_visible()
         shown.show(10)
         assert shown.inked(".space") == before
 
