@@ -16,11 +16,16 @@ from rsmcm.apps.scenes import sleeping_man
 from ..support.newcomer import write_demo, write_film
 from ..support.pages import NOT_RUN, ROOT, Reader, blocks, pages
 
-OF_THEIR_OWN = {"own-chain": "test_own_chain.py", "detectors": "test_detectors_page.py"}
+OF_THEIR_OWN = {
+    "own-chain": "test_own_chain.py",
+    "detectors": "test_detectors_page.py",
+    "scale": "test_scale_page.py",
+}
 PAGES = {name: path for name, path in pages().items() if name not in OF_THEIR_OWN}
 
 NOT_RUN_BLOCKS = {
     "detectors": 1,  # networks of others
+    "scale": 2,  # a cluster
     "start": 1,  # pip install
 }
 """How many blocks of a page are not run; every other block is."""
