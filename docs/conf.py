@@ -72,6 +72,8 @@ sphinx_gallery_conf = {
     "examples_dirs": "gallery",
     "gallery_dirs": "generated/gallery",
     "filename_pattern": r"[\\/]plot_",
+    "capture_repr": (),  # what an example shows, it prints or draws
+    "thumbnail_size": (480, 240),
     "abort_on_example_error": True,
     "download_all_examples": False,
     "remove_config_comments": True,
@@ -90,6 +92,7 @@ def write_command_reference(app: Sphinx) -> None:
     text = command_line.generate_docs(output_format="rst")
     text = re.sub(r"=+\nrsmcm\n=+", "Commands\n========", text, count=1)
     text = re.sub(r"\.\. contents::.*\n(   .*\n)+", "", text)  # the theme shows them beside the page
+    text = re.sub(r"(?m)^(``-.*``)\n(?! )", r"\1\n\n", text)  # an option of which nothing is said
     page.parent.mkdir(exist_ok=True)
     if not page.exists() or page.read_text() != text:
         page.write_text(text)

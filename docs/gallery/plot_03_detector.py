@@ -54,7 +54,9 @@ print(f"true boxes have scores about {rates.scores.true:.2f}, others about {rate
 # %%
 # Left: all boxes of the detector. Right: where they were over time (grey), and the track (green). False
 # boxes lead to no track. On the four frames out of five without the detector, and where it misses him, the
-# pixels carry the track on. Try ``every=25``, or ``feedback=False`` for the detector's chain.
+# pixels carry the track on. The second identity is a fault: it is still he, who strides off after he has
+# stood for eight seconds. (Without the detector he keeps his number.) Try ``every=25``, or
+# ``feedback=False`` for the detector's chain.
 
 figure, (shown, axis) = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained")
 shown.imshow(scene[200].image[..., ::-1])

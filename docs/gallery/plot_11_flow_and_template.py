@@ -25,8 +25,8 @@ from rsmcm.models import PixelLabels
 # gains look at the same dense texture.)
 
 films = {
-    "texture stays": face(100, seed=0, motion="fast", light=0),
-    "texture changes": face(100, seed=0, motion="fast", light=0, change=12),
+    "texture stays": face(80, seed=0, motion="fast", light=0),
+    "texture changes": face(80, seed=0, motion="fast", light=0, change=12),
 }
 gains, errors = (0.0, 0.02, 0.1, 0.3, 0.6, 1.0), {}
 for name, film in films.items():

@@ -29,21 +29,19 @@ scene = signer(60, seed=3, size=(480, 270))
 parts = BodyParts.learned(list(scene.images()), scene.detector)
 body = UpperBody.from_head(parts.head_height)
 figure, axes = plt.subplots(1, 3, figsize=(12, 2.8), width_ratios=(4, 4, 3), layout="constrained")
-arms = [4, 3, 2, 1, 5, 6, 7]  # left hand, elbow, shoulder, neck, right shoulder, elbow, hand
-for axis, (title, heard) in zip(axes, (("both chains", True), ("sampler by itself", False)), strict=False):
+errors, arms = {}, [4, 3, 2, 1, 5, 6, 7]  # left hand, elbow, shoulder, neck, right shoulder, elbow, hand
+for axis, (title, heard) in zip(axes, (("both chains", True), ("sampler alone", False)), strict=False):
     model = MultiChain().connect(FleshTracker(body), parts, feedback=heard)
     model.connect(ArticulatedPose(body, samples=250), parts)
     states = [belief["pose"] for belief in RecursiveBP(model).run(scene)]
     joints = np.array([moments(body, state).joints for state in states])
-    errors = np.linalg.norm((joints - scene.joints)[:, [3, 4, 6, 7], :2], axis=2).mean(axis=1)
-    print(
-        f"{title}: error {errors.mean():.0f} px, {errors.mean() / body.head_height:.0%} of the head's height"
-    )
+    errors[title] = np.linalg.norm((joints - scene.joints)[:, [3, 4, 6, 7], :2], axis=2).mean(axis=1)
+    print(f"{title}: error {errors[title].mean():.0f} px; the head is {body.head_height:.0f} px high")
     axis.imshow(scene.image(44)[..., ::-1])
     for pose in body.joints(states[44].drawn(20, np.random.default_rng(0))):
         axis.plot(*pose[arms, :2].T, color="yellow", linewidth=0.5)
     axis.plot(*scene.joints[44, arms, :2].T, color="white", linewidth=2)
     axis.set(title=f"{title}, frame 45", xticks=[], yticks=[])
-    axes[2].plot(range(1, 61), errors, label=title)
+    axes[2].plot(range(1, 61), errors[title], label=title)
 axes[2].set(xlabel="frame", ylabel="error, px")
 axes[2].legend()

@@ -42,8 +42,8 @@ whole, trajectories, pixels, objects = (
 model = MultiChain().connect(whole, pixels).connect(whole, objects).connect(trajectories, objects)
 solution = CoordinateAscent(model, most_rounds=1, tolerance=None).run(film)
 masks["the whole film"] = [belief.foreground() > 0 for belief in solution[pixels]]
-for identity, (x, y, width, height) in solution[trajectories].at(60):
-    print(f"frame {film[60].number}: object {identity}, {width:.0f} x {height:.0f} px at {x:.0f}, {y:.0f}")
+for track in solution[trajectories].at(60):
+    print(f"frame {film[60].number}: object {track.identity}, box {np.round(track.box).astype(int)} px")
 
 # %%
 # Masks of the first frame, and of one in which he walks. Right: what mask and person have in common, as a
