@@ -72,6 +72,8 @@ sphinx_gallery_conf = {
     "examples_dirs": "gallery",
     "gallery_dirs": "generated/gallery",
     "filename_pattern": r"[\\/]plot_",
+    "capture_repr": (),  # what an example shows, it prints or draws
+    "thumbnail_size": (480, 240),
     "abort_on_example_error": True,
     "download_all_examples": False,
     "remove_config_comments": True,
