@@ -23,7 +23,7 @@ help:
 	@echo "make constraints    choose the newest versions to be the tested ones"
 	@echo "make bench          speed and accuracy beside peers"
 	@echo "make reproduce      all experiments: hours"
-	@echo "make results        docs/results.md and README's figures, from the records of bench and reproduce"
+	@echo "make results        docs/results.md, its pictures and README's figures, from records of bench and reproduce"
 	@echo "make fuzz           damaged inputs for every reader: 100,000 in about ten minutes"
 	@echo "make dist           source distribution and wheel of what is committed, in dist/"
 	@echo "make clean          remove everything that make made, .venv too"
@@ -69,16 +69,18 @@ reproduce: $(INSTALLED)
 
 results: $(INSTALLED)
 	$(BIN)/python -m rsmcm.apps.experiments.results
+	$(BIN)/python docs/pictures/figures.py
 
 fuzz: $(INSTALLED)
 	$(BIN)/python -m tests.fuzz
 
 dist: $(INSTALLED)
 	git diff --quiet HEAD || (echo "make dist: commit first: there are changes" >&2; exit 2)
-	rm -rf build dist
-	mkdir -p build/committed
-	git archive HEAD | tar -x -C build/committed
-	$(BIN)/python -m build --no-isolation --outdir dist build/committed
+	rm -rf dist
+	mkdir -p dist/committed
+	git archive HEAD | tar -x -C dist/committed
+	$(BIN)/python -P -m build --no-isolation --outdir dist dist/committed
+	rm -r dist/committed
 
 clean:
 	rm -rf .venv .nox build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis \

@@ -9,27 +9,25 @@ from contextlib import redirect_stdout
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
 from .background.job import BackgroundJob
-from .batch.job import APPLICATIONS, Batch, options_of
+from .batch.commands import batch
 from .body.job import BodyJob
-from .experiments.reproduce import EXPERIMENTS, LONG, run_experiment, usual_folder
+from .experiments.reproduce import EXPERIMENTS, LONG, PARALLEL, run_experiment, usual_folder
 from .face.job import FaceJob
 from .io.sources.quiet import own_standard_error
 from .opencv_packages import opencv_hint
 from .options.complaints import about_options, convert_strictly, one_line
 from .options.job import Flag, Job
 from .options.settings import options_from_file
-from .runs.interruption import Outcome
+from .runs.interruption import SIGNALLED, Outcome
 from .structure.job import StructureJob
 
 STREAM_LOST = 1
-SOME_FAILED = 1
 USAGE_ERROR = 2
-SIGNALLED = 128  # plus the number of the signal: 130 for Ctrl-C
 
 app = App(
     name="rsmcm",
@@ -47,19 +45,6 @@ T = TypeVar("T")
 Fields = Annotated[T, Parameter(name="*")]
 """A dataclass whose fields are the options."""
 Figures = Annotated[Path, Parameter(help="Folder for the figures.")]
-
-OF_BATCH = """Run rsmcm {} over many films or cameras.
-
-    Each has a folder of results, as of a run of its own; summary.csv and index.html are over all of them.
-    Run again, the same command leaves what is complete as it is, and goes on with what was broken off. A
-    film that fails is named at the end and stops no other. All options of the single run are for all films.
-
-    Parameters
-    ----------
-    sources
-        Video files, folders of images, folders of films, globs of them in quotation marks, addresses, or a
-        TOML file that lists cameras.
-    """
 
 
 @app.command
@@ -237,18 +222,31 @@ def events(run: Path, *, zones: Path) -> int:
 
 
 def _experiment(name: str) -> Callable[..., None]:
-    """What reproduces a figure, as a command."""
-    folder = usual_folder(name)
+    """What reproduces a figure, as a command, with the options that make a difference to it."""
+    folder, parallel = usual_folder(name), Parameter(parse=name in PARALLEL)
 
-    def usual(*, out: Figures = folder) -> None:
-        run_experiment(name, out)
-
-    def perhaps_long(
-        *, out: Figures = folder, long: Annotated[Flag, Parameter(help=LONG.get(name))] = False
+    def reproduced(
+        *,
+        out: Figures = folder,
+        long: Annotated[Flag, Parameter(parse=name in LONG, help=LONG.get(name))] = False,
+        jobs: Annotated[int | None, parallel] = None,
+        dask: Annotated[str | None, parallel] = None,
     ) -> None:
-        run_experiment(name, out, long)
+        """Reproduce a figure.
 
-    return perhaps_long if name in LONG else usual
+        Parameters
+        ----------
+        jobs
+            Sequences that are worked on at once; as many as there are cores if not given.
+        dask
+            Address of the scheduler of a Dask cluster whose workers do it instead.
+        """
+        from .runs.parallel import chosen_workers, working
+
+        with working(chosen_workers(jobs, dask)):
+            run_experiment(name, out, *([long] if name in LONG else []))
+
+    return reproduced
 
 
 app.command(reproduce)
@@ -257,30 +255,7 @@ for name, text in EXPERIMENTS.items():
 app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
 
 
-def _batched(application: str) -> Callable[..., int]:
-    """An application over many films, as a command."""
-    kind = options_of(application)
-
-    def batched(*sources: str, batch: Fields[Batch], options: Any = kind()) -> int:  # noqa: B008
-        from .batch.application import commands, in_words, report_failures, run_batch
-
-        if batch.only_print:
-            print(*commands(application, sources, batch, options), sep="\n")
-            return 0
-        ended = run_batch(application, sources, batch, options)
-        report_failures(ended)
-        print(*in_words(ended, batch.out), sep="\n")
-        return SIGNALLED + ended.signal if ended.signal is not None else SOME_FAILED * bool(ended.failed)
-
-    batched.__doc__ = OF_BATCH.format(application)
-    batched.__annotations__["options"] = Annotated[kind, Parameter(name="*")]
-    return batched
-
-
-batch = App(name="batch", help="Run an application over many films or cameras, a folder of results for each.")
 app.command(batch)
-for name in APPLICATIONS:
-    batch.command(_batched(name), name=name)
 
 
 def _reported(job: Job, outcome: Outcome) -> Outcome:
@@ -335,6 +310,7 @@ def launch(
 
             set_threads(threads)
             logging.getLogger("rsmcm").info("threads: %d", threads)
+        # not None: what starts processes flushes it
         with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere if quiet else sys.stdout):
             code: int | None = function(*bound.args, **bound.kwargs)
     except ValueError as error:

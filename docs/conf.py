@@ -92,6 +92,7 @@ def write_command_reference(app: Sphinx) -> None:
     text = command_line.generate_docs(output_format="rst")
     text = re.sub(r"=+\nrsmcm\n=+", "Commands\n========", text, count=1)
     text = re.sub(r"\.\. contents::.*\n(   .*\n)+", "", text)  # the theme shows them beside the page
+    text = re.sub(r"(?m)^(``-.*``)\n(?! )", r"\1\n\n", text)  # an option of which nothing is said
     page.parent.mkdir(exist_ok=True)
     if not page.exists() or page.read_text() != text:
         page.write_text(text)

@@ -411,7 +411,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     def view(self, film: Film) -> View:
         """Tracks over the film."""
-        return tracks_view(film)
+        return tracks_view(film, self._happened())
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Tracks, and measures against ground truth."""

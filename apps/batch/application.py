@@ -5,10 +5,10 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import FrameType
@@ -23,7 +23,7 @@ from ..options.complaints import one_line
 from ..options.job import Job
 from ..runs.interruption import Interrupted
 from ..runs.output_folder import was_cut_off
-from ..runs.parallel import Workers, as_they_end, working
+from ..runs.parallel import Workers, as_they_end, chosen_workers, working
 from .film import Told, run_film
 from .folders import folder_names
 from .job import APPLICATIONS, OWN, Batch, Typed, job_of, typed, words_of
@@ -134,8 +134,9 @@ def run_batch(application: str, sources: Sequence[str], batch: Batch, options: A
     summary.write()
     ending = Ending(here=workers.dask is None)
     try:
-        with ending.heard(), working(workers):
-            for film, told in _all_told(application, films, workers, ending):
+        told_by = _all_told(application, films, workers, ending)
+        with ending.heard(), working(workers), closing(told_by):
+            for film, told in told_by:
                 summary.tell(Line(film.name, film.job.out.name, told))
     except Interrupted as stop:
         ending.signal = stop.signal
@@ -197,13 +198,13 @@ def workers_for(found: Sequence[Found], batch: Batch) -> Workers:
     ValueError
         if there would be fewer processes than live cameras.
     """
+    workers = chosen_workers(batch.jobs, batch.dask)
     live, cores = sum(each.live for each in found), cpu_count()
-    if batch.dask is not None:
-        return Workers(dask=batch.dask)
-    if batch.jobs is not None and batch.jobs < live:
+    if batch.jobs is None:
+        workers = replace(workers, jobs=max(workers.jobs, live))
+    elif workers.jobs < live:
         raise ValueError(f"--jobs: got {batch.jobs}, expected {live} or more: all live cameras run at once")
-    jobs = batch.jobs or max(cores, live)
-    return Workers(jobs, max(1, min(thread_count(), cores // jobs)))
+    return replace(workers, threads=max(1, min(thread_count(), cores // workers.jobs)))
 
 
 def commands(application: str, sources: Sequence[str], batch: Batch, options: Any) -> list[str]:
@@ -225,7 +226,7 @@ def _command(application: str, job: Job, threads: int) -> list[str]:
 
 def _all_told(
     application: str, films: Sequence[Film], workers: Workers, ending: Ending
-) -> Iterator[tuple[Film, Told]]:
+) -> Generator[tuple[Film, Told]]:
     """What becomes of all films, as they end; whoever takes his process along does not stop the others.
 
     When a process dies, all that wait for it are given back. Those that were begun are run again by
@@ -280,4 +281,6 @@ def in_words(ended: Ended, out: Path) -> list[str]:
 def report_failures(ended: Ended) -> None:
     """A line on standard error for each film that went wrong."""
     for line in ended.failed:
-        print(f"rsmcm: {line.source}: {line.told.error}", file=sys.stderr)
+        error = line.told.error
+        named = error if error.startswith(line.source) else f"{line.source}: {error}"
+        print(f"rsmcm: {named}", file=sys.stderr)

@@ -32,6 +32,9 @@ THUMBNAIL = (160, 120)
 LOCKED = 10.0
 """Seconds for which a folder's lock is waited for: that of a process that was killed may outlive it."""
 
+OTHER = "--resume: "
+"""Begins what is said of results in a film's folder that this run cannot go on with."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -71,15 +74,16 @@ def run_film(application: str, job: Job) -> Told:
         return Told("waiting")
     try:
         return _run(application, job)
-    except KeyboardInterrupt as stop:
+    except KeyboardInterrupt:
         end_working()
-        return Told("interrupted", str(stop))
+        return Told("interrupted")
     except Exception as error:
         _log.info("%s", job.source, exc_info=error)
         expected = isinstance(error, ValueError | OSError)
         line = one_line(error) + opencv_hint(error)
-        line = line.removeprefix("--resume: ") if expected else f"{type(error).__name__}: {line}"
-        return Told("failed", line)
+        if line.startswith(OTHER):
+            line = f"{line.removeprefix(OTHER)}: --overwrite begins anew"
+        return Told("failed", line if expected else f"{type(error).__name__}: {line}")
 
 
 def _run(application: str, job: Any) -> Told:

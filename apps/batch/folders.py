@@ -62,7 +62,7 @@ def _telling_apart(paths: Sequence[Sequence[str]]) -> list[str]:
             for name, path, length in zip(names, paths, lengths, strict=True)
         ]
         if longer == lengths:
-            return [name[-LONGEST:] for name in names]
+            return [_plain(name[-LONGEST:]) for name in names]
         lengths = longer
 
 

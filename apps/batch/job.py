@@ -57,12 +57,6 @@ class Batch:
     overwrite: OfBatch[Flag] = False
     only_print: Annotated[OfBatch[Flag], Parameter(name="--print")] = False
 
-    def __post_init__(self) -> None:
-        if self.jobs is not None and self.jobs < 1:
-            raise ValueError(f"--jobs: got {self.jobs}, expected 1 or more")
-        if self.jobs is not None and self.dask is not None:
-            raise ValueError("--jobs and --dask: got both, expected one of them (its workers are the jobs)")
-
 
 def options_of(application: str) -> type[Any]:
     """The options of an application as a dataclass; those that were not given are `None`.

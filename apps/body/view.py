@@ -72,7 +72,7 @@ def body_view(film: Film, arm: float) -> View:
     }
     spread = np.sqrt(np.maximum(joints[:, PART_JOINTS, 3] + joints[:, PART_JOINTS, 6], 0))  # of x and y
     plots = [
-        Plot(f"{part.replace('_', ' ')} unsure", "px", spread[:, place])
+        Plot(f"{part.replace('_', ' ')} ±", "px", spread[:, place])
         for place, part in enumerate(PARTS)
         if part != "head"
     ]

@@ -15,7 +15,7 @@ EDGE = (20, 20, 20)
 
 
 def draw_zones(picture: NDArray[Any], zones: Zones, scale: float = 1.0) -> None:
-    """Draw borders, lines with an arrow at their end, and all names.
+    """Draw borders, lines with an arrow from left to right, and all names.
 
     Parameters
     ----------
@@ -32,14 +32,18 @@ def draw_zones(picture: NDArray[Any], zones: Zones, scale: float = 1.0) -> None:
         for ink, width in ((EDGE, 2 * thick + 1), (COLOUR, thick)):
             cv2.polylines(picture, [points], True, ink, width, cv2.LINE_AA)
     for line in zones.lines:
-        start, end = _pixels(np.array([line.start, line.end]), scale).tolist()
-        tip = min(0.1, 8 * thick / max(float(np.hypot(end[0] - start[0], end[1] - start[1])), 1.0))
+        ends = np.array([line.start, line.end])
+        way = ends[1] - ends[0]
+        to_right = 12 * thick / scale * np.array([-way[1], way[0]]) / np.hypot(*way)
+        middle = ends.mean(axis=0)
+        tail, tip = _pixels(np.array([middle, middle + to_right]), scale).tolist()
         for ink, width in ((EDGE, 2 * thick + 1), (COLOUR, thick)):
-            cv2.arrowedLine(picture, start, end, ink, width, cv2.LINE_AA, tipLength=max(tip, 0.04))
+            cv2.polylines(picture, [_pixels(ends, scale)], False, ink, width, cv2.LINE_AA)
+            cv2.arrowedLine(picture, tail, tip, ink, width, cv2.LINE_AA, tipLength=0.5)
     for zone in zones.zones:
         _write(picture, zone.name, _pixels(zone.polygon, scale).mean(axis=0), thick)
     for line in zones.lines:
-        _write(picture, line.name, _pixels(np.array([line.start, line.end]), scale).mean(axis=0), thick)
+        _write(picture, line.name, _pixels(np.array([line.start]), scale)[0], thick)
 
 
 def _pixels(places: NDArray[np.float64], scale: float) -> NDArray[np.int32]:

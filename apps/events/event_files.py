@@ -106,7 +106,7 @@ def line_of(event: Event) -> str:
     return written.getvalue()
 
 
-def read_events(path: Path) -> list[Event]:
+def read_events(path: str | Path) -> list[Event]:
     """Read what `EventWriter` wrote.
 
     Raises
@@ -116,7 +116,7 @@ def read_events(path: Path) -> list[Event]:
     OSError
         if it cannot be read.
     """
-    found = []
+    path, found = Path(path), []
     with path.open(encoding="utf-8", newline="") as file:
         rows = csv.reader(file)
         if tuple(next(rows, ())) != COLUMNS:

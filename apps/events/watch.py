@@ -18,6 +18,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
 
+import numpy as np
+
 from .zones import Zones
 
 ERROR = 0.05
@@ -163,15 +165,14 @@ class Stillness:
 
     def _still(self) -> list[Moment]:
         """The moments of the window but those on the way there and away; none if it is not still."""
-        moments = [moment for moment, _ in self.window]
-        count = len(moments)
-        height = sum(height for _, height in self.window) / count
-        x, y = (sum(moment[axis] for moment in moments) / count for axis in (2, 3))
-        off = [(moment.x - x) ** 2 + (moment.y - y) ** 2 for moment in moments]
+        feet = np.array([(moment.x, moment.y, height) for moment, height in self.window])
+        x, y, height = feet.mean(axis=0).tolist()
+        off = (feet[:, 0] - x) ** 2 + (feet[:, 1] - y) ** 2
         variance = height**2 * ((SLOWEST * self.seconds) ** 2 / 12 + 2 * ERROR**2)
-        if sum(off) > count * variance:
+        if off.mean() > variance:
             return []
-        return [moment for moment, square in zip(moments, off, strict=True) if square <= 4 * variance]
+        near = (off <= 4 * variance).tolist()
+        return [moment for (moment, _), is_near in zip(self.window, near, strict=True) if is_near]
 
 
 class _Track:

@@ -1,7 +1,6 @@
 """Files of zones and lines: TOML, as `rsmcm view` draws them, and LabelMe's JSON."""
 
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,12 @@ from .zones import Corners, Line, Zone, Zones
 MOST_CORNERS = 1000
 """Of one polygon: whether it crosses itself is asked of every pair of its edges."""
 
+LARGEST = 1e9
+"""Of numbers, whether px or s."""
+
+NEAREST = 1e-3
+"""px, between places that differ."""
+
 KEYS = {
     "zone": ("name", "polygon"),
     "line": ("name", "from", "to", "left_to_right", "right_to_left"),
@@ -25,7 +30,7 @@ OPTIONS = ("units", "still_after", "patience")
 UNITS = ("px", "relative")
 
 
-def read_zones(path: Path, size: tuple[int, int]) -> Zones:
+def read_zones(path: str | Path, size: tuple[int, int]) -> Zones:
     """Read zones and lines.
 
     Parameters
@@ -45,7 +50,7 @@ def read_zones(path: Path, size: tuple[int, int]) -> Zones:
     OSError
         if the file cannot be read.
     """
-    return zones_of(read_entries(path), size, f"--zones: {path}")
+    return zones_of(read_entries(Path(path)), size, f"--zones: {path}")
 
 
 def read_entries(path: Path) -> dict[str, Any]:
@@ -121,9 +126,9 @@ class _Reader:
             corners.pop()  # closed, as some have it
         if not 3 <= len(corners) <= MOST_CORNERS:
             raise ValueError(f"{where}: got {len(corners)} corners, expected 3 to {MOST_CORNERS}")
-        polygon = np.array(corners)
+        polygon = np.array(corners) * self._scale
         _check(polygon, where)
-        return Zone(name, polygon * self._scale, self._size)
+        return Zone(name, polygon, self._size)
 
     def line(self, where: str, values: Mapping[str, Any]) -> Line:
         name = self._name(values, where)
@@ -132,7 +137,7 @@ class _Reader:
             if key not in values:
                 raise ValueError(f"{where}: got no {key!r}, expected a point [x, y]")
         start, end = (self._corner(values[key], f"{where}: {key}") for key in ("from", "to"))
-        if start == end:
+        if np.hypot(*(self._scale * np.subtract(end, start))) < NEAREST:
             raise ValueError(f"{where}: got one place as both ends, expected a line with a length")
         there, back = (
             _text(values.get(key, usual), f"{where}: {key}")
@@ -170,7 +175,7 @@ def _check(polygon: Corners, where: str) -> None:
     count = len(polygon)
     starts, ends = polygon, np.roll(polygon, -1, axis=0)
     for k in range(count):
-        if (starts[k] == ends[k]).all():
+        if np.hypot(*(ends[k] - starts[k])) < NEAREST:
             raise ValueError(f"{where}: got corner {k + 1} twice, expected corners that differ")
     for k in range(count):
         others = np.arange(k + 2, count if k else count - 1)  # those that share no corner with it
@@ -217,7 +222,7 @@ def _seconds(given: object, where: str) -> float:
 
 
 def _is_number(given: object) -> bool:
-    return isinstance(given, int | float) and not isinstance(given, bool) and math.isfinite(given)
+    return isinstance(given, int | float) and not isinstance(given, bool) and abs(given) <= LARGEST
 
 
 def _short(given: object) -> str:

@@ -1,6 +1,7 @@
 """Zones and lines in the picture, and how far a foot is from their borders."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,16 +56,19 @@ class Zone:
 
         A place out of the picture counts as the nearest one in it.
         """
-        size = np.array(self.size, np.float64)
-        foot = np.clip(place, WITHIN * size, (1 - WITHIN) * size)
-        offsets, ways = foot - self._starts, self._ways
+        x, y = (
+            min(max(value, WITHIN * side), (1 - WITHIN) * side)
+            for value, side in zip(place, self.size, strict=True)
+        )
+        offsets, ways = np.array([x, y]) - self._starts, self._ways
         # a ray to the right crosses the border an odd number of times
-        above, below = offsets[:, 1] < 0, np.roll(offsets[:, 1] < 0, -1)
+        above = offsets[:, 1] < 0
+        below = np.concatenate([above[1:], above[:1]])
         side = ways[:, 0] * offsets[:, 1] - ways[:, 1] * offsets[:, 0]
         crosses = (above != below) & ((side < 0) == (ways[:, 1] < 0))
         inside = bool(crosses.sum() % 2)
         offsets, ways = offsets[self._inner], ways[self._inner]
-        along = np.clip((offsets * ways).sum(axis=1) / (ways * ways).sum(axis=1), 0, 1)
+        along = np.minimum(np.maximum((offsets * ways).sum(axis=1) / (ways * ways).sum(axis=1), 0), 1)
         off = offsets - along[:, None] * ways
         nearest = float(np.sqrt((off * off).sum(axis=1)).min(initial=np.inf))
         return nearest if inside else -nearest
@@ -122,7 +126,14 @@ class Zones:
         s for which somebody may be out of sight and still be there.
     """
 
-    zones: tuple[Zone, ...]
-    lines: tuple[Line, ...]
+    zones: tuple[Zone, ...] = ()
+    lines: tuple[Line, ...] = ()
     still_after: float = 2.0
     patience: float = 3.0
+
+    def plain(self) -> dict[str, Any]:
+        """Names and corners (px) as a page takes them, by the words of a file of zones."""
+        return {
+            "zones": [{"name": zone.name, "polygon": zone.polygon.tolist()} for zone in self.zones],
+            "lines": [{"name": line.name, "from": line.start, "to": line.end} for line in self.lines],
+        }

@@ -54,7 +54,7 @@ def to_coco(run: str | Path, out: str | Path) -> str:
         for number in finished.numbers
     )
     counts = {"boxes": 0, "masks": 0}
-    about = {"description": f"rsmcm background {finished.summary['source']}"}
+    about = {"description": f"rsmcm background {finished.source}"}
     with write_atomically(Path(out)) as unfinished, unfinished.open("w", encoding="utf-8") as file:
         file.write(f'{{"info": {json.dumps(about)},\n"categories": {json.dumps([CATEGORY])},\n"images": [')
         file.writelines(_items(images))

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
@@ -102,7 +103,7 @@ class FinishedRun:
     def rate(self) -> float:
         """Frames a second that were processed."""
         rate = self.summary.get("rate")
-        if not isinstance(rate, int | float) or not 0 < rate < 1e6:
+        if not isinstance(rate, int | float) or not 1e-6 < rate < 1e6:
             raise self._wrong("rate", "frames a second")
         return rate / self.numbers.step
 
@@ -115,13 +116,22 @@ class FinishedRun:
         for value in (first, last, step):
             if not _is_count(value):
                 raise self._wrong("first_frame, last_frame and parameters.step", "whole numbers from 1")
-        return range(int(first), int(last) + 1, int(step))
+        numbers = range(int(first), int(last) + 1, int(step))
+        if self.summary.get("stream") is None and self.summary.get("frames") != len(numbers):
+            raise self._wrong("frames", f"{len(numbers)} from {first} to {last} in steps of {step}")
+        return numbers
+
+    @property
+    def source(self) -> str:
+        """What the run has read, as the user gave it."""
+        return str(self.summary.get("source"))
 
     @property
     def picture_names(self) -> list[str]:
         """Names of the files of the source's pictures, in order; none unless it is a folder that is there."""
-        source = Path(str(self.summary.get("source")))
-        return [path.name for path in images_among(source.iterdir())] if source.is_dir() else []
+        if not os.path.isdir(self.source):  # which asks for any text, unlike `Path.is_dir`
+            return []
+        return [path.name for path in images_among(Path(self.source).iterdir())]
 
     def frames(self, masks: bool = True) -> Iterator[RunFrame]:
         """Read the frames of a background run, one after the other.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...models.files.limits import LAST_FRAME
 from ..io.mot import LAST_IDENTITY, LONGEST_LINE, LineWriter, TrackedObject, box_columns
+from ..io.point_files import FARTHEST
 
 TABLE = "tracks.csv"
 
@@ -111,6 +112,10 @@ def _parse_line(line: str) -> list[float]:
     if not 1 <= frame <= LAST_FRAME or frame % 1 or identity % 1 or abs(identity) > LAST_IDENTITY:
         raise ValueError(
             f"got frame {frame:g}, id {identity:g}, expected whole numbers, frames from 1 to {LAST_FRAME}"
+        )
+    if max(map(abs, values[3:7])) > FARTHEST or abs(values[1]) > LAST_FRAME:
+        raise ValueError(
+            f"got a box {line.strip()[:60]!r}, expected px up to {FARTHEST:g} and s up to {LAST_FRAME}"
         )
     if seen not in (0, 1):
         raise ValueError(f"got seen {seen:g}, expected 0 or 1")

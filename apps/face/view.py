@@ -49,7 +49,13 @@ class FaceDrawing:
         rotation, weights = row["mean_rotation"], row["weights"]
         points = [x, y, covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]]
         pose = [rotation.ravel(), row["mean_translation"], row["mean_morphs"]]
-        numbers = [*angles(rotation), row["log_evidence"], row["fit"], 1 / (weights @ weights), error]
+        numbers = [
+            *np.round(angles(rotation), 4),
+            row["log_evidence"],
+            row["fit"],
+            1 / (weights @ weights),
+            error,
+        ]
         return {
             "points": np.stack(points, axis=1).astype(np.float32),
             "pose": np.concatenate(pose)[None].astype(np.float32),
@@ -90,7 +96,7 @@ class FaceDrawing:
         seen: NDArray[np.bool_] = ~(states[:, 0] | states[:, 1])
         rows = [TimelineRow(0, "face", INK, spans_of(seen))]
         variances = columns["points"].reshape(len(numbers), -1, 5)[:, :, [2, 4]].sum(axis=2)
-        unsure = Plot("points unsure", "px", np.sqrt(variances.mean(axis=1)))
+        unsure = Plot("points ±", "px", np.sqrt(variances.mean(axis=1)))
         return View({"face": layer}, rows, [*_plots(numbers), unsure])
 
 

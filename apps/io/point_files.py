@@ -45,7 +45,7 @@ LAYOUTS = (
 )
 
 
-def read_points(path: Path) -> NDArray[np.float64]:
+def read_points(path: str | Path) -> NDArray[np.float64]:
     """Read points over time.
 
     Parameters
@@ -71,6 +71,7 @@ def read_points(path: Path) -> NDArray[np.float64]:
     OSError
         if the file cannot be read.
     """
+    path = Path(path)
     arrays = read_arrays(path, EXPECTED, shape_only=(VIDEO,))
     layout = next((each for each in LAYOUTS if {each.points, each.flags} <= arrays.keys()), None)
     if layout is not None:

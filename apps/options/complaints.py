@@ -89,7 +89,7 @@ def _options(command: Callable[..., object]) -> Iterator[str]:
 def _of_arguments(error: CycloptsError) -> str:
     match error:
         case UnknownOptionError(token=token, argument_collection=arguments):
-            names = [name for each in arguments for name in each.names]
+            names = [name for each in arguments if each.parse for name in each.names]
             typed = token.keyword or token.value
             return f"unknown option {typed}{meant(typed, names)}"
         case UnknownCommandError(unused_tokens=[typed, *_]) if typed.startswith("-"):

@@ -46,7 +46,7 @@ class Expectation:
     def cells(self) -> tuple[str, str, str, str, str]:
         """What, wanted, measured, its standard error, verdict."""
         wanted = "" if self.bound is None else f"{self.relation} {self.bound:g}"
-        error = "" if math.isnan(self.spread) else f"{self.spread:.2g}"
+        error = "" if math.isnan(self.spread) else rounded(self.spread, 2)
         return self.what, wanted, rounded(self.measured), error, self.verdict
 
 
@@ -114,11 +114,11 @@ def in_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join([line(header), line(["-" * width for width in widths]), *map(line, cells)])
 
 
-def rounded(value: float) -> str:
-    """A number to three digits; a dash for what is not finite."""
+def rounded(value: float, digits: int = 3) -> str:
+    """A number to so many digits, and not rounded before its point; a dash for what is not finite."""
     if not math.isfinite(value):
         return "–"
-    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    return f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
 
 
 def _is_number(text: str) -> bool:

@@ -28,6 +28,9 @@ ROOT = Path(__file__).resolve().parents[2]
 TRACKING = ("models", "inference", "chains")
 """Packages on whose code measurements depend."""
 
+PLUMBING = "models/files/"
+"""What of it reads and writes files, and tracks nothing."""
+
 
 @dataclass(frozen=True)
 class Provenance:
@@ -85,8 +88,9 @@ class Stopwatch:
     def __init__(self) -> None:
         self._started = time.perf_counter()
         commit, changed = _commit()
-        files = (path for package in TRACKING for path in (ROOT / package).rglob("*.py"))
-        self._digests = {path.relative_to(ROOT).as_posix(): _digest(path) for path in sorted(files)}
+        files = [path for package in TRACKING for path in sorted((ROOT / package).rglob("*.py"))]
+        named = {path.relative_to(ROOT).as_posix(): path for path in files}
+        self._digests = {name: _digest(path) for name, path in named.items() if not name.startswith(PLUMBING)}
         self._known = {
             "date": datetime.now(UTC).isoformat(timespec="seconds"),
             "commit": commit,

@@ -9,6 +9,9 @@ from typing import Any, ClassVar, Self, TypeVar
 
 T = TypeVar("T")
 
+SIGNALLED = 128
+"""Exit code of what a signal ended, plus the signal's number: 130 for Ctrl-C."""
+
 
 @dataclass(frozen=True)
 class Outcome:

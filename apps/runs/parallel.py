@@ -6,9 +6,9 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future, as_completed
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -67,6 +67,19 @@ class Workers:
             raise ValueError(f"jobs: got {self.jobs}, expected 1 or more")
 
 
+def chosen_workers(jobs: int | None, dask: str | None) -> Workers:
+    """Workers as they are asked for by options of a command.
+
+    Raises
+    ------
+    ValueError
+        if there would be no process, or both are given.
+    """
+    if jobs is not None and dask is not None:
+        raise ValueError("--jobs and --dask: got both, expected one of them (its workers are the jobs)")
+    return Workers(jobs=cpu_count() if jobs is None else jobs, dask=dask)
+
+
 _chosen: ContextVar[Workers | None] = ContextVar("workers", default=None)
 
 
@@ -83,14 +96,15 @@ def working(workers: Workers) -> Iterator[None]:
 def in_parallel(label: str, work: Sequence[Task]) -> list[Any]:
     """Results of functions with their arguments, in order; what one of them raises is raised."""
     found: dict[int, Any] = {}
-    for number, future in as_they_end(label, work, "sequences"):
-        found[number] = future.result()
+    with closing(as_they_end(label, work, "sequences")) as ended:
+        for number, future in ended:
+            found[number] = future.result()
     return [found[number] for number in range(len(work))]
 
 
 def as_they_end(
     label: str, work: Sequence[Task], unit: str, stopping: Callable[[], bool] = lambda: False
-) -> Iterator[tuple[int, Future[Any]]]:
+) -> Generator[tuple[int, Future[Any]]]:
     """Number of each task and what became of it, in the order in which they end.
 
     Parameters

@@ -185,8 +185,8 @@ class StructureRun(Run[StructureJob]):
         missing = [frame.number for frame in frames if frame.missing]
         summary = self.summary(film.name, [frame.number for frame in frames], missing, facts)
         title = f"{Path(film.name).name}: structure from motion"
-        write_structure_report(folder / "report.html", frames, found, colours, notes, self.settings, title)
         self._write_view(found, colours, title)
+        write_structure_report(folder / "report.html", frames, found, colours, notes, self.settings, title)
         write_json(folder / "summary.json", summary)
         return summary
 

@@ -17,14 +17,11 @@ from .reconstruction import Numbers, Reconstruction
 
 MOST_POINTS = 100_000
 """In space."""
-MOST_PLACES = 200_000
-"""Of points in frames, over the film."""
+MOST_TRACKED, MOST_PLACES = 2_000, 200_000
+"""Over the film: points, and places of points in frames."""
 MOST_ROWS = 200
 """Of the timeline; other points have one while they are selected."""
 
-PER_PX = 64
-"""Distances of observations from positions are whole numbers of this part of a px."""
-UNSEEN = np.iinfo(np.int16).min
 EDGE = (-0.5, -0.5)
 """px: upper left corner of pictures, where points have the pixels' centres at whole numbers."""
 MARGIN = 0.08
@@ -82,21 +79,16 @@ def structure_view(
     """
     shown = np.isin([frame.number for frame in frames], film.numbers)
     points = evenly_spread(found.n_points, MOST_POINTS)
-    tracked = evenly_spread(found.n_points, MOST_PLACES // len(film.numbers))
-    residuals = found.residuals[shown][:, tracked]
+    tracked = evenly_spread(found.n_points, min(MOST_TRACKED, MOST_PLACES // len(film.numbers)))
     observed = found.observed[shown]
-    limits = np.iinfo(np.int16)
-    away = np.clip(np.rint(PER_PX * np.nan_to_num(residuals)), limits.min + 1, limits.max).astype(np.int16)
-    away[~observed[:, tracked]] = UNSEEN
+    residuals = np.where(observed[..., None], found.residuals[shown], np.nan)[:, tracked]
     upper = found.covariances[shown][:, tracked][:, :, [0, 0, 1], [0, 1, 1]]
     layer: dict[str, Any] = {
         "corner": corner,
         "tracked": np.array(tracked, np.int32),
         "inks": [_ink(point) for point in tracked],
         "positions": found.positions[shown][:, tracked].astype(np.float32),
-        "away": away,
-        "perPx": PER_PX,
-        "unseen": UNSEEN,
+        "residuals": residuals.astype(np.float32),
         "spreads": upper.astype(np.float32),
         "counts": np.count_nonzero(found.observed, axis=0).astype(np.int32),
         "frames": len(frames),
@@ -109,7 +101,7 @@ def structure_view(
         for point in (tracked[k] for k in evenly_spread(len(tracked), MOST_ROWS))
     ]
     plots = [
-        Plot("reprojection error", "px", found.reprojection_errors[shown]),
+        Plot("error", "px", found.reprojection_errors[shown]),
         Plot("points seen", "", np.count_nonzero(observed, axis=1)),
     ]
     return View({"structure": layer}, rows, plots)

@@ -30,6 +30,9 @@ all frames anyway gives them to a `FilmWriter` at the end.
    - `view.on("frame", (i) => …)`, `view.on("select", (id) => …)`, `view.on("draw", (i) => …)` tell of
      changes; `view.show(i)`, `view.select(id)`, `view.redraw()` make them; `view.frame`, `view.selected`,
      `view.count`, `view.times`, `view.numbers`, `view.size` are what is;
+   - `addRows((id) => row)` gives rows of things that are too many to be listed, while one is selected;
+   - `new Space(parent, {label, centre, reach, draw(space), pick(x, y)})` of `space.js` is a canvas to turn;
+     `Solid` of `solid.js` draws dots and triangles on it by depth, `region(…)` an ellipse of a covariance;
    - `element(tag, properties, ...children)`, `svg(…)`, `startsOf(counts)`, `clamped(…)` of `data.js` help.
 
 Without a film (`Film.path` is `None`) the page has a slider over time only, and layers draw on a blank

@@ -179,7 +179,7 @@ def _moments(path: Path) -> NDArray[np.float64]:
         stream = container.streams.video[0]
         assert stream.time_base is not None
         ticks = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
-    return np.array(ticks, np.float64) * float(stream.time_base)
+        return np.array(ticks, np.float64) * float(stream.time_base)  # closed, a stream has no memory
 
 
 def _small(image: Image) -> Image:
@@ -191,7 +191,9 @@ def _small(image: Image) -> Image:
     if scale >= 1:
         return image
     sides = [max(2, 2 * round(side * scale / 2)) for side in (width, height)]
-    return np.asarray(cv2.resize(image, sides, interpolation=cv2.INTER_AREA), np.uint8)
+    # up to a half, means of four px do as well as those of an area, in a third of the time
+    way = cv2.INTER_LINEAR if scale >= 0.5 else cv2.INTER_AREA
+    return np.asarray(cv2.resize(image, sides, interpolation=way), np.uint8)
 
 
 def _join(segments: Sequence[Path], path: Path) -> None:

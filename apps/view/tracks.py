@@ -6,7 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drawing.boxes import identity_colour
+from ..drawing.boxes import css_colour, identity_colour
+from ..events.report import Happened
+from ..events.watch import Event
+from ..events.zones import Zones
 from ..io.mot import TrackedObject
 from .film import LONGEST_SIDE, Film, Row
 from .page import PREDICTED, SEEN, Plot, TimelineRow, View
@@ -48,8 +51,8 @@ def _outlines(foreground: NDArray[np.uint8]) -> list[NDArray[np.int16]]:
     return [polygon for polygon in polygons if len(polygon) > 2]
 
 
-def tracks_view(film: Film) -> View:
-    """The page of a film with what `drawn_of` gives."""
+def tracks_view(film: Film, happened: Happened | None = None) -> View:
+    """The page of a film with what `drawn_of` gives, and with what `happened` to zones that were watched."""
     ids, counts = film.columns["id"], film.counts["id"]
     order = np.argsort(ids, kind="stable")
     frames = np.repeat(np.arange(len(counts)), counts)[order]
@@ -57,13 +60,32 @@ def tracks_view(film: Film) -> View:
     identities, starts = np.unique(ids[order], return_index=True)
     ends = np.append(starts, len(ids))[1:]
     rows = [
-        TimelineRow(identity, str(identity), _css(identity), _spans(frames[start:end], seen[start:end]))
+        TimelineRow(
+            identity,
+            str(identity),
+            css_colour(identity_colour(identity)),
+            _spans(frames[start:end], seen[start:end]),
+        )
         for identity, start, end in zip(identities.tolist(), starts, ends, strict=True)
     ]
     layer = {name: film.columns[name] for name in (*OF_TRACKS, *OF_OUTLINES)}
     layer |= {"count": counts.astype(np.int32), "polygons": film.counts["corners"].astype(np.int32)}
     plots = [Plot("tracks", "", counts), Plot("foreground", "%", 100 * film.columns["foreground"])]
-    return View({"zones": {"zones": [], "lines": []}, "tracks": layer}, rows, plots)
+    zones, events = (Zones(), ()) if happened is None else (happened.zones, happened.events)
+    shown = [_plain(event) for event in events if film.numbers[0] <= event.moment.frame <= film.numbers[-1]]
+    return View({"events": shown, "zones": zones.plain(), "tracks": layer}, rows, plots)
+
+
+def _plain(event: Event) -> dict[str, object]:
+    lasted = "" if event.duration is None else f"{event.duration:.1f} s"
+    return {
+        "frame": event.moment.frame,
+        "time": event.moment.time,
+        "id": event.identity,
+        "kind": event.kind.value,
+        "zone": event.zone,
+        "more": event.direction or lasted,
+    }
 
 
 def _spans(frames: NDArray[np.int64], seen: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -71,8 +93,3 @@ def _spans(frames: NDArray[np.int64], seen: NDArray[np.uint8]) -> NDArray[np.int
     ends = np.flatnonzero((np.diff(frames) > 1) | (np.diff(seen.astype(np.int8)) != 0))
     first, last = np.append(0, ends + 1), np.append(ends, len(frames) - 1)
     return np.stack([frames[first], frames[last], np.where(seen[first], SEEN, PREDICTED)], axis=1)
-
-
-def _css(identity: int) -> str:
-    blue, green, red = identity_colour(identity)
-    return f"#{red:02x}{green:02x}{blue:02x}"

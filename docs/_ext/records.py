@@ -7,16 +7,10 @@ from pathlib import Path
 
 from docutils import nodes
 from docutils.statemachine import StringList
-from rsmcm.apps.reports.expectations import HEADER
+from rsmcm.apps.experiments.results.pages import figures
 from rsmcm.apps.reports.record import Record
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
-
-
-def table(record: Record) -> list[str]:
-    """What was measured, beside what was wanted of it."""
-    rows = [HEADER, ("---",) * len(HEADER), *(each.cells for each in record.expectations)]
-    return ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
 
 
 def origin(record: Record) -> str:
@@ -35,10 +29,11 @@ class RecordOf(SphinxDirective):
         name, docs = self.arguments[0], Path(self.env.srcdir)
         path = docs / "results" / f"{name}.json"
         lines = ["*Not recorded yet: the command makes it.*"]
+        self.env.note_dependency(str(path))
+        self.env.note_dependency(str(docs / "pictures" / "figures"))
         if path.exists():
-            self.env.note_dependency(str(path))
             record = Record.read(path)
-            lines = [*table(record), "", origin(record)]
+            lines = [*figures(record).splitlines(), "", origin(record)]
         for picture in sorted((docs / "pictures" / "figures").glob(f"{name}-*.png")):
             title = picture.stem.removeprefix(f"{name}-").replace("fig-", "figure ")
             lines += ["", f"![{name}, {title}](/pictures/figures/{picture.name})"]

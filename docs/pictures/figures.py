@@ -9,7 +9,7 @@ from pathlib import Path
 from PIL import Image
 from rsmcm.apps.experiments.reproduce import EXPERIMENTS, usual_folder
 
-WIDTH, COLOURS = 1000, 128
+WIDTH, COLOURS = 1000, 64
 HERE = Path(__file__).parent / "figures"
 
 

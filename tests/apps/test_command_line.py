@@ -126,7 +126,7 @@ def options() -> Iterator[tuple[tuple[str, ...], str, Any]]:
     def of(app: App, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str, Any]]:
         if app.default_command is not None:
             for argument in app.assemble_argument_collection():
-                if argument.field_info.is_keyword_only and not argument.children:
+                if argument.field_info.is_keyword_only and argument.parse and not argument.children:
                     yield path, argument.name, argument.hint
         for name in app:
             if not name.startswith("-"):

@@ -211,7 +211,7 @@ def _packed_anew(content: bytes, other: bytes, random: Random) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", how) as archive:
         for member, data in members.items():
-            archive.writestr(member, data)
+            archive.writestr(zipfile.ZipInfo(member), data, how)  # without a date: the same bytes again
     return stream.getvalue()
 
 

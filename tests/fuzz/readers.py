@@ -12,6 +12,8 @@ from rsmcm.apps.body.start import start_from_head
 from rsmcm.apps.evaluation.scoring import Scoring
 from rsmcm.apps.evaluation.tracks import track_rows
 from rsmcm.apps.evaluation.validity import report_validity
+from rsmcm.apps.events import Sighting, Watch, read_zones
+from rsmcm.apps.exports import to_coco, to_cvat, to_movement
 from rsmcm.apps.io.detections.read import read_detections
 from rsmcm.apps.io.ground_truth import BoxTruth, read_ground_truth
 from rsmcm.apps.io.mot import read_tracks
@@ -107,6 +109,14 @@ def parameters(folder: Path) -> None:
     with_defaults(read)
 
 
+def zones(folder: Path) -> None:
+    """Zones and lines, and somebody who walks through the picture."""
+    watch = Watch(read_zones(_file(folder), SIZE))
+    for number in range(1, 20):
+        watch.take_in(number / 5, number, [Sighting(1, 3.0 * number, 2.0 * number, 20.0, number % 3 > 0)])
+    watch.end(19)
+
+
 def tracks(folder: Path) -> None:
     """Tracks for structure from motion."""
     read_film(StructureJob(str(_file(folder)), out=folder / "out"))
@@ -149,6 +159,12 @@ def predictions(folder: Path) -> None:
     report_validity(folder)
 
 
+def exports(folder: Path) -> None:
+    """Results of a run, for other tools."""
+    for to in (to_coco, to_cvat, to_movement):
+        to(folder, folder / f"{to.__name__}.out")
+
+
 def detectors(folder: Path) -> None:
     """A network that finds faces, and what it finds."""
     default_faces(_file(folder))(Frame(IMAGE, 0.0, 1))
@@ -160,7 +176,7 @@ SLOW = {"detectors": 20}
 READERS: dict[str, Callable[[Path], None]] = {
     reader.__name__: reader
     for reader in (
-        films, pictures, masks, regions, boxes, archives, results, detections, parameters, tracks, landmarks,
-        models, correspondences, joints, states, predictions, detectors,
+        films, pictures, masks, regions, boxes, archives, results, detections, parameters, zones, tracks,
+        landmarks, models, correspondences, joints, states, predictions, exports, detectors,
     )
 }  # fmt: skip

@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rsmcm.apps.evaluation.predictions import FILE, PairRecord, ScoreRecord, write_predictions
+from rsmcm.apps.exports.track_table import TABLE, TrackTableWriter
+from rsmcm.apps.io.mot import TrackedBox
 from rsmcm.inference import RecursiveBP
 from rsmcm.inference.validity.estimate import RecordedPredictions
 from rsmcm.models.body.upper_body import JOINTS
@@ -147,6 +149,20 @@ def _parameters(_: Path) -> list[Files]:
     ]
 
 
+def _zones(_: Path) -> list[Files]:
+    toml = (
+        'units = "px"\nstill_after = 2.0\npatience = 3\n\n[[zone]]\nname = "a"\n'
+        "polygon = [[5, 5], [60, 5], [60.5, 40], [5, 40]]\n\n"
+        '[[line]]\nname = "b"\nfrom = [1, 40]\nto = [60, 2]\nleft_to_right = "in"\nright_to_left = "out"\n'
+    )
+    shapes = [
+        {"label": "a", "shape_type": "polygon", "points": [[5, 5], [60, 5], [60, 40]]},
+        {"label": "b", "shape_type": "line", "points": [[5, 5], [60, 5]]},
+    ]
+    labelme = {"imageWidth": 64, "imageHeight": 48, "shapes": shapes}
+    return [{"zones.toml": toml.encode()}, {"zones.json": json.dumps(labelme, indent=1).encode()}]
+
+
 def _points(_: Path) -> list[Files]:
     points = np.random.default_rng(0).uniform(0, 99, (6, 7, 2))
     whole = points.astype(np.int16)
@@ -236,6 +252,24 @@ def _predictions(folder: Path) -> list[Files]:
     return [{FILE: (folder / FILE).read_bytes()}]
 
 
+def _exports(folder: Path) -> list[Files]:
+    with TrackTableWriter(folder / TABLE) as table:
+        for number in (1, 2, 3):
+            tracks = [TrackedBox(who, (5.0 * who, 6.0, 20.0, 30.0)) for who in range(1, number)]
+            table.write(number, number / 25, tracks)
+    summary = {"size": [WIDTH, HEIGHT], "rate": 25.0, "first_frame": 1, "last_frame": 3}
+    summary |= {"source": "film.mp4", "frames": 3, "parameters": {"step": 1}}
+    masks = {f"foreground/bin00000{number}.png": _encoded("png", _picture()) for number in (1, 2, 3)}
+    return [
+        {
+            "manifest.json": json.dumps({"application": "background", "files": [TABLE]}).encode(),
+            "summary.json": json.dumps(summary).encode(),
+            TABLE: (folder / TABLE).read_bytes(),
+            **masks,
+        }
+    ]
+
+
 def _detectors(_: Path) -> list[Files]:
     return [{"faces.onnx": tiny_network()}]
 
@@ -250,6 +284,7 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "results": _boxes,
     "detections": _detections,
     "parameters": _parameters,
+    "zones": _zones,
     "tracks": _points,
     "landmarks": _points,
     "models": _models,
@@ -257,6 +292,7 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "joints": _joints,
     "states": _states,
     "predictions": _predictions,
+    "exports": _exports,
     "detectors": _detectors,
 }
 

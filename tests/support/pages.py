@@ -5,7 +5,8 @@ What a fenced block is for stands in its info string, of which a page shows noth
 - `python`: run in order, in one namespace a page.
 - `sh`: commands, run in order; a `make` target is looked up, not made, and what takes minutes or shows a
   browser is only parsed.
-- `output`: what the block before it prints, with numbers to 20 %, since other machines round otherwise.
+- `output`: what the block before it, or its last command, prints, with numbers to 20 %, since other machines
+  round otherwise.
 - `toml NAME`, `csv NAME` and so on: a file of that name, which is written before what follows is run.
 - `python not-run`, `sh not-run`: needs a network, a camera, or files that nobody else has. It is compiled, or
   its options are parsed.
@@ -55,13 +56,12 @@ class Block:
 
 
 def pages() -> dict[str, Path]:
-    """README and all pages of docs, by their names there."""
+    """All pages of docs by their names, and those of the checkout that some of them include."""
     docs = ROOT / "docs"
     made = [docs / "_build", docs / "generated"]
     found = [path for path in sorted(docs.rglob("*.md")) if not set(made) & set(path.parents)]
-    return {"README": ROOT / "README.md"} | {
-        str(path.relative_to(docs).with_suffix("")): path for path in found
-    }
+    top = {name: ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")}
+    return {str(path.relative_to(docs).with_suffix("")): path for path in found} | top
 
 
 def blocks(path: Path) -> list[Block]:
@@ -90,7 +90,8 @@ class Reader:
                 if block.run:
                     last = self._run(lambda code=code: exec(code, self.names))
             elif block.language == "sh":
-                last = "".join(self._command(line, block.run, where) for line in block.commands)
+                for line in block.commands:
+                    last = self._command(line, block.run, where)
             elif block.language == "output":
                 assert_same(last, block.text, where)
             elif block.language == "toml":
@@ -129,7 +130,7 @@ class Reader:
 
 def assert_same(printed: str, shown: str, where: str) -> None:
     """Words as they are, numbers to 20 % (or 2 grey levels, or 0.05)."""
-    words = [re.sub(NUMBER, "#", text).split() for text in (printed, shown)]
+    words = [re.sub(r"-{3,}", "---", re.sub(NUMBER, "#", text)).split() for text in (printed, shown)]
     assert words[0] == words[1], f"{where}: printed was\n{printed}"
     found, expected = (list(map(float, re.findall(NUMBER, text))) for text in (printed, shown))
     assert found == pytest.approx(expected, rel=0.2, abs=2 if "grey levels" in shown else 0.05), where

@@ -68,7 +68,7 @@ class ViewPage:
         self.page.evaluate("document.getElementById('film').scrollIntoView()")
         box = self.page.locator("#drawing").bounding_box()
         assert box is not None
-        x, y = ((at + 0.5) / side for at, side in zip(place, self._size, strict=True))
+        x, y = ((float(at) + 0.5) / side for at, side in zip(place, self._size, strict=True))
         self.page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
 
     @property

@@ -8,10 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.io.mot import TrackWriter, read_tracks
+from rsmcm.apps.io.mot import TrackedBox, TrackWriter, read_tracks
 from rsmcm.chains import AdaptiveBackground
 from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.inference.objects.blobs import Blob, Track
+from rsmcm.inference.objects.blobs import Blob
 from rsmcm.models import MorphableModel, PixelLabels, Poses, UpperBody
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.points.alignment import sample_patches
@@ -70,7 +70,7 @@ def test_boxes_have_pixel_edges_at_whole_numbers() -> None:
 def test_mot_files_count_pixels_and_frames_from_1(tmp_path: Path) -> None:
     path = tmp_path / "tracks.txt"
     with TrackWriter(path) as writer:
-        writer.write(1, [Track(1, (0.0, 0.0, 1.0, 1.0), 1.0, (0.0, 0.0))])
+        writer.write(1, [TrackedBox(1, (0.0, 0.0, 1.0, 1.0))])
     assert path.read_text().startswith("1,1,1.00,1.00,1.00,1.00,")
     assert read_tracks(path)["box"][0].tolist() == [0, 0, 1, 1]
 

@@ -9,19 +9,30 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from rsmcm.apps.background.demo import N_FRAMES, write_scene
 from rsmcm.apps.experiments.reproduce import EXPERIMENTS
+from rsmcm.apps.exports.track_table import COLUMNS
 from rsmcm.apps.scenes import sleeping_man
 
 from ..support.newcomer import write_demo, write_film
 from ..support.pages import NOT_RUN, ROOT, Reader, blocks, pages
 
-OF_THEIR_OWN = {"own-chain": "test_own_chain.py", "detectors": "test_detectors_page.py"}
+OF_THEIR_OWN = {
+    "own-chain": "test_own_chain.py",
+    "detectors": "test_detectors_page.py",
+    "events": "test_events.py",
+}
 PAGES = {name: path for name, path in pages().items() if name not in OF_THEIR_OWN}
+
+WHOLE_SCENE = ("validity",)
+"""Pages that show what is found in the demo's scene, so that it cannot be a shorter one."""
 
 NOT_RUN_BLOCKS = {
     "detectors": 1,  # networks of others
     "start": 1,  # pip install
+    "validity": 1,  # any run
 }
 """How many blocks of a page are not run; every other block is."""
 
@@ -43,6 +54,8 @@ def test_a_page_can_be_typed(
     here = tmp_path / "here"
     shutil.copytree(newcomer, here)
     monkeypatch.chdir(here)
+    if name in WHOLE_SCENE:
+        write_scene(sleeping_man(N_FRAMES), Path("results/demo/scene"))
     reader = Reader(PAGES[name]).read()
     CHECKS.get(name, lambda reader: None)(reader)
 
@@ -138,6 +151,34 @@ def check_start(reader: Reader) -> None:
     assert len(reader.names["boxes"]) > 0
 
 
+def check_files(reader: Reader) -> None:
+    """The tables name what is there, and other tools have read it."""
+    listed = {}
+    for part in PAGES["files"].read_text().split("\n## ")[1:]:
+        rows = re.findall(r"^\| (`[^|]+) \|", part, re.MULTILINE)
+        listed[part.partition("\n")[0]] = [name for row in rows for name in re.findall(r"`([^`]+)`", row)]
+    of_background = listed["Results of `rsmcm background`"]
+    assert of_background[: len(COLUMNS)] == list(COLUMNS)
+    for folder, names in (
+        ("street", of_background[len(COLUMNS) :]),
+        ("shape", listed["Results of `rsmcm structure`"]),
+    ):
+        assert [name for name in names if not (Path("results") / folder / name).exists()] == []
+    with np.load("results/body/poses.npz") as poses:
+        assert set(poses.files) <= set(listed["Results of `rsmcm body` and `rsmcm face`"])
+    found = reader.names
+    assert len(found["table"]) == len(found["same"]) > 0
+    assert sum(found["inside"]) > 0
+    assert np.isfinite(found["live"].data["covariance"]).all()
+    assert found["drawn"].any()
+    assert found["mask"].sum() == found["annotation"]["area"] > 0
+    assert found["left_hand"].shape == (8, 2)
+    assert set(found["older"].sizes) == {"time", "space", "keypoints", "individuals"}
+    assert found["points"].shape == (5, 8, 2)
+    n_frames = len(list(Path("colmap").iterdir()))
+    assert Path("matches.txt").read_text().count("\n\n") == n_frames * (n_frames - 1) / 2
+
+
 CHECKS: dict[str, Callable[[Reader], None]] = {
     "background": check_background,
     "structure": check_structure,
@@ -145,6 +186,7 @@ CHECKS: dict[str, Callable[[Reader], None]] = {
     "bodies": check_bodies,
     "python": check_python,
     "start": check_start,
+    "files": check_files,
 }
 
 

@@ -10,7 +10,7 @@ from rsmcm.apps.background.compare import COLUMNS, Gallery
 from rsmcm.apps.background.methods import Model, ModelSubtractor, Usual
 from rsmcm.apps.drawing.mosaic import mosaic
 from rsmcm.apps.evaluation.masks import PixelScore, joined
-from rsmcm.apps.experiments.bench.__main__ import enumeration_error, in_turns, stages
+from rsmcm.apps.experiments.bench.__main__ import enumeration_error, over_frames, stages
 from rsmcm.apps.experiments.reproduce import run_experiment
 from rsmcm.apps.experiments.reproduce import sleeping_man as experiment
 from rsmcm.apps.experiments.trials.baselines import SETTINGS, CleanUp, OpenCVSubtractor
@@ -25,6 +25,7 @@ def test_claims_say_whether_they_hold() -> None:
     assert Expectation("x", 0.3, "<=", 0.35).verdict == "pass"
     assert Expectation("x", 0.4, "<=", 0.35).verdict == "short"
     assert Expectation("x", 1.3, ">=", 1.25).cells == ("x", ">= 1.25", "1.3", "", "pass")
+    assert Expectation("x", 1291.4, spread=214.2).cells == ("x", "", "1291", "214", "")
     assert Expectation("x", 12345.6).cells == ("x", "", "12346", "", "")
     assert Expectation("x", float("nan"), "<=", 1).verdict == "short"
 
@@ -46,9 +47,9 @@ def test_enumeration_agrees_with_the_engine() -> None:
 def test_methods_take_turns_in_order() -> None:
     frames = [Frame(None, number / 25, number) for number in range(1, 51)]
     seen: dict[str, list[int]] = {"a": [], "b": []}
-    seconds = in_turns({name: lambda f, name=name: seen[name].append(f.number) for name in seen}, frames)  # type: ignore[misc]
+    seconds = over_frames({name: lambda f, name=name: seen[name].append(f.number) for name in seen}, frames)  # type: ignore[misc]
     assert seen["a"] == seen["b"] == [*range(1, 51), *range(1, 51)]
-    assert set(seconds) == {"a", "b"}
+    assert {name: len(turns) for name, turns in seconds.items()} == {"a": 4, "b": 4}
 
 
 def test_stages_add_up_to_the_whole() -> None:

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ from .body_tracker import body_expectations
 from .face import face_expectations
 from .points import point_expectations
 from .structure import structure_expectations
+from .timing import Spent, over_rounds
 
 SIZE = (768, 576)
 N_FRAMES = 240  # preloaded: 320 MB
@@ -122,8 +124,8 @@ def _preloaded() -> tuple[list[Frame], str]:
 # --- speed --------------------------------------------------------------------------------------------------
 
 
-def in_turns(steps: Mapping[str, Callable[[Frame], object]], frames: Sequence[Frame]) -> dict[str, float]:
-    """Median seconds a frame of several methods, which take turns of a few frames each.
+def over_frames(steps: Mapping[str, Callable[[Frame], object]], frames: Sequence[Frame]) -> Spent:
+    """Median seconds a frame in each turn of several methods, which take turns of a few frames each.
 
     Parameters
     ----------
@@ -132,21 +134,23 @@ def in_turns(steps: Mapping[str, Callable[[Frame], object]], frames: Sequence[Fr
     frames
         in order; all methods get all of them, several times over.
     """
-    spent: dict[str, list[float]] = {name: [] for name in steps}
+    spent: Spent = {name: [] for name in steps}
     for _ in range(ROUNDS):
         for first in range(0, len(frames), TURN):
             for name, step in steps.items():
+                seconds = []
                 for frame in frames[first : first + TURN]:
                     started = time.perf_counter()
                     step(frame)
-                    spent[name].append(time.perf_counter() - started)
-    return {name: float(np.median(values[WARM_UP:])) for name, values in spent.items()}
+                    seconds.append(time.perf_counter() - started)
+                spent[name].append(float(np.median(seconds)))
+    return {name: values[WARM_UP // TURN :] for name, values in spent.items()}
 
 
 def speed_expectations(frames: Sequence[Frame], threads: int) -> list[Expectation]:
     """Ratios of times a frame at a number of threads, which is set already."""
     subtractor = cv2.createBackgroundSubtractorMOG2()
-    seconds = in_turns(
+    spent = over_frames(
         {
             "MOG2": lambda frame: subtractor.apply(_image(frame)),
             "pixels": _endless("stand-alone"),
@@ -155,7 +159,10 @@ def speed_expectations(frames: Sequence[Frame], threads: int) -> list[Expectatio
         },
         frames,
     )
-    at = f"{threads} thread{'s' if threads > 1 else ''}"
+    return over_rounds(partial(_of_speeds, f"{threads} thread{'s' if threads > 1 else ''}"), spent)
+
+
+def _of_speeds(at: str, seconds: Mapping[str, float]) -> list[Expectation]:
     return [
         Expectation(f"{at}: MOG2, ms a frame", 1e3 * seconds["MOG2"]),
         Expectation(f"{at}: pixel stage with mask, ms a frame", 1e3 * seconds["pixels"]),

@@ -7,7 +7,7 @@ narwhals`. Without it, what is measured beside it is left out.
 
 import importlib.util
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from ....models.body.upper_body import PARTS
 from ....models.core.frame import Frame
 from ....models.core.gaussian_mixtures import GaussianMixtures
 from ...reports.expectations import HEADER, Expectation, in_columns
-from .points import in_turns
+from .timing import in_turns, over_rounds
 
 Numbers = NDArray[np.float64]
 
@@ -37,7 +37,10 @@ def bootstrap_times() -> list[Expectation]:
     methods = {"ours": _condensation(measured)}
     if importlib.util.find_spec("particles") is not None:
         methods["particles"] = _bootstrap(measured)
-    seconds = in_turns(methods, rounds=15, turn=20)
+    return over_rounds(_of_steps, in_turns(methods, rounds=15, turn=20))
+
+
+def _of_steps(seconds: Mapping[str, float]) -> list[Expectation]:
     what = f"CONDENSATION's step, {SAMPLES} x {DIMENSION}"
     expectations = [Expectation(f"{what}, ms", 1e3 * seconds["ours"])]
     if "particles" in seconds:

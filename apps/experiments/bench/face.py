@@ -22,7 +22,7 @@ from ....models.face.surface_texels import SurfaceTexels
 from ....models.numerics.threads import set_threads, thread_count
 from ...reports.expectations import HEADER, Expectation, in_columns
 from ...scenes import FaceScene, face
-from .points import in_turns
+from .timing import in_turns, over_rounds
 
 RATE = 25.0  # frames a second, of the film
 SIZE = (640, 480)
@@ -105,7 +105,7 @@ def fused_expectation(scene: FaceScene) -> Expectation:
     )
     slopes = [cv2.Sobel(level[0].image, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))]
     owner = np.zeros(1, np.int64)
-    seconds = in_turns(
+    spent = in_turns(
         {
             "fused": lambda: likelihood.equations(0, poses, owner),
             "remap": lambda: _by_remap(surface, likelihood, [level[0].image, *slopes], poses),
@@ -114,7 +114,10 @@ def fused_expectation(scene: FaceScene) -> Expectation:
         5,
     )
     what = f"G-flow: remap and numpy over the fused normal equations, {TEXELS} texels, time"
-    return Expectation(what, seconds["remap"] / seconds["fused"], ">=", 6.0)
+    (found,) = over_rounds(
+        lambda seconds: [Expectation(what, seconds["remap"] / seconds["fused"], ">=", 6.0)], spent
+    )
+    return found
 
 
 def _by_remap(

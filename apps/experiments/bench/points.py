@@ -3,9 +3,8 @@
 Set `OPENBLAS_NUM_THREADS=1` (or that of your BLAS) for the peers too.
 """
 
-import statistics
-import time
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import cv2
 import numpy as np
@@ -21,6 +20,7 @@ from ....models.points.patches import Patches
 from ....models.points.point_tracks import PointMessage, PointTracks, View
 from ....models.points.search import GRID, REACH
 from ...reports.expectations import HEADER, Expectation, in_columns
+from .timing import in_turns, over_rounds
 
 Numbers = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -49,18 +49,6 @@ def point_expectations() -> list[Expectation]:
         cv2.setNumThreads(threads)
 
 
-def in_turns(methods: Mapping[str, Callable[[], object]], rounds: int, turn: int = 1) -> dict[str, float]:
-    """Median seconds a call of methods that take turns of `turn` calls; the first round warms up."""
-    spent: dict[str, list[float]] = {name: [] for name in methods}
-    for _ in range(rounds + 1):
-        for name, method in methods.items():
-            for _ in range(turn):
-                started = time.perf_counter()
-                method()
-                spent[name].append(time.perf_counter() - started)
-    return {name: statistics.median(values[turn:]) for name, values in spent.items()}
-
-
 # --- Kalman filter and smoother -----------------------------------------------------------------------------
 
 
@@ -81,7 +69,7 @@ def kalman_expectations() -> list[Expectation]:
 
     filtered = filter_tracks(prior, times, information, vector, ACCELERATION)
     passed = [_filterpy_filter(places[:, k]) for k in range(N_POINTS)]
-    seconds = in_turns(
+    spent = in_turns(
         {
             "frame by frame": frame_by_frame,
             "filter": lambda: filter_tracks(prior, times, information, vector, ACCELERATION),
@@ -93,6 +81,10 @@ def kalman_expectations() -> list[Expectation]:
         },
         rounds=7,
     )
+    return over_rounds(_of_filters, spent)
+
+
+def _of_filters(seconds: Mapping[str, float]) -> list[Expectation]:
     of = {name: 1e6 * value / (N_POINTS * N_FRAMES) for name, value in seconds.items()}
     return [
         Expectation("Kalman filter frame by frame, us a point and step", of["frame by frame"]),
@@ -173,14 +165,18 @@ def search_expectations() -> list[Expectation]:
     corners = found[kept][:N_PATCHES].astype(np.float32)
     expectations: list[Expectation] = []
     for reach, known in REACHES.items():
-        seconds = in_turns(_searches(first, second, corners, reach, known), rounds=10, turn=8)
+        spent = in_turns(_searches(first, second, corners, reach, known), rounds=10, turn=8)
         what = f"search for {len(corners)} patches there and back, +-{reach} px"
-        expectations += [
-            Expectation(f"{what}, ms", 1e3 * seconds["search"]),
-            Expectation(f"loop of matchTemplate over {what}", seconds["matchTemplate"] / seconds["search"]),
-            Expectation(f"calcOpticalFlowPyrLK over {what}", seconds["PyrLK"] / seconds["search"], ">=", 1),
-        ]
+        expectations += over_rounds(partial(_of_searches, what), spent)
     return expectations
+
+
+def _of_searches(what: str, seconds: Mapping[str, float]) -> list[Expectation]:
+    return [
+        Expectation(f"{what}, ms", 1e3 * seconds["search"]),
+        Expectation(f"loop of matchTemplate over {what}", seconds["matchTemplate"] / seconds["search"]),
+        Expectation(f"calcOpticalFlowPyrLK over {what}", seconds["PyrLK"] / seconds["search"], ">=", 1),
+    ]
 
 
 def _searches(

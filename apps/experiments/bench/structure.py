@@ -4,7 +4,7 @@ All on one thread: set `OPENBLAS_NUM_THREADS=1` (or that of your BLAS) for the p
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -19,7 +19,7 @@ from ....inference.factor_analysis.initialisation import mean_filled
 from ....inference.factor_analysis.observations import Observations
 from ....inference.factor_analysis.posterior import around_start
 from ...reports.expectations import Expectation
-from .points import in_turns
+from .timing import in_turns, medians, over_rounds
 
 Numbers = NDArray[np.float64]
 
@@ -106,7 +106,10 @@ def iteration_expectations() -> list[Expectation]:
     for name, start in starts.items():
         for count in (2, 12):
             steps[f"{name} {count}"] = _iterate(observations, start, count)
-    seconds = in_turns(steps, ROUNDS)
+    return over_rounds(_of_iterations, in_turns(steps, ROUNDS))
+
+
+def _of_iterations(seconds: Mapping[str, float]) -> list[Expectation]:
     peer = seconds["svds"]
     expectations = [Expectation(f"svds(k=3), {2 * N_FRAMES} x {N_POINTS}, ms", 1e3 * peer)]
     for name, bound in (("EM", 0.25), ("EM with coherence", None)):
@@ -134,7 +137,7 @@ def solve_expectations() -> list[Expectation]:
     for length, bound in ((N_FRAMES, 10.0), (60, None)):
         positions = turning_points(N_FRAMES, N_POINTS, length)
         found = factorise(positions)
-        ours = in_turns({"ours": partial(factorise, positions)}, 3)["ours"]
+        ours = medians(in_turns({"ours": partial(factorise, positions)}, 3))["ours"]
         generator = np.random.default_rng(1)
         near = found.cameras + 50 * generator.normal(size=found.cameras.shape)
         shape = found.shape + 0.5 * generator.normal(size=found.shape.shape)
@@ -155,7 +158,7 @@ def solve_expectations() -> list[Expectation]:
     started = time.perf_counter()
     error = bundle_adjustment(positions, cameras, shape)
     theirs = time.perf_counter() - started
-    ours = in_turns({"ours": partial(factorise, positions)}, 3)["ours"]
+    ours = medians(in_turns({"ours": partial(factorise, positions)}, 3))["ours"]
     what = f"100 x 600, {SEEN_THROUGH} frames a point: bundle adjustment from the mean-filled SVD"
     expectations.append(Expectation(f"{what}, over a solve", theirs / ours))
     expectations.append(Expectation(f"{what}, its error over ours", error / factorise(positions).rmse))
@@ -214,7 +217,7 @@ def linearity_expectations(sizes: Sequence[int] = (10**3, 10**4, 10**5, 10**6)) 
         positions = turning_points(n_frames, size // SEEN_THROUGH, SEEN_THROUGH)
         observations = Observations.from_arrays(positions)
         start = _start(observations, coherent=False)
-        spent = in_turns({str(count): _iterate(observations, start, count) for count in (2, 22)}, 5)
+        spent = medians(in_turns({str(count): _iterate(observations, start, count) for count in (2, 22)}, 5))
         counts.append(observations.count)
         seconds.append((spent["22"] - spent["2"]) / 20)
         expectations.append(

@@ -28,6 +28,9 @@ LONG = {
 }
 """What some of them do beside that when there is time."""
 
+PARALLEL = ("pets", "cylinder", "experts", "gain", "recovery", "face-background", "body")
+"""Those of several sequences that can be worked on at once."""
+
 
 def usual_folder(name: str) -> Path:
     """Where the figures of an experiment go."""

@@ -19,11 +19,11 @@ Made by `make results` from what `rsmcm reproduce NAME` and `make bench` record 
 what is wanted of it beside it; only the last part is noted by hand. All parameters have the same setting for
 every sequence.
 
-± is the standard error of a figure over its seeds, found by drawing the seeds anew (200 times); tables of
+± is the standard error of a figure over its n seeds, found by drawing the seeds anew (200 times); tables of
 methods say what they give. Seeds are those of a generated scene, or of noise on a film (one grey level in a
-thousandth of its pixels), for us and for all peers. Figures of one film without noise have none. "Of an
-earlier state" is what was measured before the last change of a file that it takes in `models`, `inference` or
-`chains`. What falls short is marked, and below it stands why.
+thousandth of its pixels), for us and for all peers; of speeds, n is how often a method had its turn. Figures
+of one film without noise have none. "Of an earlier state" is what was measured before the last change of a
+file that it takes in `models`, `inference` or `chains`. What falls short is marked, and below it stands why.
 """
 BY_HAND = """\
 ## Measured by hand, in earlier states
@@ -108,18 +108,23 @@ def results_page(documents: Documents, root: Path) -> str:
     return "\n".join(parts)
 
 
-def _section(record: Record, note: str, root: Path) -> str:
-    made = record.made
+def figures(record: Record) -> str:
+    """What an experiment measured, beside what is wanted of it."""
     rows = []
     for each in record.expectations:
         what, wanted, measured, error, _ = each.cells
         seeds = str(each.seeds) if each.seeds > 1 else ""
         rows.append([what, _bound(wanted), measured, error, seeds, _verdict(each)])
+    return table(("measure", "wanted", "measured", "±", "n", ""), rows)
+
+
+def _section(record: Record, note: str, root: Path) -> str:
+    made = record.made
     parts = [
         f"## {record.title}\n",
         f"`{record.command}`; {_when(made, root)}; {made.machine}; {_duration(made.seconds)}, "
         f"load before it {made.load:.1f}; {_versions(made)}.\n",
-        table(("measure", "wanted", "measured", "±", "seeds", ""), rows),
+        figures(record),
     ]
     if note:
         parts.append(f"{note.strip()}\n")

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ....models.core.frame import Frame
 from ....models.files.limits import MOST_PIXELS
+from ....models.numerics.threads import thread_count
 from .reader import DEFAULT_RATE, Gap, Selection
 from .video_picture import to_bgr
 
@@ -71,6 +72,7 @@ class VideoReader:
         # Frame threads would report a damaged packet late, at another packet; and decoding has a core of its
         # own anyway, since it runs ahead of processing.
         self._stream.thread_type = "SLICE"
+        self._stream.codec_context.thread_count = thread_count()
         rate = self._stream.average_rate or self._stream.guessed_rate
         self.rate = float(rate) if rate and rate <= MOST_RATE else DEFAULT_RATE
         self._seconds = self._stated_seconds()

@@ -9,7 +9,8 @@ function filmClock(video) {
   };
   let wanted = null; // the frame that was last asked for, until the film is there
   const shown = (time) => {
-    const i = lastAtMost(moments, time + 0.0005);
+    // of a fast film the last picture may not be told, or one before it later
+    const i = video.ended ? view.count - 1 : lastAtMost(moments, time + 0.0005);
     if (wanted !== null && i !== wanted && video.seeking) return;
     wanted = null;
     if (i !== view.frame) view.at(i);
@@ -27,7 +28,7 @@ function filmClock(video) {
     };
     requestAnimationFrame(next);
   }
-  video.addEventListener("ended", () => shown(Infinity)); // a fast film may not show its last picture
+  video.addEventListener("ended", () => shown(video.currentTime));
   return {
     get playing() { return !video.paused && !video.ended; },
     get speed() { return video.playbackRate; },

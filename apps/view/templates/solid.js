@@ -89,8 +89,10 @@ class Solid {
       const side = area < 0 ? 1 : -1, nx = side * deep * (by * cz - bz * cy), ny = side * deep * (bz * cx - bx * cz);
       const towards = (-0.35 * nx - 0.45 * ny + 0.82 * Math.abs(area)) / Math.hypot(nx, ny, area);
       const light = texture ? 0.75 + 0.25 * Math.max(towards, 0) : 0.35 + 0.65 * Math.max(towards, 0);
-      const left = Math.max(0, Math.ceil(ax + Math.min(0, bx, cx))), right = Math.min(width - 1, Math.floor(ax + Math.max(0, bx, cx)));
-      const top = Math.max(0, Math.ceil(ay + Math.min(0, by, cy))), bottom = Math.min(height - 1, Math.floor(ay + Math.max(0, by, cy)));
+      const left = Math.max(0, Math.ceil(ax + Math.min(0, bx, cx)));
+      const right = Math.min(width - 1, Math.floor(ax + Math.max(0, bx, cx)));
+      const top = Math.max(0, Math.ceil(ay + Math.min(0, by, cy)));
+      const bottom = Math.min(height - 1, Math.floor(ay + Math.max(0, by, cy)));
       for (let y = top; y <= bottom; y++) {
         for (let x = left; x <= right; x++) {
           const v = ((x - ax) * cy - (y - ay) * cx) / area, w = (bx * (y - ay) - by * (x - ax)) / area, u = 1 - v - w;

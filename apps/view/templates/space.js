@@ -10,6 +10,14 @@ function region(pen, x, y, xx, xy, yy, size) {
   pen.ellipse(x, y, radius(middle + apart), radius(middle - apart), Math.atan2(2 * xy, xx - yy) / 2, 0, 2 * Math.PI);
 }
 
+/** R C R^T of a rotation by rows and a covariance xx, xy, xz, yy, yz, zz. */
+function turnedCovariance(rotation, [xx, xy, xz, yy, yz, zz]) {
+  const rows = [0, 3, 6].map((k) => rotation.subarray(k, k + 3));
+  const times = rows.map(([a, b, c]) => [xx * a + xy * b + xz * c, xy * a + yy * b + yz * c, xz * a + yz * b + zz * c]);
+  const entry = (r, s) => rows[r][0] * times[s][0] + rows[r][1] * times[s][1] + rows[r][2] * times[s][2];
+  return [entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2)];
+}
+
 /** A colour "#rrggbb", mixed with another one. */
 function mixed(colour, other, share) {
   const parts = (text) => [1, 3, 5].map((k) => parseInt(text.slice(k, k + 2), 16));
@@ -32,13 +40,14 @@ function inkOf(name) {
  */
 class Space {
   constructor(parent, { label, centre = [0, 0, 0], reach, draw, pick }) {
-    Object.assign(this, { centre, reach, drawing: draw, pick, held: new Map(), due: false });
-    this.canvas = element("canvas", { className: "space", tabIndex: 0, role: "application", "aria-label": `${label}. Arrow keys turn it, plus and minus change its size, 0 resets.` });
+    Object.assign(this, { centre, reach, drawing: draw, pick, held: new Map(), due: false, inSight: false });
+    const keys = "Arrow keys turn it, plus and minus change its size, 0 resets.";
+    this.canvas = element("canvas", { className: "space", tabIndex: 0, role: "application", "aria-label": `${label}. ${keys}` });
     this.pen = this.canvas.getContext("2d");
-    this.hint = element("p", { className: "quiet hint", textContent: "Drag to turn; + and − for the size; 0 or double click resets." });
+    const hint = element("p", { className: "quiet hint", textContent: "Drag to turn; + and − for the size; 0 or double click resets." });
     const large = element("button", { textContent: "Full screen", hidden: !document.fullscreenEnabled });
     large.addEventListener("click", () => this.canvas.requestFullscreen());
-    parent.append(this.canvas, element("div", { className: "choices" }, this.hint, large));
+    parent.append(this.canvas, element("div", { className: "choices" }, hint, large));
     this.reset();
     const on = (event, does) => this.canvas.addEventListener(event, does);
     on("pointerdown", (event) => this.press(event));
@@ -49,6 +58,10 @@ class Space {
     on("dblclick", () => this.reset());
     on("wheel", (event) => this.wheel(event));
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
+    new IntersectionObserver(([{ isIntersecting }]) => {
+      this.inSight = isIntersecting; // nothing is drawn where nobody looks
+      this.redraw();
+    }).observe(this.canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw());
     for (const change of ["frame", "select"]) view.on(change, () => this.redraw());
   }
@@ -112,7 +125,7 @@ class Space {
   }
 
   redraw() {
-    if (this.due) return;
+    if (this.due || !this.inSight) return;
     this.due = true;
     requestAnimationFrame(() => {
       this.due = false;
@@ -131,7 +144,7 @@ class Space {
     this.scale = this.zoom * 0.5 * Math.min(this.width, this.height) / this.reach;
     const [sy, cy, sp, cp] = [Math.sin(this.yaw), Math.cos(this.yaw), Math.sin(this.pitch), Math.cos(this.pitch)];
     // first about the vertical axis, then about the horizontal one
-    this.rotation = [cy, 0, sy, sp * sy, cp, -sp * cy, -cp * sy, sp, cp * cy];
+    this.rotation = Float64Array.of(cy, 0, sy, sp * sy, cp, -sp * cy, -cp * sy, sp, cp * cy);
     this.drawing(this);
   }
 
@@ -147,11 +160,9 @@ class Space {
   }
 
   /** What is seen of a covariance xx, xy, xz, yy, yz, zz: its xx, xy, yy in the picture, squared px of the page. */
-  spread([xx, xy, xz, yy, yz, zz]) {
-    const [a, b, c, d, e, f] = this.rotation, s = this.scale * this.scale;
-    const [u, v, w] = [xx * a + xy * b + xz * c, xy * a + yy * b + yz * c, xz * a + yz * b + zz * c];
-    const [k, l, m] = [xx * d + xy * e + xz * f, xy * d + yy * e + yz * f, xz * d + yz * e + zz * f];
-    return [s * (a * u + b * v + c * w), s * (d * u + e * v + f * w), s * (d * k + e * l + f * m)];
+  spread(covariance) {
+    const [xx, xy, , yy] = turnedCovariance(this.rotation, covariance), s = this.scale * this.scale;
+    return [s * xx, s * xy, s * yy];
   }
 
   /** Axes to the right (red), up (green) and towards the viewer (blue), in the lower left corner. */

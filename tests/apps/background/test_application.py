@@ -20,6 +20,7 @@ from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.parameters import SECTIONS, read_parameters, with_defaults
 from rsmcm.apps.evaluation.scoring import Scoring
 from rsmcm.apps.evaluation.tracks import track_rows
+from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.io.ground_truth import MaskTruth, read_ground_truth
 from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.sources.open_source import open_source
@@ -48,7 +49,8 @@ def masks_of(folder: Path) -> dict[str, bytes]:
 
 
 def assert_same(one: Path, other: Path) -> None:
-    assert (one / "tracks.txt").read_bytes() == (other / "tracks.txt").read_bytes()
+    for name in ("tracks.txt", "tracks.csv"):
+        assert (one / name).read_bytes() == (other / name).read_bytes()
     assert masks_of(one) == masks_of(other)
     assert masks_of(one)
 
@@ -93,7 +95,12 @@ def test_all_results_are_there_and_readable(whole: Path, scene: Path) -> None:
     assert summary["parameters"]["background"] == with_defaults({})["background"]
     assert summary["versions"]["numpy"] == np.__version__
     assert summary["metrics"]["frames compared"] == N_FRAMES
-    assert len(read_tracks(whole / "tracks.txt")) > 0, "the person is tracked"
+    tracks, table = read_tracks(whole / "tracks.txt"), read_tracks_table(whole)
+    assert len(tracks) > 0, "the person is tracked"
+    boxes = np.stack([table[name] for name in ("x", "y", "width", "height")], axis=1)
+    np.testing.assert_allclose(boxes, tracks["box"], atol=1e-9)
+    np.testing.assert_allclose(table["time"], (tracks["frame"] - 1) / 25, atol=1e-6)
+    assert np.hypot(table["vx"], table["vy"]).max() > 5
     truth = read_ground_truth(scene)
     assert isinstance(truth, MaskTruth)
     scoring = Scoring(truth)

@@ -17,6 +17,7 @@ from rsmcm.apps.background.application import BackgroundRun, run_background
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.whole_film import warmed_up
+from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.sources.open_source import Source
 from rsmcm.apps.runs.interruption import Interrupted, Interruption
@@ -77,6 +78,9 @@ def test_the_whole_film_shows_who_is_there_in_the_first_frame(scene: Path, whole
     assert shown_in_first_frame(whole, scene) > 0.7
     tracks = read_tracks(whole / "tracks.txt")
     assert tracks["frame"].min() == 1  # though nobody is sure of anybody by then
+    table = read_tracks_table(whole)
+    speed = 25 * np.diff(tracks["box"][:40, 0]).mean()
+    assert table["vx"][:40].mean() == pytest.approx(speed, rel=0.1)
     assert (whole / "overlay.mp4").exists()
     summary = summary_of(whole)
     assert summary["frames"] == len(masks_of(whole)) == N_FRAMES
@@ -124,7 +128,8 @@ def test_the_masks_go_on_after_a_signal_to_the_same_bytes(
     assert summary_of(tmp_path)["frames"] == 17
     assert run_background(replace(job, resume=True)).signal is None
     assert masks_of(tmp_path) == masks_of(whole)
-    assert (tmp_path / "tracks.txt").read_bytes() == (whole / "tracks.txt").read_bytes()
+    for name in ("tracks.txt", "tracks.csv"):
+        assert (tmp_path / name).read_bytes() == (whole / name).read_bytes()
 
 
 @pytest.mark.parametrize("engine", ["recursive-bp", "feed-forward", "stand-alone"])

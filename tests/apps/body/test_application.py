@@ -27,6 +27,8 @@ from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
 
 from ...conftest import Command, names, summary_of
 from ...support.body_poses import resting
+from ...support.browser import browsing
+from ...support.view_page import shown_page
 
 run = Command("body")
 complaint = run.complaint
@@ -201,6 +203,24 @@ def test_report(finished: Path) -> None:
     assert "http" not in page.replace("http://www.w3.org", "")
     assert page.count('src="data:image') >= 4
     assert page.count("<svg ") == 3
+
+
+def test_the_page_shows_what_the_run_found(finished: Path) -> None:
+    assert 'href="view.html"' in (finished / "report.html").read_text()
+    poses = poses_of(finished)
+    with browsing() as browser, shown_page(browser, finished, SIZE) as shown:
+        for index in (0, 4, 5, N_FRAMES - 1):
+            shown.show(index)
+            assert shown.frame == poses["frames"][index]
+            for joint, name in enumerate(JOINTS):
+                shown.page.locator(f"#row-{joint} .label").click()
+                assert shown.selected == name.replace("_", " ")
+                shown.show(index)  # the row has led to where the joint begins
+                np.testing.assert_allclose(
+                    shown.numbers("place"), poses["joints_2d"][index, joint], atol=0.06
+                )
+            shown.page.locator(f"#row-{HEAD} .label").click()
+            assert (shown.details["now"] == "seen") == poses["seen"][index, 0]
 
 
 @pytest.mark.usefixtures("faces")

@@ -14,7 +14,7 @@ from rsmcm.apps.view.film import Film, read_film
 from rsmcm.apps.view.page import SEEN
 from rsmcm.models.body.upper_body import JOINTS
 
-from ...support.browser import PHONE, Browser, browsing, landmarks, overflow
+from ...support.browser import PHONE, Browser, browsing, landmarks, overflow, reached_by_tab
 from ...support.view_page import Turned, ViewPage, shown_page, write_pages
 
 N_FRAMES = 30
@@ -106,7 +106,7 @@ def test_rows_say_when_a_part_was_seen(folder: Path) -> None:
         if row.identity == LEFT_HAND:
             expected[list(HIDDEN)] = False
         np.testing.assert_array_equal(seen, expected, err_msg=row.label)
-    unsure = next(plot for plot in view.plots if plot.name == "left hand unsure")
+    unsure = next(plot for plot in view.plots if plot.name == "left hand ±")
     np.testing.assert_allclose(unsure.values, 5.0, rtol=1e-6)
     evidence = next(plot for plot in view.plots if plot.name == "log evidence").values
     np.testing.assert_array_equal(np.isnan(evidence), np.arange(N_FRAMES) == 20)
@@ -220,3 +220,53 @@ def test_on_a_phone(browser: Browser, folder: Path, dark: bool) -> None:
         box = page.locator(".space").bounding_box()
         assert box is not None
         assert box["width"] > 300
+
+
+# --- fingers and the whole screen ---------------------------------------------------------------------------
+
+
+def test_fingers_turn_it_and_pull_it_apart(browser: Browser, folder: Path) -> None:
+    with shown_page(browser, folder, SIZE, PHONE) as shown:
+        session = shown.page.context.new_cdp_session(shown.page)
+        session.send("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
+        canvas = shown.page.locator(".space")
+        canvas.scroll_into_view_if_needed()
+        box = canvas.bounding_box()
+        assert box is not None
+        middle, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+        def move(*ways: tuple[float, float]) -> int:
+            """Fingers go from one place to another beside the middle, px."""
+            for kind, share in (("Start", 0.0), ("Move", 0.3), ("Move", 0.6), ("Move", 1.0), ("End", None)):
+                places = [] if share is None else [a + share * (b - a) for a, b in ways]
+                points = [{"x": middle + x, "y": y, "id": number} for number, x in enumerate(places)]
+                session.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+            return shown.inked(".space")
+
+        pictures = [shown.inked(".space"), move((0, 60)), move((-20, -70), (20, 70))]
+        assert len(set(pictures)) == 3
+        assert shown.selected is None, "none of it was a click"
+        assert move((0, -60)) != pictures[2]
+        assert not overflow(shown.page)
+
+
+def test_everything_is_reached_by_keys(shown: ViewPage) -> None:
+    reached = reached_by_tab(shown.page)
+    assert {"CANVAS", "Full screen", "play", "seek"} <= reached
+
+
+def test_a_film_of_one_frame(browser: Browser, joints: NDArray[np.float64], tmp_path: Path) -> None:
+    (frame, *_), (row, *_) = signer(1, size=SIZE), rows(joints)
+    write_pages(tmp_path, [frame], lambda _: drawn_of(row, 0.0, 9.0), lambda film: body_view(film, ARM))
+    with shown_page(browser, tmp_path, SIZE) as page:
+        page.click(joints[0, LEFT_HAND, :2])
+        assert page.selected == "left hand"
+        assert not any("NaN" in value for value in page.details.values())
+
+
+def test_the_whole_screen(shown: ViewPage) -> None:
+    shown.page.get_by_role("button", name="Full screen").click()
+    shown.page.wait_for_function("document.fullscreenElement?.className === 'space'")
+    shown.page.wait_for_function("document.querySelector('.space').clientHeight === innerHeight")
+    assert shown.inked(".space") > 0
+    shown.page.evaluate("document.exitFullscreen()")

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from rsmcm.apps.drawing.boxes import OverlayWriter, draw_overlay, identity_colour
+from rsmcm.apps.drawing.boxes import OverlayWriter, css_colour, draw_overlay, identity_colour
 from rsmcm.models.core.frame import Frame
 
 from ...support.film import Box, boxes, frame, mask, read_video
@@ -42,3 +42,7 @@ def test_missing_frames_show_the_one_before(tmp_path: Path) -> None:
         writer.add(frame(2), mask(2), [])
         writer.add(Frame(None, 0.2, 3), None, boxes(3))
     assert len(read_video(tmp_path / "overlay.mp4")[0]) == 2
+
+
+def test_colours_of_pages() -> None:
+    assert css_colour((255, 128, 3)) == "#0380ff", "red first"

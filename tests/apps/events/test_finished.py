@@ -1,6 +1,7 @@
 """Events from a finished run: those that the run itself writes, for any zones."""
 
 import json
+import re
 import shutil
 import signal
 from collections.abc import Iterator
@@ -72,6 +73,7 @@ def test_the_run_writes_what_happened(results: Path) -> None:
     page = (results / "report.html").read_text()
     assert "Zones and lines" in page
     assert "in left half" in page
+    assert '"name": "left half"' in re.sub(r"\s*:\s*", ": ", (results / "view.html").read_text())
 
 
 @pytest.mark.parametrize("signals", [1, 2])

@@ -48,7 +48,8 @@ def test_a_video_of_masks_gives_the_same(background: Path, street: Path, tmp_pat
         assert len(one.tracks) == len(other.tracks) == len(blind.tracks)
         assert blind.foreground is None
     summary = json.loads((tmp_path / "video" / "summary.json").read_text())
-    (tmp_path / "video" / "summary.json").write_text(json.dumps({**summary, "frames": 20}))
+    dropped = {**summary, "frames": 20, "stream": {"dropped_frames": 9}}
+    (tmp_path / "video" / "summary.json").write_text(json.dumps(dropped))
     with pytest.raises(ValueError, match=r"foreground\.mkv: which frames its pictures show is not known"):
         list(FinishedRun.of(tmp_path / "video").frames())
 
@@ -73,6 +74,7 @@ def test_what_is_no_finished_run_is_named(background: Path, tmp_path: Path) -> N
         ('{"size": [0, 4]}', "got no size"),
         ('{"size": [4, 4], "first_frame": 1, "last_frame": "x"}', "got no first_frame"),
         ('{"size": [4, 4], "first_frame": 1, "last_frame": 9, "parameters": {"step": 0}}', "got no first"),
+        ('{"size": [4, 4], "first_frame": 1, "last_frame": 9, "parameters": {"step": 1}}', "got no frames"),
     ],
 )
 def test_a_summary_that_is_damaged_is_named(

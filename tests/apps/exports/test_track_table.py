@@ -110,6 +110,7 @@ def test_it_is_gone_on_with_behind_a_frame(tmp_path: Path) -> None:
         ("", "line 1: got ''"),
         (f"{HEADER}\n1,0,1\n", "line 2: got '1,0,1', expected numbers"),
         (f"{HEADER}\n1,0,1,1,1,1,1,1,1,1,2\n", "line 2: got seen 2, expected 0 or 1"),
+        (f"{HEADER}\n1,0,1,1,1e9,1,1,1,1,1,1\n", "line 2: got a box .*, expected px up to"),
         (f"{HEADER}\n0,0,1,1,1,1,1,1,1,1,1\n", "line 2: got frame 0, id 1, expected whole numbers"),
         (f"{HEADER}\n1,0,1,inf,1,1,1,1,1,1,1\n", "line 2: got .*, expected numbers"),
     ],

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from markupsafe import Markup
 from numpy.typing import NDArray
-from rsmcm.apps.face import application
+from rsmcm.apps.face import application, report
 from rsmcm.apps.face import start as face_start
 from rsmcm.apps.face.report import FaceRecord, angles
 from rsmcm.apps.face.start import find_face, start_from_box, start_from_landmarks
@@ -26,6 +26,8 @@ from rsmcm.models.face.pose import Poses
 from rsmcm.models.numerics.rotations import exponential
 
 from ...conftest import Command, names, summary_of
+from ...support.browser import browsing
+from ...support.view_page import shown_page
 
 run = Command("face")
 complaint = run.complaint
@@ -183,6 +185,28 @@ def test_pictures(finished: Path) -> None:
     assert texture.shape == variance.shape
     assert texture.std() > 10
     assert variance.max() == 255
+
+
+def test_the_page_shows_what_the_run_found(finished: Path) -> None:
+    assert 'href="view.html"' in (finished / "report.html").read_text()
+    poses = poses_of(finished)
+    with browsing() as browser, shown_page(browser, finished, SIZE) as shown:
+        for index in (0, 4, 5, N_FRAMES - 1):
+            shown.show(index)
+            assert shown.frame == poses["frame_numbers"][index]
+            places = poses["vertices_2d"][index]
+            for vertex in (0, 40, 80):
+                shown.click(places[vertex])
+                assert (shown.selected or "").startswith("point ")
+                nearest = int((shown.selected or "").split()[1])
+                np.testing.assert_allclose(places[nearest], places[vertex], atol=1.0)
+                np.testing.assert_allclose(shown.numbers("place"), places[nearest], atol=0.06)
+                spread = np.sqrt(np.trace(poses["covariance"][index, nearest, :2, :2]))
+                assert shown.numbers("unsure by")[0] == pytest.approx(spread, abs=0.006)
+            shown.page.locator("#row-0 .label").click()
+            shown.show(index)
+            turned = [shown.numbers(name)[0] for name in report.ANGLES]
+            np.testing.assert_allclose(turned, angles(poses["mean_rotation"][index]), atol=0.06)
 
 
 def test_report(finished: Path) -> None:

@@ -15,7 +15,9 @@ from rsmcm.apps.scenes import Cylinder, cylinder
 from rsmcm.inference import CoordinateAscent
 
 from ...conftest import Command, names, summary_of
+from ...support.browser import browsing
 from ...support.reconstructions import write_film
+from ...support.view_page import shown_page
 
 run = Command("structure")
 complaint = run.complaint
@@ -86,7 +88,27 @@ def test_files_of_a_run_on_tracks(finished: Path, tracks: NDArray[np.float64]) -
     assert summary["tracks"] == tracks.shape[1]
     assert summary["observations"] == np.count_nonzero(found["observed"])
     assert f"element vertex {n_points}\n".encode() in (finished / "structure.ply").read_bytes()
-    assert (finished / "report.html").read_text().endswith("</html>\n")
+    report = (finished / "report.html").read_text()
+    assert report.endswith("</html>\n")
+    assert 'href="view.html"' in report
+
+
+def test_the_page_shows_what_the_run_found(finished: Path) -> None:
+    found = np.load(finished / "tracks.npz")
+    with browsing() as browser, shown_page(browser, finished, (1, 1)) as shown:
+        for point in (0, 7, summary_of(finished)["points"] - 1):
+            shown.page.locator(f"#row-{point} .label").click()
+            assert shown.selected == f"point {point}"
+            for index in (0, 11, 23):
+                shown.show(index)
+                seen = found["observed"][index, point]
+                assert shown.details["now"] == ("seen" if seen else "not seen, by shape and camera")
+                if not seen:
+                    np.testing.assert_allclose(
+                        shown.numbers("place"), found["position"][index, point], atol=0.06
+                    )
+                spread = np.sqrt(np.diag(found["covariance"][index, point]))
+                np.testing.assert_allclose(shown.numbers("unsure by"), spread, atol=0.006)
 
 
 def test_tracks_of_point_trackers_are_the_same_tracks(

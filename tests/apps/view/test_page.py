@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from rsmcm.apps.background.demo import write_scene
+from rsmcm.apps.events.event_files import read_events
+from rsmcm.apps.events.zone_files import read_zones
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.scenes import sleeping_man
-from rsmcm.apps.view.film import Film
+from rsmcm.apps.view.film import Film, read_film
 from rsmcm.apps.view.page import Plot, TimelineRow, View, write_view
 
 from ...conftest import Command
@@ -24,6 +26,11 @@ if TYPE_CHECKING:
 
 N_FRAMES = 60
 SIZE = (320, 240)
+ZONES = """
+[[zone]]
+name = "whole"
+polygon = [[0, 0], [320, 0], [320, 240], [0, 240]]
+"""
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +43,9 @@ def browser() -> Iterator[Browser]:
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("view")
     write_scene(sleeping_man(N_FRAMES, size=SIZE, enter=0), folder)
-    assert Command("background")(folder / "input", "--out", folder / "out", "--every", 25) == 0
+    (folder / "zones.toml").write_text(ZONES)
+    out, zones = folder / "out", folder / "zones.toml"
+    assert Command("background")(folder / "input", "--out", out, "--every", 25, "--zones", zones) == 0
     return folder / "out"
 
 
@@ -163,6 +172,7 @@ def test_rows_are_reached_by_keys_and_lead_to_their_frames(page: "playwright.Pag
 @pytest.mark.parametrize("name", ["boxes", "outlines", "paths", "identities"])
 def test_what_is_drawn_can_be_switched_off(page: "playwright.Page", name: str) -> None:
     page.keyboard.press("End")
+    page.keyboard.press("l")  # the zone is all over the picture
     before = inked(page)
     page.get_by_label(name).uncheck()
     assert inked(page) < before
@@ -212,15 +222,36 @@ def test_zones_that_are_drawn_become_a_file(page: "playwright.Page") -> None:
         page.get_by_role("button", name="Download").click()
     assert download.value.suggested_filename == "zones.toml"
     content = tomllib.loads(Path(download.value.path()).read_text())
-    assert [zone["name"] for zone in content["zone"]] == ["zone", "zone 1"]
-    np.testing.assert_allclose(content["zone"][0]["polygon"], corners, atol=1)
-    assert content["zone"][1]["polygon"] == [[1, 2], [30, 2], [30, 40.5]]
+    assert [zone["name"] for zone in content["zone"]] == ["whole", "zone", "zone 1"]
+    np.testing.assert_allclose(content["zone"][1]["polygon"], corners, atol=1)
+    assert content["zone"][2]["polygon"] == [[1, 2], [30, 2], [30, 40.5]]
     assert content["line"][0]["name"] == 'the "gate"'
+    zones = read_zones(download.value.path(), SIZE)  # as --zones does
+    assert zones.plain()["zones"] == content["zone"]
     np.testing.assert_allclose(
         [content["line"][0][end] for end in ("from", "to")], [(100, 20), (100, 220)], atol=1
     )
     page.get_by_label("Remove zone 1").click()
     assert "zone 1" not in page.locator("textarea").input_value()
+
+
+def test_a_file_that_was_drawn_is_read(page: "playwright.Page", tmp_path: Path) -> None:
+    page.get_by_role("button", name="Draw a line").click()
+    page.keyboard.press("Enter")
+    (tmp_path / "zones.toml").write_text(page.locator("textarea").input_value())
+    zones = read_zones(tmp_path / "zones.toml", SIZE)
+    assert [each.name for each in (*zones.zones, *zones.lines)] == ["whole", "line"]
+
+
+def test_an_event_leads_to_its_moment(page: "playwright.Page", results: Path) -> None:
+    events = read_events(results / "events.csv")
+    listed = page.locator("select.events")
+    assert listed.locator("option").count() == len(events)
+    page.keyboard.press("e")
+    assert frame_of(page) == events[0].moment.frame
+    listed.select_option(index=len(events) - 1)
+    assert frame_of(page) == events[-1].moment.frame
+    assert page.locator("#details .who").text_content() == str(events[-1].identity)
 
 
 def test_typing_a_name_presses_no_keys(page: "playwright.Page") -> None:
@@ -229,7 +260,7 @@ def test_typing_a_name_presses_no_keys(page: "playwright.Page") -> None:
     page.keyboard.type("b o?+")
     assert page.get_by_label("boxes").is_checked()
     assert not page.get_by_role("dialog").is_visible()
-    assert page.get_by_label("name of the zone").input_value() == "b o?+"
+    assert page.get_by_label("name of the zone").last.input_value() == "b o?+"
 
 
 @pytest.mark.parametrize("dark", [False, True])
@@ -239,7 +270,7 @@ def test_it_is_read_on_any_screen(browser: Browser, results: Path, size: tuple[i
         ready(page)
         page.locator("[role=option] .label").first.click()
         assert overflow(page) <= 0
-        parts = ["Film", "Show", "Selected", "Zones and lines", "Over time", "Keys"]
+        parts = ["Film", "Show", "Selected", "Events", "Zones and lines", "Over time", "Keys"]
         assert landmarks(page) == (1, ["input: recursive-bp", *parts])
         film = page.locator("#stage").bounding_box()
         assert film is not None
@@ -287,8 +318,8 @@ class Links(HTMLParser):
 
 def test_the_pages_of_a_run_link_each_other(results: Path) -> None:
     for name, wanted in (
-        ("view.html", {"report.html", "overlay.mp4", "tracks.csv"}),
-        ("report.html", {"view.html", "overlay.mp4", "tracks.csv"}),
+        ("view.html", {"report.html", "overlay.mp4", "tracks.csv", "events.csv"}),
+        ("report.html", {"view.html", "overlay.mp4", "tracks.csv", "events.csv"}),
     ):
         links = Links()
         links.feed((results / name).read_text())
@@ -315,6 +346,28 @@ def test_no_text_of_the_user_is_taken_for_a_script(browser: Browser, tmp_path: P
         assert "–" in (page.locator(".plot").text_content() or ""), "nothing is known"
         page.locator("#play").click()
         page.wait_for_function(f"document.getElementById('clock').textContent.startsWith('frame {count},')")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [(), ("--engine", "coordinate-ascent"), ("--camera", "moving"), ("--engine", "stand-alone")],
+    ids=str,
+)
+def test_what_is_drawn_are_the_results(results: Path, tmp_path: Path, options: tuple[str, ...]) -> None:
+    """With every engine, and of frames as they are, where the camera moves."""
+    out = tmp_path / "out"
+    assert Command("background")(results.parent / "input", "--out", out, *options) == 0
+    film = read_film(out, SIZE)
+    assert (out / "view.html").exists()
+    if "stand-alone" in options:
+        assert not len(film.columns["id"])
+        return
+    table = read_tracks_table(out)
+    assert len(table["id"]) > 20
+    np.testing.assert_array_equal(np.repeat(film.numbers, film.counts["id"]), table["frame"])
+    np.testing.assert_array_equal(film.columns["id"], table["id"])
+    sides = np.stack([table[name] for name in ("x", "y", "width", "height")], axis=1)
+    np.testing.assert_allclose(film.columns["box"], sides, atol=0.006)
 
 
 def test_what_the_page_holds_is_json(results: Path) -> None:

@@ -2,10 +2,13 @@
 
 addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, reach }) => {
   const n = colours.length, perFrame = samples.length / 3 / view.count;
+  const PATH_SECONDS = 1.5; // to both sides
   const NEAR = 15; // px of the screen: a click selects the joint that is not farther away
   const joint = (i, j) => joints.subarray(9 * (n * i + j), 9 * (n * i + j + 1));
   const isSeen = (i, j) => parts.includes(j) && seen[parts.length * i + parts.indexOf(j)] === 1;
-  const shade = (colour, depth) => mixed(colour, depth < 0 ? "#ffffff" : "#000000", 0.45 * Math.min(1, Math.abs(depth) / arm));
+  /** Of what is near paler, of what is far darker. */
+  const shade = (colour, depth) =>
+    mixed(colour, depth < 0 ? "#ffffff" : "#000000", 0.45 * Math.min(1, Math.abs(depth) / arm));
   let thin = 1;
 
   /** Draw a skeleton, far bones first; `at(j)` is a joint's x, y and depth. */
@@ -59,20 +62,26 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, r
 
   const onFilm = (i) => (j) => [joint(i, j)[0] + 0.5, joint(i, j)[1] + 0.5, joint(i, j)[2]];
 
+  /** Where the selected joint is a little before and after; `place(joint)` gives where to draw. */
+  const path = (pen, i, place, width) => {
+    if (view.selected === null) return;
+    pen.beginPath();
+    for (let k = 0; k < view.count; k++) {
+      if (Math.abs(view.times[k] - view.times[i]) > PATH_SECONDS) continue;
+      const [x, y] = place(joint(k, view.selected));
+      pen.lineTo(x, y);
+    }
+    [pen.strokeStyle, pen.lineWidth] = [colours[view.selected], width];
+    pen.stroke();
+  };
   addSwitch({
-    name: "path", label: "path of the selected joint", key: "p", draw(pen, i) {
-      if (view.selected === null) return;
-      pen.beginPath();
-      for (let k = 0; k < view.count; k++) {
-        if (Math.abs(view.times[k] - view.times[i]) > 1.5) continue;
-        const [x, y] = onFilm(k)(view.selected);
-        pen.lineTo(x, y);
-      }
-      [pen.strokeStyle, pen.lineWidth] = [colours[view.selected], 2 * pen.thin];
-      pen.stroke();
-    },
+    name: "path", label: "path of the selected joint", key: "p",
+    draw: (pen, i) => path(pen, i, ([x, y]) => [x + 0.5, y + 0.5], 2 * pen.thin),
   });
-  addSwitch({ name: "poses", label: "poses drawn from the posterior", key: "d", on: false, draw: (pen, i) => poses(pen, i, (x, y) => [x + 0.5, y + 0.5], pen.thin) });
+  addSwitch({
+    name: "poses", label: "poses drawn from the posterior", key: "d", on: false,
+    draw: (pen, i) => poses(pen, i, (x, y) => [x + 0.5, y + 0.5], pen.thin),
+  });
   addSwitch({
     name: "regions", label: "90 % regions of joints", key: "u", draw(pen, i) {
       for (let j = 0; j < n; j++) {
@@ -125,6 +134,7 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, r
         pen.fillStyle = colours[j] + "30";
         pen.fill();
       }
+      path(pen, i, ([x, y, z]) => space.place(x, y, z), 1.5);
       skeleton(pen, where, 1);
       knobs(pen, i, where, 1);
       space.axes();
@@ -145,9 +155,10 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, r
       ["unsure by", `${Math.sqrt(xx).toFixed(1)}, ${Math.sqrt(yy).toFixed(1)} px`],
       ["depth", z < 0 ? `${px(-z)} nearer than the neck` : `${px(z)} farther than the neck`],
       ["depth unsure by", px(Math.sqrt(zz))],
-      ["speed", `${speed(j, i).toFixed(0)} px/s`],
+      ...(view.count > 1 ? [["speed", `${speed(j, i).toFixed(0)} px/s`]] : []),
     ];
   });
-  addPlot({ name: "selected: speed", unit: "px/s", values: (j) => Float32Array.from({ length: view.count }, (_, i) => speed(j, i)) });
-  addPlot({ name: "selected: depth", unit: "px", values: (j) => Float32Array.from({ length: view.count }, (_, i) => joint(i, j)[2]) });
+  const over = (value) => (j) => Float32Array.from({ length: view.count }, (_, i) => value(j, i));
+  addPlot({ name: "selected: speed", unit: "px/s", values: over(speed) });
+  addPlot({ name: "selected: depth", unit: "px", values: over((j, i) => joint(i, j)[2]) });
 });

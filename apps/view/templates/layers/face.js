@@ -1,9 +1,12 @@
 // A face: the mesh over the film, the head in space with its texture, how sure its points are.
 
-addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown, mesh, bases, triangles, onTexture, textures, ink }) => {
+addLayers((face) => {
+  const { points, pose, landmarks, states, angles, angleNames, errors, shown, mesh, ink } = face;
+  const { bases, triangles, onTexture, textures } = face;
   const n = shown.length, [nBases, nVertices] = bases.shape;
   const NEAR = 12; // px of the screen: a click selects the point that is not farther away
-  const SKIN = 0x96afd7, UNKNOWN = 0x707070, HOT = [[0, 0, 30], [90, 20, 110], [190, 55, 85], [245, 125, 30], [250, 235, 120]];
+  const SKIN = 0x96afd7, UNKNOWN = 0x707070;
+  const HOT = [[50, 25, 120], [130, 35, 125], [205, 65, 85], [245, 130, 35], [250, 235, 120]];
   const perPose = pose.length / view.count, perLandmarks = landmarks.length / 2 / view.count;
   const point = (i, k) => points.subarray(5 * (n * i + k), 5 * (n * i + k + 1));
   const isLost = (i) => states[3 * i] === 1, isMissing = (i) => states[3 * i + 1] === 1;
@@ -41,7 +44,9 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
   if (perLandmarks) {
     addSwitch({
       name: "landmarks", label: "landmarks, carried along", key: "l", on: false, draw(pen, i) {
-        for (let k = perLandmarks * i; k < perLandmarks * (i + 1); k++) dot(pen, landmarks[2 * k], landmarks[2 * k + 1], 2.5, "#00c8ff");
+        for (let k = perLandmarks * i; k < perLandmarks * (i + 1); k++) {
+          dot(pen, landmarks[2 * k], landmarks[2 * k + 1], 2.5, "#00c8ff");
+        }
       },
     });
   }
@@ -51,7 +56,7 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
       for (let k = 0; k < n; k++) {
         const [x, y, xx, xy, yy] = point(i, k);
         region(pen, x + 0.5, y + 0.5, xx, xy, yy, REGION_OF_2);
-        pen.fillStyle = ink + "50";
+        pen.fillStyle = ink + "28";
         pen.fill();
         [pen.strokeStyle, pen.lineWidth] = [ink, pen.thin];
         pen.stroke();
@@ -102,15 +107,17 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
   // --- the head in space ---
 
   const panel = addPanel("Head");
-  const look = element("select", { "aria-label": "How the head is painted" }, ...["texture", "its variance", "shape"].map((name, k) => new Option(name, k)));
+  const paints = ["texture", "its variance", "shape"].map((name, k) => new Option(name, k));
+  const look = element("select", { "aria-label": "How the head is painted" }, ...paints);
   const withFilm = element("input", { type: "checkbox", checked: true });
   panel.append(element("div", { className: "choices" }, look, element("label", {}, withFilm, " turns as in the film")));
   const solid = new Solid(), vertices = new Float32Array(3 * nVertices), placed = new Float32Array(3 * nVertices);
-  const painted = textures.map(() => null);
+  const painted = []; // texture and variance, when they are there
 
   /** The vertices in frame i, px about the head's origin: in its pose, or as seen from the front. */
   const head = (i, turned) => {
-    const from = perPose * i, [a, b, c, d, e, f, g, h, k] = turned ? pose.subarray(from, from + 9) : [1, 0, 0, 0, 1, 0, 0, 0, 1];
+    const from = perPose * i, upright = [1, 0, 0, 0, 1, 0, 0, 0, 1];
+    const [a, b, c, d, e, f, g, h, k] = turned ? pose.subarray(from, from + 9) : upright;
     const size = pose[from + 11];
     for (let v = 0; v < 3 * nVertices; v += 3) {
       let x = 0, y = 0, z = 0;
@@ -157,24 +164,33 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
   // --- its texture, as it was at the end ---
 
   const pictures = addPanel("Texture at the end");
-  textures.forEach(({ caption, png }, k) => {
+  const images = textures.map(({ caption, png }) => {
     const picture = element("img", { src: `data:image/png;base64,${png}`, alt: `Texture: ${caption}` });
-    pictures.append(element("figure", { className: "texture" }, picture, element("figcaption", { className: "quiet", textContent: caption })));
-    picture.decode().then(() => {
-      const sheet = element("canvas", { width: picture.naturalWidth, height: picture.naturalHeight }), pen = sheet.getContext("2d");
-      pen.drawImage(picture, 0, 0);
-      const greys = pen.getImageData(0, 0, sheet.width, sheet.height).data;
-      painted[k] = { width: sheet.width, pixels: Int32Array.from({ length: greys.length / 4 }, (_, at) => (k ? heat : grey)(greys[4 * at])) };
-      space.redraw();
-    });
+    const below = element("figcaption", { className: "quiet", textContent: caption });
+    pictures.append(element("figure", { className: "texture" }, picture, below));
+    return picture;
+  });
+  Promise.all(images.map((image) => image.decode())).then(() => {
+    const [mean, variance] = images.map(greysOf), width = images[0].naturalWidth;
+    // both are black where nothing is known, and the variance also where it is least
+    painted[0] = { width, pixels: mean.map((value) => value && grey(value)) };
+    painted[1] = { width, pixels: variance.map((value, at) => mean[at] && heat(value)) };
+    space.redraw();
   });
 
+  function greysOf(image) {
+    const sheet = element("canvas", { width: image.naturalWidth, height: image.naturalHeight });
+    const pen = sheet.getContext("2d");
+    pen.drawImage(image, 0, 0);
+    const { data } = pen.getImageData(0, 0, sheet.width, sheet.height);
+    return Int32Array.from({ length: data.length / 4 }, (_, at) => data[4 * at]);
+  }
+
   function grey(value) {
-    return value && (0xff000000 | (value << 16) | (value << 8) | value); // black: nothing is known
+    return 0xff000000 | (value << 16) | (value << 8) | value;
   }
 
   function heat(value) {
-    if (!value) return 0;
     const at = value / 255 * (HOT.length - 1), k = Math.min(Math.floor(at), HOT.length - 2);
     const [red, green, blue] = HOT[k].map((low, channel) => Math.round(low + (at - k) * (HOT[k + 1][channel] - low)));
     return 0xff000000 | (blue << 16) | (green << 8) | red;
@@ -182,19 +198,21 @@ addLayers(({ points, pose, landmarks, states, angles, angleNames, errors, shown,
 
   // --- what is selected ---
 
-  addRows((id) => id > 0 && id <= n ? { id, label: `point ${shown[id - 1]}`, colour: "#ff3b30", spans: rowOf(0).spans } : null);
+  addRows((id) => id > 0 && id <= n
+    ? { id, label: `point ${shown[id - 1]}`, colour: "#ff3b30", spans: rowOf(0).spans } : null);
   const unsure = (k) => (i) => Math.sqrt(point(i, k)[2] + point(i, k)[4]);
   addDetails((id, i) => {
     const px = (value) => `${value.toFixed(1)} px`;
     const now = isMissing(i) ? "no picture" : isLost(i) ? "lost" : states[3 * i + 2] ? "found again" : "followed";
     if (id > 0) {
-      const [x, y] = point(i, id - 1);
-      return [["now", now], ["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`], ["unsure by", `${unsure(id - 1)(i).toFixed(2)} px`]];
+      const [x, y] = point(i, id - 1), off = unsure(id - 1)(i).toFixed(2);
+      return [["now", now], ["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`], ["unsure by", `${off} px`]];
     }
     const [x, y, size] = pose.subarray(perPose * i + 9, perPose * i + 12);
     const turns = angleNames.map((name, k) => [name, `${angles[3 * i + k].toFixed(1)}°`]);
     const error = Number.isFinite(errors[i]) ? [["error", `${errors[i].toFixed(2)} px`]] : [];
     return [["now", now], ["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`], ["size", px(size)], ...turns, ...error];
   });
-  addPlot({ name: "selected: unsure", unit: "px", values: (id) => id > 0 ? Float32Array.from({ length: view.count }, (_, i) => unsure(id - 1)(i)) : null });
+  const curve = (value) => Float32Array.from({ length: view.count }, (_, i) => value(i));
+  addPlot({ name: "selected ±", unit: "px", values: (id) => id > 0 ? curve(unsure(id - 1)) : null });
 });

@@ -1,16 +1,19 @@
 // A reconstruction: points over the film and in space, from where the camera saw them, how sure they are.
 
-addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, counts, frames, geometry, reason, space: inSpace }) => {
+addLayers((structure) => {
+  const { corner, tracked, inks, positions, residuals, spreads, counts, frames } = structure;
+  const { geometry, reason, space: inSpace } = structure;
   const n = tracked.length, order = new Map([...tracked].map((id, k) => [id, k]));
   const NEAR = 10; // px of the screen: a click selects the point that is not farther away
   const TRAIL = 12, LONGER = 10;
   const PICKED = "#ff3b30";
+  const MOST_REGIONS = 300;
   let thin = 1;
 
-  const isSeen = (i, k) => away[2 * (n * i + k)] !== unseen;
+  const isSeen = (i, k) => !Number.isNaN(residuals[2 * (n * i + k)]);
   /** Where a point is on the film: as observed, or else by shape and camera. */
   const fitted = (i, k) => [positions[2 * (n * i + k)] - corner[0], positions[2 * (n * i + k) + 1] - corner[1]];
-  const residual = (i, k) => isSeen(i, k) ? [away[2 * (n * i + k)] / perPx, away[2 * (n * i + k) + 1] / perPx] : [0, 0];
+  const residual = (i, k) => isSeen(i, k) ? residuals.subarray(2 * (n * i + k), 2 * (n * i + k) + 2) : [0, 0];
   const place = (i, k) => {
     const [[x, y], [dx, dy]] = [fitted(i, k), residual(i, k)];
     return [x + dx, y + dy];
@@ -29,7 +32,8 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
       each((k, selected) => {
         if (!isSeen(i, k)) return;
         pen.beginPath();
-        for (let j = Math.max(0, i - (selected ? view.count : TRAIL)); j <= i; j++) if (isSeen(j, k)) pen.lineTo(...place(j, k));
+        const first = selected ? 0 : Math.max(0, i - TRAIL);
+        for (let j = first; j <= i; j++) if (isSeen(j, k)) pen.lineTo(...place(j, k));
         [pen.strokeStyle, pen.lineWidth] = [inks[k], (selected ? 2.5 : 1) * pen.thin];
         pen.stroke();
       });
@@ -94,17 +98,26 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
   });
 
   const panel = addPanel("In space");
-  if (inSpace === null) panel.append(element("p", { className: "quiet", textContent: `The shape is undetermined: ${reason}.` }));
-  else addSpace(panel, inSpace);
+  const say = (textContent) => panel.append(element("p", { className: "quiet hint", textContent }));
+  if (inSpace === null) say(`The shape is undetermined: ${reason}.`); else addSpace(panel, inSpace);
+  if (geometry === "affine") say(`Up to an affine map, since ${reason}: lengths and angles mean nothing.`);
+  const inAll = [["Over the film", n], ["in space", inSpace?.points.length ?? counts.length]];
+  const few = inAll.filter(([, some]) => some < counts.length);
+  if (few.length) {
+    const words = few.map(([where, some]) => `${where}: ${some} of ${counts.length} points`);
+    say(`${words.join(", ")}, evenly chosen.`);
+  }
 
   function addSpace(panel, { points, places, inks, colours, covariances, rotations, centre, reach }) {
     const shownAt = new Map([...points].map((id, k) => [id, k]));
     const solid = new Solid(), placed = new Float32Array(places.length), turned = new Float32Array(places.length);
-    const radius = points.length > 5000 ? 1.6 : 3.2; // px of the page
+    const radius = points.length > 5000 ? 1.6 : points.length > 100 ? 3.2 : 4.5; // px of the page
     const withCamera = element("input", { type: "checkbox" }), asPicture = element("input", { type: "checkbox" });
     const canTurn = rotations.some(Number.isFinite);
     const choices = element("div", { className: "choices" });
     if (canTurn) choices.append(element("label", {}, withCamera, " as the frame's camera sees it"));
+    const around = element("input", { type: "checkbox" });
+    choices.append(element("label", {}, around, " 90 % regions"));
     if (colours) choices.append(element("label", {}, asPicture, " in the film's colours"));
     panel.append(choices);
     const rotation = (i) => rotations.subarray(9 * i, 9 * i + 9);
@@ -133,13 +146,10 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
         solid.end();
         if (canTurn && !byCamera) cameras(space, i);
         const k = shownAt.get(view.selected);
+        if (around.checked) for (const j of nearTo(k)) surround(space, j, byCamera && rotation(i));
         if (k !== undefined) {
           const [x, y] = space.place(...now.subarray(3 * k, 3 * k + 3));
-          if (!byCamera) {
-            region(space.pen, x, y, ...space.spread(covariances.subarray(6 * k, 6 * k + 6)), REGION_OF_3);
-            space.pen.fillStyle = PICKED + "40";
-            space.pen.fill();
-          }
+          if (!around.checked) surround(space, k, byCamera && rotation(i));
           space.pen.beginPath();
           space.pen.arc(x, y, 6, 0, 2 * Math.PI);
           [space.pen.strokeStyle, space.pen.lineWidth] = [PICKED, 2.5];
@@ -153,6 +163,28 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
       },
     });
     choices.addEventListener("change", () => space.redraw());
+
+    /** The region of a point; `turn`, if any, is by how the points are turned. */
+    function surround(space, k, turn) {
+      const [x, y] = [placed[3 * k] / space.fine, placed[3 * k + 1] / space.fine];
+      let covariance = covariances.subarray(6 * k, 6 * k + 6);
+      if (turn) covariance = turnedCovariance(turn, covariance);
+      region(space.pen, x, y, ...space.spread(covariance), REGION_OF_3);
+      const ink = inks[k], colour = `rgb(${ink & 255} ${(ink >> 8) & 255} ${ink >> 16}`;
+      [space.pen.fillStyle, space.pen.strokeStyle, space.pen.lineWidth] = [`${colour} / .25)`, `${colour})`, 1];
+      space.pen.fill();
+      space.pen.stroke();
+    }
+
+    /** The points nearest to one; all where they are few, or those nearest to their middle. */
+    function nearTo(k) {
+      const all = Array.from(points, (_, j) => j);
+      if (all.length <= MOST_REGIONS) return all;
+      const [x, y, z] = k === undefined ? centre : places.subarray(3 * k, 3 * k + 3);
+      const far = Float32Array.from(all, (j) => Math.hypot(places[3 * j] - x, places[3 * j + 1] - y, places[3 * j + 2] - z));
+      const limit = far.slice().sort()[MOST_REGIONS - 1];
+      return all.filter((j) => far[j] <= limit);
+    }
 
     /** The way of the camera about the points, and where it is now, with the picture's axes. */
     function cameras(space, i) {
@@ -188,18 +220,24 @@ addLayers(({ corner, tracked, inks, positions, away, perPx, unseen, spreads, cou
   };
   addRows((id) => {
     const k = order.get(id);
-    return { id, label: `point ${id}`, colour: k === undefined ? "#888888" : inks[k], spans: k === undefined ? [0, view.count - 1, 1] : life(k) };
+    const [colour, spans] = k === undefined ? ["#888888", [0, view.count - 1, 1]] : [inks[k], life(k)];
+    return { id, label: `point ${id}`, colour, spans };
   });
   addDetails((id, i) => {
     const k = order.get(id), seen = [["seen in", `${counts[id]} of ${frames} frames`]];
     if (k === undefined) return [...seen, ["over the film", "not on this page: too many points"]];
     const [x, y] = place(i, k), [xx, , yy] = spread(i, k);
     const now = [["now", isSeen(i, k) ? "seen" : "not seen, by shape and camera"]];
-    if (Number.isFinite(x)) now.push(["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`], ["unsure by", `${Math.sqrt(xx).toFixed(2)}, ${Math.sqrt(yy).toFixed(2)} px`]);
+    if (Number.isFinite(x)) {
+      now.push(["place", `${(x + corner[0]).toFixed(1)}, ${(y + corner[1]).toFixed(1)} px`]);
+      now.push(["unsure by", `${Math.sqrt(xx).toFixed(2)}, ${Math.sqrt(yy).toFixed(2)} px`]);
+    }
     if (isSeen(i, k)) now.push(["residual", `${Math.hypot(...residual(i, k)).toFixed(2)} px`]);
     return [...seen, ...now];
   });
-  const over = (value) => (id) => order.has(id) ? Float32Array.from({ length: view.count }, (_, i) => value(i, order.get(id))) : null;
-  addPlot({ name: "selected: residual", unit: "px", values: over((i, k) => isSeen(i, k) ? Math.hypot(...residual(i, k)) : NaN) });
-  addPlot({ name: "selected: unsure", unit: "px", values: over((i, k) => Math.sqrt(spread(i, k)[0] + spread(i, k)[2])) });
+  const curve = (value, k) => Float32Array.from({ length: view.count }, (_, i) => value(i, k));
+  const over = (value) => (id) => order.has(id) ? curve(value, order.get(id)) : null;
+  const missed = (i, k) => isSeen(i, k) ? Math.hypot(...residual(i, k)) : NaN;
+  addPlot({ name: "selected: residual", unit: "px", values: over(missed) });
+  addPlot({ name: "selected ±", unit: "px", values: over((i, k) => Math.sqrt(spread(i, k)[0] + spread(i, k)[2])) });
 });

@@ -23,6 +23,11 @@ addLayers(({ zones, lines }) => {
     pen.lineTo(x - size * (rx - ry), y - size * (ry + rx));
     pen.stroke();
   };
+  /** Above the upper end, where there is room in the picture. */
+  const aboveLine = (points, size) => {
+    const [x, y] = points[0][1] < points[1][1] ? points[0] : points[1];
+    return [x, Math.max(y - 0.8 * size, 0.6 * size)];
+  };
   const drawShape = (pen, { kind, name, points }) => {
     pen.strokeStyle = "#ffd23f";
     pen.lineWidth = 2 * pen.thin;
@@ -43,9 +48,9 @@ addLayers(({ zones, lines }) => {
     pen.lineWidth = 3 * pen.thin;
     pen.strokeStyle = "rgb(0 0 0 / .75)";
     pen.fillStyle = "#ffe48a";
-    const above = kind === "line" ? 1.2 * size : 0;
-    pen.strokeText(name, x, y - above);
-    pen.fillText(name, x, y - above);
+    const place = kind === "line" ? aboveLine(points, size) : [x, y];
+    pen.strokeText(name, ...place);
+    pen.fillText(name, ...place);
   };
   addSwitch({
     name: "zones", label: "zones and lines", key: "l",

@@ -1,0 +1,80 @@
+"""A batch on a Dask cluster of two workers, one of which is killed in the middle of a film."""
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from rsmcm.apps.batch import application
+from rsmcm.apps.batch.application import run_batch
+from rsmcm.apps.batch.film import Told
+from rsmcm.apps.batch.job import Batch, options_of
+from rsmcm.apps.command_line import main
+
+from ...support.cluster import cluster
+from ...support.films import results, stamps, start, wait_until, write_films
+
+pytest.importorskip("distributed")
+COUNT = 8
+
+
+def in_work(out: Path, process: int) -> bool:
+    """Whether a process has come to the middle of a film."""
+    for holder in out.glob("*/.running.json"):
+        try:
+            held_by = json.loads(holder.read_text())["process"]
+        except (OSError, ValueError):  # it ends just now
+            continue
+        if held_by == process and (holder.parent / "tracks.txt").exists():
+            return True
+    return False
+
+
+def test_one_worker_is_killed(tmp_path: Path) -> None:
+    """All films end, nothing is done twice, and results are those of single runs."""
+    films, out = write_films(tmp_path / "films", COUNT, 60), tmp_path / "out"
+    options = ("--every", 10)
+    with cluster(2) as there:
+        batch = start("batch", "background", films, "--out", out, *options, "--dask", there.address)
+        victim = there.workers[0]
+        wait_until(lambda: len(list(out.glob("*/report.html"))) >= 2 and in_work(out, victim.pid))
+        before = {
+            path: stamp
+            for summary in out.glob("*/report.html")
+            if not (summary.parent / ".running.json").exists()
+            for path, stamp in stamps(summary.parent).items()
+        }
+        victim.kill()
+        printed, complaints = batch.communicate(timeout=300)
+    assert batch.returncode == 0, complaints
+    assert printed.splitlines()[0] == f"{COUNT} films: {COUNT} complete"
+    assert before
+    assert before.items() <= stamps(out).items()
+    for film in sorted(films.iterdir()):
+        alone = tmp_path / "alone" / film.name
+        with pytest.raises(SystemExit):
+            main(["background", str(film), "--out", str(alone), "--quiet", *map(str, options)])
+        assert results(out / film.name) == results(alone)
+
+
+def dies(_: str, job: object) -> Told:
+    """In place of `run_film`: one film takes its worker along, wherever it comes."""
+    if job.out.name == "film001":  # type: ignore[attr-defined]
+        os.kill(os.getpid(), signal.SIGKILL)
+    return Told("complete")
+
+
+def test_a_film_that_kills_workers_stops_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    films = write_films(tmp_path / "films", 4)
+    monkeypatch.setattr(application, "run_film", dies)
+    with cluster(6) as there:
+        ended = run_batch(
+            "background",
+            [str(films)],
+            Batch(out=tmp_path / "out", dask=there.address),
+            options_of("background")(),
+        )
+    states = {line.folder: line.told.state for line in ended.lines}
+    assert states == {**dict.fromkeys(["film000", "film002", "film003"], "complete"), "film001": "failed"}
+    assert "KilledWorker" in ended.lines[1].told.error

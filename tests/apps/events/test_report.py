@@ -1,0 +1,64 @@
+"""Counts and the section of a report, on events that can be counted by hand."""
+
+import re
+
+import numpy as np
+from rsmcm.apps.events import Event, Kind, Line, Moment, Zone, Zones
+from rsmcm.apps.events.report import MOST_ROWS, Happened
+
+SQUARE = np.array([[10.0, 10], [90, 10], [90, 90], [10, 90]])
+ZONES = Zones(
+    (Zone("<hall>", SQUARE, (100, 100)), Zone("empty", SQUARE, (100, 100))),
+    (Line("gate", (0.0, 0.0), (9.0, 9.0), "in", "out"),),
+)
+
+
+def event(time: float, kind: Kind, who: int, duration: float | None = None, direction: str = "") -> Event:
+    zone = "gate" if kind == Kind.CROSSED else "<hall>"
+    return Event(Moment(time, round(25 * time) + 1, 50.0, 50.0), kind, zone, who, duration, direction)
+
+
+EVENTS = [
+    event(1.0, Kind.ENTERED, 1),
+    event(1.0, Kind.CROSSED, 1, direction="in"),
+    event(2.0, Kind.APPEARED, 2),
+    event(3.0, Kind.LEFT, 1, 2.0),
+    event(3.5, Kind.CROSSED, 1, direction="out"),
+    event(4.0, Kind.CROSSED, 3, direction="in"),
+    event(4.0, Kind.STANDS, 2),
+    event(8.0, Kind.STOOD, 2, 4.0),
+    event(9.0, Kind.REMAINED, 2, 7.0),
+]
+
+
+def test_counts() -> None:
+    counts = Happened(ZONES, EVENTS, (0.0, 10.0)).counts()
+    nothing = dict.fromkeys(("entered", "appeared", "left", "disappeared", "remained", "stands"), 0)
+    assert counts == {
+        "<hall>": {
+            **nothing, "entered": 1, "appeared": 1, "left": 1, "remained": 1, "stands": 1, "mean_dwell": 4.5,
+            "longest_dwell": 7.0,
+        },
+        "empty": nothing,
+        "gate": {"in": 2, "out": 1},
+    }  # fmt: skip
+    assert Happened(ZONES, EVENTS, (0.0, 10.0)).in_words()[2] == "gate: in 2, out 1"
+
+
+def test_section() -> None:
+    ((title, parts),) = Happened(ZONES, EVENTS, (0.0, 10.0)).sections()
+    assert title == "Zones and lines"
+    text = "".join(parts)
+    assert "<hall>" not in text, "names are escaped"
+    for expected in ("in &lt;hall&gt;", "across gate", "&lt;hall&gt;", "stood still", "stayed", ">7<"):
+        assert expected in text, expected
+    rows = re.findall(r"<tr>(.*?)</tr>", text, re.DOTALL)
+    crossed = [re.sub(r"<[^>]*>|\s+", " ", row).split() for row in rows if "gate" in row]
+    assert crossed == [["gate", "in", "2"], ["gate", "out", "1"]]
+
+
+def test_a_section_of_many_and_of_no_events() -> None:
+    many = [event(float(time), Kind.LEFT, time, 1.0 + time) for time in range(3 * MOST_ROWS)]
+    text = "".join(Happened(ZONES, many, (0.0, 1e3)).sections()[0][1])
+    assert f"The {MOST_ROWS} longest of {3 * MOST_ROWS}." in text
+    assert "Nobody stayed" in "".join(Happened(ZONES, [], (0.0, 0.0)).sections()[0][1])

@@ -1,0 +1,264 @@
+"""A face's page: what of a run is on it, and what can be done with it in a browser."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.face.overlay import vertices_on_texture
+from rsmcm.apps.face.view import MOST_POINTS, FaceDrawing
+from rsmcm.apps.scenes import face
+from rsmcm.apps.scenes.talking_face import FaceScene
+from rsmcm.apps.view.film import Film, read_film
+from rsmcm.apps.view.page import SEEN, View
+from rsmcm.models.core.frame import Frame
+from rsmcm.models.face.built_in_model import face_model
+from rsmcm.models.face.surface_texels import SurfaceTexels
+
+from ...support.browser import PHONE, Browser, browsing, landmarks, overflow
+from ...support.view_page import Turned, ViewPage, shown_page, write_pages
+
+N_FRAMES = 25
+SIZE = (240, 180)
+LOST = range(8, 14)  # indices of frames
+MISSING = 20
+DEVIATIONS = np.array([2.0, 1.0, 3.0])  # px
+LANDMARKS = 7
+
+
+@pytest.fixture(scope="module")
+def scene() -> FaceScene:
+    return face(N_FRAMES, size=SIZE, max_yaw=25.0)
+
+
+@pytest.fixture(scope="module")
+def drawing(scene: FaceScene) -> FaceDrawing:
+    return FaceDrawing(scene.model)
+
+
+def row(scene: FaceScene, index: int) -> dict[str, Any]:
+    """Of `poses.npz`: the truth, with known errors."""
+    pose = scene.poses[index]
+    return {
+        "vertices_2d": scene.vertices[index],
+        "covariance": np.tile(np.diag(DEVIATIONS**2), (scene.model.n_vertices, 1, 1)),
+        "mean_rotation": pose.rotations[0],
+        "mean_translation": pose.translations[0],
+        "mean_morphs": pose.morphs[0],
+        "weights": np.full(4, 0.25),
+        "landmarks": scene.vertices[index, :LANDMARKS],
+        "log_evidence": np.float64(np.nan if index == MISSING else -index),
+        "fit": np.float64(0.9),
+        "lost": np.bool_(index in LOST),
+        "missing": np.bool_(index == MISSING),
+        "reinitialised": np.bool_(index == LOST.stop),
+    }
+
+
+def view_of(film: Film, scene: FaceScene, drawing: FaceDrawing) -> View:
+    morphs = scene.poses.morphs[-1]
+    places = vertices_on_texture(scene.model, morphs, SurfaceTexels.dense(scene.model, 500))
+    rows, columns = np.indices((480, 360))
+    pictures = [(columns // 2).astype(np.uint8) + 40, (rows // 3).astype(np.uint8) + 40]
+    return drawing.view(film, dict(zip(("mean", "variance"), pictures, strict=True)), places)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, scene: FaceScene, drawing: FaceDrawing) -> Path:
+    path = tmp_path_factory.mktemp("face")
+    write_pages(
+        path,
+        scene,
+        lambda index: drawing.drawn(row(scene, index), np.nan if index == 0 else 1.5),
+        lambda film: view_of(film, scene, drawing),
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with browsing() as opened:
+        yield opened
+
+
+@pytest.fixture
+def shown(browser: Browser, folder: Path) -> Iterator[ViewPage]:
+    with shown_page(browser, folder, SIZE) as page:
+        yield page
+
+
+def test_what_is_on_the_page(folder: Path, scene: FaceScene, drawing: FaceDrawing) -> None:
+    view = view_of(read_film(folder, SIZE), scene, drawing)
+    layer = view.layers["face"]
+    points = layer["points"].reshape(N_FRAMES, -1, 5)
+    np.testing.assert_allclose(points[..., :2], scene.vertices[:, layer["shown"]], atol=1e-3)
+    np.testing.assert_array_equal(points[..., 2:] - (4.0, 0.0, 1.0), 0)
+    assert sorted(layer["shown"]) == list(range(scene.model.n_vertices)), "all of a coarse model"
+    np.testing.assert_array_equal(layer["shown"][layer["mesh"]], scene.model.triangles)
+    (row_of_face,) = view.rows
+    seen = np.zeros(N_FRAMES, np.bool_)
+    for first, last, kind in row_of_face.spans.tolist():
+        seen[first : last + 1] = kind == SEEN
+    expected = [index not in LOST and index != MISSING for index in range(N_FRAMES)]
+    np.testing.assert_array_equal(seen, expected)
+    plots = {plot.name: plot.values for plot in view.plots}
+    np.testing.assert_allclose(plots["experts, effective"], 4)
+    np.testing.assert_allclose(plots["explained"], 90, rtol=1e-6)
+    np.testing.assert_allclose(plots["points ±"], np.sqrt(5), rtol=1e-6)
+    assert np.isnan(plots["error"][0])
+
+
+def test_of_a_fine_model_some_points_are_shown() -> None:
+    fine = face_model(3)
+    scene = face(2, size=SIZE)
+    drawing = FaceDrawing(fine)
+    poses = scene.poses
+    made = {**row(scene, 0), "vertices_2d": fine.project(poses)[0]}
+    made["covariance"] = np.tile(np.eye(3), (fine.n_vertices, 1, 1))
+    drawn = drawing.drawn(made, np.nan)
+    assert len(drawn["points"]) == MOST_POINTS < fine.n_vertices
+    held = drawn["points"][:, :2]
+    low, high = (getattr(made["vertices_2d"], name)(axis=0) for name in ("min", "max"))
+    assert (np.ptp(held, axis=0) > 0.95 * (high - low)).all(), "from all over the face"
+
+
+def test_a_face_without_landmarks_and_errors(scene: FaceScene, drawing: FaceDrawing, tmp_path: Path) -> None:
+    frame = Frame(scene.image(0), 0.0, 1)
+    made = {**row(scene, 0), "landmarks": np.zeros((0, 2))}
+    plots: list[str] = []
+
+    def view(film: Film) -> View:
+        page = view_of(film, scene, drawing)
+        plots.extend(plot.name for plot in page.plots)
+        return page
+
+    write_pages(tmp_path, [frame], lambda _: drawing.drawn(made, np.nan), view)
+    assert "error" not in plots
+    with browsing() as browser, shown_page(browser, tmp_path, SIZE) as shown:
+        assert not shown.page.get_by_label("landmarks").count()
+        assert "error" not in shown.details
+
+
+# --- in a browser -------------------------------------------------------------------------------------------
+
+
+def apart(drawn: NDArray[np.float64], least: float) -> list[int]:
+    """Those of places `(n, 2)` that are not near to others."""
+    distances = np.linalg.norm(drawn[:, None] - drawn, axis=2) + 1e3 * np.eye(len(drawn))
+    found = np.flatnonzero(distances.min(axis=1) > least).tolist()
+    assert len(found) >= 5
+    return found[:: max(1, len(found) // 5)]
+
+
+def test_a_click_on_a_point_selects_it(shown: ViewPage, scene: FaceScene) -> None:
+    for index in (0, N_FRAMES - 1):
+        shown.show(index)
+        for vertex in apart(scene.vertices[index], 3.0):
+            shown.click(scene.vertices[index, vertex])
+            assert shown.selected == f"point {vertex}"
+            np.testing.assert_allclose(shown.numbers("place"), scene.vertices[index, vertex], atol=0.06)
+            assert shown.numbers("unsure by")[0] == pytest.approx(np.sqrt(5), abs=0.006)
+    shown.click((1, 1))
+    assert shown.selected is None
+
+
+def test_what_is_said_of_the_face(shown: ViewPage, scene: FaceScene) -> None:
+    shown.page.locator("#row-0 .label").click()
+    assert shown.selected == "face"
+    for index, said in ((7, "followed"), (8, "lost"), (14, "found again"), (MISSING, "no picture")):
+        shown.show(index)
+        assert shown.details["now"] == said
+    np.testing.assert_allclose(shown.numbers("place"), scene.poses.translations[MISSING], atol=0.06)
+    np.testing.assert_allclose(shown.numbers("size"), scene.poses.sizes[MISSING], atol=0.06)
+    assert shown.numbers("error") == [1.5]
+    shown.show(0)
+    assert "error" not in shown.details
+
+
+@pytest.mark.parametrize(
+    ("name", "key"), [("^mesh", "m"), ("^90 % regions", "u"), ("^landmarks", "l"), ("^points", "d")]
+)
+def test_layers_are_switched(shown: ViewPage, name: str, key: str) -> None:
+    box = shown.page.locator("#switches label").filter(has_text=re.compile(name)).locator("input")
+    before, was_on = shown.inked(), box.is_checked()
+    shown.page.keyboard.press(key)
+    assert box.is_checked() != was_on
+    assert shown.inked() != before
+    shown.page.keyboard.press(key)
+    assert shown.inked() == before
+
+
+def head(scene: FaceScene, shown: ViewPage) -> Turned:
+    shape = scene.model.bases[0]
+    low, high = shape.min(axis=0), shape.max(axis=0)
+    return shown.in_space((low + high) / 2, 0.62 * (high - low).max())
+
+
+@pytest.mark.parametrize("with_film", [True, False])
+def test_the_head_turns(shown: ViewPage, scene: FaceScene, with_film: bool) -> None:
+    """By the hand, and with the film; points are clicked where they then are."""
+    shown.page.get_by_label("turns as in the film").set_checked(with_film)
+    space = head(scene, shown)
+    for index, across, down in ((3, 0, 0), (17, 60, 0), (17, -100, 50)):
+        shown.show(index)
+        shown.page.locator(".space").scroll_into_view_if_needed()
+        if across or down:
+            space.drag(across, down)
+        pose = scene.poses[index]
+        shape = np.einsum("k,kva->va", pose.morphs[0] / pose.morphs[0, 0], scene.model.bases)
+        if with_film:
+            shape = shape @ pose.rotations[0].T
+        for vertex in apart(np.array([space.place(place)[:2] for place in shape]), 3.0):
+            space.click(shape[vertex])
+            assert shown.selected == f"point {vertex}", index
+
+
+def test_how_the_head_is_painted(shown: ViewPage) -> None:
+    pictures = []
+    for name in ("texture", "its variance", "shape"):
+        shown.page.get_by_label("How the head is painted").select_option(label=name)
+        pictures.append(shown.inked(".space"))
+    assert len(set(pictures)) == 3
+    images = shown.page.locator("figure.texture img")
+    assert images.count() == 2
+    assert [images.nth(k).evaluate("one => one.naturalWidth") for k in (0, 1)] == [360, 360]
+
+
+def test_the_texture_lies_where_it_was(shown: ViewPage) -> None:
+    """It grows to the right: so does the head, seen from the front."""
+    shown.page.get_by_label("turns as in the film").uncheck()
+    shown.settle()
+    script = """(() => {
+        const drawn = document.querySelector(".space"), { width, height } = drawn;
+        const copy = new OffscreenCanvas(width, height).getContext("2d");
+        copy.drawImage(drawn, 0, 0);
+        const row = copy.getImageData(0, Math.round(height / 2), width, 1).data;
+        return Array.from(row).filter((_, k) => k % 4 === 0 && row[k + 3] === 255);
+    })()"""
+    greys = np.array(shown.page.evaluate(script))
+    assert len(greys) > 80
+    assert greys[-len(greys) // 4 :].mean() - greys[: len(greys) // 4].mean() > 60
+    assert np.corrcoef(np.arange(len(greys)), greys)[0, 1] > 0.6, "but for the light on its facets"
+
+
+def test_keys_and_the_film(shown: ViewPage) -> None:
+    shown.page.locator(".space").focus()
+    before = shown.inked(".space")
+    shown.page.keyboard.press("ArrowLeft")
+    assert shown.inked(".space") != before
+    assert shown.frame == 1
+    shown.page.locator("#play").click()
+    shown.page.wait_for_function("document.querySelector('video').currentTime > 0.3")
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_on_a_phone(browser: Browser, folder: Path, dark: bool) -> None:
+    with browser.page(folder / "view.html", PHONE, dark=dark) as page:
+        page.locator("#row-0 .label").click()
+        assert overflow(page) <= 0
+        count, headings = landmarks(page)
+        assert count == 1
+        assert {"Head", "Texture at the end"} <= set(headings)

@@ -1,0 +1,328 @@
+"""A reconstruction's page: what of a run is on it, and what can be done with it in a browser."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.scenes import Cylinder
+from rsmcm.apps.structure import view as module
+from rsmcm.apps.structure.files import GREY, orthographic_parts
+from rsmcm.apps.structure.reconstruction import Reconstruction
+from rsmcm.apps.structure.view import film_of_tracks, structure_view, write_film
+from rsmcm.apps.view.film import Film
+from rsmcm.apps.view.page import SEEN, write_view
+
+from ...support.browser import PHONE, Browser, browsing, landmarks, overflow
+from ...support.reconstructions import SIZE, pictures, reconstruction, small_cylinder, without_images
+from ...support.view_page import Turned, ViewPage, shown_page
+
+N_FRAMES = 20
+COLOURS = np.random.default_rng(0).integers(0, 256, (15, 3)).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def truth() -> Cylinder:
+    return small_cylinder(N_FRAMES)
+
+
+@pytest.fixture(scope="module")
+def found(truth: Cylinder) -> Reconstruction:
+    return reconstruction(truth)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, truth: Cylinder, found: Reconstruction) -> Path:
+    path, frames = tmp_path_factory.mktemp("structure"), pictures(truth, COLOURS)
+    film = write_film(path, frames, 25)
+    write_view(path / "view.html", "pictures", film, N_FRAMES, structure_view(frames, found, COLOURS, film))
+    return path
+
+
+@pytest.fixture(scope="module")
+def tracks_only(tmp_path_factory: pytest.TempPathFactory, truth: Cylinder, found: Reconstruction) -> Path:
+    path = tmp_path_factory.mktemp("tracks")
+    write_without_film(path, truth, found)
+    return path
+
+
+def write_without_film(path: Path, truth: Cylinder, found: Reconstruction) -> None:
+    frames = without_images(pictures(truth, COLOURS))
+    film, corner = film_of_tracks(frames, found)
+    view = structure_view(frames, found, np.full_like(COLOURS, GREY), film, corner)
+    write_view(path / "view.html", "tracks", film, N_FRAMES, view)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with browsing() as opened:
+        yield opened
+
+
+@pytest.fixture
+def shown(browser: Browser, folder: Path) -> Iterator[ViewPage]:
+    with shown_page(browser, folder, SIZE) as page:
+        yield page
+
+
+def layer_of(truth: Cylinder, found: Reconstruction, numbers: NDArray[np.int64]) -> dict[str, Any]:
+    film = Film(None, SIZE, numbers, numbers / 25, numbers / 25)
+    view = structure_view(pictures(truth, COLOURS), found, COLOURS, film)
+    layer: dict[str, Any] = view.layers["structure"]
+    for row in view.rows:
+        seen = np.zeros(len(numbers), np.bool_)
+        for first, last, kind in row.spans.tolist():
+            seen[first : last + 1] = kind == SEEN
+        np.testing.assert_array_equal(seen, found.observed[numbers - 1, row.identity])
+    return layer
+
+
+@pytest.mark.parametrize("first", [1, 8])
+def test_what_is_on_the_page(truth: Cylinder, found: Reconstruction, first: int) -> None:
+    """Of the frames that the film has: the last ones, if it is long."""
+    numbers = np.arange(first, N_FRAMES + 1)
+    layer = layer_of(truth, found, numbers)
+    np.testing.assert_array_equal(layer["tracked"], np.arange(15))
+    np.testing.assert_allclose(layer["positions"], found.positions[first - 1 :], atol=1e-4)
+    np.testing.assert_allclose(layer["residuals"], found.residuals[first - 1 :], atol=1e-5)
+    seen = ~np.isnan(layer["residuals"]).any(axis=2)
+    np.testing.assert_array_equal(seen, found.observed[first - 1 :])
+    np.testing.assert_array_equal(layer["counts"], np.count_nonzero(found.observed, axis=0))
+    space = layer["space"]
+    np.testing.assert_allclose(space["places"], found.shape, atol=1e-6)
+    blue, green, red = (space["colours"] >> shift & 255 for shift in (16, 8, 0))
+    np.testing.assert_array_equal(np.stack([blue, green, red], axis=1), COLOURS)
+    _, rotations = orthographic_parts(found.cameras[first - 1 :])
+    np.testing.assert_allclose(space["rotations"], rotations, atol=1e-6)
+
+
+def test_a_page_is_bounded(truth: Cylinder, found: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST_POINTS", 10)
+    monkeypatch.setattr(module, "MOST_PLACES", 7 * N_FRAMES)
+    monkeypatch.setattr(module, "MOST_ROWS", 3)
+    layer = layer_of(truth, found, np.arange(1, N_FRAMES + 1))
+    assert len(layer["space"]["places"]) == 10
+    assert len(layer["tracked"]) == 7
+    np.testing.assert_allclose(layer["positions"], found.positions[:, layer["tracked"]], atol=1e-4)
+
+
+# --- in a browser -------------------------------------------------------------------------------------------
+
+
+def alone(places: NDArray[np.float64], least: float, few: int = 4) -> list[int]:
+    """Those of places `(n, 2)` that are not near to others."""
+    distances = np.linalg.norm(places[:, None] - places, axis=2) + 1e3 * np.eye(len(places))
+    found = np.flatnonzero(distances.min(axis=1) > least).tolist()
+    assert found
+    return found[:few]
+
+
+def test_a_click_on_a_point_selects_it(shown: ViewPage, found: Reconstruction) -> None:
+    said = set()
+    for index in (0, 9, N_FRAMES - 1):
+        shown.show(index)
+        inside = (found.places[index] > 0).all(axis=1) & (found.places[index] < np.array(SIZE) - 1).all(
+            axis=1
+        )
+        for point in alone(found.places[index], 3.0, 15):
+            if not inside[point]:
+                continue
+            shown.click(found.places[index, point])
+            assert shown.selected == f"point {point}"
+            np.testing.assert_allclose(shown.numbers("place"), found.places[index, point], atol=0.06)
+            seen = bool(found.observed[index, point])
+            assert shown.details["now"].startswith("seen" if seen else "not seen")
+            assert ("residual" in shown.details) == seen
+            if seen:
+                size = np.linalg.norm(found.residuals[index, point])
+                assert shown.numbers("residual")[0] == pytest.approx(size, abs=0.03)
+            times = np.count_nonzero(found.observed[:, point])
+            np.testing.assert_array_equal(shown.numbers("seen in"), [times, N_FRAMES])
+            said.add(seen)
+    assert said == {True, False}
+    shown.click((0, 0))
+    assert shown.selected is None
+
+
+@pytest.mark.parametrize("key", ["t", "u", "r", "d"])
+def test_layers_are_switched(shown: ViewPage, key: str) -> None:
+    shown.show(12)
+    box = shown.page.locator("#switches label").filter(has=shown.page.locator(f"kbd >> text={key}"))
+    before, was_on = shown.inked(), box.locator("input").is_checked()
+    shown.page.keyboard.press(key)
+    assert box.locator("input").is_checked() != was_on
+    assert shown.inked() != before
+    shown.page.keyboard.press(key)
+    assert shown.inked() == before
+
+
+def turning(shown: ViewPage, found: Reconstruction) -> Turned:
+    centre = np.median(found.shape, axis=0)
+    reach = np.quantile(np.linalg.norm(found.shape - centre, axis=1), 0.9)
+    return shown.in_space(centre, 1.25 * float(reach))
+
+
+def test_points_are_picked_in_space(shown: ViewPage, found: Reconstruction) -> None:
+    space = turning(shown, found)
+    for across, down in ((0, 0), (80, 0), (-30, 60), (-150, -90)):
+        if across or down:
+            space.drag(across, down)
+        drawn = np.array([space.place(place) for place in found.shape])
+        for point in alone(drawn[:, :2], 17.0):
+            space.click(found.shape[point])
+            assert shown.selected == f"point {point}", (across, down)
+
+
+def test_as_the_camera_sees_it(shown: ViewPage, found: Reconstruction) -> None:
+    """Then the view in space is the film's picture, but for shift and size."""
+    shown.page.get_by_label("as the frame's camera sees it").check()
+    space = turning(shown, found)
+    centre = np.median(found.shape, axis=0)
+    _, rotations = orthographic_parts(found.cameras)
+    for index in (0, N_FRAMES - 1):
+        shown.show(index)
+        shown.page.locator(".space").scroll_into_view_if_needed()
+        seen = centre + (found.shape - centre) @ rotations[index].T
+        for point in alone(np.array([space.place(place)[:2] for place in seen]), 17.0):
+            space.click(seen[point])
+            assert shown.selected == f"point {point}", index
+
+
+def test_regions_in_space(shown: ViewPage, found: Reconstruction) -> None:
+    """The covariances are those of balls: nothing changes about them when the camera turns."""
+    box = shown.page.get_by_label("90 % regions", exact=True)
+    before = shown.inked(".space")
+    box.check()
+    assert shown.inked(".space") != before
+    box.uncheck()
+    assert shown.inked(".space") == before
+
+
+def test_colours_and_cameras(shown: ViewPage) -> None:
+    before = shown.inked(".space")
+    shown.page.get_by_label("in the film's colours").check()
+    assert shown.inked(".space") != before
+    shown.page.get_by_label("in the film's colours").uncheck()
+    assert shown.inked(".space") == before
+    shown.show(10)
+    assert shown.inked(".space") != before, "the camera has gone on"
+
+
+def test_a_selected_point_has_its_plots_and_its_row(shown: ViewPage, found: Reconstruction) -> None:
+    shown.page.locator("#row-4 .label").click()
+    index = int(np.flatnonzero(found.observed[:, 4])[3])
+    shown.show(index)
+    for name, expected in (
+        ("selected: residual", np.linalg.norm(found.residuals[index, 4])),
+        ("selected ±", np.sqrt(0.08)),
+    ):
+        plot = shown.page.locator(".plot").filter(has_text=name)
+        assert float((plot.locator("output").text_content() or "").split()[0]) == pytest.approx(
+            float(expected), abs=0.02
+        )
+
+
+def test_points_that_are_not_listed_have_a_row_while_selected(
+    browser: Browser,
+    truth: Cylinder,
+    found: Reconstruction,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "MOST_ROWS", 2)
+    monkeypatch.setattr(module, "MOST_PLACES", 6 * N_FRAMES)
+    write_without_film(tmp_path, truth, found)
+    with shown_page(browser, tmp_path, SIZE) as shown:
+        rows = shown.page.locator("[role=option]")
+        assert rows.count() == 2
+        assert shown.page.get_by_text("Over the film: 6 of 15 points").is_visible()
+        space = turning(shown, found)
+        drawn = np.array([space.place(place)[:2] for place in found.shape])
+        said = set()
+        for point in alone(drawn, 17.0, 15):
+            space.click(found.shape[point])
+            assert shown.selected == f"point {point}"
+            assert rows.count() == (2 if point in (0, 14) else 3)
+            said.add("over the film" in shown.details)
+        assert said == {True, False}
+        shown.page.keyboard.press("Escape")
+        assert rows.count() == 2
+
+
+def test_without_a_film(browser: Browser, tracks_only: Path, truth: Cylinder, found: Reconstruction) -> None:
+    film, (left, top) = film_of_tracks(without_images(pictures(truth, COLOURS)), found)
+    with shown_page(browser, tracks_only, film.size) as shown:
+        assert not shown.page.locator("video").count()
+        assert not shown.page.get_by_label("in the film's colours").count()
+        for index in (0, 13):
+            shown.show(index)
+            assert shown.frame == index + 1
+            for point in alone(found.places[index], 3.0):
+                shown.click(found.places[index, point] - (left, top) - 0.5)
+                assert shown.selected == f"point {point}"
+                np.testing.assert_allclose(shown.numbers("place"), found.places[index, point], atol=0.06)
+        shown.page.locator("#start").click()
+        shown.page.locator("#play").click()
+        shown.page.wait_for_function(
+            f"document.getElementById('clock').textContent.startsWith('frame {N_FRAMES},')"
+        )
+
+
+def test_a_shape_that_is_undetermined(
+    browser: Browser, truth: Cylinder, found: Reconstruction, tmp_path: Path
+) -> None:
+    flat = replace(found, geometry="none", reason="a flat shape explains the tracks as well")
+    write_without_film(tmp_path, truth, flat)
+    with shown_page(browser, tmp_path, SIZE) as shown:
+        assert shown.page.get_by_text("a flat shape explains").is_visible()
+        assert not shown.page.locator(".space").count()
+
+
+def test_an_affine_shape_has_no_cameras_in_space(
+    browser: Browser, truth: Cylinder, found: Reconstruction, tmp_path: Path
+) -> None:
+    write_without_film(tmp_path, truth, replace(found, geometry="affine", reason="too few"))
+    with shown_page(browser, tmp_path, SIZE) as shown:
+        before = shown.inked(".space")
+        assert not shown.page.get_by_label("as the frame's camera sees it").count()
+        assert shown.page.get_by_text("Up to an affine map, since too few").is_visible()
+        shown.show(10)
+        assert shown.inked(".space") == before
+
+
+def test_frames_of_which_nothing_is_known(
+    browser: Browser, truth: Cylinder, found: Reconstruction, tmp_path: Path
+) -> None:
+    """Their cameras, positions and covariances are NaN."""
+    holes = {}
+    for name in ("positions", "covariances", "residuals", "cameras"):
+        values = getattr(found, name).copy()
+        values[5:8] = np.nan
+        holes[name] = values
+    observed = found.observed.copy()
+    observed[5:8] = False
+    write_without_film(tmp_path, truth, replace(found, observed=observed, **holes))
+    with shown_page(browser, tmp_path, SIZE) as shown:
+        shown.page.locator("#row-4 .label").click()
+        for index in (4, 6, 9):
+            shown.show(index)
+            assert ("place" in shown.details) == (index != 6)
+        for key in ("u", "r", "z"):
+            shown.page.keyboard.press(key)
+        shown.show(6)
+
+
+@pytest.mark.parametrize("name", ["folder", "tracks_only"])
+def test_on_a_phone(browser: Browser, name: str, request: pytest.FixtureRequest) -> None:
+    path = request.getfixturevalue(name)
+    with browser.page(path / "view.html", PHONE) as page:
+        page.locator("#row-4 .label").click()
+        assert overflow(page) <= 0
+        count, headings = landmarks(page)
+        assert count == 1
+        assert "In space" in headings
+        page.locator(".space").focus()
+        page.keyboard.press("ArrowUp")

@@ -1,0 +1,68 @@
+"""Every page that a command leaves, in a real browser: nothing wrong, nothing asked for, readable."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from rsmcm.apps.reports.expectations import Expectation
+from rsmcm.apps.reports.experiment import Experiment, Plot, run_and_publish
+from rsmcm.apps.reports.record import Table
+
+from ..conftest import Command
+from ..support.browser import PHONE, Browser, browsing, landmarks, overflow
+from .test_same_bytes import background, body, face_of_a_film, structure
+
+APPLICATIONS: dict[str, tuple[Callable[[Path], list[str]], list[str], set[str]]] = {
+    "background": (background, ["--compare"], {"report.html", "compare.html", "view.html"}),
+    "structure": (structure, [], {"report.html"}),
+    "face": (face_of_a_film, [], {"report.html", "view.html"}),
+    "body": (body, [], {"report.html", "view.html"}),
+}
+"""What makes a film and its arguments in a folder, more options, and the pages that are wanted."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with browsing() as opened:
+        yield opened
+
+
+def check(browser: Browser, page: Path) -> None:
+    for size in (PHONE, (1440, 900)):
+        with browser.page(page, size) as opened:
+            opened.wait_for_timeout(300)
+            assert overflow(opened) <= 0, (page.name, size)
+            mains, headings = landmarks(opened)
+            assert mains == 1, page.name
+            assert opened.locator("h1").count() == 1, page.name
+            assert len(headings) >= 2, page.name
+            assert opened.locator("img:not([alt])").count() == 0, page.name
+
+
+@pytest.mark.parametrize("name", APPLICATIONS)
+def test_pages_of_runs(browser: Browser, tmp_path: Path, name: str) -> None:
+    film, options, wanted = APPLICATIONS[name]
+    folder, out = tmp_path / "of", tmp_path / "out"
+    folder.mkdir()
+    assert Command(name)(*film(folder), *options, "--out", out) == 0
+    pages = sorted(out.glob("*.html"))
+    assert {page.name for page in pages} >= wanted
+    for page in pages:
+        check(browser, page)
+
+
+def test_the_page_of_an_experiment(browser: Browser, tmp_path: Path) -> None:
+    """Wide tables and figures are wider than a phone; they scroll by themselves."""
+    header = [f"measure {k}" for k in range(12)]
+    plot = Plot("plot.png", lambda canvas: canvas.subplots().plot([1, 2]), (9, 4), "What is drawn.")  # type: ignore[func-returns-value]
+    measured = Table(header, [[f"method {row}", *range(11)] for row in range(5)])
+    wanted = [Expectation("a long sentence about what is wanted of the error " * 3, 0.3, "<=", 0.35)]
+    found = Experiment("An experiment", [measured], wanted, [plot])
+    run_and_publish("name", "rsmcm reproduce name", tmp_path, lambda: found)
+    check(browser, tmp_path / "index.html")
+
+
+@pytest.mark.slow
+def test_the_page_of_a_figure(browser: Browser, tmp_path: Path) -> None:
+    assert Command("reproduce")("box", "--out", tmp_path) == 0
+    check(browser, tmp_path / "index.html")
