@@ -21,9 +21,10 @@ gate = Line("gate", (30, 120), (30, 90), left_to_right="in", right_to_left="out"
 watch = Watch(Zones((door,), (gate,), still_after=2.0))
 
 # %%
-# A border with the picture's edge is none: nobody is seen to come in there. The watch takes in the tracks
-# of each frame and gives the events that have become sure with it. Times are those of the event, not of its
-# being known.
+# A zone has no border where it reaches the picture's edge: nobody is seen to come in there. The watch takes
+# in the tracks of each frame and gives the events of which it has become sure. Their times are when they
+# happened, so that one that takes longer to tell, such as the end of standing still, may come after a later
+# one.
 
 pixels = PixelLabels()
 model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)

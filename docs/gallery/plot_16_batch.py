@@ -29,8 +29,9 @@ for seed in range(2):
 (films / "broken.mp4").write_bytes(b"this is no film")
 
 # %%
-# This is the command as it is typed in a shell, and what stands in its summary. Typed once more, it has
-# nothing to do but what has failed. In a shell, ``rsmcm`` stands for the first three words.
+# This is the command as it is typed in a shell, where ``rsmcm`` stands for ``python -m
+# rsmcm.apps.command_line``, and what stands in its summary. Typed once more, it has nothing to do but what
+# has failed.
 
 command = "-m rsmcm.apps.command_line batch background films --out results --jobs 1 --masks none --quiet"
 for time in ("first", "second"):
