@@ -18,7 +18,7 @@ from ...support.records import PICTURE, recorded
 class Page(HTMLParser):
     """Tags, addresses that a browser would follow, and pictures of a page."""
 
-    VOID = frozenset({"meta", "img", "br"})
+    VOID = frozenset({"meta", "link", "img", "br"})
 
     def __init__(self, text: str) -> None:
         super().__init__()
