@@ -87,14 +87,14 @@ class Happened:
             steps += [
                 (e.moment.time, -1) for e in self._of(zone.name) if e.kind in (Kind.LEFT, Kind.DISAPPEARED)
             ]
-            curves.append((f"in {zone.name}", [("", BLUE, steps)]))
+            curves.append((_literal(f"in {zone.name}"), [("", BLUE, steps)]))
         for line in lines:
             of = self._of(line.name)
             curves.append(
                 (
-                    f"across {line.name}",
+                    _literal(f"across {line.name}"),
                     [
-                        (name, colour, [(e.moment.time, 1) for e in of if e.direction == name])
+                        (_literal(name), colour, [(e.moment.time, 1) for e in of if e.direction == name])
                         for name, colour in ((line.left_to_right, BLUE), (line.right_to_left, ORANGE))
                     ],
                 )
@@ -132,9 +132,9 @@ class Happened:
         parts: list[Markup] = []
         if self.zones.zones:
             header = ("zone", *COMES, *GOES, Kind.STANDS, "mean dwell, s", "longest, s")
-            rows = []
+            counts, rows = self.counts(), []
             for zone in self.zones.zones:
-                values = list(self.counts()[zone.name].values())
+                values = list(counts[zone.name].values())
                 dwell = [round(value, 1) for value in values[6:]] or ["–", "–"]
                 rows.append((zone.name, *values[:6], *dwell))
             parts.append(table(header, rows))
@@ -164,6 +164,11 @@ class Happened:
         caption = f"The {MOST_ROWS} longest of {len(stays)}." if len(stays) > MOST_ROWS else ""
         names = ("", "zone", "identity", "from, s", "to, s", "for, s")
         return [*parts, table(names, lasted, caption)]
+
+
+def _literal(text: str) -> str:
+    """The text as a plot shows it, which takes what is between dollars for a formula."""
+    return text.replace("$", r"\$")
 
 
 def _rounded(value: float) -> str:

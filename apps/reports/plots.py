@@ -2,6 +2,7 @@
 
 import io
 import re
+import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -27,7 +28,9 @@ def figure(draw: Callable[[Figure], None], size: tuple[float, float], caption: s
     size
         `(width, height)` inches.
     """
-    with _plot_style(caption):
+    with _plot_style(caption), warnings.catch_warnings():
+        # the text stays text, and is shown in a font of the reader's, which has more letters
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font")
         canvas = Figure(figsize=size, layout="constrained")
         draw(canvas)
         written = io.StringIO()

@@ -63,13 +63,14 @@ runs = [list(RecursiveBP(model).run(images, dt=1.0)) for model in (together, apa
 # %%
 # Frame 2 with a pencil
 # ---------------------
-# Both chains predict, ``x`` and ``y``, and say what they expect of :math:`F`. The belief in :math:`F` is
-# the product of what they say and of what the image says, column by column, divided by the sum.
+# What a chain believed after frame 1, times ``follows``, is what it predicts, ``x`` and ``y``. That times
+# ``shows`` is what it says to :math:`F`. The belief in :math:`F` is the product of what both say and of
+# what the image says, column by column, divided by the sum.
 
 first, second, *_ = runs[0]
 x, y = (first[chain] @ chain.follows for chain in (floor, person))
-print("floor says ", x.round(4), "@", floor.shows.tolist(), "=", (x @ floor.shows).round(4))
-print("person says", y.round(4), "@", person.shows.tolist(), "=", (y @ person.shows).round(4))
+for chain, p in ((floor, x), (person, y)):
+    print(f"{chain.name}: {first[chain].round(3)} -> {p.round(4)} -> {(p @ chain.shows).round(4)}")
 product = (x @ floor.shows) * (y @ person.shows) * image[1]
 print("times image", product.round(4), "divided by the sum", (product / product.sum()).round(4))
 

@@ -104,6 +104,11 @@ CLAIMS: dict[str, Callable[[Names], bool]] = {
     "plot_12_signer": together_is_better,
     "plot_13_do_they_help": lambda n: verdicts(n) == ["does not help", "helps"],
     "plot_14_whole_film": whole_film_is_better,
+    "plot_15_zones": lambda n: (
+        [event.kind for event in n["events"]] == ["crossed", "entered", "stands", "left", "stood"]
+        and n["events"][-1].duration == pytest.approx(n["scene"].stand * n["scene"].dt, abs=2)
+    ),
+    "plot_16_batch": lambda n: [row["state"] for row in n["rows"]] == ["failed", "complete", "complete"],
 }
 """What an example's text says, by the name of its file."""
 

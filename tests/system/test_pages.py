@@ -22,6 +22,7 @@ from ..support.pages import NOT_RUN, ROOT, Reader, blocks, pages
 OF_THEIR_OWN = {
     "own-chain": "test_own_chain.py",
     "detectors": "test_detectors_page.py",
+    "scale": "test_scale_page.py",
     "events": "test_events.py",
 }
 PAGES = {name: path for name, path in pages().items() if name not in OF_THEIR_OWN}
@@ -31,6 +32,7 @@ WHOLE_SCENE = ("validity",)
 
 NOT_RUN_BLOCKS = {
     "detectors": 1,  # networks of others
+    "scale": 2,  # a cluster
     "start": 1,  # pip install
     "validity": 1,  # any run
 }

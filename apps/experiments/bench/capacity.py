@@ -33,7 +33,7 @@ RATE = 5.0
 N_FRAMES = 150
 """Of a film: half a minute."""
 
-RUNS = 3
+RUNS = 2
 """Of each process; the first one, in which loops are loaded, does not count."""
 
 MEGA = 1e6

@@ -27,6 +27,7 @@ function lifeOf(row) {
 function beginTimeline() {
   if (!view.rows.length) return;
   const list = element("div", { className: "rows", tabIndex: 0, role: "listbox", "aria-label": "Everything that is followed" });
+  const lanes = element("div", { className: "lanes", role: "none" });
   const options = new Map();
   let unlisted = null; // the selected one, if it is none of them
   const optionOf = (row) => {
@@ -43,8 +44,13 @@ function beginTimeline() {
   for (const row of view.rows) {
     const option = optionOf(row);
     options.set(row.id, option);
-    list.append(option);
+    lanes.append(option);
   }
+  /** Have a row be seen in its list; the page itself stays where it is. */
+  const reveal = ({ offsetTop, offsetHeight }) => {
+    const most = offsetTop, least = offsetTop + offsetHeight - list.clientHeight;
+    if (list.scrollTop > most || list.scrollTop < least) list.scrollTop = list.scrollTop > most ? most : least;
+  };
   list.addEventListener("keydown", (event) => {
     const by = { ArrowUp: -1, ArrowDown: 1 }[event.key];
     if (!by) return;
@@ -58,15 +64,21 @@ function beginTimeline() {
     for (const [of, option] of options) option.setAttribute("aria-selected", of === id);
     unlisted?.remove();
     unlisted = null;
-    if (id !== null && !options.has(id)) list.prepend(unlisted = optionOf(rowOf(id)));
+    if (id !== null && !options.has(id)) lanes.prepend(unlisted = optionOf(rowOf(id)));
     const option = options.get(id) ?? unlisted;
     option?.setAttribute("aria-selected", true);
     list.setAttribute("aria-activedescendant", option ? option.id : "");
-    option?.scrollIntoView({ block: "nearest" });
+    if (option) reveal(option);
   });
   const cursor = element("div", { className: "cursor" });
-  view.on("frame", (i) => cursor.style.setProperty("--at", (i + 0.5) / view.count));
-  list.append(cursor);
+  const begins = view.rows.map((row) => row.spans[0]);
+  const ascending = begins.every((first, k) => !k || begins[k - 1] <= first);
+  view.on("frame", (i) => {
+    cursor.style.setProperty("--at", (i + 0.5) / view.count);
+    if (view.selected === null && ascending) reveal(options.get(view.rows[lastAtMost(begins, i)].id));
+  });
+  lanes.append(cursor);
+  list.append(lanes);
   byId("timeline").append(list);
   byId("timeline").hidden = false;
 }

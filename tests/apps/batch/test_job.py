@@ -28,7 +28,7 @@ def arguments(command: App) -> dict[str, tuple[Any, ...]]:
 @pytest.mark.parametrize("application", APPLICATIONS)
 def test_a_batch_has_every_option_of_the_single_run(application: str) -> None:
     single, batch = arguments(app[application]), arguments(app["batch"][application])
-    own = {"--source", "--out", "--resume", "--overwrite", "--live"}
+    own = {f"--{name}" for name in OWN}
     assert set(single) - own <= set(batch)
     assert {name: batch[name] for name in set(single) - own} == {
         name: single[name] for name in set(single) - own

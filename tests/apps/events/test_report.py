@@ -1,8 +1,11 @@
 """Counts and the section of a report, on events that can be counted by hand."""
 
 import re
+from html import unescape
 
 import numpy as np
+import pytest
+from markupsafe import escape
 from rsmcm.apps.events import Event, Kind, Line, Moment, Zone, Zones
 from rsmcm.apps.events.report import MOST_ROWS, Happened
 
@@ -62,3 +65,15 @@ def test_a_section_of_many_and_of_no_events() -> None:
     text = "".join(Happened(ZONES, many, (0.0, 1e3)).sections()[0][1])
     assert f"The {MOST_ROWS} longest of {3 * MOST_ROWS}." in text
     assert "Nobody stayed" in "".join(Happened(ZONES, [], (0.0, 0.0)).sections()[0][1])
+
+
+@pytest.mark.parametrize("name", ["$x^$", r"$\frac{$ \$", "5 $", "通り", "</script><b>"])
+@pytest.mark.filterwarnings("error")
+def test_any_name_is_shown_as_it_is(name: str) -> None:
+    zones = Zones(
+        (Zone(name, SQUARE, (100, 100)),), (Line(f"{name}2", (0.0, 0.0), (9.0, 9.0), f"{name} in", "out"),)
+    )
+    ((_, parts),) = Happened(zones, EVENTS, (0.0, 10.0)).sections()
+    texts = [unescape(text) for text in re.findall(r"<text[^>]*>([^<]+)</text>", parts[0])]
+    assert {f"in {name}", f"across {name}2", f"{name} in"} <= set(texts)
+    assert f"<td>{escape(name)}</td>" in parts[1]

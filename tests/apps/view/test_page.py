@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from rsmcm.apps.background.demo import write_scene
-from rsmcm.apps.events.event_files import read_events
-from rsmcm.apps.events.zone_files import read_zones
+from rsmcm.apps.events import read_events, read_zones
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.apps.view.film import Film, read_film
@@ -235,14 +234,6 @@ def test_zones_that_are_drawn_become_a_file(page: "playwright.Page") -> None:
     assert "zone 1" not in page.locator("textarea").input_value()
 
 
-def test_a_file_that_was_drawn_is_read(page: "playwright.Page", tmp_path: Path) -> None:
-    page.get_by_role("button", name="Draw a line").click()
-    page.keyboard.press("Enter")
-    (tmp_path / "zones.toml").write_text(page.locator("textarea").input_value())
-    zones = read_zones(tmp_path / "zones.toml", SIZE)
-    assert [each.name for each in (*zones.zones, *zones.lines)] == ["whole", "line"]
-
-
 def test_an_event_leads_to_its_moment(page: "playwright.Page", results: Path) -> None:
     events = read_events(results / "events.csv")
     listed = page.locator("select.events")
@@ -325,6 +316,30 @@ def test_the_pages_of_a_run_link_each_other(results: Path) -> None:
         links.feed((results / name).read_text())
         assert links.found == wanted
         assert all((results / link).exists() for link in links.found)
+
+
+def test_many_rows_scroll_by_themselves(browser: Browser, tmp_path: Path) -> None:
+    """And the page stays where it is, so that the film is in sight while its objects are clicked."""
+    count = 200
+    film = Film(None, (64, 48), np.arange(1, count + 1), np.arange(count) / 5, np.arange(count) / 5)
+    rows = [TimelineRow(k, str(k), "#00ff00", np.array([[k, k + 1, 0]])) for k in range(count - 1)]
+    write_view(tmp_path / "view.html", "title", film, count, View({}, rows))
+    in_sight = """(id) => {
+        const box = (query) => document.querySelector(query).getBoundingClientRect();
+        const [row, list, cursor] = [`#row-${id}`, ".rows", ".rows .cursor"].map(box);
+        return row.top >= list.top - 1 && row.bottom <= list.bottom + 1 && cursor.bottom >= row.bottom
+            && cursor.top <= row.top;
+    }"""
+    with browser.page(tmp_path / "view.html", PHONE) as page:
+        for key, row in (("End", count - 2), ("Home", 0)):
+            page.keyboard.press(key)
+            assert page.evaluate(in_sight, row)
+        page.locator(".rows").focus()
+        page.evaluate("scrollTo(0, 0)")
+        for _ in range(20):
+            page.keyboard.press("ArrowDown")
+        assert page.evaluate(in_sight, 19)
+        assert page.evaluate("scrollY") == 0
 
 
 def test_no_text_of_the_user_is_taken_for_a_script(browser: Browser, tmp_path: Path) -> None:
