@@ -72,9 +72,7 @@ def _items(items: Iterator[dict[str, Any]]) -> Iterator[str]:
 
 def _annotations(frames: Iterator[RunFrame], counts: dict[str, int]) -> Iterator[dict[str, Any]]:
     for frame in frames:
-        boxes = np.array([track.box for track in frame.tracks]).reshape(-1, 4)
-        masks = None if frame.foreground is None else object_masks(frame.foreground, boxes)
-        for place, track in enumerate(frame.tracks):
+        for track in frame.tracks:
             counts["boxes"] += 1
             annotation = {
                 "id": counts["boxes"],
@@ -85,10 +83,10 @@ def _annotations(frames: Iterator[RunFrame], counts: dict[str, int]) -> Iterator
                 "score": track.confidence,
                 "iscrowd": 0,
             }
-            if masks is None:
+            if frame.foreground is None:
                 yield annotation | {"area": track.box[2] * track.box[3], "segmentation": []}
                 continue
             counts["masks"] += 1
-            mask = masks[place]
+            (mask,) = object_masks(frame.foreground, np.array([track.box]))  # of all at once, many GB
             rle = {"size": list(mask.shape), "counts": compressed(mask)}
             yield annotation | {"area": int(np.count_nonzero(mask)), "segmentation": rle}

@@ -5,7 +5,7 @@ import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -171,12 +171,18 @@ class FinishedRun:
                     f"{video}: which frames its pictures show is not known, since the stream has dropped "
                     "some; --masks png numbers them"
                 )
+            count = 0
             try:
                 with av.open(str(video)) as container:
-                    for _, picture in zip(numbers, container.decode(video=0), strict=True):
-                        yield self._checked(video, picture.to_ndarray(format="gray"))
+                    for picture in islice(container.decode(video=0), len(numbers) + 1):
+                        count += 1
+                        if count <= len(numbers):
+                            yield self._checked(video, picture.to_ndarray(format="gray"))
             except av.FFmpegError as error:
                 raise ValueError(f"{video}: got a damaged video ({error.strerror})") from None
+            if count != len(numbers):
+                got = "more" if count > len(numbers) else f"{count}"
+                raise ValueError(f"{video}: got {got} pictures, expected {len(numbers)}, one a frame")
         else:
             yield from (None for _ in numbers)
 

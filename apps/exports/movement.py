@@ -40,7 +40,7 @@ def to_movement(run: str | Path, out: str | Path) -> str:
     Raises
     ------
     ValueError
-        if this is another run, its files are damaged, or it is too large for one array.
+        if this is another run, its files are damaged, nothing was tracked, or it is too large for one array.
     ImportError
         if `xarray` is not installed.
     OSError
@@ -86,6 +86,10 @@ def movement_dataset(run: str | Path) -> "xarray.Dataset":
 def _boxes(run: FinishedRun) -> "xarray.Dataset":
     table, numbers = read_tracks_table(run.folder), run.numbers
     names = np.unique(table["id"])
+    if not len(names):
+        raise ValueError(
+            f"{run.folder}: got a run without objects, expected one at least (netCDF has no axis of length 0)"
+        )
     shape = (len(numbers), 2, len(names))
     if 2 * np.prod(shape, dtype=float) > MOST_NUMBERS:
         raise ValueError(

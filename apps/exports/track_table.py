@@ -94,11 +94,19 @@ def table_rows(path: Path) -> Iterator[list[float]]:
         header = file.readline(LONGEST_LINE).strip()
         if header != HEADER:
             raise ValueError(f"{path}, line 1: got {header[:60]!r}, expected {HEADER}")
+        last = [0.0, -math.inf]
         for place, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=2):
             try:
-                yield _parse_line(line)
+                row = _parse_line(line)
+                if row[0] < last[0] or row[1] < last[1]:
+                    raise ValueError(
+                        f"got frame {row[0]:.0f} at {row[1]:g} s after frame {last[0]:.0f} at {last[1]:g} s, "
+                        "expected frames and times that ascend"
+                    )
             except ValueError as error:
                 raise ValueError(f"{path}, line {place}: {error}") from None
+            last = row
+            yield row
 
 
 def _parse_line(line: str) -> list[float]:
@@ -113,9 +121,10 @@ def _parse_line(line: str) -> list[float]:
         raise ValueError(
             f"got frame {frame:g}, id {identity:g}, expected whole numbers, frames from 1 to {LAST_FRAME}"
         )
-    if max(map(abs, values[3:7])) > FARTHEST or abs(values[1]) > LAST_FRAME:
+    if min(values[5:7]) < 0 or max(map(abs, values[3:7])) > FARTHEST or abs(values[1]) > LAST_FRAME:
         raise ValueError(
-            f"got a box {line.strip()[:60]!r}, expected px up to {FARTHEST:g} and s up to {LAST_FRAME}"
+            f"got a box {line.strip()[:60]!r}, expected a size that is not negative, px up to {FARTHEST:g} "
+            f"and s up to {LAST_FRAME}"
         )
     if seen not in (0, 1):
         raise ValueError(f"got seen {seen:g}, expected 0 or 1")
