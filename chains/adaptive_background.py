@@ -131,7 +131,7 @@ class AdaptiveBackground:
         s for which a new colour must stay, where no chain predicts an object, to become background
         (the second hypothesis); infinite switches it off.
     pooling
-        weight of the 24 neighbours' log odds in a pixel's own.
+        weight of what the 5 x 5 pixels about a pixel show in its own log odds.
     follow_light
         estimate a smooth field of light in every frame, so that clouds and lamps do not make foreground.
     """

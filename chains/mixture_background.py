@@ -72,7 +72,7 @@ class MixtureBackground:
     first_variance
         squared grey levels, of a component seen once.
     pooling
-        weight of the 24 neighbours' log odds in a pixel's own.
+        weight of what the 5 x 5 pixels about a pixel show in its own log odds.
     """
 
     prior: float = 0.95

@@ -299,7 +299,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._tracks = TrackWriter(out / "tracks.txt", after)
         self._table = TrackTableWriter(out / TABLE, after)
         self._masks = MaskWriter(out, self.job.masks, rate, after)
-        self._overlay = OverlayWriter(out / "overlay.mp4", rate, after, self._zones)
+        self._overlay = OverlayWriter(out / "overlay.mp4", rate, after, self._zones, self.show)
         growing: list[Writer] = [self._tracks, self._table, self._masks, self._overlay]
         if self._zones is not None:
             self._events = EventWriter(out / EVENTS, self._zones, out / TABLE, after)
@@ -320,7 +320,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._tracks.write(frame.number, found.tracks)
         self._table.write(frame.number, frame.time, found.tracks)
         if self._events is not None:
-            self._events.write(frame.number, frame.time, found.tracks)
+            happened = self._events.write(frame.number, frame.time, found.tracks)
+            self.news = [event.in_words() for event in happened]
         self._masks.write(found.foreground, frame.number, frame.time)
         self._overlay.add(frame, found.foreground, found.tracks)
         if self._predictions is not None:
@@ -403,6 +404,10 @@ class BackgroundRun(FilmRun[BackgroundJob]):
     def drawn(self, belief: Belief, found: Found) -> Callable[[], Row]:
         """Boxes and outlines."""
         return partial(drawn_of, found.foreground, found.tracks)
+
+    def told(self, belief: Belief, found: Found) -> dict[str, object]:
+        """How many are there."""
+        return {"tracks": len(found.tracks)}
 
     @property
     def title(self) -> str:

@@ -168,12 +168,15 @@ def planned(
             if not each.where:
                 raise
             raise ValueError(f"{each.where}: {one_line(error)}") from None
-        jobs.append(_from_anywhere(job, batch.overwrite))
+        jobs.append(_from_anywhere(job, batch.overwrite, each.live))
     return found, jobs
 
 
-def _from_anywhere(job: Job, overwrite: bool) -> Job:
-    """The job with paths that mean the same in any folder, on any machine that has the same files."""
+def _from_anywhere(job: Job, overwrite: bool, live: bool) -> Job:
+    """The job with paths that mean the same in any folder, on any machine that has the same files.
+
+    It goes on with what is there; a live source cannot, and its results are replaced only by `overwrite`.
+    """
     changed: dict[str, Any] = {
         each.name: value.absolute()
         for each in fields(job)
@@ -182,12 +185,13 @@ def _from_anywhere(job: Job, overwrite: bool) -> Job:
     roi = getattr(job, "roi", None)
     if roi is not None and os.path.exists(roi):
         changed["roi"] = os.path.abspath(roi)
-    return replace(job, **changed, resume=not overwrite, overwrite=overwrite)
+    return replace(job, **changed, resume=not overwrite and not live, overwrite=overwrite)
 
 
 def shown(source: str) -> str:
     """A source as it stands in a summary: without user and password, and of letters that can be written."""
-    return without_password(source).encode("utf-8", "backslashreplace").decode("utf-8")
+    letters = without_password(source)
+    return "".join(each if each.isprintable() else ascii(each)[1:-1] for each in letters)
 
 
 def workers_for(found: Sequence[Found], batch: Batch) -> Workers:
@@ -219,8 +223,16 @@ def _command(application: str, job: Job, threads: int) -> list[str]:
     values = {each.name: getattr(job, each.name) for each in fields(kind) if each.name not in OWN}
     defaults = {each.name: each.default for each in fields(kind)}
     given = {name: value for name, value in values.items() if value != defaults[name]}
-    how = "--overwrite" if job.overwrite else "--resume"
-    words = [job.source, "--out", str(job.out), how, *words_of(application, given), "--threads", str(threads)]
+    how = ["--overwrite"] * job.overwrite + ["--resume"] * job.resume
+    words = [
+        job.source,
+        "--out",
+        str(job.out),
+        *how,
+        *words_of(application, given),
+        "--threads",
+        str(threads),
+    ]
     return ["rsmcm", application, *words]
 
 

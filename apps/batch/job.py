@@ -22,8 +22,8 @@ APPLICATIONS: Mapping[str, type[Job]] = {
     "body": BodyJob,
 }
 
-OWN = ("source", "out", "resume", "overwrite")
-"""Fields of a job that a batch chooses itself."""
+OWN = ("source", "out", "resume", "overwrite", "live")
+"""Fields of a job that a batch chooses itself, or cannot have for many films."""
 
 Typed = Mapping[str, Any]
 """Options of an application with their values, by the names of a job's fields."""

@@ -14,6 +14,7 @@ from ...chains.articulated_pose import ArticulatedPose
 from ...chains.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.body.parts import CALIBRATION_FRAMES
+from ...models.body.upper_body import PARTS
 from ...models.core.frame import Frame
 from ..io.segments import segment_pattern
 from ..io.sources.blank_frames import SeenFrames
@@ -137,7 +138,14 @@ class BodyRun(FilmRun[BodyJob]):
     def writers(self, rate: float, after: int) -> list[Writer]:
         """Poses and overlay."""
         self._writer = BodyWriter(
-            self.job.out, self.source.size, rate, after, self._start.body, self._draws, self.record
+            self.job.out,
+            self.source.size,
+            rate,
+            after,
+            self._start.body,
+            self._draws,
+            self.record,
+            self.show,
         )
         return [self._writer]
 
@@ -150,6 +158,11 @@ class BodyRun(FilmRun[BodyJob]):
         """Joints and some samples."""
         samples = belief[self._pose]
         return partial(drawn_of, self._row, samples.log_evidence, samples.effective)
+
+    def told(self, belief: Belief, found: Any) -> dict[str, object]:
+        """What of the body the image shows."""
+        seen = [name.replace("_", " ") for name, so in zip(PARTS, self._row["seen"], strict=True) if so]
+        return {"seen": ", ".join(seen) or "nothing"}
 
     @property
     def title(self) -> str:

@@ -1,6 +1,6 @@
 """What a run of the body application leaves: arrays and a video that grow with the frames."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -63,6 +63,8 @@ class BodyWriter(PoseWriter):
         source of the draws that are shown.
     record
         to add to.
+    show
+        is given each picture of the video, in another thread.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class BodyWriter(PoseWriter):
         body: UpperBody,
         random: np.random.Generator,
         record: BodyRecord,
+        show: Callable[[Image], None] | None = None,
     ) -> None:
         known = lengths(body)
         constants = {
@@ -83,7 +86,7 @@ class BodyWriter(PoseWriter):
             "length_names": np.array(list(known)),
             "lengths": np.array(list(known.values())),
         }
-        super().__init__(folder, size, rate, after, constants)
+        super().__init__(folder, size, rate, after, constants, show)
         self._body = body
         self._random = random
         self._record = record

@@ -1,7 +1,7 @@
 """Boxes, trails and masks drawn on frames, and the video of them."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -139,8 +139,15 @@ class OverlayWriter(OverlayVideo):
     Parameters as of `OverlayVideo`, and of `draw_overlay`.
     """
 
-    def __init__(self, path: Path, rate: float, resume_after: int = 0, zones: Zones | None = None) -> None:
-        super().__init__(path, rate, resume_after, AHEAD)
+    def __init__(
+        self,
+        path: Path,
+        rate: float,
+        resume_after: int = 0,
+        zones: Zones | None = None,
+        show: Callable[[NDArray[np.uint8]], None] | None = None,
+    ) -> None:
+        super().__init__(path, rate, resume_after, AHEAD, show)
         self._trails: dict[int, deque[tuple[float, float, float]]] = {}
         self._zones = zones
         self._last_image: NDArray[np.uint8] | None = None

@@ -29,11 +29,21 @@ class OverlayVideo:
         number of the frame after which this run goes on; 0 for a new one.
     ahead
         frames that may wait to be drawn.
+    show
+        is given each picture, in that thread.
     """
 
-    def __init__(self, path: Path, rate: float, resume_after: int = 0, ahead: int = 1) -> None:
+    def __init__(
+        self,
+        path: Path,
+        rate: float,
+        resume_after: int = 0,
+        ahead: int = 1,
+        show: Callable[[Image], None] | None = None,
+    ) -> None:
         self._video = SegmentedVideo(path, rate, PLAYABLE, resume_after)
         self._worker = Worker("overlay", ahead)
+        self._show = show
 
     def __enter__(self) -> Self:
         return self
@@ -63,6 +73,8 @@ class OverlayVideo:
         picture = draw()
         if picture is not None:
             self._video.write(picture, frame.number, frame.time)
+            if self._show is not None:
+                self._show(picture)
 
 
 def enlargement(image: Image, least: int) -> int:

@@ -45,14 +45,15 @@ class EventWriter(LineWriter):
             for time, number, sightings in sightings_of(read_tracks_table(tracks), resume_after):
                 self.append(map(line_of, self._watch.take_in(time, number, sightings)))
 
-    def write(self, number: int, time: float, tracks: Sequence[TrackedObject]) -> None:
-        """Append what happens in a frame; who reads along sees it at once."""
+    def write(self, number: int, time: float, tracks: Sequence[TrackedObject]) -> list[Event]:
+        """Append what happens in a frame, which is returned; who reads along sees it at once."""
         self._last = number
         found = self._watch.take_in(round(time, 6), number, map(sighting, tracks))
         if found:
             self.append(map(line_of, found))
             with naming(self._path):
                 self._file.flush()
+        return found
 
     def close(self) -> None:
         """Complete the file with what ends with the last frame; a run that goes on drops that again."""

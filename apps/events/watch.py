@@ -102,6 +102,13 @@ class Event:
     duration: float | None = None
     direction: str = ""
 
+    def in_words(self) -> str:
+        """For instance "12.5 s: 4 left pavement after 9.3 s"."""
+        words = [f"{self.moment.time:.1f} s: {self.identity}", self.kind, self.zone, self.direction]
+        if self.duration is not None:
+            words.append(f"after {self.duration:.1f} s")
+        return " ".join(filter(None, words))
+
 
 @dataclass
 class Border:

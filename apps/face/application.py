@@ -137,7 +137,15 @@ class FaceRun(FilmRun[FaceJob]):
     def writers(self, rate: float, after: int) -> list[Writer]:
         """Poses and overlay."""
         self._writer = FaceWriter(
-            self.job.out, self.source.size, rate, after, self._chain, self._start, self._given, self.record
+            self.job.out,
+            self.source.size,
+            rate,
+            after,
+            self._chain,
+            self._start,
+            self._given,
+            self.record,
+            self.show,
         )
         return [self._writer]
 
@@ -152,6 +160,10 @@ class FaceRun(FilmRun[FaceJob]):
     def drawn(self, belief: Belief, found: Any) -> Callable[[], Row]:
         """Pose and points."""
         return partial(self._drawing.drawn, self._row, self.record.errors[-1])
+
+    def told(self, belief: Belief, found: Any) -> dict[str, object]:
+        """Whether the face is lost."""
+        return {"face": "lost" if belief[self._chain].lost else "tracked"}
 
     @property
     def title(self) -> str:

@@ -1,6 +1,6 @@
 """What a face-tracking run leaves: arrays and a video that grow with the frames, pictures of the texture."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,8 @@ class FaceWriter(PoseWriter):
         landmarks to compare with.
     record
         to add to.
+    show
+        is given each picture of the video, in another thread.
     """
 
     def __init__(
@@ -66,9 +68,10 @@ class FaceWriter(PoseWriter):
         start: FaceStart,
         given: GivenLandmarks | None,
         record: FaceRecord,
+        show: Callable[[Image], None] | None = None,
     ) -> None:
         constants = {"bases": start.model.bases, "triangles": start.model.triangles}
-        super().__init__(folder, size, rate, after, constants)
+        super().__init__(folder, size, rate, after, constants, show)
         self._chain = chain
         self._start = start
         self._given = given

@@ -9,6 +9,7 @@ from typing import Annotated, Any, TypeVar
 
 from cyclopts import Group, Parameter
 
+from ..live.address import read_address
 from .complaints import not_negative
 
 T = TypeVar("T")
@@ -81,14 +82,20 @@ class FilmJob(Job):
         taken to go on where that one ended.
     seed
         Of random numbers; recorded with the results.
+    live
+        Show the run in the browser while it goes on, on this port of this machine, or of HOST:PORT, where
+        anybody can look who gets there; 0 is any port that is free.
     """
 
     every: OfRuns[int] = 500
     learned: Annotated[Path | None, Parameter(name="--from", group="Of every run")] = None
     seed: OfRuns[Seed] = 0
+    live: OfRuns[str | None] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.live is not None:
+            read_address(self.live)
         if self.every < 1:
             raise ValueError(f"--every: got {self.every}, expected 1 or more frames")
 

@@ -21,6 +21,9 @@ from ...models.numerics.threads import thread_count
 from ..io.files import write_json
 from ..io.sources.blank_frames import SeenFrames
 from ..io.sources.open_source import Source, describe, open_source
+from ..live.address import read_address
+from ..live.running import Image, Running
+from ..live.server import live_page
 from ..options.job import FilmJob
 from ..view.film import ROWS, Film, FilmWriter, Row, read_film
 from ..view.page import VIEW, View, write_view
@@ -57,6 +60,8 @@ class FilmRun(Run[F]):
         what report and summary need, with columns `numbers`, `missing` and `seconds` of the frames so far.
     before
         numbers of the frames before the one in which the track starts.
+    news
+        lines about what has happened in the last frame, for the live page.
     """
 
     blank_is_missing: ClassVar[bool] = True
@@ -70,6 +75,8 @@ class FilmRun(Run[F]):
         super().__init__(job)
         self.state = RunState()
         self.before: list[int] = []
+        self.news: Sequence[str] = ()
+        self._running: Running | None = None  # where somebody may look
         self._frames = SeenFrames(iter(()))
 
     # --- what an application says ---
@@ -126,6 +133,10 @@ class FilmRun(Run[F]):
         """What makes that which `view.html` draws on a frame; called in a thread."""
         return dict
 
+    def told(self, belief: Belief, found: Any) -> Mapping[str, object]:
+        """What the live page says of a frame; called for every one of them."""
+        return {}
+
     @abstractmethod
     def facts(self) -> dict[str, Any]:
         """What `summary.json` says beside what it says of every run."""
@@ -152,8 +163,23 @@ class FilmRun(Run[F]):
             return f"--from {self.job.out / STATE} begins with what was learned"
         return way
 
+    def show(self, picture: Image) -> None:
+        """Make this what the live page shows; it must not change any more."""
+        if self._running is not None:
+            self._running.show(picture)
+
     def work(self) -> Outcome:
-        """Take in all frames, and write the results."""
+        """Take in all frames, and write the results; the live page shows it."""
+        if self.job.live is None:
+            return self._work()
+        self._running = Running(self.job.out)
+        with live_page(read_address(self.job.live), self._running) as where:
+            print(f"live: {where}", flush=True)
+            outcome = self._work()
+            self._running.end(outcome.words)
+        return outcome
+
+    def _work(self) -> Outcome:
         job = self.job
         saved = self._saved() if job.resume else None
         self._is_saved = saved is not None
@@ -172,10 +198,14 @@ class FilmRun(Run[F]):
             check_memory(source.name, source.size, *self.bytes_needed)
             frames = self._beginning(saved)
             self.begin_results()
+            if self._running is not None:
+                self._running.begin(self.title, source.n_frames, lambda: source.stream)
             with suppress(_EndedEarlyError):
                 self._process(frames)
             if self.interruption.signal is not None and not self.record.numbers:
                 raise Interrupted(self.interruption.signal)
+            if self._running is not None:
+                self._running.finish()
             summary = self._film_summary()
             self._write_view()
             self.finish(summary)
@@ -283,6 +313,8 @@ class FilmRun(Run[F]):
                 self.state = belief.state
                 self.take_in(belief, found, seconds)
                 film.add(frame, self.drawn(belief, found))
+                if self._running is not None:
+                    self._running.take_in(frame, self.told(belief, found), self.news)
                 unsaved += 1
                 if unsaved == job.every:
                     unsaved = 0

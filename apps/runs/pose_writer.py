@@ -30,13 +30,21 @@ class PoseWriter:
         number of the frame after which this run goes on; 0 for a new one.
     constants
         arrays that are written once.
+    show
+        is given each picture of the video, in another thread.
     """
 
     def __init__(
-        self, folder: Path, size: tuple[int, int], rate: float, after: int, constants: Mapping[str, Any]
+        self,
+        folder: Path,
+        size: tuple[int, int],
+        rate: float,
+        after: int,
+        constants: Mapping[str, Any],
+        show: Callable[[Image], None] | None = None,
     ) -> None:
         self._rows = RowWriter(folder / "poses.npz", constants, after)
-        self._video = OverlayVideo(folder / "overlay.mp4", rate, after)
+        self._video = OverlayVideo(folder / "overlay.mp4", rate, after, show=show)
         self._open = ExitStack()
         self._image: Image = np.zeros((size[1], size[0], 3), np.uint8)  # the last one
 

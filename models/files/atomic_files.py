@@ -62,10 +62,12 @@ def sync(path: Path) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write UTF-8 text, whole or not at all; lines end as in `text` on every system.
 
+    What UTF-8 lacks, from names of files that are no UTF-8, is written as Python and JSON escape it.
+
     Raises
     ------
     OSError
         if the file cannot be written; it names `path`.
     """
     with write_atomically(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8", newline="\n")
+        unfinished.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")

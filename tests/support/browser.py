@@ -37,16 +37,17 @@ class Browser:
 
     @contextmanager
     def page(
-        self, path: Path, size: tuple[int, int] = DESKTOP, *, dark: bool = False
+        self, of: Path | str, size: tuple[int, int] = DESKTOP, *, dark: bool = False
     ) -> "Iterator[playwright.Page]":
-        """A page of a window of `size` (width, height) px.
+        """A page, a file or what an address serves, in a window of `size` (width, height) px.
 
         Raises
         ------
         AssertionError
             at the end, if something was wrong on the console, an error was not caught, or something else was
-            asked for than what the page holds.
+            asked for than what the page holds or its own server has.
         """
+        where = of if isinstance(of, str) else of.as_uri()
         width, height = size
         context = self._driven.new_context(
             viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light"
@@ -61,12 +62,15 @@ class Browser:
 
         def asked(request: "playwright.Request") -> None:
             address = urlsplit(request.url)
-            if address.scheme not in OWN or (address.scheme == "file" and request.url != path.as_uri()):
+            served = isinstance(of, str) and request.url.startswith(of)
+            if not served and (
+                address.scheme not in OWN or (address.scheme == "file" and request.url != where)
+            ):
                 wrong.append(f"asked for {request.url[:200]}")
 
         page.on("request", asked)
         try:
-            page.goto(path.as_uri())
+            page.goto(where)
             yield page
             assert not wrong, wrong
         finally:

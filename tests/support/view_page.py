@@ -154,9 +154,14 @@ class Turned:
 
 @contextmanager
 def shown_page(
-    browser: Browser, folder: Path, size: tuple[int, int], window: tuple[int, int] = DESKTOP
+    browser: Browser,
+    folder: Path,
+    size: tuple[int, int],
+    window: tuple[int, int] = DESKTOP,
+    *,
+    dark: bool = False,
 ) -> Iterator[ViewPage]:
     """The page of a folder, of a source of `size` (width, height) px, when it can be used."""
-    with browser.page(folder / "view.html", window) as page:
+    with browser.page(folder / "view.html", window, dark=dark) as page:
         page.wait_for_function("(document.querySelector('video')?.readyState ?? 4) >= 2")
         yield ViewPage(page, size)

@@ -103,7 +103,7 @@ def data_of(path: Path) -> Any:
 
 def results(out: Path) -> dict[str, Any]:
     """By name; reports draw how long frames took."""
-    paths = [path for path in out.rglob("*") if path.is_file() and path.suffix != ".html"]
+    paths = [path for path in out.rglob("*") if path.is_file() and path.name != "report.html"]
     return {str(path.relative_to(out)): data_of(path) for path in paths}
 
 

@@ -35,7 +35,7 @@ function filmClock(video) {
     set speed(value) { video.playbackRate = value; },
     play() {
       if (view.frame === view.count - 1) this.seek(0);
-      return video.play();
+      video.play().catch(() => {}); // a pause may come before it begins
     },
     pause() { video.pause(); },
     seek(i) {

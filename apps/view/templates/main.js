@@ -3,8 +3,18 @@
 const bytes = byId("film-bytes").textContent;
 const video = byId("video");
 let clock;
+
+/** Something to be said above everything. */
+function tell(text) {
+  byId("part").textContent = text;
+  byId("part").hidden = false;
+}
+
 if (bytes) {
   clock = filmClock(video);
+  video.addEventListener("error", () => {
+    tell("This browser cannot show the film, which is H.264; what was found is drawn all the same.");
+  });
   video.src = URL.createObjectURL(new Blob([bytesOf(bytes)], { type: "video/mp4" }));
   byId("film-bytes").remove();
 } else {
@@ -12,8 +22,7 @@ if (bytes) {
   video.remove();
 }
 if (data.frames > view.count) {
-  byId("part").textContent = `Frames ${view.numbers[0]} to ${view.numbers[view.count - 1]}, ${view.count} of ${data.frames}: this page holds the last part of a long run.`;
-  byId("part").hidden = false;
+  tell(`Frames ${view.numbers[0]} to ${view.numbers[view.count - 1]}, ${view.count} of ${data.frames}: the others are not on this page.`);
 }
 beginPlayer(clock);
 for (const row of data.rows) addRow(row);

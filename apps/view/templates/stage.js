@@ -57,12 +57,19 @@ function beginStage() {
   stage.style.setProperty("--ratio", `${width} / ${height}`);
   stage.style.setProperty("--width-per-height", width / height);
 
+  // the film's sides are even: where those of the source are odd, it has a column or row more
+  let [wide, high] = [width, height];
+  video?.addEventListener("loadedmetadata", () => {
+    [wide, high] = [Math.max(width, video.videoWidth), Math.max(height, video.videoHeight)];
+    [video.style.width, video.style.height] = [`${100 * wide / width}%`, `${100 * high / height}%`];
+  });
+
   const draw = () => {
     fresh = false;
     const i = view.frame;
     lens = follow?.checked && view.selected !== null ? lensOf(view.selected, i) : [0, 0, 1];
     const [x, y, zoom] = lens;
-    if (video) video.style.transform = `scale(${zoom}) translate(${-100 * x / width}%, ${-100 * y / height}%)`;
+    if (video) video.style.transform = `scale(${zoom}) translate(${-100 * x / wide}%, ${-100 * y / high}%)`;
     pen.setTransform(1, 0, 0, 1, 0, 0);
     pen.clearRect(0, 0, canvas.width, canvas.height);
     pen.setTransform(zoom * canvas.width / width, 0, 0, zoom * canvas.height / height,

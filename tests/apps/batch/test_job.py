@@ -28,7 +28,7 @@ def arguments(command: App) -> dict[str, tuple[Any, ...]]:
 @pytest.mark.parametrize("application", APPLICATIONS)
 def test_a_batch_has_every_option_of_the_single_run(application: str) -> None:
     single, batch = arguments(app[application]), arguments(app["batch"][application])
-    own = {"--source", "--out", "--resume", "--overwrite"}
+    own = {f"--{name}" for name in OWN}
     assert set(single) - own <= set(batch)
     assert {name: batch[name] for name in set(single) - own} == {
         name: single[name] for name in set(single) - own
@@ -78,4 +78,5 @@ def test_values_of_a_list_of_cameras() -> None:
 
 def test_own_fields_are_those_of_every_job() -> None:
     for kind in APPLICATIONS.values():
-        assert set(OWN) < {each.name for each in fields(kind)}
+        assert set(OWN) - {"live"} < {each.name for each in fields(kind)}
+    assert "live" in {each.name for each in fields(BackgroundJob)}

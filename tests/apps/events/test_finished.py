@@ -15,6 +15,8 @@ from rsmcm.apps.events import Kind, read_events
 from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.scenes import sleeping_man
 
+from ...support.browser import PHONE, browsing, landmarks, overflow
+
 ZONES = """
 [[zone]]
 name = "left half"
@@ -151,3 +153,16 @@ def test_what_is_wrong_is_one_line_and_loses_nothing(
     stand_alone = ("--engine", "stand-alone", "--zones", film / "zones.toml")
     line = fails("background", film / "input", "--out", tmp_path / "out", *stand_alone)
     assert line == "rsmcm: --zones and --engine stand-alone: got both, expected one of them"
+
+
+def test_the_page_on_a_phone(results: Path, film: Path, tmp_path: Path) -> None:
+    """Tables and plots are wider, and scroll by themselves; a plot's letters stay large enough."""
+    copy = shutil.copytree(results, tmp_path / "copy")
+    assert run("events", copy, "--zones", film / "zones.toml") == 0
+    with browsing() as browser, browser.page(copy / "events.html", PHONE) as page:
+        assert overflow(page) <= 0
+        mains, headings = landmarks(page)
+        assert mains == 1
+        assert headings[1:] == ["Zones and lines"]
+        width = page.evaluate("document.querySelector('figure > svg').getBoundingClientRect().width")
+        assert width > 640, "letters of 10 pt on 11 inches have more than 8 px"

@@ -35,7 +35,7 @@ def test_a_page_with_everything(tmp_path: Path) -> None:
     for words in ("from the front", "from above", "Something &lt;odd&gt;.", "a.b", "points seen"):
         assert words in text
     assert "nan px" not in text
-    assert text == written(tmp_path / "again.html"), "the same page for the same run"
+    assert text == written(tmp_path / "report.html"), "the same page for the same run"
 
 
 def test_without_images_tracks_are_plotted(tmp_path: Path) -> None:

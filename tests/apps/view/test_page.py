@@ -16,9 +16,11 @@ from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.apps.view.film import Film, read_film
 from rsmcm.apps.view.page import Plot, TimelineRow, View, write_view
+from rsmcm.models.core.frame import Frame
 
 from ...conftest import Command
 from ...support.browser import DESKTOP, PHONE, Browser, browsing, landmarks, overflow, reached_by_tab
+from ...support.view_page import ViewPage, shown_page, write_pages
 
 if TYPE_CHECKING:
     import playwright.sync_api as playwright
@@ -49,47 +51,18 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def page(browser: Browser, results: Path) -> "Iterator[playwright.Page]":
-    with browser.page(results / "view.html") as opened:
-        ready(opened)
+def shown(browser: Browser, results: Path) -> Iterator[ViewPage]:
+    with shown_page(browser, results, SIZE) as opened:
         yield opened
 
 
-def ready(page: "playwright.Page") -> None:
-    """Until the film can be played."""
-    page.wait_for_function("document.querySelector('video').readyState >= 2")
+@pytest.fixture
+def page(shown: ViewPage) -> "playwright.Page":
+    return shown.page
 
 
-def frame_of(page: "playwright.Page") -> int:
-    """Number of the frame that is shown."""
-    (number,) = re.findall(r"frame (\d+)", page.locator("#clock").text_content() or "")
-    return int(number)
-
-
-def inked(page: "playwright.Page") -> int:
-    """How many px of the canvas are drawn on."""
-    page.wait_for_timeout(100)
-    script = """(() => {
-        const { width, height } = document.getElementById("drawing");
-        const copy = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
-        copy.drawImage(document.getElementById("drawing"), 0, 0);
-        const px = copy.getImageData(0, 0, width, height).data;
-        let count = 0;
-        for (let k = 3; k < px.length; k += 4) count += px[k] > 0;
-        return count;
-    })()"""
-    return int(page.evaluate(script))
-
-
-def click_at(page: "playwright.Page", x: float, y: float) -> None:
-    """At a place of the source, px."""
-    box = page.locator("#drawing").bounding_box()
-    assert box is not None
-    page.mouse.click(box["x"] + x * box["width"] / SIZE[0], box["y"] + y * box["height"] / SIZE[1])
-
-
-def test_the_film_plays_and_stops_at_its_end(page: "playwright.Page") -> None:
-    assert frame_of(page) == 1
+def test_the_film_plays_and_stops_at_its_end(shown: ViewPage, page: "playwright.Page") -> None:
+    assert shown.frame == 1
     page.get_by_role("button", name="Play").click()
     page.wait_for_function("document.querySelector('video').currentTime > 0.2")
     assert page.get_by_role("button", name="Pause").is_visible()
@@ -100,18 +73,53 @@ def test_the_film_plays_and_stops_at_its_end(page: "playwright.Page") -> None:
     page.wait_for_function("document.querySelector('video').currentTime < 1")
 
 
+def test_it_is_stopped_before_it_has_begun(shown: ViewPage, page: "playwright.Page") -> None:
+    for _ in range(3):
+        page.keyboard.press(" ")
+        page.keyboard.press(" ")
+    shown.settle()
+    assert page.get_by_role("button", name="Play").is_visible()
+
+
+def test_a_film_that_cannot_be_decoded_leaves_what_is_drawn(browser: Browser, tmp_path: Path) -> None:
+    count = 12
+    (tmp_path / "film.mp4").write_bytes(b"no film")
+    times = np.arange(count) / 5
+    film = Film(tmp_path / "film.mp4", (64, 48), np.arange(1, count + 1), times, times)
+    write_view(tmp_path / "view.html", "title", film, count, View())
+    with browser.page(tmp_path / "view.html") as page:
+        page.get_by_text("cannot show the film").wait_for()
+        page.keyboard.press("End")
+        assert ViewPage(page, (64, 48)).frame == count
+
+
+@pytest.mark.parametrize("size", [(16, 16), (17, 13), (48, 301)])
+def test_the_film_lies_under_what_is_drawn(browser: Browser, tmp_path: Path, size: tuple[int, int]) -> None:
+    """A film of odd sides is encoded with a column or row more."""
+    image = np.zeros((size[1], size[0], 3), np.uint8)
+    write_pages(tmp_path, (Frame(image, k / 25, k) for k in (1, 2)), lambda _: {}, lambda _: View())
+    with shown_page(browser, tmp_path, size) as shown:
+        film, drawing = (shown.page.locator(at).bounding_box() for at in ("#video", "#drawing"))
+        assert film is not None
+        assert drawing is not None
+        for side, px in zip(("width", "height"), size, strict=True):
+            assert film[side] / drawing[side] == pytest.approx((px + px % 2) / px, rel=1e-3)
+
+
 @pytest.mark.parametrize("number", [1, 2, 25, 26, 27, 51, 60])
-def test_the_film_shows_the_frame_that_is_drawn(page: "playwright.Page", number: int) -> None:
+def test_the_film_shows_the_frame_that_is_drawn(
+    shown: ViewPage, page: "playwright.Page", number: int
+) -> None:
     """Also behind the places where its segments are joined."""
     page.locator("#seek").fill(str(number - 1))
     page.wait_for_function("!document.querySelector('video').seeking")
     page.wait_for_timeout(100)
-    assert frame_of(page) == number
+    assert shown.frame == number
     at = page.evaluate("document.querySelector('video').currentTime")
     assert (number - 1) / 25 < at < number / 25
 
 
-def test_keys_move_the_film(page: "playwright.Page") -> None:
+def test_keys_move_the_film(shown: ViewPage, page: "playwright.Page") -> None:
     for key, number in (
         ("End", N_FRAMES),
         ("ArrowLeft", N_FRAMES - 1),
@@ -122,7 +130,7 @@ def test_keys_move_the_film(page: "playwright.Page") -> None:
         ("Shift+ArrowRight", 11),
     ):
         page.keyboard.press(key)
-        assert frame_of(page) == number, key
+        assert shown.frame == number, key
     page.keyboard.press("+")
     page.wait_for_function("document.querySelector('video').playbackRate === 2")
     page.keyboard.press("-")
@@ -139,45 +147,47 @@ def test_help(page: "playwright.Page") -> None:
     assert not page.get_by_role("dialog", name="Keys").is_visible()
 
 
-def test_a_click_on_an_object_selects_it(page: "playwright.Page", results: Path) -> None:
+def test_a_click_on_an_object_selects_it(shown: ViewPage, page: "playwright.Page", results: Path) -> None:
     table = read_tracks_table(results)
     last = table["frame"] == N_FRAMES
     identity, x, y, width, height = (
         float(table[name][last][0]) for name in ("id", "x", "y", "width", "height")
     )
     page.keyboard.press("End")
-    click_at(page, x + width / 2, y + height / 2)
+    shown.click((x + width / 2, y + height / 2))
     details = page.locator("#details")
     assert details.locator(".who").text_content() == f"{identity:.0f}"
-    shown = details.text_content() or ""
-    assert f"{width:.0f} × {height:.0f} px" in shown
+    text = details.text_content() or ""
+    assert f"{width:.0f} × {height:.0f} px" in text
     mine = table["id"] == identity
-    assert f"frame {table['frame'][mine][0]}," in shown
+    assert f"frame {table['frame'][mine][0]}," in text
     assert page.locator(f"#row-{identity:.0f}").get_attribute("aria-selected") == "true"
     assert page.get_by_label("speed over time").is_visible()
-    click_at(page, 2, 2)
+    shown.click((2, 2))
     assert page.locator("[role=option][aria-selected=true]").count() == 0
 
 
-def test_rows_are_reached_by_keys_and_lead_to_their_frames(page: "playwright.Page", results: Path) -> None:
+def test_rows_are_reached_by_keys_and_lead_to_their_frames(
+    shown: ViewPage, page: "playwright.Page", results: Path
+) -> None:
     table = read_tracks_table(results)
     first = int(table["frame"][table["id"] == table["id"].min()][0])
     page.locator(".rows").focus()
     page.keyboard.press("ArrowDown")
     assert page.locator("[role=option][aria-selected=true]").count() == 1
-    assert frame_of(page) == first, "it is not there at the beginning"
+    assert shown.frame == first, "it is not there at the beginning"
 
 
 @pytest.mark.parametrize("name", ["boxes", "outlines", "paths", "identities"])
-def test_what_is_drawn_can_be_switched_off(page: "playwright.Page", name: str) -> None:
+def test_what_is_drawn_can_be_switched_off(shown: ViewPage, page: "playwright.Page", name: str) -> None:
     page.keyboard.press("End")
     page.keyboard.press("l")  # the zone is all over the picture
-    before = inked(page)
+    before = shown.inked()
     page.get_by_label(name).uncheck()
-    assert inked(page) < before
+    assert shown.inked() < before
     page.keyboard.press(name[0])
     assert page.get_by_label(name).is_checked()
-    assert inked(page) == before
+    assert shown.inked() == before
 
 
 def test_the_zoom_follows_what_is_selected(page: "playwright.Page") -> None:
@@ -195,23 +205,23 @@ def test_the_zoom_follows_what_is_selected(page: "playwright.Page") -> None:
     )
 
 
-def test_a_click_on_a_plot_goes_there(page: "playwright.Page") -> None:
+def test_a_click_on_a_plot_goes_there(shown: ViewPage, page: "playwright.Page") -> None:
     curve = page.get_by_label("foreground over time")
     box = curve.bounding_box()
     assert box is not None
     curve.click(position={"x": box["width"] * 0.755, "y": box["height"] / 2}, force=True)
-    assert frame_of(page) == round(0.755 * N_FRAMES + 0.5)
+    assert shown.frame == round(0.755 * N_FRAMES + 0.5)
 
 
-def test_zones_that_are_drawn_become_a_file(page: "playwright.Page") -> None:
+def test_zones_that_are_drawn_become_a_file(shown: ViewPage, page: "playwright.Page") -> None:
     page.get_by_role("button", name="Draw a zone").click()
     corners = [(40, 50), (200, 50), (200, 180), (60, 200)]
     for x, y in corners:
-        click_at(page, x, y)
-    click_at(page, 41, 51)  # the first one again
+        shown.click((x, y))
+    shown.click((41, 51))  # the first one again
     page.get_by_role("button", name="Draw a line").click()
-    click_at(page, 100, 20)
-    click_at(page, 100, 220)
+    shown.click((100, 20))
+    shown.click((100, 220))
     page.get_by_label("name of the line").fill('the "gate"')
     page.get_by_role("button", name="Draw a zone").click()
     page.keyboard.press("Enter")  # one to be typed
@@ -234,14 +244,14 @@ def test_zones_that_are_drawn_become_a_file(page: "playwright.Page") -> None:
     assert "zone 1" not in page.locator("textarea").input_value()
 
 
-def test_an_event_leads_to_its_moment(page: "playwright.Page", results: Path) -> None:
+def test_an_event_leads_to_its_moment(shown: ViewPage, page: "playwright.Page", results: Path) -> None:
     events = read_events(results / "events.csv")
     listed = page.locator("select.events")
     assert listed.locator("option").count() == len(events)
     page.keyboard.press("e")
-    assert frame_of(page) == events[0].moment.frame
+    assert shown.frame == events[0].moment.frame
     listed.select_option(index=len(events) - 1)
-    assert frame_of(page) == events[-1].moment.frame
+    assert shown.frame == events[-1].moment.frame
     assert page.locator("#details .who").text_content() == str(events[-1].identity)
 
 
@@ -257,8 +267,8 @@ def test_typing_a_name_presses_no_keys(page: "playwright.Page") -> None:
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("size", [PHONE, (768, 1024), DESKTOP, (2560, 1440)], ids=str)
 def test_it_is_read_on_any_screen(browser: Browser, results: Path, size: tuple[int, int], dark: bool) -> None:
-    with browser.page(results / "view.html", size, dark=dark) as page:
-        ready(page)
+    with shown_page(browser, results, SIZE, size, dark=dark) as shown:
+        page = shown.page
         page.locator("[role=option] .label").first.click()
         assert overflow(page) <= 0
         parts = ["Film", "Show", "Selected", "Events", "Zones and lines", "Over time", "Keys"]

@@ -1,0 +1,147 @@
+import json
+import threading
+import time
+import tracemalloc
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.live import running as module
+from rsmcm.apps.live.running import INTERVAL, LONGEST_SIDE, SHOWN_EVENTS, Picture, Running
+from rsmcm.models.core.frame import Frame
+
+Image = NDArray[np.uint8]
+
+
+def grey(level: int, size: tuple[int, int] = (32, 24)) -> Image:
+    return np.full((size[1], size[0], 3), level, np.uint8)
+
+
+def level_of(picture: Picture | None) -> float:
+    assert picture is not None
+    return float(cv2.imdecode(np.frombuffer(picture.data, np.uint8), cv2.IMREAD_COLOR).mean())
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Running:
+    return Running(tmp_path)
+
+
+@pytest.fixture
+def encodings(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Moments of all encodings."""
+    moments: list[float] = []
+    encode = module._jpeg
+
+    def counting(picture: Image) -> bytes:
+        moments.append(time.monotonic())
+        return encode(picture)
+
+    monkeypatch.setattr(module, "_jpeg", counting)
+    return moments
+
+
+def test_nothing_is_encoded_while_nobody_looks(running: Running, encodings: list[float]) -> None:
+    for level in range(200):
+        running.show(grey(level))
+    assert not encodings
+    assert level_of(running.picture()) == pytest.approx(199, abs=2), "the newest one"
+    assert len(encodings) == 1
+
+
+def test_all_who_look_share_an_encoding(running: Running, encodings: list[float]) -> None:
+    seen: list[list[Picture]] = [[] for _ in range(4)]
+
+    def look(pictures: list[Picture]) -> None:
+        after = 0
+        while (picture := running.picture(after, 5.0)) is not None:
+            pictures.append(picture)
+            after = picture.number
+
+    threads = [threading.Thread(target=look, args=(pictures,)) for pictures in seen]
+    for thread in threads:
+        thread.start()
+    for level in range(100):
+        running.show(grey(level))
+        time.sleep(0.003)
+    running.end([])
+    for thread in threads:
+        thread.join(5)
+        assert not thread.is_alive()
+    different = {picture.number for pictures in seen for picture in pictures}
+    assert len(encodings) == len(different) < 100
+    assert np.diff(encodings).min() >= 0.99 * INTERVAL, "however fast the film is processed"
+    for pictures in seen:
+        numbers = [picture.number for picture in pictures]
+        assert numbers == sorted(set(numbers))
+        assert numbers[-1] == 100, "the last one is seen"
+        for picture in pictures:
+            assert level_of(picture) == pytest.approx(picture.number - 1, abs=2)
+
+
+def test_there_is_no_picture_before_the_first(running: Running) -> None:
+    assert running.picture() is None
+    began = time.monotonic()
+    assert running.picture(0, 0.1) is None
+    assert time.monotonic() - began >= 0.1
+    running.show(grey(7))
+    assert running.picture(1, 0.0) is None, "no newer one"
+
+
+def test_large_and_grey_pictures(running: Running) -> None:
+    running.show(np.zeros((300, 4000), np.uint8))
+    picture = running.picture()
+    assert picture is not None
+    shape = cv2.imdecode(np.frombuffer(picture.data, np.uint8), cv2.IMREAD_UNCHANGED).shape
+    assert shape[:2] == (LONGEST_SIDE * 300 // 4000, LONGEST_SIDE)
+
+
+def test_what_is_said_of_a_run(running: Running) -> None:
+    said = running.status()
+    assert (said["state"], said["frame"], said["seconds_since"]) == ("starting", None, None)
+    running.begin("street: recursive-bp", 50, lambda: {"gaps": [], "lost": None, "dropped_frames": 2})
+    for number in range(1, 31):
+        time.sleep(0.002)
+        frame = Frame(None if number == 30 else grey(0), number / 25, number)
+        running.take_in(frame, {"tracks": number}, [f"event {number}"])
+    said = running.status()
+    assert said["state"] == "running"
+    assert (said["frame"], said["frames"], said["time"], said["missing"]) == (30, 50, 1.2, True)
+    assert said["facts"] == {"tracks": 30}
+    assert said["events"] == [f"event {number}" for number in range(31 - SHOWN_EVENTS, 31)]
+    assert said["stream"]["dropped_frames"] == 2
+    assert 10 < said["frames_per_second"] < 500
+    assert 0 <= said["seconds_since"] < 5
+    assert json.loads(json.dumps(said, allow_nan=False)) == said
+    running.finish()
+    assert running.status()["state"] == "finishing"
+    running.end(["30 frames"])
+    running.end(None)
+    said = running.status()
+    assert (said["state"], said["words"]) == ("ended", ["30 frames"]), "what was said first"
+
+
+def test_a_run_that_ends_without_a_word_has_failed(running: Running) -> None:
+    running.end(None)
+    assert running.ended
+    assert running.status()["state"] == "failed"
+
+
+def test_memory_is_bounded_however_long_it_runs(running: Running) -> None:
+    """One picture and a few numbers are kept, whatever nobody has asked for."""
+
+    def go_on() -> None:
+        for number in range(2000):
+            running.take_in(Frame(None, number / 25, number + 1), {"tracks": 1}, ["something"])
+            running.show(grey(0, (64, 48)))
+
+    go_on()
+    tracemalloc.start()
+    try:
+        go_on()
+        kept, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert kept < 100_000, "2000 pictures are 18 MB"

@@ -1,0 +1,319 @@
+import http.client
+import json
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from itertools import count
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.apps.io.sources.open_source import open_source
+from rsmcm.apps.live import server as module
+from rsmcm.apps.live.address import Address
+from rsmcm.apps.live.running import Running
+from rsmcm.apps.live.server import MOST_CONNECTIONS, live_page
+from rsmcm.models.core.frame import Frame
+
+from ...support.films import wait_until
+
+LOOPBACK = Address("127.0.0.1", 0)
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Running:
+    found = Running(tmp_path / "results")
+    found.begin("street: recursive-bp", None, lambda: None)
+    return found
+
+
+@pytest.fixture
+def page(running: Running) -> Iterator[str]:
+    with live_page(LOOPBACK, running) as address:
+        yield address
+
+
+def ask(page: str, path: str = "/", method: str = "GET", host: str | None = None) -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection(urlsplit(page).netloc, timeout=10)
+    connection.putrequest(method, path, skip_host=host is not None)
+    if host:
+        connection.putheader("Host", host)
+    connection.endheaders()
+    return connection.getresponse()
+
+
+@contextmanager
+def going_on(
+    running: Running, size: tuple[int, int] = (64, 48), pause: float = 0.005
+) -> Iterator[list[float]]:
+    """A run that shows noise; the seconds that each frame has cost it."""
+    stop, costs = threading.Event(), list[float]()
+    noise = np.random.default_rng(0).integers(0, 255, (size[1], size[0], 3)).astype(np.uint8)
+
+    def run() -> None:
+        for number in count(1):
+            if stop.wait(pause):
+                return
+            picture = np.roll(noise, number, axis=1)
+            began = time.perf_counter()
+            running.take_in(Frame(picture, number / 25, number), {"tracks": 1}, ())
+            running.show(picture)
+            costs.append(time.perf_counter() - began)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield costs
+    finally:
+        stop.set()
+        thread.join()
+
+
+# --- what there is --------------------------------------------------
+
+
+def test_page_state_and_picture(page: str, running: Running) -> None:
+    assert ask(page, "/snapshot.jpg").status == 503, "none yet"
+    with going_on(running):
+        wait_until(lambda: ask(page, "/snapshot.jpg").status == 200)
+        picture = ask(page, "/snapshot.jpg")
+        assert picture.headers["Content-Type"] == "image/jpeg"
+        data = np.frombuffer(picture.read(), np.uint8)
+        assert cv2.imdecode(data, cv2.IMREAD_COLOR).shape == (48, 64, 3)
+        said = json.load(ask(page, "/status.json"))
+    assert said["title"] == "street: recursive-bp"
+    assert said["state"] == "running"
+    answer = ask(page)
+    assert answer.headers["Content-Type"] == "text/html; charset=utf-8"
+    text = answer.read().decode()
+    assert "<main>" in text
+    assert "http" not in text, "nothing of anybody else"
+    assert ask(page, "/?again").status == 200
+
+
+def parts(answer: http.client.HTTPResponse) -> Iterator[bytes]:
+    """Pictures of a stream, as a browser cuts it."""
+    assert answer.headers["Content-Type"] == "multipart/x-mixed-replace; boundary=picture"
+    assert answer.readline() == b"--picture\r\n"
+    while True:
+        assert answer.readline() == b"Content-Type: image/jpeg\r\n"
+        length = int(answer.readline().split(b":")[1])
+        assert answer.readline() == b"\r\n"
+        yield answer.read(length)
+        assert answer.readline() == b"\r\n"
+        if answer.readline() != b"--picture\r\n":
+            return
+
+
+def test_stream_is_motion_jpeg_until_the_run_ends(page: str, running: Running) -> None:
+    with going_on(running):
+        stream = parts(ask(page, "/stream.mjpg"))
+        pictures = [next(stream) for _ in range(10)]
+    assert len(set(pictures)) == 10
+    for picture in pictures:
+        assert cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR).shape == (48, 64, 3)
+    running.end(["30 frames"])
+    answer = ask(page, "/stream.mjpg")
+    assert answer.read().count(b"--picture\r\n") >= 2, "the last picture, whole, and the end"
+
+
+def test_states_come_until_the_run_has_ended(page: str, running: Running) -> None:
+    answer = ask(page, "/status")
+    assert answer.headers["Content-Type"] == "text/event-stream"
+    first = answer.readline()
+    running.end(["30 frames"])
+    began = time.monotonic()
+    lines = [line for line in answer.read().splitlines() if line]
+    assert time.monotonic() - began < 0.9, "at once"
+    said = [json.loads(line.removeprefix(b"data: ")) for line in [first, *lines]]
+    assert [each["state"] for each in said] == ["starting", "ended"]
+    assert said[-1]["words"] == ["30 frames"]
+
+
+def test_ffmpeg_reads_the_stream(page: str, running: Running) -> None:
+    """What else would want to look; so another run can begin with it."""
+    with going_on(running, pause=0.03), open_source(page + "stream.mjpg") as source:
+        frames = [next(source) for _ in range(5)]
+    assert source.size == (64, 48)
+    assert all(frame.image is not None for frame in frames)
+
+
+# --- what there is not --------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "path", ["/x", "/../running.py", "/templates/", "//etc/passwd", "/status.json/", "http://a/"]
+)
+def test_nothing_else(page: str, path: str) -> None:
+    answer = ask(page, path, host="localhost")
+    assert answer.status == 404
+    assert b"href" not in answer.read()
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS"])
+def test_nothing_can_be_done(page: str, method: str) -> None:
+    answer = ask(page, "/", method)
+    assert answer.status == 405
+    assert answer.headers["Allow"] == "GET, HEAD"
+
+
+@pytest.mark.parametrize("path", ["/", "/stream.mjpg", "/status", "/status.json"])
+def test_head_is_the_headers_only(page: str, path: str) -> None:
+    answer = ask(page, path, "HEAD")
+    assert answer.status == 200
+    assert answer.read() == b""
+    assert answer.headers["Cache-Control"] == "no-store"
+    assert answer.headers["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:8000", "127.0.0.1.evil.example", "", "[::1"])
+def test_names_that_somebody_else_has_made_are_refused(page: str, host: str) -> None:
+    for path in ("/", "/snapshot.jpg", "/status.json", "/stream.mjpg"):
+        assert ask(page, path, host=host).status == 421
+
+
+@pytest.mark.parametrize("host", ["localhost:9000", "LOCALHOST", "127.0.0.1", "[::1]:80", "192.168.1.5:8000"])
+def test_this_machine_and_tunnels_to_it_are_answered(page: str, host: str) -> None:
+    assert ask(page, host=host).status == 200
+
+
+def test_all_interfaces(running: Running) -> None:
+    with live_page(Address("0.0.0.0", 0), running) as said:
+        address, _, warning = said.partition(" ")
+        assert warning == "(anybody who reaches this machine can look)"
+        port = urlsplit(address).port
+        here = f"http://127.0.0.1:{port}/"
+        assert ask(here, host=socket.gethostname()).status == 200
+        assert ask(here, host="evil.example").status == 421
+
+
+def test_loopback_is_not_reached_from_elsewhere(page: str) -> None:
+    assert page.startswith("http://127.0.0.1:")
+    assert " " not in page
+    own = {found[4][0] for found in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
+    for address in own - {"127.0.0.1", "127.0.1.1"}:
+        with pytest.raises(OSError, match="refused"):
+            socket.create_connection((str(address), urlsplit(page).port or 0), timeout=2)
+
+
+def test_port_that_is_taken(page: str, tmp_path: Path) -> None:
+    port = urlsplit(page).port or 0
+    with (
+        pytest.raises(
+            OSError, match=rf"^--live: got 127.0.0.1:{port}, which cannot be opened: Address already"
+        ),
+        live_page(Address("127.0.0.1", port), Running(tmp_path)),
+    ):
+        pass
+
+
+def test_host_that_is_not_of_this_machine(running: Running) -> None:
+    with (
+        pytest.raises(OSError, match=r"^--live: got 192.0.2.1:0, which cannot be opened: Cannot assign"),
+        live_page(Address("192.0.2.1", 0), running),
+    ):
+        pass
+
+
+# --- those who are slow, many or rude --------------------------------------------------
+
+
+def stalled(page: str, path: str = "/stream.mjpg") -> socket.socket:
+    """Somebody who asks, and takes nothing."""
+    where = urlsplit(page)
+    client = socket.socket()
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    client.connect((where.hostname, where.port))
+    client.sendall(f"GET {path} HTTP/1.0\r\nHost: {where.netloc}\r\n\r\n".encode())
+    return client
+
+
+def test_who_stalls_delays_neither_the_run_nor_others(page: str, running: Running) -> None:
+    with ExitStack() as stack:
+        costs = stack.enter_context(going_on(running, (320, 240)))
+        for _ in range(5):
+            stack.enter_context(stalled(page))
+        time.sleep(0.5)  # the buffers are full
+        stream = parts(ask(page, "/stream.mjpg"))
+        began = time.monotonic()
+        pictures = [next(stream) for _ in range(10)]
+        assert time.monotonic() - began < 5
+        assert len(set(pictures)) == 10
+    assert np.median(costs) < 1e-3
+    assert len(costs) > 50
+
+
+def test_who_stalls_is_hung_up_on(page: str, running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module._Handler, "timeout", 0.3)
+    before = threading.active_count()
+    with going_on(running, (640, 480)), stalled(page):
+        wait_until(lambda: threading.active_count() > before + 1)
+        wait_until(lambda: threading.active_count() == before + 1)
+
+
+def test_who_never_finishes_asking_is_hung_up_on(page: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module._Handler, "timeout", 0.2)
+    where = urlsplit(page)
+    with socket.create_connection((where.hostname, where.port), timeout=5) as client:
+        client.sendall(b"GET / HT")
+        assert client.recv(1) == b""
+
+
+def test_there_are_no_more_threads_than_connections_allowed(page: str, running: Running) -> None:
+    before = threading.active_count()
+    with ExitStack() as stack:
+        for _ in range(MOST_CONNECTIONS + 10):
+            stack.enter_context(stalled(page, "/status"))
+        wait_until(lambda: threading.active_count() >= before + MOST_CONNECTIONS)
+        time.sleep(0.2)
+        assert threading.active_count() == before + MOST_CONNECTIONS
+        with pytest.raises((OSError, http.client.HTTPException)):
+            ask(page)
+    wait_until(lambda: threading.active_count() == before, 30)
+    assert ask(page).status == 200, "there is room again"
+
+
+@pytest.mark.parametrize(
+    "said", [b"", b"\r\n\r\n", b"GET\r\n\r\n", b"\x16\x03\x01\x02\x00\x01", b"GET / HTTP/9.9\r\n\r\n"]
+)
+def test_what_is_no_request_leaves_the_page_as_it_is(
+    page: str, said: bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    where = urlsplit(page)
+    with socket.create_connection((where.hostname, where.port), timeout=5) as client:
+        client.sendall(said)
+        client.shutdown(socket.SHUT_WR)
+        while client.recv(1000):
+            pass
+    assert ask(page).status == 200
+    assert capfd.readouterr() == ("", "")
+
+
+# --- the end --------------------------------------------------
+
+
+def test_the_page_ends_with_its_block(running: Running) -> None:
+    before = threading.active_count()
+    with live_page(LOOPBACK, running) as page:
+        answer = ask(page, "/status")
+        answer.readline()
+    assert json.loads(answer.read().split(b"data: ")[-1])["state"] == "failed", "nothing said how it ended"
+    assert threading.active_count() == before
+    with pytest.raises(urllib.error.URLError, match="refused"):
+        urllib.request.urlopen(page, timeout=2)
+
+
+def test_who_stalls_does_not_hold_up_the_end(running: Running) -> None:
+    with ExitStack() as stack:
+        with live_page(LOOPBACK, running) as page, going_on(running, (640, 480)):
+            stack.enter_context(stalled(page))
+            time.sleep(0.5)
+            began = time.monotonic()
+        assert time.monotonic() - began < 3

@@ -1,0 +1,90 @@
+"""Every public chain has a page, and what its tables say of features, parameters and code is so."""
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+import rsmcm.chains
+from rsmcm.inference.core.protocols import Cavity, Port
+
+from .test_conventions import found
+
+CHAINS = Path(__file__).parents[2] / "docs" / "chains"
+INDEX = (CHAINS / "index.md").read_text()
+PAGES = {path.stem: path.read_text() for path in sorted(CHAINS.glob("*.md")) if path.stem != "index"}
+KINDS = {name: getattr(rsmcm.chains, name) for name in rsmcm.chains.__all__}
+NAMES = sorted(
+    {name for page in PAGES.values() for name in re.findall(r"`((?:models|inference|chains)\.[\w.]+)`", page)}
+)
+HEARD = {Cavity.NOTHING: "nothing", Cavity.IMAGE: "the image", Cavity.OTHERS: "image and others"}
+
+
+def page_of(name: str) -> str:
+    return PAGES[KINDS[name].__module__.rpartition(".")[2]]
+
+
+def ports(name: str) -> tuple[Port, ...]:
+    """Of a chain with its defaults; those of a class, if it needs none."""
+    kind = KINDS[name]
+    return tuple(kind().ports if isinstance(kind.ports, property) else kind.ports)
+
+
+def shown(port: Port) -> str:
+    """A feature as tables show it."""
+    return f"`{port.kind.__name__}`" + " (optional)" * port.optional
+
+
+def test_every_chain_has_a_page_of_its_own() -> None:
+    assert sorted(kind.__module__.rpartition(".")[2] for kind in KINDS.values()) == sorted(PAGES)
+    for name in KINDS:
+        assert page_of(name).startswith(f"# {name}\n"), name
+
+
+@pytest.mark.parametrize("name", sorted(KINDS))
+def test_a_page_has_all_its_parts(name: str) -> None:
+    heads = re.findall(r"^## (.+)$", page_of(name), re.MULTILINE)
+    assert heads == [
+        "Model",
+        "From the paper to the code",
+        "What it says, what it hears",
+        "Parameters",
+        "How it fails",
+        "In Python",
+    ]
+    for part in ("```{math}", f"```{{parameters}} rsmcm.chains.{name}\n", "```python\n"):
+        assert part in page_of(name), part
+    assert f"{{py:obj}}`rsmcm.chains.{name}`" in page_of(name)
+
+
+@pytest.mark.parametrize("name", sorted(KINDS))
+def test_features_are_those_of_the_code(name: str) -> None:
+    table = re.search(r"before it speaks it has heard.*\n\|[-|]+\n((?:\|.*\n)+)", page_of(name))
+    assert table is not None
+    rows = [[cell.strip() for cell in row.split(" | ")] for row in table[1].splitlines()]
+    told = [(row[0].removeprefix("| "), row[1]) for row in rows]
+    assert told == [(shown(port), HEARD[port.cavity]) for port in ports(name)]
+    row = re.search(rf"^\| \[{name}\]\((\w+)\.md\) \| (.*?) \|", INDEX, re.MULTILINE)
+    assert row is not None
+    assert row[1] in PAGES
+    assert row[2] == ", ".join(shown(port) for port in ports(name))
+
+
+def test_parameters_that_pages_tell_to_turn_are_there() -> None:
+    """In tables of how a chain fails, `name` up or down is a parameter of this chain."""
+    count = 0
+    for name, kind in KINDS.items():
+        own = {field.name for field in fields(kind)}
+        for said in re.findall(r"`(\w+)` (?:up|down)\b", page_of(name).partition("## How it fails")[2]):
+            assert said in own, f"{name}: {said}"
+            count += 1
+    assert count > 20
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_code_that_pages_name_is_there(name: str) -> None:
+    assert found(name)
+
+
+def test_enough_code_is_named() -> None:
+    assert len(NAMES) > 60
