@@ -145,7 +145,7 @@ class _Reader:
         )
         if there == back:
             raise ValueError(f"{where}: got {there!r} for both directions, expected two names")
-        return Line(name, self._scaled(start), self._scaled(end), there, back)
+        return Line(name, self._scaled(start), self._scaled(end), there, back, self._size)
 
     def _name(self, values: Mapping[str, Any], where: str) -> str:
         name = _text(values.get("name", ""), f"{where}: name")

@@ -90,6 +90,9 @@ class Line:
         px, as of `Zone`.
     left_to_right, right_to_left
         names of the two directions.
+    size
+        `(width, height)` px of the picture: a line that reaches its edge goes on beyond, where feet are that
+        the edge cuts off. Without it, both ends are ends.
     """
 
     name: str
@@ -97,6 +100,7 @@ class Line:
     end: tuple[float, float]
     left_to_right: str = "left to right"
     right_to_left: str = "right to left"
+    size: tuple[int, int] | None = None
 
     def distance(self, place: tuple[float, float]) -> float:
         """How far a place is to the right of the endless line, px; negative to its left."""
@@ -105,10 +109,20 @@ class Line:
         return (dx * (place[1] - y) - dy * (place[0] - x)) / float(np.hypot(dx, dy))
 
     def is_beside(self, place: tuple[float, float]) -> bool:
-        """Whether a place on the endless line is between its two ends."""
+        """Whether a place on the endless line is between its ends, or beyond one at the picture's edge."""
         (x, y), (to_x, to_y) = self.start, self.end
         dx, dy = to_x - x, to_y - y
-        return 0 <= (dx * (place[0] - x) + dy * (place[1] - y)) / (dx * dx + dy * dy) <= 1
+        share = (dx * (place[0] - x) + dy * (place[1] - y)) / (dx * dx + dy * dy)
+        return (share >= 0 or self._leaves(self.start, (-dx, -dy))) and (
+            share <= 1 or self._leaves(self.end, (dx, dy))
+        )
+
+    def _leaves(self, end: tuple[float, float], way: tuple[float, float]) -> bool:
+        """Whether who goes on from an end of the line is out of the picture."""
+        return self.size is not None and any(
+            (place <= ON_EDGE * side and step < 0) or (place >= (1 - ON_EDGE) * side and step > 0)
+            for place, step, side in zip(end, way, self.size, strict=True)
+        )
 
 
 @short_repr

@@ -23,7 +23,7 @@ Path = NDArray[np.float64]
 def zones(scale: float = 1.0) -> Zones:
     size = (round(SIZE[0] * scale), round(SIZE[1] * scale))
     made = [Zone(n, scale * np.array(c, float), size) for n, c in (("strip", STRIP), ("diamond", DIAMOND))]
-    line = Line("line", (150 * scale, 0.0), (150 * scale, 240 * scale))
+    line = Line("line", (150 * scale, 0.0), (150 * scale, 240 * scale), size=size)
     return Zones(tuple(made), (line,))
 
 
@@ -76,6 +76,8 @@ def test_who_is_in_has_come_in_and_not_gone(path: Path, data: st.DataObject) -> 
     stood = [event for event in found if event.kind in ("stands", "stood")]
     for begun, ended in zip(stood[::2], stood[1::2], strict=True):
         assert (begun.kind, ended.kind) == ("stands", "stood") or begun.zone != stood[0].zone
+    if np.diff(np.flatnonzero(there)).max(initial=0) / 25 > Zones().patience:
+        return  # nobody knows where it was meanwhile
     crossings = [event.direction for event in found if event.kind == "crossed"]
     assert all(one != other for one, other in pairwise(crossings)), "there and back"
 

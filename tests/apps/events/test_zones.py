@@ -47,3 +47,18 @@ def test_right_is_the_right_of_who_looks_along_the_line() -> None:
     assert line.is_beside((110.0, 100.0))
     assert not line.is_beside((9.0, 100.0))
     assert not line.is_beside((111.0, 100.0))
+
+
+def test_a_line_that_reaches_the_edge_goes_on_beyond() -> None:
+    """Feet are below the picture where its lower edge cuts people off."""
+    below = Line("line", (160.0, 100.0), (150.0, 239.0), size=SIZE)
+    assert below.is_beside((149.0, 260.0))
+    assert not below.is_beside((161.0, 90.0))
+    assert not Line("line", (160.0, 100.0), (150.0, 230.0), size=SIZE).is_beside((149.0, 260.0))
+    along = Line(
+        "line", (10.0, 240.0), (60.0, 240.0), size=SIZE
+    )  # the edge itself, which goes on in the picture
+    assert not along.is_beside((70.0, 240.0))
+    across = Line("line", (0.0, 120.0), (320.0, 120.0), size=SIZE)
+    assert across.is_beside((-9.0, 120.0))
+    assert across.is_beside((330.0, 120.0))
