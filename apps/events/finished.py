@@ -12,7 +12,7 @@ from ...models.files.atomic_files import write_text
 from ...models.files.text_files import read_text
 from ..exports.track_table import TABLE, read_tracks_table
 from ..io.files import write_json
-from ..reports.page import Section, picture, write_page
+from ..reports.page import Section, links, picture, write_page
 from ..runs.output_folder import output_folder
 from .drawing import draw_zones
 from .event_files import COLUMNS, EVENTS, line_of, read_events, sightings_of
@@ -91,12 +91,14 @@ def _read_summary(path: Path) -> dict[str, Any]:
 
 
 def _sections(run: Path, happened: Happened) -> list[Section]:
+    beginning = links(run / PAGE)
     background = cv2.imread(str(run / BACKGROUND)) if (run / BACKGROUND).exists() else None
     if background is None:
-        return happened.sections()
+        return [("", beginning), *happened.sections()]
     scale = max(1.0, LEAST / max(background.shape[:2]))
     drawn = np.asarray(
         cv2.resize(background, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), np.uint8
     )
     draw_zones(drawn, happened.zones, scale)
-    return [("", [picture(drawn, "Zones and lines on the background at the end.")]), *happened.sections()]
+    beginning.append(picture(drawn, "Zones and lines on the background at the end."))
+    return [("", beginning), *happened.sections()]

@@ -117,8 +117,8 @@ class Happened:
                         label=label,
                     )
                 axis.set_ylabel(name)
-                axis.set_ylim(bottom=0)
                 axis.margins(x=0.01, y=0.12)
+                axis.set_ylim(0, max(1.0, axis.get_ylim()[1]))  # counts, also where there is none
                 axis.yaxis.get_major_locator().set_params(integer=True)
                 if len(of) > 1:
                     axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9)

@@ -74,10 +74,15 @@ def write_run_page(
     OSError
         if the file cannot be written; nothing half-written stays behind.
     """
-    links = links_beside(path, coming)
-    beginning = [*([Markup(_parts.links(links))] if links else []), summary, *map(paragraph, notes)]
+    beginning = [*links(path, coming), summary, *map(paragraph, notes)]
     settings = table(("parameter", "value"), flat(parameters))
     write_page(path, title, [("", beginning), *sections, ("Parameters", [settings])])
+
+
+def links(path: Path, coming: Sequence[str] = ()) -> list[Markup]:
+    """Links from a page to the run's other results, those that lie beside it and those that are `coming`."""
+    beside = links_beside(path, coming)
+    return [Markup(_parts.links(beside))] if beside else []
 
 
 def cards(figures: Mapping[str, str]) -> Markup:

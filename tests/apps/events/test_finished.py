@@ -122,6 +122,7 @@ def test_zones_can_be_changed(results: Path, tmp_path: Path) -> None:
     assert run("events", copy, "--zones", tmp_path / "zones.toml") == 0
     assert [event.zone for event in read_events(copy / "events.csv")] == ["half", "gate", *["half"] * 3]
     assert list(json.loads((copy / "summary.json").read_text())["events"]) == ["half", "gate"]
+    assert 'href="view.html"' in (copy / "events.html").read_text()
 
 
 def test_what_is_wrong_is_one_line_and_loses_nothing(
