@@ -1,5 +1,6 @@
 """What an experiment measured, and where and when: records that are compared, kept and shown."""
 
+import ast
 import hashlib
 import json
 import math
@@ -48,7 +49,7 @@ class Provenance:
         whether the checkout had changes that were not committed.
     modules, state
         files of the code that tracks which it took, from `ROOT`, and a digest of them: it is the same as long
-        as they are.
+        as they are, but for their docstrings.
     processor, cores, memory
         of the machine; memory in GB.
     load
@@ -121,8 +122,19 @@ def _file(module: object) -> str | None:
 
 
 def _digest(path: Path) -> str:
-    """Of a file; nothing where there is none."""
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else ""
+    """Of a file's lines but those of docstrings, which change no figure; nothing where there is no file."""
+    if not path.exists():
+        return ""
+    text = path.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(
+            node, clean=False
+        ):
+            documented = node.body[0]
+            for number in range(documented.lineno - 1, documented.end_lineno or 0):
+                lines[number] = ""
+    return hashlib.sha256("\n".join(filter(None, lines)).encode()).hexdigest()
 
 
 def _joint_digest(digests: Mapping[str, str]) -> str:

@@ -1,6 +1,8 @@
 """Formulas as MathML, which browsers show by themselves: no network, no script; screen readers read it."""
 
-from html import escape
+import re
+from html import escape, unescape
+from xml.etree import ElementTree
 
 from docutils import nodes
 from docutils.utils.math import MathError
@@ -11,15 +13,34 @@ from sphinx.writers.html5 import HTML5Translator
 
 logger = logging.getLogger(__name__)
 
+MATHML = "http://www.w3.org/1998/Math/MathML"
+ACCENTS = "ˆˉ˜˙¨"
+
 
 def _mathml(node: nodes.math | nodes.math_block, as_block: bool) -> str:
     """MathML of a node's TeX; what is not understood is a warning, and stays TeX."""
     text = node.astext()
     try:
-        return str(tex2mathml(text, as_block=as_block))
+        return _with_accents(str(tex2mathml(text, as_block=as_block)))
     except MathError as error:
         logger.warning("formula %r: %s", text, error, location=node)
         return f"<code>{escape(text)}</code>"
+
+
+def _with_accents(mathml: str) -> str:
+    """With subscripts of what has an accent beside it, and not below, where `tex2mathml` puts them."""
+    ElementTree.register_namespace("", MATHML)
+    # names such as &ApplyFunction; are HTML's, of which XML knows but a few
+    named = re.sub(r"&(?!lt;|gt;|amp;)\w+;", lambda found: unescape(found[0]), mathml)
+    root = ElementTree.fromstring(named)
+    for node in root.iter(f"{{{MATHML}}}munderover"):
+        base, below, accent = node
+        if accent.text in ACCENTS:
+            over = ElementTree.Element(f"{{{MATHML}}}mover", accent="true")
+            over.extend((base, accent))
+            node[:] = over, below
+            node.tag = f"{{{MATHML}}}msub"
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _inline(translator: HTML5Translator, node: nodes.math) -> None:

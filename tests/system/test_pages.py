@@ -32,6 +32,7 @@ WHOLE_SCENE = ("validity",)
 
 NOT_RUN_BLOCKS = {
     "detectors": 1,  # networks of others
+    "running": 1,  # a camera
     "scale": 2,  # a cluster
     "start": 1,  # pip install
     "validity": 1,  # any run

@@ -52,9 +52,10 @@ def test_parameters_have_their_defaults() -> None:
 
 
 def test_formulas_are_mathml(caplog: pytest.LogCaptureFixture) -> None:
-    shown = extension("mathml")._mathml(nodes.math("", r"\hat v_{t|t-1}"), False)
+    shown = extension("mathml")._mathml(nodes.math("", r"\log \hat v_{t|t-1} < 1"), False)
     assert shown.startswith("<math")
     assert "\\" not in shown
+    assert "munder" not in shown  # the subscript stands beside
     wrong = extension("mathml")._mathml(nodes.math("", r"\nosuchcommand{<x>}"), False)
     assert wrong == r"<code>\nosuchcommand{&lt;x&gt;}</code>"
 
