@@ -72,8 +72,9 @@ def tracks_view(film: Film, happened: Happened | None = None) -> View:
     layer |= {"count": counts.astype(np.int32), "polygons": film.counts["corners"].astype(np.int32)}
     plots = [Plot("tracks", "", counts), Plot("foreground", "%", 100 * film.columns["foreground"])]
     zones, events = (Zones(), ()) if happened is None else (happened.zones, happened.events)
-    shown = [_plain(event) for event in events if film.numbers[0] <= event.moment.frame <= film.numbers[-1]]
-    return View({"events": shown, "zones": zones.plain(), "tracks": layer}, rows, plots)
+    shown = [event for event in events if film.numbers[0] <= event.moment.frame <= film.numbers[-1]]
+    shown.sort(key=lambda event: event.moment.time)  # a stay that ends is known late
+    return View({"events": list(map(_plain, shown)), "zones": zones.plain(), "tracks": layer}, rows, plots)
 
 
 def _plain(event: Event) -> dict[str, object]:

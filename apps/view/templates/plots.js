@@ -74,6 +74,7 @@ function curve(values, low, high) {
   let path = "", pen = "M";
   const point = (k, value) => {
     path += `${pen}${k + 0.5} ${(1 - (value - low) / (high - low)).toFixed(4)}`;
+    if (pen === "M") path += "h0"; // a dot, if nothing follows
     pen = "L";
   };
   for (let from = 0; from < values.length; from += per) {

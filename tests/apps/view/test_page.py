@@ -245,7 +245,7 @@ def test_zones_that_are_drawn_become_a_file(shown: ViewPage, page: "playwright.P
 
 
 def test_an_event_leads_to_its_moment(shown: ViewPage, page: "playwright.Page", results: Path) -> None:
-    events = read_events(results / "events.csv")
+    events = sorted(read_events(results / "events.csv"), key=lambda event: event.moment.time)
     listed = page.locator("select.events")
     assert listed.locator("option").count() == len(events)
     page.keyboard.press("e")
@@ -393,6 +393,16 @@ def test_what_is_drawn_are_the_results(results: Path, tmp_path: Path, options: t
     np.testing.assert_array_equal(film.columns["id"], table["id"])
     sides = np.stack([table[name] for name in ("x", "y", "width", "height")], axis=1)
     np.testing.assert_allclose(film.columns["box"], sides, atol=0.006)
+
+
+def test_a_value_alone_is_a_dot(browser: Browser, tmp_path: Path) -> None:
+    film = Film(None, (64, 48), np.arange(1, 4), np.arange(3.0), np.arange(3.0))
+    values = np.array([np.nan, 2, np.nan])
+    write_view(tmp_path / "view.html", "title", film, 3, View({}, plots=[Plot("alone", "px", values)]))
+    with browser.page(tmp_path / "view.html") as page:
+        line = page.locator(".curve .line")
+        assert line.get_attribute("d") == "M1.5 0.0000h0"
+        assert line.evaluate("(line) => getComputedStyle(line).strokeLinecap") == "round", "it can be seen"
 
 
 def test_what_the_page_holds_is_json(results: Path) -> None:

@@ -1,15 +1,34 @@
 """What the page of the background application is made of: outlines of the mask, spans of each track."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from rsmcm.apps.events.report import Happened
+from rsmcm.apps.events.watch import Event, Kind, Moment
+from rsmcm.apps.events.zones import Zones
 from rsmcm.apps.io.mot import TrackedBox
-from rsmcm.apps.view.film import Film
+from rsmcm.apps.view.film import Film, Row
 from rsmcm.apps.view.page import PREDICTED, SEEN
 from rsmcm.apps.view.tracks import drawn_of, tracks_view
 
 SIZE = (96, 128)
+
+
+def film_of(rows: Sequence[Row]) -> Film:
+    """With these rows, at ten frames a second."""
+    times = np.arange(len(rows)) / 10
+    return Film(
+        None,
+        SIZE,
+        np.arange(1, len(rows) + 1),
+        times,
+        times,
+        {name: np.concatenate([row[name] for row in rows]) for name in rows[0]},
+        {name: np.array([len(row[name]) for row in rows]) for name in rows[0]},
+    )
 
 
 def test_outlines_are_those_of_the_foreground() -> None:
@@ -48,16 +67,7 @@ def test_rows_tell_when_each_was_seen(life: list[list[bool | None]]) -> None:
         )
         for frame in life
     ]
-    count = len(life)
-    film = Film(
-        None,
-        SIZE,
-        np.arange(1, count + 1),
-        np.arange(count) / 10,
-        np.arange(count) / 10,
-        {name: np.concatenate([row[name] for row in rows]) for name in rows[0]},
-        {name: np.array([len(row[name]) for row in rows]) for name in rows[0]},
-    )
+    film = film_of(rows)
     again: list[list[bool | None]] = [[None] * 3 for _ in life]
     view = tracks_view(film)
     for row in view.rows:
@@ -68,3 +78,12 @@ def test_rows_tell_when_each_was_seen(life: list[list[bool | None]]) -> None:
                 again[index][row.identity - 1] = kind == SEEN
     assert again == life
     assert view.plots[0].values.tolist() == [sum(seen is not None for seen in frame) for frame in life]
+
+
+def test_events_are_in_the_order_of_their_times() -> None:
+    """In which they are not known: that somebody has gone shows later than what others do meanwhile."""
+    rows = [drawn_of(np.zeros(SIZE, np.uint8), [TrackedBox(1, (1, 2, 3, 4))]) for _ in range(6)]
+    moments = [Moment((frame - 1) / 10, frame, 0, 0) for frame in (5, 2, 4, 9)]
+    events = [Event(moment, Kind.STANDS, "", 1) for moment in moments]
+    view = tracks_view(film_of(rows), Happened(Zones(), events, (0.0, 0.5)))
+    assert [event["frame"] for event in view.layers["events"]] == [2, 4, 5], "the film has no frame 9"
