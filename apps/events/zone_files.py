@@ -16,6 +16,9 @@ from .zones import Corners, Line, Zone, Zones
 MOST_CORNERS = 1000
 """Of one polygon: whether it crosses itself is asked of every pair of its edges."""
 
+MOST_LETTERS = 200
+"""Of a name."""
+
 LARGEST = 1e9
 """Of numbers, whether px or s."""
 
@@ -210,8 +213,10 @@ def _area(polygon: Corners) -> float:
 
 
 def _text(given: object, where: str) -> str:
-    if not (isinstance(given, str) and given and given.isprintable()):
-        raise ValueError(f"{where}: got {_short(given)}, expected a text on one line")
+    if not (isinstance(given, str) and 0 < len(given) <= MOST_LETTERS and given.isprintable()):
+        raise ValueError(
+            f"{where}: got {_short(given)}, expected a text on one line, of {MOST_LETTERS} letters at most"
+        )
     return given
 
 

@@ -92,6 +92,7 @@ TRIANGLE = zone((1, 1), (9, 1), (9, 9))
         ("still_after = 0\n" + TRIANGLE, "still_after: got 0, expected seconds, more than 0"),
         ("patience = true\n" + TRIANGLE, "patience: got True, expected seconds, more than 0"),
         ("[[zone]]\npolygon = []", "zone 1: name: got '', expected a text on one line"),
+        (f'[[zone]]\nname = "{201 * "a"}"', "of 200 letters at most"),
         ("[[zone]]\nname = 3", "zone 1: name: got 3, expected a text on one line"),
         ('[[zone]]\nname = "a\\nb"', "zone 1: name: got 'a\\nb', expected a text on one line"),
         ('[[zone]]\nname = "a"\npoligon = []', "zone 1: unknown key 'poligon', expected name, polygon"),
