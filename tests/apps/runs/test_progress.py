@@ -1,11 +1,20 @@
 """What is said on the way."""
 
 import io
+import logging
 import sys
 import time
 
 import pytest
 from rsmcm.apps.runs import progress
+
+
+@pytest.fixture(autouse=True)
+def not_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As without --quiet, which a command before, in this process, may have had."""
+    package = logging.getLogger("rsmcm")
+    monkeypatch.setattr(package, "level", package.level)
+    package.setLevel(logging.WARNING)  # which forgets what was enabled before, too
 
 
 def test_progress_without_a_terminal_is_sparse(
