@@ -51,8 +51,8 @@ Figures = Annotated[Path, Parameter(help="Folder for the figures.")]
 def background(job: Fields[BackgroundJob]) -> int:
     """Separate moving objects from the background, and track them.
 
-    Writes foreground masks, tracks.txt (MOT format), tracks.csv, background.png, overlay.mp4, summary.json
-    and report.html. Ctrl-C ends the run with complete results of what was processed.
+    Writes foreground masks, tracks.txt (MOT format), tracks.csv, background.png, overlay.mp4,
+    summary.json, report.html and view.html. Ctrl-C ends the run with complete results of what was processed.
     """
     from .background import application
 
@@ -70,10 +70,10 @@ def background(job: Fields[BackgroundJob]) -> int:
 def structure(job: Fields[StructureJob]) -> int:
     """Track points, and find their shape and the motion of the camera.
 
-    Writes structure.ply, cameras.json, tracks.npz, predictions.npz, summary.json and report.html, and
-    overlay.mp4 where there are images. All frames are held in memory. Where the motion does not show depth (a
-    static camera), that is said, and there is no structure.ply. Ctrl-C ends the run with the results of the
-    last whole round.
+    Writes structure.ply, cameras.json, tracks.npz, predictions.npz, summary.json, report.html and view.html,
+    and overlay.mp4 where there are images. All frames are held in memory. Where the motion does not show
+    depth (a static camera), that is said, and there is no structure.ply. Ctrl-C ends the run with the results
+    of the last whole round.
     """
     from .structure.application import run_structure
 
@@ -84,9 +84,9 @@ def structure(job: Fields[StructureJob]) -> int:
 def face(job: Fields[FaceJob]) -> int:
     """Track a face: its pose, deformation and texture.
 
-    Writes overlay.mp4, poses.npz, texture.png, texture_variance.png, summary.json and report.html. Frames
-    that are missing, unreadable or blank are predicted. Where the face is lost, that is said, and it is
-    looked for again. Ctrl-C ends the run with complete results of what was processed.
+    Writes overlay.mp4, poses.npz, texture.png, texture_variance.png, summary.json, report.html and view.html.
+    Frames that are missing, unreadable or blank are predicted. Where the face is lost, that is said, and it
+    is looked for again. Ctrl-C ends the run with complete results of what was processed.
     """
     from .face.application import run_face
 
@@ -97,11 +97,11 @@ def face(job: Fields[FaceJob]) -> int:
 def body(job: Fields[BodyJob]) -> int:
     """Track a person's upper body: the pose of head and arms, in depth as well.
 
-    Writes overlay.mp4, poses.npz, summary.json and report.html. The person should face the camera, best in
-    long sleeves: hands are found by the colour of the face. It is one person's body with two hands; other
-    hands and skin-coloured things compete with them. Parts that are hidden, and frames that are missing,
-    unreadable or blank, are predicted, and it is said which. Ctrl-C ends the run with complete results of
-    what was processed.
+    Writes overlay.mp4, poses.npz, summary.json, report.html and view.html. The person should face the camera,
+    best in long sleeves: hands are found by the colour of the face. It is one person's body with two hands;
+    other hands and skin-coloured things compete with them. Parts that are hidden, and frames that are
+    missing, unreadable or blank, are predicted, and it is said which. Ctrl-C ends the run with complete
+    results of what was processed.
     """
     from .body.application import run_body
 
@@ -260,7 +260,8 @@ app.command(batch)
 
 def _reported(job: Job, outcome: Outcome) -> Outcome:
     """Print what is to be said of a run."""
-    print(*outcome.words, *outcome.summary["notes"], f"results: {job.out / 'report.html'}", sep="\n")
+    pages = ", ".join(str(job.out / name) for name in ("report.html", "view.html"))
+    print(*outcome.words, *outcome.summary["notes"], f"results: {pages}", sep="\n")
     return outcome
 
 

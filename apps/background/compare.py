@@ -237,11 +237,15 @@ def write_comparison(
     parts = [*above, page.table(header, [[line.get(name, "–") for name in header] for line in lines])]
     if "total" in header:
         plots.write_figure(folder / "compare-errors.png", lambda canvas: _draw_errors(canvas, lines), (9, 4))
-        parts.append(plots.figure(lambda canvas: _draw_errors(canvas, lines), (9, 4), "Errors, as in Fig. 8"))
+        caption = "Errors, as in Fig. 8 of the RSMCM paper"
+        parts.append(plots.figure(lambda canvas: _draw_errors(canvas, lines), (9, 4), caption))
     page.write_page(
         folder / "compare.html",
         f"{Path(title).name}: comparison",
-        [("", parts), ("Pictures over time, as in Fig. 11", [page.picture_grid(rows, columns)])],
+        [
+            ("", parts),
+            ("Pictures over time, as in Fig. 11 of the RSMCM paper", [page.picture_grid(rows, columns)]),
+        ],
     )
 
 

@@ -5,10 +5,11 @@ import shlex
 import signal
 import sys
 import threading
+from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import FrameType
@@ -22,13 +23,13 @@ from ..io.sources.video_reader import without_password
 from ..options.complaints import one_line
 from ..options.job import Job
 from ..runs.interruption import Interrupted
-from ..runs.output_folder import was_cut_off
+from ..runs.output_folder import lock_of, was_cut_off
 from ..runs.parallel import Workers, as_they_end, chosen_workers, working
 from .film import Told, run_film
 from .folders import folder_names
-from .job import APPLICATIONS, OWN, Batch, Typed, job_of, typed, words_of
+from .job import APPLICATIONS, INDEX, OWN, SUMMARY, Batch, Typed, job_of, typed, words_of
 from .sources import Found, find_films
-from .summary import INDEX, SUMMARY, Line, Summary
+from .summary import Line, Summary
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,8 @@ class Ending:
         if again or not self._here:
             raise Interrupted(number)
         for child in psutil.Process().children():
-            child.terminate()
+            with suppress(psutil.Error):  # it has just ended by itself
+                child.terminate()
 
 
 def run_batch(application: str, sources: Sequence[str], batch: Batch, options: Any) -> Ended:
@@ -121,12 +123,29 @@ def run_batch(application: str, sources: Sequence[str], batch: Batch, options: A
     Raises
     ------
     ValueError, OSError
-        in one line, whatever is wrong with options or sources, before anything is begun.
+        in one line, whatever is wrong with options or sources, or that another batch writes into the folder,
+        before anything is begun.
     """
     found, jobs = planned(application, sources, batch, typed(options))
     workers = workers_for(found, batch)
+    batch.out.mkdir(parents=True, exist_ok=True)
+    lock = lock_of(batch.out)  # two batches would write one summary, and give one name to two films
+    try:
+        return _carried_out(application, found, jobs, batch, workers)
+    finally:
+        lock.release()
+
+
+def _carried_out(
+    application: str, found: Sequence[Found], jobs: Sequence[Job], batch: Batch, workers: Workers
+) -> Ended:
+    """The batch that is planned, in a folder in which no other one writes."""
     summary = Summary(batch.out)
     films = [Film(shown(each.source), job) for each, job in zip(found, jobs, strict=True)]
+    of_film = {film.job.out.name: film.name for film in films}
+    for source, line in list(summary.lines.items()):
+        if of_film.get(line.folder, source) != source:  # of a camera that has another address now
+            del summary.lines[source]
     for film in films:
         earlier = summary.lines.get(film.name)
         told = Told("waiting") if earlier is None or batch.overwrite else earlier.told
@@ -158,6 +177,11 @@ def planned(
     found = find_films(sources, tracks=application == "structure")
     known = {} if not (batch.out / SUMMARY).exists() else Summary(batch.out).folders
     shown_as = [replace(each, source=shown(each.source)) for each in found]
+    twice = next((each for each, n in Counter(each.source for each in shown_as).items() if n > 1), None)
+    if twice is not None:
+        raise ValueError(
+            f"{twice}: got it twice, expected sources that differ by more than user and password"
+        )
     names = folder_names(shown_as, known, (SUMMARY, INDEX))
     jobs = []
     for each, name in zip(found, names, strict=True):

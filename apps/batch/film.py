@@ -163,9 +163,9 @@ def thumbnail(video: Path) -> str:
             picture = next(container.decode(video=0)).to_ndarray(format="bgr24")
     except (av.FFmpegError, OSError, ValueError, StopIteration):
         return ""
-    scale = min(THUMBNAIL[0] / picture.shape[1], THUMBNAIL[1] / picture.shape[0], 1.0)
-    small: NDArray[np.uint8] = np.asarray(
-        cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8
-    )
+    height, width = picture.shape[:2]
+    scale = min(THUMBNAIL[0] / width, THUMBNAIL[1] / height, 1.0)
+    size = (max(1, round(scale * width)), max(1, round(scale * height)))
+    small: NDArray[np.uint8] = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
     _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])
     return base64.b64encode(data.tobytes()).decode("ascii")

@@ -31,11 +31,11 @@ def folder_names(films: Sequence[Found], known: Mapping[str, str], taken: Iterab
     ValueError
         if a list gives one name to two cameras.
     """
-    given = Counter(_plain(film.name).casefold() for film in films if film.name is not None)
+    given = Counter(plain_name(film.name).casefold() for film in films if film.name is not None)
     for film in films:
-        if film.name is not None and given[_plain(film.name).casefold()] > 1:
+        if film.name is not None and given[plain_name(film.name).casefold()] > 1:
             raise ValueError(f"{film.where}: name: got {film.name!r} twice, expected one for each camera")
-    names = [_plain(film.name) if film.name is not None else known.get(film.source) for film in films]
+    names = [plain_name(film.name) if film.name is not None else known.get(film.source) for film in films]
     for number, film in enumerate(films):
         if film.name is None and given[(names[number] or "").casefold()]:
             names[number] = None
@@ -62,7 +62,7 @@ def _telling_apart(paths: Sequence[Sequence[str]]) -> list[str]:
             for name, path, length in zip(names, paths, lengths, strict=True)
         ]
         if longer == lengths:
-            return [_plain(name[-LONGEST:]) for name in names]
+            return [plain_name(name[-LONGEST:]) for name in names]
         lengths = longer
 
 
@@ -78,9 +78,9 @@ def _parts(source: str) -> list[str]:
     parts = [part for part in parts if part not in ("", ".", "..") and not glob.has_magic(part)]
     if parts and os.path.splitext(parts[-1])[1].lower() in FILMS | TRACKS:
         parts[-1] = os.path.splitext(parts[-1])[0]
-    return [_plain(part) for part in parts] or ["film"]
+    return [plain_name(part) for part in parts] or ["film"]
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
     """A name that every file system and shell takes."""
     return re.sub(r"[^\w.-]+", "-", name.strip()).strip(".-") or "film"

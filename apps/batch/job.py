@@ -22,6 +22,9 @@ APPLICATIONS: Mapping[str, type[Job]] = {
     "body": BodyJob,
 }
 
+SUMMARY, INDEX = "summary.csv", "index.html"
+"""Files over all films of a batch."""
+
 OWN = ("source", "out", "resume", "overwrite", "live")
 """Fields of a job that a batch chooses itself, or cannot have for many films."""
 

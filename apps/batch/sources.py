@@ -11,7 +11,9 @@ from urllib.parse import urlsplit
 from ..io.sources.image_reader import images_among, in_natural_order
 from ..io.sources.images import IMAGE_SUFFIXES
 from ..options.settings import read_settings
-from .job import Typed
+from ..runs.output_folder import MANIFEST
+from ..runs.saved_run import STATE
+from .job import INDEX, SUMMARY, Typed
 
 FILMS = frozenset(
     {".3gp", ".avi", ".flv", ".m2ts", ".m4v", ".mjpeg", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg"}
@@ -21,6 +23,9 @@ FILMS = frozenset(
 
 TRACKS = frozenset({".npy", ".npz"})
 """The same of track files, for `structure`."""
+
+OF_RUN, OF_BATCH = (MANIFEST, STATE), (SUMMARY, INDEX)
+"""Files by which the folders of their results are known."""
 
 LIST = ".toml"
 CAMERA = "camera"
@@ -102,10 +107,17 @@ def _named(source: str, kinds: frozenset[str]) -> Iterator[Found]:
         matches = [Path(match) for match in glob.glob(source, recursive=True)]
         if not matches:
             raise FileNotFoundError(f"{source}: matches nothing")
+        matches = [path for path in matches if not _is_result(path)]
+        if not matches:
+            raise FileNotFoundError(f"{source}: matches nothing but results of rsmcm")
         if images_among(matches):
             yield Found(os.path.abspath(source))
         for match in in_natural_order(path for path in matches if _suffix(path) not in IMAGE_SUFFIXES):
-            yield from _on_disk(match, kinds)
+            try:
+                yield from _on_disk(match, kinds)
+            except FileNotFoundError:
+                if not _holds(match, OF_BATCH):
+                    raise
 
 
 def _on_disk(path: Path, kinds: frozenset[str]) -> Iterator[Found]:
@@ -130,10 +142,28 @@ def _in_folder(folder: Path, kinds: frozenset[str]) -> Iterator[Found]:
             raise ValueError(f"{folder}: holds images and films ({films[0].name}): name those that are meant")
         yield Found(os.path.abspath(folder))
         return
-    films += [path for path in inside if path.is_dir() and images_among(path.iterdir())]
+    films += [
+        path for path in inside if path.is_dir() and not _is_of_run(path) and images_among(path.iterdir())
+    ]
     if not films:
         raise FileNotFoundError(f"{folder}: the folder holds no images and no films")
     yield from (Found(os.path.abspath(path)) for path in in_natural_order(films))
+
+
+def _is_of_run(folder: Path) -> bool:
+    """Whether a run has written here, whose pictures and videos are no films to take."""
+    return _holds(folder, OF_RUN)
+
+
+def _is_result(path: Path) -> bool:
+    """Whether a file or folder is of a run's results, or over those of a batch."""
+    if _is_of_run(path) or _is_of_run(path.parent):
+        return True
+    return path.name in OF_BATCH and _holds(path.parent, OF_BATCH)
+
+
+def _holds(folder: Path, names: Iterable[str]) -> bool:
+    return all((folder / name).exists() for name in names)
 
 
 def _listed(path: Path) -> Iterator[Found]:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 from urllib.parse import quote
 
 import jinja2
@@ -16,9 +16,9 @@ from markupsafe import Markup
 from ...models.files.atomic_files import write_text
 from ...models.files.text_files import read_text
 from ..reports.page import cards, paragraph, write_page
-from .film import Told
-
-SUMMARY, INDEX = "summary.csv", "index.html"
+from .film import State, Told
+from .folders import plain_name
+from .job import INDEX, SUMMARY
 
 OF_TOLD = ("state", "frames", "missing", "tracks", "seconds", "frames_per_second", "error")
 COLUMNS = ("source", "folder", *OF_TOLD)
@@ -78,6 +78,8 @@ class Summary:
     ------
     FileExistsError
         if there is a file of the same name that no batch has written.
+    ValueError
+        naming the line, if one of it is no film's.
     """
 
     def __init__(self, out: Path) -> None:
@@ -124,7 +126,16 @@ def _read(path: Path) -> list[Line]:
     reader = csv.DictReader(io.StringIO(text, newline=""))
     if tuple(reader.fieldnames or ()) != COLUMNS:
         raise FileExistsError(f"{path}: no batch has written it: move it, or choose another folder")
-    return [_line(row) for row in reader if row["folder"] and row["source"]]
+    lines: dict[str, Line] = {}
+    try:
+        for row in reader:
+            line = _line(row)
+            if line.folder in lines:
+                raise ValueError(f"got the folder {line.folder} twice, expected one for each film")
+            lines[line.folder] = line
+    except (csv.Error, ValueError) as error:
+        raise ValueError(f"{path}, line {reader.line_num}: {error}") from None
+    return list(lines.values())
 
 
 def _line(row: Mapping[str, Any]) -> Line:
@@ -134,9 +145,16 @@ def _line(row: Mapping[str, Any]) -> Line:
         except (TypeError, ValueError):
             return None
 
+    source, folder = row["source"] or "", row["folder"] or ""
+    state: Any = row["state"] or ""
+    if (
+        not source or folder != plain_name(folder) or state not in get_args(State)
+    ):  # where results are written
+        got = ",".join((source, folder, state))[:60]
+        raise ValueError(f"got {got!r}, expected a source, the name of its folder, and a state")
     whole = {name: number(name, int) for name in ("frames", "missing", "tracks")}
     parts = {name: number(name, float) for name in ("seconds", "frames_per_second")}
-    return Line(row["source"], row["folder"], Told(row["state"], row["error"] or "", **whole, **parts))
+    return Line(source, folder, Told(state, row["error"] or "", **whole, **parts))
 
 
 def write_index(out: Path, lines: Sequence[Line]) -> None:

@@ -3,6 +3,7 @@
 import csv
 import io
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -79,9 +80,9 @@ def sightings_of(
             name: column[: np.searchsorted(frames, last, side="right")] for name, column in table.items()
         }
         frames = table["frame"]
-    starts = np.flatnonzero(np.diff(frames, prepend=-1)).tolist()
+    edges = np.flatnonzero(np.diff(frames, prepend=-1, append=-1)).tolist() if len(frames) else []
     columns = [table[name] for name in ("id", "x", "y", "width", "height", "seen")]
-    for start, stop in zip(starts, [*starts[1:], len(frames)], strict=True):
+    for start, stop in pairwise(edges):
         rows = zip(*(column[start:stop].tolist() for column in columns), strict=True)
         sightings = [Sighting(who, x + w / 2, y + h, h, seen) for who, x, y, w, h, seen in rows]
         yield float(table["time"][start]), int(frames[start]), sightings

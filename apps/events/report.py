@@ -16,6 +16,7 @@ from .zones import Line, Zones
 
 MOST_ROWS = 100  # of a table
 MOST_PLOTS = 12
+IN_WORDS = {"mean_dwell": "mean dwell", "longest_dwell": "longest dwell"}
 COMES = (Kind.ENTERED, Kind.APPEARED)
 GOES = (Kind.LEFT, Kind.DISAPPEARED, Kind.REMAINED)
 
@@ -60,7 +61,7 @@ class Happened:
         """A line for each zone and line."""
         counts = self.counts()
         return [
-            f"{name}: {', '.join(f'{key} {_rounded(value)}' for key, value in of.items())}".replace("_", " ")
+            f"{name}: {', '.join(f'{IN_WORDS.get(key, key)} {_rounded(value)}' for key, value in of.items())}"
             for name, of in counts.items()
         ]
 
@@ -167,8 +168,8 @@ class Happened:
 
 
 def _literal(text: str) -> str:
-    """The text as a plot shows it, which takes what is between dollars for a formula."""
-    return text.replace("$", r"\$")
+    """The text as a plot shows it: formulas would be between dollars, and labels with _ are left out."""
+    return f"{' ' * text.startswith('_')}{text}".replace("$", r"\$")
 
 
 def _rounded(value: float) -> str:

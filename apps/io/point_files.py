@@ -15,7 +15,7 @@ KEY = "tracks"
 EXPECTED = "expected (n_frames, n_points, 2) px, NaN where missing"
 
 VISIBLE = 0.5
-"""Probability of being visible from which on a point is taken."""
+"""Probability of being visible, or occluded, above which a point is taken to be so."""
 
 VIDEO = "video"
 """The array of a TAP-Vid file that tells the size of the pictures; only its shape is read."""

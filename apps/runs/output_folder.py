@@ -154,15 +154,7 @@ def output_folder(
     if there is not None and not there.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, "expected a folder", str(there))
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
-    path.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(path / LOCK, timeout=0)
-    try:
-        with suppress(NotImplementedError):  # a file system without locks, and an old filelock
-            lock.acquire()
-    except Timeout:
-        raise BlockingIOError(
-            f"{path}: {_holder(path)} writes there: wait for it, or choose another folder"
-        ) from None
+    lock = lock_of(path)
     try:
         folder = OutputFolder(path, application)
         if folder.holds_results and not (overwrite or resume or add):
@@ -191,6 +183,25 @@ def output_folder(
             for empty in made:
                 with suppress(OSError):
                     empty.rmdir()
+
+
+def lock_of(path: Path) -> FileLock:
+    """The lock of a folder, which is now held, and to be released.
+
+    Raises
+    ------
+    BlockingIOError
+        if somebody else holds it; it says who, as far as that is known.
+    """
+    lock = FileLock(path / LOCK, timeout=0)
+    try:
+        with suppress(NotImplementedError):  # a file system without locks, and an old filelock
+            lock.acquire()
+    except Timeout:
+        raise BlockingIOError(
+            f"{path}: {_holder(path)} writes there: wait for it, or choose another folder"
+        ) from None
+    return lock
 
 
 def was_cut_off(path: Path) -> bool:

@@ -32,6 +32,8 @@ class _BesideProgress(logging.Handler):
 class Progress:
     """Progress: a bar in a terminal, elsewhere a line every 10 s at most.
 
+    The rate in a line is without the first update, in which loops may be compiled for a minute.
+
     Parameters
     ----------
     label
@@ -39,7 +41,7 @@ class Progress:
     total
         how many are expected; `None` for an unknown length.
     done
-        frames that an earlier run has done; they do not count for the rate.
+        frames that an earlier run has done; they do not count for the rate either.
     unit
         what is counted, in the plural.
     """
@@ -49,7 +51,8 @@ class Progress:
         self._unit = unit
         self._total = total
         self._first = self._done = done
-        self._started = self._printed = time.monotonic()
+        self._started: float | None = None  # when the first update was over
+        self._printed = time.monotonic()
         self._shown = _package.isEnabledFor(logging.WARNING)
         self._bar: tqdm[Never] | None = None
         if self._shown and sys.stderr.isatty():
@@ -72,23 +75,27 @@ class Progress:
             self._bar.update(n_frames)
             return
         now = time.monotonic()
+        if self._started is None:
+            self._started, self._first = now, self._done
         if self._shown and now - self._printed >= SPARSE_SECONDS:
             self._printed = now
-            print(self._line(now), file=sys.stderr, flush=True)
+            print(self._line(now - self._started), file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Leave the last state of the bar, and the cursor on a new line."""
         if self._bar is not None:
             self._bar.close()
 
-    def _line(self, now: float) -> str:
-        rate = (self._done - self._first) / (now - self._started)
+    def _line(self, seconds: float) -> str:
+        counted = self._done - self._first
         line = f"{self._label}: {self._done}"
         if self._total is not None:
             line += f" of {self._total}"
-        speed = f"{rate:.1f} {self._unit}/s" if rate >= 1 or rate == 0 else f"{1 / rate:.1f} s each"
-        line += f" {self._unit}, {speed}"
-        if self._total is not None and rate > 0:
-            left = max(0.0, (self._total - self._done) / rate)
-            line += f", {tqdm.format_interval(left)} left"
+        line += f" {self._unit}"
+        if counted > 0:
+            rate = counted / seconds
+            line += f", {rate:.1f} {self._unit}/s" if rate >= 1 else f", {seconds / counted:.1f} s each"
+            if self._total is not None:
+                left = max(0.0, (self._total - self._done) / rate)
+                line += f", {tqdm.format_interval(left)} left"
         return line

@@ -262,3 +262,34 @@ def test_whoever_takes_his_process_along_stops_nobody(
     assert states == {"film000": "complete", "film001": "failed", "film002": "complete"}
     assert ended.lines[1].told.error == "its process was ended by the system, twice"
     assert (tmp_path / "film001" / "begun").read_text() == "xx"
+
+
+def test_sources_that_are_shown_as_one_are_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """They would have one line and one folder."""
+    cameras = [f"rtsp://{user}:secret@127.0.0.1/street" for user in ("one", "two")]
+    assert code_of(*cameras, "--out", tmp_path / "out") == 2
+    said = capfd.readouterr().err
+    assert said.startswith("rsmcm: rtsp://127.0.0.1/street: got it twice, expected sources that differ by")
+    assert "secret" not in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_batch_at_a_time_writes_into_a_folder(
+    films: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "out").mkdir()
+    with FileLock(tmp_path / "out" / ".lock"):
+        assert code_of(films, "--out", tmp_path / "out") == 2
+    assert "writes there: wait for it, or choose another folder" in capfd.readouterr().err
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {".lock"}
+
+
+def test_a_camera_with_another_address_keeps_its_folder(films: Path, tmp_path: Path) -> None:
+    first, second, _ = sorted(films.iterdir())
+    for source, options in ((first, ()), (second, ("--overwrite",))):
+        (tmp_path / "cameras.toml").write_text(f'[[camera]]\nname = "gate"\nsource = "{source}"\nstop = 2\n')
+        assert code_of(tmp_path / "cameras.toml", "--out", tmp_path / "out", "--jobs", 1, *options) == 0
+        assert {folder: row["source"] for folder, row in rows(tmp_path / "out").items()} == {
+            "gate": str(source)
+        }
+        assert (tmp_path / "out" / "summary.csv").read_text().count("\n") == 2

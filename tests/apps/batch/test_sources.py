@@ -51,6 +51,24 @@ def test_globs(tmp_path: Path) -> None:
     assert sources(find_films([f"{tmp_path}/*"])) == [str(frames), str(two), str(ten)]
 
 
+def test_results_among_the_films_are_none(tmp_path: Path) -> None:
+    """Of a batch whose results are beside its films, the second time."""
+    film, other = films(tmp_path / "films", "a.mp4", "b.mp4")
+    for out in (tmp_path / "films", tmp_path / "films" / "out"):
+        films(out, "summary.csv", "index.html")
+        films(images(out / "a"), "manifest.json", "state.npz", "film.mp4")
+    both = [str(film), str(other)]
+    assert sources(find_films([str(tmp_path / "films")])) == both
+    assert sources(find_films([f"{tmp_path}/films/*"])) == both
+    assert sources(find_films([f"{tmp_path}/films/**/*.mp4"])) == both
+    assert sources(find_films([f"{tmp_path}/*"])) == both
+    with pytest.raises(FileNotFoundError, match="matches nothing but results"):
+        find_films([f"{tmp_path}/films/out/a/*.png"])
+    assert sources(find_films([str(tmp_path / "films" / "out" / "a" / "film.mp4")])), "who names it means it"
+    not_ours = films(images(tmp_path / "site" / "frames"), "manifest.json")[0].parent
+    assert sources(find_films([str(tmp_path / "site")])) == [str(not_ours)]
+
+
 def test_cameras(tmp_path: Path) -> None:
     found = find_films(["rtsp://host/a", "0", "http://host/film.mp4", "https://host/live"])
     assert [each.live for each in found] == [True, True, False, True]

@@ -33,7 +33,7 @@ def test_what_is_written_is_read_back(
 
 def test_names_are_escaped(tmp_path: Path) -> None:
     summary = Summary(tmp_path)
-    folder = tmp_path / "a b&c"
+    folder = tmp_path / "a b&c"  # which no batch has named
     folder.mkdir()
     (folder / "report.html").touch()
     summary.tell(Line("<script>x</script>", folder.name, Told("failed", "<b> & 'c'")))
@@ -51,3 +51,25 @@ def test_numbers_of_a_summary(tmp_path: Path) -> None:
         (row,) = csv.DictReader(file)
     assert row["seconds"] == "12.3457"
     assert (row["frames"], row["missing"], row["tracks"], row["error"]) == ("400", "2", "3", "")
+
+
+@pytest.mark.parametrize(
+    ("lines", "wrong"),
+    [
+        (
+            "a.mp4,film,complete,1,0,0,1,1,\nb.mp4,film,complete,1,0,0,1,1,\n",
+            "line 3: got the folder film twice",
+        ),
+        ("a.mp4,../elsewhere,complete,1,0,0,1,1,\n", "line 2: got 'a.mp4,../elsewhere,complete'"),
+        ("a.mp4,/tmp,complete,1,0,0,1,1,\n", "line 2: got 'a.mp4,/tmp,complete'"),
+        ("a.mp4,film,done,1,0,0,1,1,\n", "line 2: got 'a.mp4,film,done'"),
+        ("a.mp4,film\n", "line 2: got 'a.mp4,film,', expected a source, the name of its folder, and a state"),
+        (f"a.mp4,film,failed,,,,,,{'x' * 200_000}\n", "line [12]: field larger than field limit"),
+    ],
+)
+def test_what_no_batch_has_written_is_named(tmp_path: Path, lines: str, wrong: str) -> None:
+    Summary(tmp_path).write()
+    header = (tmp_path / "summary.csv").read_text()
+    (tmp_path / "summary.csv").write_text(header + lines)
+    with pytest.raises(ValueError, match=rf"summary\.csv, {wrong}"):
+        Summary(tmp_path)

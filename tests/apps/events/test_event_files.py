@@ -94,3 +94,15 @@ def test_another_file_is_one_line(tmp_path: Path) -> None:
     path.write_text(",".join(COLUMNS) + "\n1.0,1,flew,a,1,1,1,,\n")
     with pytest.raises(ValueError, match=r"events\.csv, line 2: got '1\.0,1,flew,a"):
         read_events(path)
+
+
+def test_nobody_has_been_there_yet(tmp_path: Path) -> None:
+    """A run that is interrupted before its first track goes on; one without any has no events."""
+    for after in (0, 3):
+        table = TrackTableWriter(tmp_path / "tracks.csv", after)
+        with table, EventWriter(tmp_path / "events.csv", ZONES, tmp_path / "tracks.csv", after) as writer:
+            for number in range(after + 1, after + 4):
+                table.write(number, number / 25, [])
+                writer.write(number, number / 25, [])
+    assert list(sightings_of(read_tracks_table(tmp_path))) == []
+    assert read_events(tmp_path / "events.csv") == []

@@ -116,6 +116,16 @@ def test_the_finished_run_gives_the_same(results: Path, film: Path, tmp_path: Pa
     assert "Zones and lines" in (copy / "events.html").read_text()
 
 
+def test_a_run_in_which_nobody_was(film: Path, tmp_path: Path) -> None:
+    zones = film / "zones.toml"
+    given = ("--out", tmp_path / "out", "--masks", "none", "--stop", 3, "--zones", zones)
+    assert run("background", film / "input", *given) == 0
+    written = (tmp_path / "out" / "events.csv").read_bytes()
+    assert run("events", tmp_path / "out", "--zones", zones) == 0
+    assert (tmp_path / "out" / "events.csv").read_bytes() == written
+    assert "Nobody stayed in a zone or stood still." in (tmp_path / "out" / "events.html").read_text()
+
+
 def test_zones_can_be_changed(results: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(results, tmp_path / "copy")
     (tmp_path / "zones.toml").write_text(ZONES.replace("left half", "half").replace("80", "120"))

@@ -67,13 +67,14 @@ def test_a_section_of_many_and_of_no_events() -> None:
     assert "Nobody stayed" in "".join(Happened(ZONES, [], (0.0, 0.0)).sections()[0][1])
 
 
-@pytest.mark.parametrize("name", ["$x^$", r"$\frac{$ \$", "5 $", "通り", "</script><b>"])
+@pytest.mark.parametrize("name", ["$x^$", r"$\frac{$ \$", "5 $", "_a_b", "通り", "</script><b>"])
 @pytest.mark.filterwarnings("error")
 def test_any_name_is_shown_as_it_is(name: str) -> None:
     zones = Zones(
         (Zone(name, SQUARE, (100, 100)),), (Line(f"{name}2", (0.0, 0.0), (9.0, 9.0), f"{name} in", "out"),)
     )
+    assert [words.split(":")[0] for words in Happened(zones, [], (0.0, 1.0)).in_words()] == [name, f"{name}2"]
     ((_, parts),) = Happened(zones, EVENTS, (0.0, 10.0)).sections()
-    texts = [unescape(text) for text in re.findall(r"<text[^>]*>([^<]+)</text>", parts[0])]
+    texts = [unescape(text).strip() for text in re.findall(r"<text[^>]*>([^<]+)</text>", parts[0])]
     assert {f"in {name}", f"across {name}2", f"{name} in"} <= set(texts)
     assert f"<td>{escape(name)}</td>" in parts[1]
