@@ -6,6 +6,7 @@ import re
 import resource
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from rsmcm.apps.command_line import main
+
+from .support.browser import Browser, browsing
 
 # A busy machine, or the first call of a compiled loop, says nothing about what is tested.
 settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -28,6 +31,13 @@ def data_folder() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no data in {folder}: set RSMCM_DATA")
     return folder
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Chromium, in which pages are opened; skips where there is none."""
+    with browsing() as opened:
+        yield opened
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Every page that a command leaves, in a real browser: nothing wrong, nothing asked for, readable."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -9,7 +9,7 @@ from rsmcm.apps.reports.experiment import Experiment, Plot, run_and_publish
 from rsmcm.apps.reports.record import Table
 
 from ..conftest import Command
-from ..support.browser import PHONE, Browser, browsing, landmarks, overflow
+from ..support.browser import PHONE, Browser, landmarks, overflow
 from .test_same_bytes import background, body, face_of_a_film, structure
 
 APPLICATIONS: dict[str, tuple[Callable[[Path], list[str]], list[str], set[str]]] = {
@@ -19,12 +19,6 @@ APPLICATIONS: dict[str, tuple[Callable[[Path], list[str]], list[str], set[str]]]
     "body": (body, [], {"report.html", "view.html"}),
 }
 """What makes a film and its arguments in a folder, more options, and the pages that are wanted."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browsing() as opened:
-        yield opened
 
 
 def check(browser: Browser, page: Path) -> None:

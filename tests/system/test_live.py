@@ -20,7 +20,7 @@ from rsmcm.apps.events import Event, Kind, Sighting, Watch, read_events, read_zo
 from rsmcm.apps.scenes import Scene, sleeping_man
 
 from ..conftest import Command
-from ..support.browser import PHONE, Browser, browsing, landmarks, overflow, reached_by_tab
+from ..support.browser import PHONE, Browser, landmarks, overflow, reached_by_tab
 from ..support.films import results, start, wait_until, write_film
 from ..support.stream_server import RATE, Connection, StreamServer, serving
 from .test_same_bytes import body, face_of_a_film
@@ -32,12 +32,6 @@ name = "middle"
 polygon = [[40, 60], [120, 60], [120, 120], [40, 120]]
 """
 STAND, BEFORE = 100, 200  # frames
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browsing() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from rsmcm.apps.view.film import Film, read_film
 from rsmcm.apps.view.page import SEEN
 from rsmcm.models.body.upper_body import JOINTS
 
-from ...support.browser import PHONE, Browser, browsing, landmarks, overflow, reached_by_tab
+from ...support.browser import PHONE, Browser, landmarks, overflow, reached_by_tab
 from ...support.view_page import Turned, ViewPage, shown_page, write_pages
 
 N_FRAMES = 30
@@ -59,12 +59,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory, joints: NDArray[np.float64]
         lambda film: body_view(film, ARM),
     )
     return path
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browsing() as opened:
-        yield opened
 
 
 @pytest.fixture

@@ -78,12 +78,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory, scene: FaceScene, drawing: 
     return path
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browsing() as opened:
-        yield opened
-
-
 @pytest.fixture
 def shown(browser: Browser, folder: Path) -> Iterator[ViewPage]:
     with shown_page(browser, folder, SIZE) as page:

@@ -16,7 +16,7 @@ from rsmcm.apps.structure.view import film_of_tracks, structure_view, write_film
 from rsmcm.apps.view.film import Film
 from rsmcm.apps.view.page import SEEN, write_view
 
-from ...support.browser import PHONE, Browser, browsing, landmarks, overflow
+from ...support.browser import PHONE, Browser, landmarks, overflow
 from ...support.reconstructions import SIZE, pictures, reconstruction, small_cylinder, without_images
 from ...support.view_page import Turned, ViewPage, shown_page
 
@@ -54,12 +54,6 @@ def write_without_film(path: Path, truth: Cylinder, found: Reconstruction) -> No
     film, corner = film_of_tracks(frames, found)
     view = structure_view(frames, found, np.full_like(COLOURS, GREY), film, corner)
     write_view(path / "view.html", "tracks", film, N_FRAMES, view)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browsing() as opened:
-        yield opened
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from rsmcm.apps.view.page import Plot, TimelineRow, View, write_view
 from rsmcm.models.core.frame import Frame
 
 from ...conftest import Command
-from ...support.browser import DESKTOP, PHONE, Browser, browsing, landmarks, overflow, reached_by_tab
+from ...support.browser import DESKTOP, PHONE, Browser, landmarks, overflow, reached_by_tab
 from ...support.view_page import ViewPage, shown_page, write_pages
 
 if TYPE_CHECKING:
@@ -32,12 +32,6 @@ ZONES = """
 name = "whole"
 polygon = [[0, 0], [320, 0], [320, 240], [0, 240]]
 """
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browsing() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")
