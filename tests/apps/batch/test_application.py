@@ -82,8 +82,8 @@ def test_other_options_are_not_mixed(films: Path, done: Path, capfd: pytest.Capt
     assert code_of(films, "--out", done) == 1
     _, err = capfd.readouterr()
     lines = [line for line in err.splitlines() if line.startswith("rsmcm: ")]  # progress has others
-    assert len(lines) == 2
-    assert lines[0] == (
+    assert len(lines) == 3
+    assert lines[1] == (
         f"rsmcm: {films / 'film001'}: other parameters than in the saved run: seed was 3, now 0: "
         "--overwrite begins anew"
     )
