@@ -19,9 +19,9 @@ from .body.job import BodyJob
 from .experiments.reproduce import EXPERIMENTS, LONG, PARALLEL, run_experiment, usual_folder
 from .face.job import FaceJob
 from .io.sources.quiet import own_standard_error
-from .opencv_packages import opencv_hint
 from .options.complaints import about_options, convert_strictly, one_line
 from .options.job import Flag, Job
+from .options.opencv_packages import opencv_hint
 from .options.settings import options_from_file
 from .runs.interruption import SIGNALLED, Outcome
 from .structure.job import StructureJob

@@ -17,6 +17,7 @@ from ..drawing.boxes import OverlayWriter, draw_overlay
 from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring, scoring_of
 from ..evaluation.tracks import track_rows
+from ..events.drawing import draw_zones
 from ..events.event_files import EVENTS, EventWriter, read_events
 from ..events.report import Happened
 from ..events.zone_files import read_zones
@@ -36,7 +37,6 @@ from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
 from ..view.film import Film, Row
 from ..view.page import View
-from ..view.tracks import drawn_of, tracks_view
 from .job import WHOLE_FILM, BackgroundJob, Camera, Engine
 from .moving_camera import MOVES, CameraWatch
 from .parameters import (
@@ -50,6 +50,7 @@ from .parameters import (
 from .predictions import Predictions
 from .record import RunRecord
 from .report import write_report
+from .view import drawn_of, tracks_view
 from .whole_film import read_whole, warmed_up
 
 ENGINES: tuple[Engine, ...] = get_args(Engine)
@@ -299,7 +300,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._tracks = TrackWriter(out / "tracks.txt", after)
         self._table = TrackTableWriter(out / TABLE, after)
         self._masks = MaskWriter(out, self.job.masks, rate, after)
-        self._overlay = OverlayWriter(out / "overlay.mp4", rate, after, self._zones, self.show)
+        self._overlay = OverlayWriter(out / "overlay.mp4", rate, after, self._draw_zones, self.show)
         growing: list[Writer] = [self._tracks, self._table, self._masks, self._overlay]
         if self._zones is not None:
             self._events = EventWriter(out / EVENTS, self._zones, out / TABLE, after)
@@ -313,6 +314,10 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             return found
         tracks = self._trajectories.at(len(self.record.numbers))
         return Found(found.foreground, inside(self._region, tracks))
+
+    def _draw_zones(self, picture: NDArray[np.uint8]) -> None:
+        if self._zones is not None:
+            draw_zones(picture, self._zones)
 
     def take_in(self, belief: Belief, found: Found, seconds: float) -> None:
         """Write mask and tracks, and note what the report wants."""
@@ -340,7 +345,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
                 {},
                 f"frame {frame.number}",
                 frame.boxes,
-                self._zones,
+                self._draw_zones,
             )
 
         due = len(self.record.numbers) % EVIDENCE_EVERY == 0

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from ...inference.core import checkpoint
 from ..io.sources.open_source import fingerprint
-from ..opencv_packages import opencv_hint
 from ..options.complaints import one_line
 from ..options.job import Job
+from ..options.opencv_packages import opencv_hint
 from ..runs.parallel import end_working, is_ending
 from ..runs.saved_run import STATE, about_of, check_source
 from .sources import TRACKS

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame, GivenBoxes
-from ..events.drawing import draw_zones
-from ..events.zones import Zones
 from ..io.mot import TrackedObject
 from .overlay_video import OverlayVideo, caption
 
@@ -40,6 +38,10 @@ def css_colour(colour: Sequence[int]) -> str:
     return f"#{red:02x}{green:02x}{blue:02x}"
 
 
+DrawBelow = Callable[[NDArray[Any]], None]
+"""Draws into a picture `(height, width, 3)` uint8, BGR."""
+
+
 def draw_overlay(
     image: NDArray[np.uint8],
     foreground: NDArray[np.uint8] | None,
@@ -47,7 +49,7 @@ def draw_overlay(
     trails: dict[int, NDArray[np.float64]],
     caption: str,
     given: GivenBoxes | None = None,
-    zones: Zones | None = None,
+    draw_below: DrawBelow | None = None,
 ) -> NDArray[np.uint8]:
     """Draw what was found on a copy of the frame.
 
@@ -65,8 +67,8 @@ def draw_overlay(
         text in the upper left corner.
     given
         boxes of a detector: thin and grey, below the tracks.
-    zones
-        zones and lines, below everything but the mask.
+    draw_below
+        draws what lies below everything but the mask: zones and lines.
 
     Returns
     -------
@@ -78,8 +80,8 @@ def draw_overlay(
     thick = max(1, round(1.6 * unit))
     if foreground is not None:
         _tint(picture, foreground, max(1, round(unit)))
-    if zones is not None:
-        draw_zones(picture, zones)
+    if draw_below is not None:
+        draw_below(picture)
     for identity, points in trails.items():
         if len(points) > 1:
             cv2.polylines(
@@ -144,12 +146,12 @@ class OverlayWriter(OverlayVideo):
         path: Path,
         rate: float,
         resume_after: int = 0,
-        zones: Zones | None = None,
+        draw_below: DrawBelow | None = None,
         show: Callable[[NDArray[np.uint8]], None] | None = None,
     ) -> None:
         super().__init__(path, rate, resume_after, AHEAD, show)
         self._trails: dict[int, deque[tuple[float, float, float]]] = {}
-        self._zones = zones
+        self._draw_below = draw_below
         self._last_image: NDArray[np.uint8] | None = None
 
     def add(
@@ -180,4 +182,4 @@ class OverlayWriter(OverlayVideo):
             return None  # nothing seen yet, not even the size
         self._last_image = image
         trails = {identity: np.array(trail)[:, 1:] for identity, trail in self._trails.items()}
-        return draw_overlay(image, foreground, tracks, trails, caption(frame), frame.boxes, self._zones)
+        return draw_overlay(image, foreground, tracks, trails, caption(frame), frame.boxes, self._draw_below)

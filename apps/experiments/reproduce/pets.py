@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from ...background.compare import PRIORS, SHOWN_PRIOR, Gallery, write_comparison
 from ...background.methods import CHAINS, Model, ModelSubtractor
-from ...background.track_trials import (
+from ...evaluation.masks import ErrorClasses, error_classes, ratio
+from ...evaluation.tracks import TrackScores, evaluate_tracks
+from ...io.datasets import data_folder
+from ...io.ground_truth import BoxTruth
+from ...io.sources.open_source import open_source
+from ...reports.expectations import Expectation, over_seeds
+from ...reports.experiment import Experiment
+from ...reports.record import Table
+from ...runs.progress import Progress
+from ..track_trials import (
     MEASURES,
     NOISE_SEEDS,
     WHOLE,
@@ -27,15 +36,6 @@ from ...background.track_trials import (
     score_trials,
     usual_tracks,
 )
-from ...evaluation.masks import ErrorClasses, error_classes, ratio
-from ...evaluation.tracks import TrackScores, evaluate_tracks
-from ...io.datasets import data_folder
-from ...io.ground_truth import BoxTruth
-from ...io.sources.open_source import open_source
-from ...reports.expectations import Expectation, over_seeds
-from ...reports.experiment import Experiment
-from ...reports.record import Table
-from ...runs.progress import Progress
 from ..trials.baselines import (
     CLEAN_UPS,
     SETTINGS,

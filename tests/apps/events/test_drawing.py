@@ -1,5 +1,7 @@
 """Zones are drawn where they are, and lines with an arrow to their right."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -47,6 +49,6 @@ def test_names_stay_in_the_picture_and_overlays_have_them() -> None:
     zones = Zones((Zone("a long name", corner, SIZE),), ())
     assert amber(zones)[215:, 200:290].any(), "of the name, left of the zone"
     image = np.full((240, 320, 3), 90, np.uint8)
-    drawn = draw_overlay(image, None, [], {}, "", zones=zones)
+    drawn = draw_overlay(image, None, [], {}, "", draw_below=partial(draw_zones, zones=zones))
     assert like_amber(drawn)[215:, 200:290].any()
     assert (image == 90).all()

@@ -11,8 +11,8 @@ from ..events.report import Happened
 from ..events.watch import Event
 from ..events.zones import Zones
 from ..io.mot import TrackedObject
-from .film import LONGEST_SIDE, Film, Row
-from .page import PREDICTED, SEEN, Plot, TimelineRow, View
+from ..view.film import LONGEST_SIDE, Film, Row
+from ..view.page import PREDICTED, SEEN, Plot, TimelineRow, View
 
 OF_TRACKS = ("id", "box", "confidence", "velocity", "seen", "covariance")
 OF_OUTLINES = ("outline", "corners")

@@ -14,9 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
+from ..background.application import build_model
+from ..background.job import WHOLE_FILM, BackgroundJob, Engine
+from ..background.methods import CHAINS, Model
+from ..background.whole_film import read_whole
 from ..evaluation.masks import ratio
 from ..evaluation.tracks import TrackScores, evaluate_tracks
-from ..experiments.trials.baselines import CleanUp, KalmanHungarian, Setting, component_boxes
 from ..io.detections.attached import with_boxes
 from ..io.detections.read import read_detections
 from ..io.detections.table import Detections
@@ -25,10 +28,7 @@ from ..io.sources.open_source import open_source
 from ..reports.expectations import Expectation
 from ..runs.interruption import Interruption
 from ..runs.parallel import in_parallel
-from .application import build_model
-from .job import WHOLE_FILM, BackgroundJob, Engine
-from .methods import CHAINS, Model
-from .whole_film import read_whole
+from .trials.baselines import CleanUp, KalmanHungarian, Setting, component_boxes
 
 Tracks = NDArray[np.float64]
 """`(n, 6)`: frame, identity, x, y, width, height (px)."""

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rsmcm.apps.background import track_trials as trials
 from rsmcm.apps.background.application import run_background
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob
-from rsmcm.apps.background.track_trials import (
+from rsmcm.apps.evaluation.tracks import evaluate_tracks, track_rows
+from rsmcm.apps.experiments import track_trials as trials
+from rsmcm.apps.experiments.reproduce import run_experiment
+from rsmcm.apps.experiments.track_trials import (
     AnnotatedFilm,
     Scored,
     Trial,
@@ -23,8 +25,6 @@ from rsmcm.apps.background.track_trials import (
     score_trials,
     whole_film_tracks,
 )
-from rsmcm.apps.evaluation.tracks import evaluate_tracks, track_rows
-from rsmcm.apps.experiments.reproduce import run_experiment
 from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.scenes import sleeping_man

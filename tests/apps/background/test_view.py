@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from rsmcm.apps.background.view import drawn_of, tracks_view
 from rsmcm.apps.events.report import Happened
 from rsmcm.apps.events.watch import Event, Kind, Moment
 from rsmcm.apps.events.zones import Zones
 from rsmcm.apps.io.mot import TrackedBox
 from rsmcm.apps.view.film import Film, Row
 from rsmcm.apps.view.page import PREDICTED, SEEN
-from rsmcm.apps.view.tracks import drawn_of, tracks_view
 
 SIZE = (96, 128)
 

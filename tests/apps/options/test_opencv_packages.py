@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import pytest
 from rsmcm.apps.command_line import main
-from rsmcm.apps.opencv_packages import EXPECTED, opencv_hint
+from rsmcm.apps.options.opencv_packages import EXPECTED, opencv_hint
 from rsmcm.models.face.detectors import HaarFaces
 
 HINT = (
