@@ -23,7 +23,7 @@ def seen(body: UpperBody, n_frames: int, noise: float, seed: int) -> Array:
     n = 100 * n_frames
     arms = random.normal(size=(n, 2, 2, 3))
     arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    poses = BodyPoses(random.normal(size=(n, 2)), 0.15 * random.normal(size=(n, 3)), arms)
+    poses = BodyPoses(random.normal(size=(n, 2)), np.zeros((n, 3)), 0.15 * random.normal(size=(n, 3)), arms)
     poses = poses.take(np.flatnonzero(body.allowed(poses))[:n_frames])
     assert len(poses) == n_frames
     joints = body.joints(poses)[:, :, :2]

@@ -1,5 +1,7 @@
 """Outlines and pictures of bodies against solids that are made of many spheres, pixel by pixel."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -27,8 +29,8 @@ def allowed_poses(n: int, seed: int) -> BodyPoses:
     random = np.random.default_rng(seed)
     arms = random.normal(size=(200 * n, 2, 2, 3))
     arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    necks = 0.25 * random.normal(size=(200 * n, 3))
-    poses = BodyPoses(np.tile([280.0, 200.0], (200 * n, 1)), necks, arms)
+    turns = random.normal(size=(2, 200 * n, 3)) * [[[0.15]], [[0.25]]]
+    poses = BodyPoses(np.tile([280.0, 200.0], (200 * n, 1)), turns[0], turns[1], arms)
     poses = poses.take(np.flatnonzero(BODY.allowed(poses))[:n])
     assert len(poses) == n
     return poses
@@ -249,7 +251,7 @@ def test_torso_has_shoulders_sides_and_a_neck_that_goes_with_the_head() -> None:
 
 def test_outlines_are_moved_with_the_body_and_alike_in_every_batch() -> None:
     poses = allowed_poses(20, 0)
-    moved = BodyPoses(poses.roots + np.array([13, -40]), poses.necks, poses.arms)
+    moved = replace(poses, roots=poses.roots + np.array([13, -40]))
     here, there = silhouettes(BODY, poses), silhouettes(BODY, moved)
     np.testing.assert_allclose(there.points, here.points + np.array([13, -40]), atol=1e-3)
     assert (there.visible == here.visible).mean() > 0.995
@@ -277,7 +279,8 @@ def test_outlines_do_not_depend_on_threads() -> None:
     random = np.random.default_rng(0)
     arms = random.normal(size=(601, 2, 2, 3))
     arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    poses = BodyPoses(random.normal(250, 50, (601, 2)), 0.25 * random.normal(size=(601, 3)), arms)
+    turns = 0.25 * random.normal(size=(2, 601, 3))
+    poses = BodyPoses(random.normal(250, 50, (601, 2)), turns[0], turns[1], arms)
     before, found = thread_count(), []
     try:
         for threads in (1, 2):
