@@ -128,6 +128,42 @@ def test_limits_do_not_depend_on_side_nor_place_nor_size(seed: int) -> None:
 
 
 @given(seeds)
+def test_what_is_allowed_leans_and_turns_with_the_torso(seed: int) -> None:
+    """Head and arms keep their places against it: the same limits, and joints turned about the root."""
+    random = np.random.default_rng(seed)
+    arms = random.normal(size=(100, 2, 2, 3))
+    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+    turn = Rotation.from_rotvec(random.uniform(-0.4, 0.4, 3))
+    upright = BodyPoses(np.zeros((100, 2)), np.zeros((100, 3)), 0.4 * random.normal(size=(100, 3)), arms)
+    leant = BodyPoses(
+        upright.roots,
+        np.tile(turn.as_rotvec(), (100, 1)),
+        (turn * Rotation.from_rotvec(upright.necks)).as_rotvec(),
+        np.reshape(turn.apply(arms.reshape(-1, 3)), arms.shape),
+    )
+    np.testing.assert_array_equal(BODY.allowed(leant), BODY.allowed(upright))
+    expected = turn.apply(BODY.joints(upright).reshape(-1, 3)).reshape(100, 8, 3)
+    np.testing.assert_allclose(BODY.joints(leant), expected, atol=1e-10)
+    np.testing.assert_allclose(BODY.shoulders(leant), expected[:, [2, 5]], atol=1e-10)
+
+
+def test_torsos_lean_half_way_to_the_side_and_heads_go_with_them() -> None:
+    poses = resting(np.zeros((4, 2)))
+    poses.torsos[:, 1] = np.radians([44, -44, 46, 44])
+    poses.necks[:, 1] = np.radians([44, -44, 46, -10])  # the last looks back over the shoulder
+    np.testing.assert_array_equal(BODY.allowed(poses), [True, True, False, False])
+
+
+def test_a_left_shoulder_turns_to_the_viewer_and_a_lean_takes_it_down() -> None:
+    poses = resting(np.zeros((2, 2)))
+    poses.torsos[0, 1], poses.torsos[1, 2] = 0.3, 0.2
+    left, right = BODY.shoulders(poses).swapaxes(0, 1)
+    assert left[0, 2] < -10 < 10 < right[0, 2]
+    assert left[1, 1] > 10 > -10 > right[1, 1]
+    np.testing.assert_allclose(left, -right, atol=1e-12)  # the root is between them
+
+
+@given(seeds)
 def test_the_turn_of_a_straight_arm_is_not_judged(seed: int) -> None:
     upper = np.array([0.4, 0.5, -0.7]) / np.linalg.norm([0.4, 0.5, -0.7])
     forearm = upper + 0.02 * np.random.default_rng(seed).normal(size=3)
