@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.parts import PartMessage
+from ...models.body.part_message import PartMessage
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import PARTS, UpperBody
 from ...models.core.gaussian_mixtures import GaussianMixtures

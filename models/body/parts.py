@@ -14,6 +14,7 @@ from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from .image_features import BodyImage, edge_distances
+from .part_message import PartMessage
 from .skin_blobs import SkinBlobs, skin_blobs
 from .skin_colour import HIGHEST, SkinColour
 from .static_skin import static_skin
@@ -60,41 +61,6 @@ COLOURS = ((60, 220, 60), (60, 60, 255), (255, 190, 40))
 
 CALIBRATION_FRAMES = 24
 """Frames of a clip that are looked at for faces, evenly spread."""
-
-
-@short_repr
-@dataclass(frozen=True, eq=False)
-class PartMessage:
-    """What is said of the parts' positions, by chains and by the image.
-
-    The two are kept apart, since who compares whole bodies with the image reads it better than its mixtures
-    can say; `mixtures` is the product of both.
-
-    Parameters
-    ----------
-    predicted
-        product of the chains' messages.
-    image
-        what the image says; `None` where it says nothing.
-    """
-
-    predicted: GaussianMixtures
-    image: BodyImage | None = None
-
-    @property
-    def mixtures(self) -> GaussianMixtures:
-        """The product of all."""
-        return self.predicted if self.image is None else self.predicted * self.image.mixtures
-
-    @property
-    def log_mass(self) -> float:
-        """Log of the integral over all parts' positions."""
-        return float(self.mixtures.log_masses.sum())
-
-    def __mul__(self, other: Self) -> Self:
-        if self.image is not None and other.image is not None:
-            raise ValueError("part message: got two images, expected at most one")
-        return type(self)(self.predicted * other.predicted, self.image or other.image)
 
 
 @short_repr
@@ -210,7 +176,7 @@ class BodyParts:
         )
         edges, directions = edge_distances(image, EDGE_REACH * height)
         seen = BodyImage(skin, moving, edges, directions, hands.means, hands.log_weights, mixtures)
-        return PartMessage(self.uniform().predicted, seen)
+        return PartMessage(self.uniform().stacked, seen)
 
     def draw(self, picture: NDArray[np.uint8], belief: PartMessage) -> None:
         """Draw into a BGR picture where head and hands are to 90 %, as far as that is known."""
