@@ -20,13 +20,14 @@ from ....models.body.parts import BodyParts
 from ....models.body.upper_body import JOINTS, PARTS
 from ....models.core.frame import Frame
 from ....models.core.mahalanobis import squared_distances
-from ...body.measures import HANDS, LEAST_VARIANCE, PLACES, BodyTrial
+from ...body.measures import APART, HANDS, LEAST_VARIANCE, PLACES, BodyTrial, exchanged_hands
 from ...body.overlay import TrackedBody
 from ...scenes import SignerScene, signer
 
 Numbers = NDArray[np.float64]
 
 HEAD_AND_HANDS = [JOINTS.index(name) for name in PARTS]
+HAND_JOINTS = HEAD_AND_HANDS[1:]
 
 N_SHOWN = 40
 """Poses that are drawn from a posterior to be shown, as in the paper."""
@@ -102,7 +103,7 @@ class _Run:
         self._shown = shown
         self._random = np.random.default_rng([film.scene.seed, 40])
         self._state = RunState()
-        self._rows: list[tuple[Numbers, Numbers, Numbers, float, float]] = []
+        self._rows: list[tuple[Numbers, Numbers, Numbers, Numbers, float, float]] = []
         self._pictures: dict[int, TrackedBody] = {}
 
     def step(self, index: int) -> None:
@@ -118,7 +119,7 @@ class _Run:
         covariances = found.covariances[PLACES[HANDS], :2, :2] + LEAST_VARIANCE * np.eye(2)
         nees = squared_distances(apart[PLACES[HANDS], :2], covariances)
         flat, deep = (np.linalg.norm(apart[PLACES, :axes], axis=1) for axes in (2, 3))
-        self._rows.append((flat, deep, nees, self._effective(state), seconds))
+        self._rows.append((flat, deep, nees, found.joints[HAND_JOINTS, :2], self._effective(state), seconds))
 
     def _belief(self, index: int, after: Any) -> TrackedBody:
         """Means and covariances of the joints, NaN where they are not known, and poses if they are shown."""
@@ -151,11 +152,13 @@ class _Run:
 
     def trial(self) -> BodyTrial:
         """What was measured."""
-        flat, deep, nees, effective, seconds = (np.array(row) for row in zip(*self._rows, strict=True))
+        flat, deep, nees, hands, effective, seconds = (np.array(row) for row in zip(*self._rows, strict=True))
         scene = self._film.scene
+        truth = scene.joints[: len(hands), HAND_JOINTS, :2]
+        exchanged = exchanged_hands(hands, truth, APART * scene.body.head_height)
         hidden = scene.hidden[: len(flat), 1:]
         size = scene.body.head_height
-        return BodyTrial(flat, deep, nees, effective, seconds, hidden, size, self._pictures)
+        return BodyTrial(flat, deep, nees, effective, seconds, hidden, exchanged, size, self._pictures)
 
 
 def in_turns(film: SignerFilm, trackers: Sequence[BodyTracker], shown: Sequence[int] = ()) -> list[BodyTrial]:

@@ -27,6 +27,7 @@ def trial(error: float, seconds: float = 0.05, square: float = 1.0) -> BodyTrial
         np.full(N_FRAMES, 300.0),
         np.full(N_FRAMES, seconds),
         np.zeros((N_FRAMES, 2), np.bool_),
+        np.zeros(N_FRAMES),
         80.0,
     )
 

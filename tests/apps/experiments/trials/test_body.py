@@ -49,6 +49,7 @@ def trial(text: str, *hidden: int) -> BodyTrial:
         np.full(n, 70.0),
         seconds,
         np.stack([hidden_in(n, *hidden), hidden_in(n)], axis=1),
+        np.zeros(n),
         50.0,
     )
 
