@@ -89,6 +89,8 @@ class BodyTrial:
         px.
     shown
         by frame (index from 0), the posterior in pictures.
+    later
+        the same of answers with hindsight; `None` without.
     """
 
     errors: Numbers
@@ -100,6 +102,7 @@ class BodyTrial:
     exchanged: Numbers
     head_height: float
     shown: Mapping[int, TrackedBody] = field(default_factory=dict)
+    later: "BodyTrial | None" = None
 
     @property
     def error(self) -> float:

@@ -1,4 +1,4 @@
-"""Log evidence of poses is log p(image | past): beside a bootstrap filter of many samples, and between runs."""
+"""Log evidence of poses is log p(image | past): beside a bootstrap filter, and between runs."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def evidence(chain: ArticulatedPose | Condensation, film: SignerFilm, known: Bod
 def over_seeds(
     kind: type[ArticulatedPose] | type[Condensation], samples: int, film: SignerFilm
 ) -> tuple[float, float]:
-    """Mean over seeds of the random numbers, and its standard error; from the true pose, without exchanges."""
+    """Mean over seeds of the random numbers and its standard error, from the true pose, without exchanges."""
     body = film.scene.body
     dynamics = BodyDynamics(body, exchanges=0.0)
     found: NDArray[np.float64] = np.array(
