@@ -34,7 +34,7 @@ from ...reports.experiment import Experiment, Plot
 from ...reports.record import Table
 from ...runs.parallel import in_parallel
 from ...scenes import signer
-from ..trials.body import BodyTracker, System, on_one_scene
+from ..trials.body import LAG, BodyTracker, System, on_one_scene
 
 Image = NDArray[np.uint8]
 
@@ -46,8 +46,6 @@ SHOWN = tuple(range(19, N_FRAMES, 20))
 PICTURE_WIDTH = 520  # px
 
 SAMPLES = 1000
-LAG = 12
-"""Frames by which answers with hindsight are late."""
 MULTIPLES = (1, 2, 3.2)
 """Of RSMCM's time a frame, hindsight included, that CONDENSATION is given."""
 NEAR = 1.25

@@ -31,6 +31,9 @@ Numbers = NDArray[np.float64]
 HEAD_AND_HANDS = [JOINTS.index(name) for name in PARTS]
 HAND_JOINTS = HEAD_AND_HANDS[1:]
 
+LAG = 12
+"""Frames by which answers with hindsight are late."""
+
 N_SHOWN = 40
 """Poses that are drawn from a posterior to be shown, as in the paper."""
 

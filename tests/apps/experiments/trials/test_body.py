@@ -174,6 +174,7 @@ def test_stages_of_the_benchmark_add_up(film: SignerFilm, monkeypatch: pytest.Mo
     assert (sum(stages.values()) <= whole).all()  # blobs and edges are worked out once more, apart
     rows = bench_body_tracker.stages_of(whole, within)
     assert rows[-1][0] == "total"
+    assert {name: ms for name, ms, _ in rows}["hindsight"] > 0
     assert sum(share for _, _, share in rows[:-1]) == pytest.approx(100)
     assert bench_body_tracker.rate_expectation(one, whole).measured == pytest.approx(1 / whole.mean())
 
