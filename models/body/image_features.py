@@ -89,7 +89,9 @@ def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.f
     )
     rows, columns = np.nonzero(edges)
     angles = np.zeros(len(rows) + 1, np.float32)
-    angles[nearest[rows, columns]] = np.arctan2(down[rows, columns], right[rows, columns]) % np.pi
+    # in float64: the angle of float32 is another one on other CPUs
+    normals = np.arctan2(down[rows, columns], right[rows, columns], dtype=np.float64)
+    angles[nearest[rows, columns]] = normals % np.pi
     return np.minimum(distances, np.float32(reach)), angles[nearest]
 
 
