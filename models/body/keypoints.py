@@ -1,5 +1,6 @@
 """Points of a person that a detector has found, as evidence of a body's pose."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Self
 
@@ -31,11 +32,17 @@ SURE = 0.9
 """Probability that a point is where a detector says that is wholly sure: errors of a network last for many
 frames, and speak anew in each."""
 
-EXCHANGED, SOMEBODY_ELSE = 0.05, 0.05
-"""Probability that left and right are exchanged, and that the points are another person's."""
+EXCHANGED = (0.95, 0.03, 0.02)
+"""Probability that sides are told rightly, that arms are exchanged below the shoulders, and that all are."""
+
+SOMEBODY_ELSE = 0.05
+"""Probability that all points are another person's."""
 
 AROUND = 4.0
 """Head heights: side of the square in which false points are, since they are mostly of the same person."""
+
+KEPT = (("shoulder", "elbow", "hand", "wrist"), ("shoulder",), ())
+"""Kinds of points whose sides are told rightly, in the order of `EXCHANGED`."""
 
 OTHER = {"left": "right", "right": "left"}
 
@@ -48,8 +55,8 @@ SAME_HEAD = 1.0
 class SeenKeypoints:
     """Points that are taken for this body's.
 
-    Each is where the pose has it, with a normal error, or false; sides may be exchanged, all of them; and all
-    may be another person's. A score says how probable a point is: 1 is `SURE`, 0.5 half of that.
+    Each is where the pose has it, with a normal error, or false; sides may be exchanged, of the arms or of
+    all; and all may be another person's. A score says how probable a point is: 1 is `SURE`, 0.5 half of that.
 
     Parameters
     ----------
@@ -98,12 +105,13 @@ class SeenKeypoints:
         spreads = np.square(np.array([head_spread, *(spread for _, spread, _ in hands)]) * unit)
         chances = np.array([self.probabilities[head], *(chance for _, _, chance in hands)])
         chances *= 1 - SOMEBODY_ELSE
+        exchanged = self._exchanged
         log_weights, means, covariances, labels, flat = [], [], [], [], []
         for part in range(len(PARTS)):
             shares = np.zeros(len(PARTS))
-            shares[part] = 1.0 if part == 0 else 1 - EXCHANGED
+            shares[part] = 1.0 if part == 0 else 1 - exchanged
             if part > 0:
-                shares[3 - part] = EXCHANGED
+                shares[3 - part] = exchanged
             things = np.flatnonzero(shares * chances)
             own = (shares * chances)[things]
             log_weights.append(np.log(own * (AROUND * unit) ** 2))
@@ -126,15 +134,34 @@ class SeenKeypoints:
         deviations = self.head_height * np.array([DEVIATIONS[name.rpartition("_")[2]] for name in found])
         probable = self.probabilities[rows]
         wrist = 1 - body.hand / body.forearm
+        chances = np.append((1 - SOMEBODY_ELSE) * np.array(EXCHANGED), SOMEBODY_ELSE)
         keypoint_terms(
             body.joints(poses), self.positions[rows],
-            np.array([[_ends(name) for name in found], [_ends(_mirrored(name)) for name in found]]),
+            np.array([[_ends(_mirrored(name, kept)) for name in found] for kept in KEPT]),
             np.array([wrist if name.endswith("wrist") else 0.0 for name in found]),
             probable * (AROUND * self.head_height) ** 2 / (2 * np.pi * deviations**2), 0.5 / deviations**2,
-            1 - probable, (1 - SOMEBODY_ELSE) * np.array([1 - EXCHANGED, EXCHANGED, 0.0])
-            + np.array([0.0, 0.0, SOMEBODY_ELSE]), ratios,
+            1 - probable, chances, ratios,
         )  # fmt: skip
         return ratios
+
+    @property
+    def _exchanged(self) -> float:
+        """Probability that hands are exchanged, by the order of the shoulders: who is seen from the front
+        has the left one on the right.
+        """
+        _, arms, all_of_it = EXCHANGED
+        left, right = (KEYPOINTS.index(f"{side}_shoulder") for side in ("left", "right"))
+        if self.probabilities[left] > 0 and self.probabilities[right] > 0:
+            across = (self.positions[left, 0] - self.positions[right, 0]) / self.head_height
+            wide, true = PROPORTIONS["shoulder_width"], self.probabilities[left] * self.probabilities[right]
+            variance = 2 * DEVIATIONS["shoulder"] ** 2
+            own, other = (
+                true * np.exp(-0.5 * (across - side * wide) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
+                + (1 - true) / AROUND
+                for side in (1, -1)
+            )
+            all_of_it = float(all_of_it * other / (all_of_it * other + (1 - all_of_it) * own))
+        return all_of_it + arms - 2 * all_of_it * arms
 
     @property
     def _counted(self) -> list[str]:
@@ -193,10 +220,10 @@ def largest(given: GivenKeypoints) -> int:
     return int(reach.argmax())
 
 
-def _mirrored(name: str) -> str:
-    """The same point of the other side."""
-    side, _, rest = name.partition("_")
-    return f"{OTHER[side]}_{rest}" if rest else name
+def _mirrored(name: str, kept: Collection[str]) -> str:
+    """The same point of the other side, unless it is of a kind that is kept."""
+    side, _, kind = name.partition("_")
+    return name if not kind or kind in kept else f"{OTHER[side]}_{kind}"
 
 
 def _ends(name: str) -> tuple[int, int]:
