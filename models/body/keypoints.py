@@ -46,7 +46,7 @@ KEPT = (("shoulder", "elbow", "hand", "wrist"), ("shoulder",), ())
 
 OTHER = {"left": "right", "right": "left"}
 
-SAME_HEAD = 1.0
+SAME_HEAD = 0.6
 """Head heights: so far from where the head is known to be is that of another person."""
 
 
