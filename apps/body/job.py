@@ -27,6 +27,10 @@ class BodyJob(FilmJob):
         CSV file with the columns frame,joint,x,y: joints that were clicked in a few frames, from which the
         lengths of the person's arms are taken. Without it, proportions are usual ones. Joints: head, neck
         (between the shoulders), left_shoulder, left_elbow, left_hand, and right; left is the person's own.
+    keypoints
+        File of what a detector of poses or hands has found: CSV with the columns frame, person, joint, x, y
+        and score, COCO's JSON of results, or the folder of OpenPose's JSON. Without --detector and --head,
+        the largest person in it is followed.
     samples
         How many poses are drawn a frame.
     learned
@@ -37,6 +41,7 @@ class BodyJob(FilmJob):
     detector: Path | None = None
     head: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     joints: Path | None = None
+    keypoints: Path | None = None
     samples: int = 1000
 
     def __post_init__(self) -> None:
@@ -55,6 +60,7 @@ class BodyJob(FilmJob):
         return {
             "detector": resolved(self.detector),
             "joints": resolved(self.joints),
+            "keypoints": resolved(self.keypoints),
             "head": self.head,
             "samples": self.samples,
             **super().settings(),

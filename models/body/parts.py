@@ -14,6 +14,7 @@ from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from .image_features import BodyImage, edge_distances
+from .keypoints import SeenKeypoints
 from .part_message import PartMessage
 from .skin_blobs import SkinBlobs, skin_blobs
 from .skin_colour import HIGHEST, SkinColour
@@ -136,7 +137,8 @@ class BodyParts:
         frame
             of a missing one, nothing is said.
         prior
-            shows where the head is when no face is detected, so that hands are distinguished from its skin.
+            shows where the head is when no face is detected, so that hands are distinguished from its skin;
+            and whose of several persons' keypoints count.
         """
         image = frame.image
         if image is None:
@@ -175,7 +177,12 @@ class BodyParts:
             [len(numbers) + np.arange(len(heads.means)), numbers, numbers],
         )
         edges, directions = edge_distances(image, EDGE_REACH * height)
-        seen = BodyImage(skin, moving, edges, directions, hands.means, hands.log_weights, mixtures)
+        points = None
+        if frame.keypoints is not None:
+            points = SeenKeypoints.of(frame.keypoints, self._heads(centres, prior, image.shape), height)
+        if points is not None:
+            mixtures = mixtures * points.mixtures(len(numbers) + len(heads.means))
+        seen = BodyImage(skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, points)
         return PartMessage(self.uniform().stacked, seen)
 
     def draw(self, picture: NDArray[np.uint8], belief: PartMessage) -> None:
@@ -193,6 +200,11 @@ class BodyParts:
         for x, y, across, down in faces:
             cv2.ellipse(still, ((x, y), (2 * across, 2 * down), 0.0), 0.0, cv2.FILLED)
         return np.asarray(np.maximum(skin - still, np.float32(-HIGHEST)))
+
+    def _heads(self, faces: Array, prior: PartMessage, shape: tuple[int, ...]) -> Array:
+        """`(k, 2)` px: where the head is by what the chains know, or else by faces `(k, 2)`."""
+        known = self._known_head(prior, shape)
+        return known if len(known) else faces
 
     def _known_head(self, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: the head's centre, k = 1, if the chains know it."""
