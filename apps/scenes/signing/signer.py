@@ -6,6 +6,7 @@ Any frame is rendered on its own, from the seed and the frame's index only.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ SHUTTER = 0.5  # of the time between frames that light is gathered
 BLUR_STEP = 4.0  # px that a hand moves between two pictures of one exposure
 MOST_PICTURES = 4  # of one exposure
 
+Sleeves = Literal["long", "short"]
+
 
 @dataclass(frozen=True, eq=False)
 class SignerScene:
@@ -41,6 +44,7 @@ class SignerScene:
     clutter: float
     size: tuple[int, int]
     noise: float
+    sleeves: Sleeves = "long"
     dt: float = 1 / 25
 
     def __post_init__(self) -> None:
@@ -55,6 +59,8 @@ class SignerScene:
             raise ValueError(f"seed: got {self.seed}, expected 0 or more")
         if not 0 <= self.detector_dropout <= 1:
             raise ValueError(f"detector_dropout: got {self.detector_dropout}, expected 0 to 1")
+        if self.sleeves not in get_args(Sleeves):
+            raise ValueError(f"sleeves: got {self.sleeves!r}, expected one of {', '.join(get_args(Sleeves))}")
         for name in ("clutter", "noise"):
             value = getattr(self, name)
             if not 0 <= value < np.inf:
@@ -213,7 +219,9 @@ class SignerScene:
         for part, name in ((1, "left hand"), (2, "right hand")):
             burst = int(self._bursts[index, part])
             shown[name] = "skin" if not burst else "glare" if (burst + self.seed) % 3 == 0 else "glove"
-        for solid in surface(self.body, self._appearance.palette, pose, hands):
+        for solid in surface(
+            self.body, self._appearance.palette, pose, hands, self.sleeves == "short"
+        ):
             yield solid, shown.get(solid.material, solid.material)
         for thing in self.distractors:
             if thing.first <= index <= thing.last:
@@ -228,6 +236,7 @@ def signer(
     size: tuple[int, int] = (640, 360),
     *,
     noise: float = 2.5,
+    sleeves: Sleeves = "long",
 ) -> SignerScene:
     """Somebody who sits and signs, in front of a cluttered room, and features that fail for a while.
 
@@ -251,6 +260,9 @@ def signer(
         `(width, height)` px.
     noise
         standard deviation of the sensor's noise, grey levels.
+    sleeves
+        "long", or "short": lower halves of upper arms, and forearms, have the colour of skin. They keep it
+        where a hand's is missing.
 
     Raises
     ------
@@ -258,4 +270,4 @@ def signer(
         if the picture is less than 120 px high or higher than wide, there is no frame, or a parameter is out
         of its range.
     """
-    return SignerScene(n_frames, seed, detector_dropout, clutter, size, noise)
+    return SignerScene(n_frames, seed, detector_dropout, clutter, size, noise, sleeves)
