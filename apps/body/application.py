@@ -96,11 +96,15 @@ class BodyRun(FilmRun[BodyJob]):
         if images is None:
             images = self._looked_at()
         images = images or [first.image]  # where nothing else is to be seen in what was looked at
-        if self._head is not None:
+        if self._head is not None and job.detector is None:
             start = start_from_head(first, self._head, images, self._clicked)
+            found = "the head as marked"
         else:
-            start = start_from_faces(self.source.name, images, job.detector, self._clicked)
-        found = "the head as marked" if job.head else str(job.detector or "OpenCV's cascades of faces")
+            first_seen = [] if self._head is None else [first.image]
+            start = start_from_faces(
+                self.source.name, [*first_seen, *images], job.detector, self._clicked, self._head
+            )
+            found = str(job.detector or "OpenCV's cascades of faces")
         _log.info("start in frame %d, by %s: %s", first.number, found, start.origin)
         self._begin_with(start)
         return chain([first], frames)

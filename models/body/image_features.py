@@ -42,6 +42,8 @@ class BodyImage:
         constant.
     mixtures
         the evidence phi(I, F) of head and hands that faces and blobs give.
+    bare
+        probability that forearms are bare.
     """
 
     skin: NDArray[np.float32] | None
@@ -51,6 +53,7 @@ class BodyImage:
     blobs: NDArray[np.float64]
     blob_log_weights: NDArray[np.float64]
     mixtures: GaussianMixtures
+    bare: float = 0.0
 
     @property
     def size(self) -> tuple[int, int]:

@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 
 AROUND = 20  # vertices of a ring
 FINGER_AROUND = 8
-SLEEVE, BARE = 0.55, 0.85  # of an upper arm that a short sleeve covers; width of a bare arm over a clothed one
+SLEEVE = 0.55  # of an upper arm, that a short sleeve covers
+BARE = 0.85  # width of a bare arm over a clothed one
 SPREAD = np.array([-0.42, -0.15, 0.05, 0.22, 0.40])  # rad, of thumb, then fingers, across the palm
 ROOTS = np.array([-0.30, -0.30, -0.10, 0.10, 0.28])  # where they begin across the palm, in palms
 LENGTHS = np.array([0.85, 1.12, 1.25, 1.18, 0.95])  # in hand radii

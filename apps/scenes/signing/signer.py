@@ -219,9 +219,7 @@ class SignerScene:
         for part, name in ((1, "left hand"), (2, "right hand")):
             burst = int(self._bursts[index, part])
             shown[name] = "skin" if not burst else "glare" if (burst + self.seed) % 3 == 0 else "glove"
-        for solid in surface(
-            self.body, self._appearance.palette, pose, hands, self.sleeves == "short"
-        ):
+        for solid in surface(self.body, self._appearance.palette, pose, hands, self.sleeves == "short"):
             yield solid, shown.get(solid.material, solid.material)
         for thing in self.distractors:
             if thing.first <= index <= thing.last:
