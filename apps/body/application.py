@@ -124,12 +124,15 @@ class BodyRun(FilmRun[BodyJob]):
     def _started_from(self, first: Frame, images: list[Image]) -> tuple[BodyStart, str]:
         """Who is tracked, and how that was found out."""
         job, clicked, keypoints = self.job, self._clicked, self._keypoints
-        if self._head is not None:
+        if self._head is not None and job.detector is None:
             start, found = start_from_head(first, self._head, images, clicked), "the head as marked"
         elif keypoints is not None and job.detector is None:
             return start_from_keypoints(first, keypoints, images, clicked), "keypoints"
         else:
-            start = start_from_faces(self.source.name, images, job.detector, clicked)
+            at_first = [first.image] if self._head is not None and first.image is not None else []
+            start = start_from_faces(
+                self.source.name, [*at_first, *images], job.detector, clicked, self._head
+            )
             found = str(job.detector or "OpenCV's cascades of faces")
         if keypoints is not None and clicked is None:
             start = with_lengths(start, followed(keypoints, first.number, start.head_in(first)))

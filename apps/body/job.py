@@ -21,8 +21,9 @@ class BodyJob(FilmJob):
         The face is found by a detector: OpenCV's YuNet with this model file (.onnx), or the Haar cascade that
         OpenCV 4 brings along.
     head
-        Instead of a detector: x,y,width,height in px of the head in the first frame, from chin to the top of
-        the skull. It is then followed by its colour and edges.
+        x,y,width,height in px of the head in the first frame, from chin to the top of the skull. Instead of a
+        detector; it is then followed by its colour and edges. With --detector, it says whose face is meant
+        where there are several; otherwise that is the largest.
     joints
         CSV file with the columns frame,joint,x,y: joints that were clicked in a few frames, from which the
         lengths of the person's arms are taken. Without it, proportions are usual ones. Joints: head, neck
@@ -48,8 +49,6 @@ class BodyJob(FilmJob):
         super().__post_init__()
         if self.samples < FEWEST_SAMPLES:
             raise ValueError(f"--samples: got {self.samples}, expected {FEWEST_SAMPLES} or more")
-        if self.head is not None and self.detector is not None:
-            raise ValueError("--head: got --detector as well, expected one of them")
         if self.learned is not None:
             for name in ("head", "joints"):
                 if getattr(self, name) is not None:

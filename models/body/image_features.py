@@ -45,6 +45,8 @@ class BodyImage:
         the evidence phi(I, F) of head and hands that faces, blobs and keypoints give.
     keypoints
         points of this body that a detector has found, if there are any.
+    bare
+        probability that forearms are bare.
     """
 
     skin: NDArray[np.float32] | None
@@ -55,6 +57,7 @@ class BodyImage:
     blob_log_weights: NDArray[np.float64]
     mixtures: GaussianMixtures
     keypoints: SeenKeypoints | None = None
+    bare: float = 0.0
 
     @property
     def size(self) -> tuple[int, int]:
