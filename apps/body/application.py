@@ -1,7 +1,9 @@
 """The body application: from a film of a person to the pose of the upper body in every frame."""
 
 import logging
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
@@ -13,19 +15,20 @@ from numpy.typing import NDArray
 from ...chains.articulated_pose import ArticulatedPose
 from ...chains.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
+from ...inference.body.samples import BodySamples
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import PARTS
 from ...models.core.frame import Frame
 from ..io.segments import segment_pattern
 from ..io.sources.blank_frames import SeenFrames
 from ..io.sources.open_source import open_source
-from ..runs.film_run import FilmRun, Writer
+from ..runs.film_run import FilmRun, Step, Writer
 from ..runs.interruption import Interrupted, Outcome
-from ..runs.memory import BODY, SAMPLE
+from ..runs.memory import BODY, IMAGE, KEPT_SAMPLE, SAMPLE
 from ..runs.saved_run import SavedRun
 from ..view.film import Film, Row
 from ..view.page import View
-from .job import BodyJob
+from .job import LAG, BodyJob
 from .joint_files import ClickedJoints, read_joints
 from .report import BodyRecord, write_body_report
 from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
@@ -38,6 +41,23 @@ Image = NDArray[np.uint8]
 
 SPREAD_OVER = 1000
 """Frames of a video over which those are spread in which faces are looked for: all of these are decoded."""
+
+
+class _FixedLag:
+    """Gives the filter's own poses so many frames later."""
+
+    def __init__(self, lag: int) -> None:
+        self._lag = lag
+        self._held: list[BodySamples] = []
+
+    def add(self, frame: Frame, samples: BodySamples) -> list[BodySamples]:
+        """Take in a frame; those that have waited long enough."""
+        self._held.append(samples)
+        return [self._held.pop(0)] if len(self._held) > self._lag else []
+
+    def rest(self) -> list[BodySamples]:
+        """Those that still wait."""
+        return self._held
 
 
 def run_body(job: BodyJob) -> Outcome:
@@ -69,8 +89,15 @@ class BodyRun(FilmRun[BodyJob]):
 
     @property
     def bytes_needed(self) -> tuple[float, float]:
-        """Depends on the number of samples."""
-        return BODY, self.job.samples * SAMPLE
+        """Depends on the number of samples, and on that of frames that wait with theirs."""
+        return BODY + IMAGE * self.lag, self.job.samples * (SAMPLE + KEPT_SAMPLE * self.lag)
+
+    @property
+    def lag(self) -> int:
+        """Frames that are waited for before one is answered."""
+        if self.job.lag is not None:
+            return self.job.lag
+        return 0 if self.source.live else LAG
 
     def memory(self) -> dict[str, Any]:
         """Who is tracked, and the record."""
@@ -121,6 +148,7 @@ class BodyRun(FilmRun[BodyJob]):
         self._pose = ArticulatedPose(start.body, self.job.samples, seed=self.job.seed)
         model = MultiChain().connect(self._flesh, start.parts).connect(self._pose, start.parts)
         self.engine = RecursiveBP(model)
+        self._hindsight = _FixedLag(self.lag)
 
     def _looked_at(self) -> list[Image]:
         """Images from all over the source, which is read a second time for it."""
@@ -149,14 +177,33 @@ class BodyRun(FilmRun[BodyJob]):
         )
         return [self._writer]
 
-    def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
-        """Write the frame's poses."""
-        detected = belief[self._flesh].unseen == 0
-        self._row = self._writer.add(belief.frame, belief[self._pose], detected, seconds)
+    def found(self, belief: Belief) -> list[BodySamples]:
+        """Poses of the frames of which enough later ones are known by now."""
+        return self._hindsight.add(belief.frame, belief[self._pose])
 
-    def drawn(self, belief: Belief, found: Any) -> Callable[[], Row]:
+    def answered(self, steps: Iterator[Step]) -> Iterator[Step]:
+        """Frames with their poses in hindsight; of the last ones, fewer later frames are known."""
+        waiting: deque[Step] = deque()
+
+        def answer(poses: BodySamples) -> Step:
+            step = waiting.popleft()
+            return replace(step, found=poses)
+
+        for step in steps:
+            # without what else is believed of the frame, which is large
+            waiting.append(replace(step, belief=Belief(step.belief.frame, step.belief.state, None)))
+            yield from map(answer, step.found)
+        yield from map(answer, self._hindsight.rest())
+
+    def take_in(self, belief: Belief, found: BodySamples, seconds: float) -> None:
+        """Write the frame's poses."""
+        states = belief.states
+        detected = states[self._flesh.name].unseen == 0
+        self._row = self._writer.add(belief.frame, states[self._pose.name], found, detected, seconds)
+
+    def drawn(self, belief: Belief, found: BodySamples) -> Callable[[], Row]:
         """Joints and some samples."""
-        samples = belief[self._pose]
+        samples = belief.states[self._pose.name]
         return partial(drawn_of, self._row, samples.log_evidence, samples.effective)
 
     def told(self, belief: Belief, found: Any) -> dict[str, object]:

@@ -10,6 +10,9 @@ from ..options.job import FilmJob, resolved
 
 FEWEST_SAMPLES = 10
 
+LAG, MOST_LAG = 12, 250
+"""Frames: what is usual, and what is kept in memory at most."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class BodyJob(FilmJob):
@@ -29,6 +32,9 @@ class BodyJob(FilmJob):
         (between the shoulders), left_shoulder, left_elbow, left_hand, and right; left is the person's own.
     samples
         How many poses are drawn a frame.
+    lag
+        Frames that are waited for before one is answered, so that what they show of it counts: 12 if not
+        given, and 0 for cameras and streams.
     learned
         Begin with what a run over another film of the person has learned, lengths, colour and pose: the
         state.npz of its results. A recording is taken to go on where that one ended.
@@ -38,11 +44,14 @@ class BodyJob(FilmJob):
     head: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     joints: Path | None = None
     samples: int = 1000
+    lag: int | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.samples < FEWEST_SAMPLES:
             raise ValueError(f"--samples: got {self.samples}, expected {FEWEST_SAMPLES} or more")
+        if self.lag is not None and not 0 <= self.lag <= MOST_LAG:
+            raise ValueError(f"--lag: got {self.lag}, expected 0 to {MOST_LAG} frames")
         if self.head is not None and self.detector is not None:
             raise ValueError("--head: got --detector as well, expected one of them")
         if self.learned is not None:
@@ -57,5 +66,6 @@ class BodyJob(FilmJob):
             "joints": resolved(self.joints),
             "head": self.head,
             "samples": self.samples,
+            "lag": self.lag,
             **super().settings(),
         }

@@ -20,6 +20,7 @@ from ..reports.plots import figure
 from ..reports.snapshots import Snapshots
 from ..reports.time_plots import BLUE, GREEN, ORANGE, Line, over_time
 from ..runs.frame_record import FrameRecord
+from .hypotheses import Hypotheses
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -52,6 +53,10 @@ class BodyRecord(FrameRecord):
         a frame each: means `(3, 3)` px of head and hands, and their standard deviations.
     seen
         a frame each: `(3,)`, whether the image has shown them.
+    second
+        probability of the second answer.
+    unsure
+        a frame each: `(2,)`, probability that left and right hand are elsewhere than the best answer says.
     stationary
         numbers of the frames whose image has shown nothing of the body.
     """
@@ -61,6 +66,8 @@ class BodyRecord(FrameRecord):
     places: list[Array] = field(default_factory=list)
     spreads: list[Array] = field(default_factory=list)
     seen: list[Mask] = field(default_factory=list)
+    second: "array[float]" = field(default_factory=lambda: array("d"))
+    unsure: list[Array] = field(default_factory=list)
     stationary: list[int] = field(default_factory=list)
     snapshots: Snapshots = field(default_factory=lambda: Snapshots(PICTURE_WIDTH))
 
@@ -69,25 +76,28 @@ class BodyRecord(FrameRecord):
         frame: Frame,
         found: BodyMoments,
         seen: Mask,
-        samples: BodySamples,
+        filtered: BodySamples,
+        answers: Hypotheses,
         seconds: float,
         *,
         overlay: Callable[[], Image],
     ) -> None:
         """Take in a frame; `overlay` is called for the few frames of which a picture is kept."""
-        nothing = frame.missing or samples.stationary
+        nothing = frame.missing or filtered.stationary
         self.numbers.append(frame.number)
         self.times.append(frame.time)
-        self.log_evidence.append(np.nan if nothing else samples.log_evidence)
-        self.effective.append(samples.effective)
+        self.log_evidence.append(np.nan if nothing else filtered.log_evidence)
+        self.effective.append(filtered.effective)
         self.seconds.append(seconds)
         self.places.append(found.joints[PART_JOINTS])
         variances = np.diagonal(found.joint_covariances[PART_JOINTS], axis1=1, axis2=2)
         self.spreads.append(np.sqrt(np.maximum(variances, 0)))
         self.seen.append(seen)
+        self.second.append(float(answers.weights[1]))
+        self.unsure.append(answers.unsure)
         if frame.missing:
             self.missing.append(frame.number)
-        elif samples.stationary:
+        elif filtered.stationary:
             self.stationary.append(frame.number)
         self.snapshots.add(frame, overlay)
 

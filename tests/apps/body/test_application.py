@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rsmcm.apps.body import application
 from rsmcm.apps.body import report as body_report
 from rsmcm.apps.body import start as body_start
+from rsmcm.apps.body.hypotheses import Hypotheses
 from rsmcm.apps.body.report import BodyRecord
 from rsmcm.apps.body.start import read_head, start_from_head
 from rsmcm.apps.body.writer import ANGLE_NAMES, N_DRAWN
@@ -153,7 +154,8 @@ def test_poses(finished: Path, scene: SignerScene) -> None:
     shapes = {
         "frames": (n,), "times": (n,), "joints_2d": (n, 8, 2), "joints_2d_covariances": (n, 8, 2, 2),
         "joints_3d": (n, 8, 3), "joints_3d_covariances": (n, 8, 3, 3), "angles": (n, 13),
-        "angle_covariances": (n, 13, 13), "samples": (n, N_DRAWN, 8, 3), "seen": (n, 3), "stationary": (n,),
+        "angle_covariances": (n, 13, 13), "samples": (n, N_DRAWN, 8, 3), "hypotheses": (n, 4),
+        "hypothesis_joints": (n, 4, 8, 3), "seen": (n, 3), "stationary": (n,),
         "missing": (n,), "joint_names": (8,), "part_names": (3,), "angle_names": (13,),
         "length_names": (len(fields(UpperBody)),), "lengths": (len(fields(UpperBody)),),
     }  # fmt: skip
@@ -538,6 +540,7 @@ def test_a_record_of_any_length() -> None:
     picture = np.zeros((48, 64, 3), np.uint8)
     body = UpperBody.from_head(50.0)
     joints = body.joints(resting(np.array([[30.0, 20.0]])))[0]
+    answers = Hypotheses(np.array([0.7, 0.3, 0, 0]), np.tile(joints, (4, 1, 1)), 10.0)
     found = BodyMoments(joints, np.tile(4 * np.eye(3), (8, 1, 1)), np.zeros(13), np.eye(13))
     for number in range(1, 101):
 
@@ -548,7 +551,7 @@ def test_a_record_of_any_length() -> None:
 
         seen = np.array([True, number % 4 != 0, number % 4 == 0]) & (number != 9)
         frame = Frame(None if number == 9 else picture, number / 25, number)
-        record.add(frame, found, seen, Samples(), 0.1, overlay=lambda: picture)  # type: ignore[arg-type]
+        record.add(frame, found, seen, Samples(), answers, 0.1, overlay=lambda: picture)  # type: ignore[arg-type]
     assert record.stationary_periods == [(5, 7), (20, 20)]
     assert record.missing == [9]
     assert record.shares_seen == {"head": 1.0, "left_hand": 74 / 99, "right_hand": 25 / 99}
