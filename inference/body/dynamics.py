@@ -1,6 +1,7 @@
 """How a person's upper body moves from frame to frame: p(x_t | x_t-1), to draw from and to evaluate."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from ...models.body.kernels.kinematics import lean
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import UpperBody
 from ...models.core.short_repr import short_repr
-from .kernels.dynamics import least_squares_to_rows, mixture_values
+from .kernels.dynamics import draw_terms, least_squares_to_rows, mixture_values
 
 Array = NDArray[np.float64]
 
@@ -131,6 +132,24 @@ class BodyDynamics:
         The sum is taken relative to its largest place, and an arm's factor has a floor, so that nothing
         underflows. The cost is the number of poses times that of ancestors.
         """
+        terms, log_scales = self._terms(poses, ancestors)
+        values = np.empty(len(poses), np.float32)
+        mixture_values(*terms, values)
+        return np.asarray(
+            log_scales + np.log(values.astype(np.float64)) + self.log_posture(poses, ancestors.elapsed)
+        )
+
+    def draw_ancestors(
+        self, poses: BodyPoses, ancestors: Ancestors, random: np.random.Generator
+    ) -> NDArray[np.int64]:
+        """`(n,)` indices: for each pose one of the ancestors, drawn from p(ancestor | pose), in proportion to
+        its weight times p(x | ancestor). The cost is that of `log_density`."""
+        chosen = np.empty(len(poses), np.int64)
+        draw_terms(*self._terms(poses, ancestors)[0], random.random(len(poses)), chosen)
+        return chosen
+
+    def _terms(self, poses: BodyPoses, ancestors: Ancestors) -> tuple[tuple[Any, ...], Array]:
+        """What `mixture_values` takes, and `(n,)` nats: by what its values are too small."""
         place, neck, kept, concentrations, jump = self._rates(ancestors.elapsed)
         past = ancestors.poses
         origin = past.roots.mean(axis=0)
@@ -142,17 +161,14 @@ class BodyDynamics:
         body, rows = here.astype(np.float32), np.ascontiguousarray(there.T, np.float32)
         least = np.empty(len(poses), np.float32)
         least_squares_to_rows(body, rows, least)
-        values = np.empty(len(poses), np.float32)
-        mixture_values(
+        terms = (
             body, rows, least,
             poses.arms.reshape(-1, 12).astype(np.float32),
             np.ascontiguousarray(past.arms.reshape(-1, 12).T, np.float32),
-            ancestors.weights.astype(np.float32), concentrations.astype(np.float32),
-            floors, values,
+            ancestors.weights.astype(np.float32), concentrations.astype(np.float32), floors,
         )  # fmt: skip
         gaussian = -np.log(2 * np.pi * place**2) - 1.5 * np.log(2 * np.pi * neck**2)
-        walk = gaussian + 2 * np.log(peak) + np.log(values.astype(np.float64)) - 0.5 * least
-        return np.asarray(walk + self.log_posture(poses, ancestors.elapsed))
+        return terms, gaussian + 2 * np.log(peak) - 0.5 * least
 
     def log_posture(self, poses: BodyPoses, dt: float = CROSSED_TIME) -> Array:
         """`(n,)` nats, at most 0: how much less usual a posture is than one with each hand on its own side.

@@ -149,3 +149,21 @@ def test_anywhere_is_within_the_limits_and_the_picture():
 def test_impossible_dynamics_are_refused(settings, words):
     with pytest.raises(ValueError, match=words):
         BodyDynamics(BODY, **settings)
+
+
+def test_ancestors_are_drawn_in_proportion_to_their_terms():
+    random = np.random.default_rng(5)
+    dynamics = BodyDynamics(BODY)
+    ancestors = dynamics.draw(some_poses(1, random).take(np.zeros(8, np.int64)), DT, random)
+    weights = random.dirichlet(np.ones(8))
+    pose = dynamics.draw(ancestors.take([3]), DT, random)
+    terms = np.array(
+        [dynamics.log_density(pose, Ancestors(ancestors.take([k]), np.ones(1), DT))[0] for k in range(8)]
+    )
+    shares = weights * np.exp(terms - terms.max())
+    n = 20_000
+    drawn = dynamics.draw_ancestors(
+        pose.take(np.zeros(n, np.int64)), Ancestors(ancestors, weights, DT), random
+    )
+    counted = np.bincount(drawn, minlength=8) / n
+    np.testing.assert_allclose(counted, shares / shares.sum(), atol=4 * 0.5 / np.sqrt(n))
