@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from ...chains.articulated_pose import ArticulatedPose
 from ...chains.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
+from ...inference.body.dynamics import BodyDynamics
+from ...inference.body.hindsight import FixedLag, TimedSamples
 from ...inference.body.samples import BodySamples
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import PARTS
@@ -41,23 +43,6 @@ Image = NDArray[np.uint8]
 
 SPREAD_OVER = 1000
 """Frames of a video over which those are spread in which faces are looked for: all of these are decoded."""
-
-
-class _FixedLag:
-    """Gives the filter's own poses so many frames later."""
-
-    def __init__(self, lag: int) -> None:
-        self._lag = lag
-        self._held: list[BodySamples] = []
-
-    def add(self, frame: Frame, samples: BodySamples) -> list[BodySamples]:
-        """Take in a frame; those that have waited long enough."""
-        self._held.append(samples)
-        return [self._held.pop(0)] if len(self._held) > self._lag else []
-
-    def rest(self) -> list[BodySamples]:
-        """Those that still wait."""
-        return self._held
 
 
 def run_body(job: BodyJob) -> Outcome:
@@ -148,7 +133,7 @@ class BodyRun(FilmRun[BodyJob]):
         self._pose = ArticulatedPose(start.body, self.job.samples, seed=self.job.seed)
         model = MultiChain().connect(self._flesh, start.parts).connect(self._pose, start.parts)
         self.engine = RecursiveBP(model)
-        self._hindsight = _FixedLag(self.lag)
+        self._hindsight = FixedLag(BodyDynamics(start.body), self.lag, seed=self.job.seed)
 
     def _looked_at(self) -> list[Image]:
         """Images from all over the source, which is read a second time for it."""
@@ -177,23 +162,29 @@ class BodyRun(FilmRun[BodyJob]):
         )
         return [self._writer]
 
-    def found(self, belief: Belief) -> list[BodySamples]:
+    def found(self, belief: Belief) -> list[TimedSamples]:
         """Poses of the frames of which enough later ones are known by now."""
+        self._begin_draws(belief.frame.number)
         return self._hindsight.add(belief.frame, belief[self._pose])
 
     def answered(self, steps: Iterator[Step]) -> Iterator[Step]:
         """Frames with their poses in hindsight; of the last ones, fewer later frames are known."""
         waiting: deque[Step] = deque()
 
-        def answer(poses: BodySamples) -> Step:
-            step = waiting.popleft()
-            return replace(step, found=poses)
+        def answer(poses: TimedSamples) -> Step:
+            return replace(waiting.popleft(), found=poses.samples)
 
         for step in steps:
             # without what else is believed of the frame, which is large
             waiting.append(replace(step, belief=Belief(step.belief.frame, step.belief.state, None)))
             yield from map(answer, step.found)
+        self._begin_draws(0)
         yield from map(answer, self._hindsight.rest())
+
+    def _begin_draws(self, number: int) -> None:
+        """Let what hindsight draws depend on the frame alone: a run that is resumed takes in frames again."""
+        random = np.random.default_rng((self.job.seed, number))
+        self._hindsight.waiting = replace(self._hindsight.waiting, random=random)
 
     def take_in(self, belief: Belief, found: BodySamples, seconds: float) -> None:
         """Write the frame's poses."""
