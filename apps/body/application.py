@@ -32,7 +32,7 @@ from ..view.film import Film, Row
 from ..view.page import View
 from .job import LAG, BodyJob
 from .joint_files import ClickedJoints, read_joints
-from .report import BodyRecord, write_body_report
+from .report import BodyRecord, Doubt, in_words, write_body_report
 from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
 from .view import body_view, drawn_of
 from .writer import BodyWriter, lengths
@@ -218,6 +218,7 @@ class BodyRun(FilmRun[BodyJob]):
         return {
             "seen": self.record.shares_seen,
             "stationary": self.record.stationary_periods,
+            "doubts": self.record.doubts,
             "flesh_colour": start.parts.skin is not None,
             "body": {"origin": start.origin, "lengths": lengths(start.body)},
             "notes": [*start.notes, *self.record.notes],
@@ -228,6 +229,10 @@ class BodyRun(FilmRun[BodyJob]):
         write_body_report(self.job.out / "report.html", self.record, summary, self.title)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
-        """How much was seen."""
+        """How much was seen, and where hands may be exchanged."""
         shares = ", ".join(f"{name.replace('_', ' ')} {100 * s:.0f} %" for name, s in summary["seen"].items())
-        return [f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, seen: {shares}"]
+        exchanged = [Doubt(*each) for each in summary["doubts"]["exchanged"]]
+        return [
+            f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, seen: {shares}",
+            *in_words({"exchanged": exchanged}),
+        ]

@@ -43,12 +43,13 @@ class BodyWriter(PoseWriter):
     `joints_2d (8, 2)` px, `joints_2d_covariances (8, 2, 2)`, `joints_3d (8, 3)`, `joints_3d_covariances (8,
     3, 3)`, `angles (13,)`, `angle_covariances (13, 13)`; `samples (40, 8, 3)` px, joints of poses drawn from
     the posterior; `hypotheses (4,)`, probabilities of answers that differ in where the hands are, the best
-    one first, and `hypothesis_joints (4, 8, 3)` px, their means, NaN where there are fewer; `seen (3,)`,
-    whether the image has shown head, left hand and right hand (a hand before face or neck does not count,
-    since their skin may be all that was seen); `stationary`, whether nothing at all was detected; `missing`,
-    whether there was no image. `joint_names (8,)`, `part_names (3,)` (of `seen`), `angle_names (13,)`, and
-    the body's `length_names` and `lengths` px come once. x is to the right, y down, z away from the viewer, 0
-    at the root; left is the person's own.
+    one first, and `hypothesis_joints (4, 8, 3)` px, their means, NaN where there are fewer; `exchanged`, the
+    probability that left and right hand are exchanged; `seen (3,)`, whether the image has shown head, left
+    hand and right hand (a hand before face or neck does not count, since their skin may be all that was
+    seen); `stationary`, whether nothing at all was detected; `missing`, whether there was no image.
+    `joint_names (8,)`, `part_names (3,)` (of `seen`), `angle_names (13,)`, and the body's `length_names` and
+    `lengths` px come once. x is to the right, y down, z away from the viewer, 0 at the root; left is the
+    person's own.
 
     Parameters
     ----------
@@ -130,6 +131,7 @@ class BodyWriter(PoseWriter):
             "samples": drawn.astype(np.float32),
             "hypotheses": answers.weights,
             "hypothesis_joints": answers.joints,
+            "exchanged": np.float64(answers.exchanged),
             "seen": seen,
             "stationary": np.bool_(filtered.stationary),
             "missing": np.bool_(frame.missing),
