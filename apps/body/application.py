@@ -32,7 +32,7 @@ from ..view.film import Film, Row
 from ..view.page import View
 from .job import LAG, BodyJob
 from .joint_files import ClickedJoints, read_joints
-from .report import BodyRecord, Doubt, in_words, write_body_report
+from .report import BodyRecord, write_body_report
 from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
 from .view import body_view, drawn_of
 from .writer import BodyWriter, lengths
@@ -229,10 +229,6 @@ class BodyRun(FilmRun[BodyJob]):
         write_body_report(self.job.out / "report.html", self.record, summary, self.title)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
-        """How much was seen, and where hands may be exchanged."""
+        """How much was seen."""
         shares = ", ".join(f"{name.replace('_', ' ')} {100 * s:.0f} %" for name, s in summary["seen"].items())
-        exchanged = [Doubt(*each) for each in summary["doubts"]["exchanged"]]
-        return [
-            f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, seen: {shares}",
-            *in_words({"exchanged": exchanged}),
-        ]
+        return [f"{summary['frames']} frames, {summary['frames_per_second']:.1f} a second, seen: {shares}"]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...inference.body.samples import BodyMoments, BodySamples
 from ...models.body.upper_body import JOINTS, PARTS
 from ...models.core.frame import Frame
-from ..reports.frame_lists import listed, listed_periods, periods
+from ..reports.frame_lists import listed_periods, periods
 from ..reports.page import Section, cards, paragraph, table, write_run_page
 from ..reports.plots import figure
 from ..reports.snapshots import Snapshots
@@ -53,13 +53,18 @@ class Doubt(NamedTuple):
     last: int
     probability: float
 
+    @property
+    def frames(self) -> str:
+        """In words."""
+        return f"{self.first} to {self.last}"
+
 
 def doubts(numbers: Sequence[int], times: Sequence[float], probabilities: Array) -> list[Doubt]:
     """Stretches of frames in which something is probable enough to be said, but for gaps of a moment."""
     found: list[Doubt] = []
     ended = -np.inf  # s
     for index in np.flatnonzero(probabilities >= WORTH_SAYING).tolist():
-        one = Doubt(numbers[index], numbers[index], float(probabilities[index]))
+        one = Doubt(numbers[index], numbers[index], round(float(probabilities[index]), 3))
         if times[index] - ended <= SAME_DOUBT:
             before = found.pop()
             one = Doubt(before.first, one.last, max(before.probability, one.probability))
@@ -74,15 +79,13 @@ def in_words(found: Mapping[str, Sequence[Doubt]]) -> list[str]:
     for name, stretches in found.items():
         if not stretches:
             continue
-        what = (
-            "hands may be exchanged" if name == "exchanged" else f"{name.replace('_', ' ')} may be elsewhere"
-        )
+        part = name.replace("_", " ")
+        what = "hands may be exchanged" if name == "exchanged" else f"{part} may be elsewhere"
         longest = sorted(stretches, key=lambda each: each.first - each.last)[:MOST_SAID]
-        where = listed(
-            [f"{each.first} to {each.last} ({100 * each.probability:.0f} %)" for each in sorted(longest)]
-        )
+        where = ", ".join(f"{each.frames} ({100 * each.probability:.0f} %)" for each in sorted(longest))
         more = len(stretches) - len(longest)
-        sentences.append(f"The {what} in {where}{f' and {more} shorter stretches' if more else ''}.")
+        shorter = f" and {more} shorter stretches" if more else ""
+        sentences.append(f"The {what} in frames {where}{shorter}.")
     return sentences
 
 
@@ -305,7 +308,7 @@ def _doubt(record: BodyRecord) -> Markup:
         Line("hands exchanged", GREEN, np.array(record.exchanged)),
     ]
     rows = [
-        (name.replace("_", " "), f"{each.first} to {each.last}", f"{100 * each.probability:.0f} %")
+        (name.replace("_", " "), each.frames, f"{100 * each.probability:.0f} %")
         for name, stretches in record.doubts.items()
         for each in stretches
     ]

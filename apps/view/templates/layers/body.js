@@ -70,7 +70,7 @@ addLayers(({ joints, samples, second, secondWeight, worthSaying, perPx, bones, c
       pen.beginPath();
       pen.moveTo(...at(a).slice(0, 2));
       pen.lineTo(...at(b).slice(0, 2));
-      for (const [ink, width] of [["rgb(0 0 0 / .55)", 3], [mixed(colour, "#ffffff", 0.5), 1.5]]) {
+      for (const [ink, width] of [["rgb(0 0 0 / .55)", 4], [mixed(colour, "#ffffff", 0.5), 2]]) {
         [pen.strokeStyle, pen.lineWidth] = [ink, width * unit];
         pen.setLineDash([6 * unit, 6 * unit]);
         pen.stroke();
@@ -179,8 +179,8 @@ addLayers(({ joints, samples, second, secondWeight, worthSaying, perPx, bones, c
     const px = (value) => `${value.toFixed(1)} px`;
     return [
       ["now", isSeen(i, j) ? "seen" : parts.includes(j) ? "hidden, predicted" : "inferred"],
-      ...(isDoubtful(i) && j !== 0 && j !== 1 ? [["or", elsewhere(j, i)]] : []),
       ["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`],
+      ...(isDoubtful(i) && colours[j] !== colours[0] ? [["or", elsewhere(j, i)]] : []),
       ["unsure by", `${Math.sqrt(xx).toFixed(1)}, ${Math.sqrt(yy).toFixed(1)} px`],
       ["depth", z < 0 ? `${px(-z)} nearer than the neck` : `${px(z)} farther than the neck`],
       ["depth unsure by", px(Math.sqrt(zz))],
