@@ -16,7 +16,7 @@ from ...chains.articulated_pose import ArticulatedPose
 from ...chains.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...inference.body.dynamics import BodyDynamics
-from ...inference.body.hindsight import FixedLag, TimedSamples
+from ...inference.body.hindsight import BLOCK, FixedLag, TimedSamples
 from ...inference.body.samples import BodySamples
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import PARTS
@@ -26,7 +26,7 @@ from ..io.sources.blank_frames import SeenFrames
 from ..io.sources.open_source import open_source
 from ..runs.film_run import FilmRun, Step, Writer
 from ..runs.interruption import Interrupted, Outcome
-from ..runs.memory import BODY, IMAGE, KEPT_SAMPLE, SAMPLE
+from ..runs.memory import BODY, KEPT_IMAGE, KEPT_SAMPLE, SAMPLE
 from ..runs.saved_run import SavedRun
 from ..view.film import Film, Row
 from ..view.page import View
@@ -62,6 +62,7 @@ class BodyRun(FilmRun[BodyJob]):
         "person": SavedPerson,
         "record": BodyRecord.kinds(),
         "draws": np.random.Generator,
+        "answered": TimedSamples | None,
     }
     chains: ClassVar[dict[str, Any]] = {"flesh": FleshTracker, "pose": ArticulatedPose}
 
@@ -75,7 +76,8 @@ class BodyRun(FilmRun[BodyJob]):
     @property
     def bytes_needed(self) -> tuple[float, float]:
         """Depends on the number of samples, and on that of frames that wait with theirs."""
-        return BODY + IMAGE * self.lag, self.job.samples * (SAMPLE + KEPT_SAMPLE * self.lag)
+        kept = self.lag + BLOCK if self.lag else 0
+        return BODY + KEPT_IMAGE * kept, self.job.samples * (SAMPLE + KEPT_SAMPLE * kept)
 
     @property
     def lag(self) -> int:
@@ -90,6 +92,7 @@ class BodyRun(FilmRun[BodyJob]):
             "person": SavedPerson.of(self._start),
             "record": self.record.saved(),
             "draws": self._draws,
+            "answered": self._hindsight.waiting.past,
         }
 
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
@@ -122,6 +125,7 @@ class BodyRun(FilmRun[BodyJob]):
         self._draws = memory["draws"]
         self.record = BodyRecord.restored(memory["record"])
         self._begin_with(memory["person"].start(self.job.detector))
+        self._hindsight.waiting = replace(self._hindsight.waiting, past=memory["answered"])
 
     def learn_from(self, saved: SavedRun) -> None:
         """Take the person's lengths, colour and pose."""
@@ -165,7 +169,8 @@ class BodyRun(FilmRun[BodyJob]):
     def found(self, belief: Belief) -> list[TimedSamples]:
         """Poses of the frames of which enough later ones are known by now."""
         self._begin_draws(belief.frame.number)
-        return self._hindsight.add(belief.frame, belief[self._pose])
+        image = belief.evidence(self._start.parts).image
+        return self._hindsight.add(belief.frame, belief[self._pose], image)
 
     def answered(self, steps: Iterator[Step]) -> Iterator[Step]:
         """Frames with their poses in hindsight; of the last ones, fewer later frames are known."""

@@ -25,7 +25,7 @@ N_DRAWN = 40
 """Samples that are drawn and kept, as in Figs. 4 to 6 of the paper."""
 
 ANGLE_NAMES = (
-    "root_x", "root_y", "neck_x", "neck_y", "neck_z",
+    "root_x", "root_y", "torso_x", "torso_y", "torso_z", "neck_x", "neck_y", "neck_z",
     "left_shoulder_x", "left_shoulder_y", "left_shoulder_z", "left_elbow",
     "right_shoulder_x", "right_shoulder_y", "right_shoulder_z", "right_elbow",
 )  # fmt: skip
@@ -41,13 +41,13 @@ class BodyWriter(PoseWriter):
 
     `poses.npz` holds, a row a frame: `frames` (their numbers) and `times` s; posterior means and covariances:
     `joints_2d (8, 2)` px, `joints_2d_covariances (8, 2, 2)`, `joints_3d (8, 3)`, `joints_3d_covariances (8,
-    3, 3)`, `angles (13,)`, `angle_covariances (13, 13)`; `samples (40, 8, 3)` px, joints of poses drawn from
+    3, 3)`, `angles (16,)`, `angle_covariances (16, 16)`; `samples (40, 8, 3)` px, joints of poses drawn from
     the posterior; `hypotheses (4,)`, probabilities of answers that differ in where the hands are, the best
     one first, and `hypothesis_joints (4, 8, 3)` px, their means, NaN where there are fewer; `exchanged`, the
     probability that left and right hand are exchanged; `seen (3,)`, whether the image has shown head, left
     hand and right hand (a hand before face or neck does not count, since their skin may be all that was
     seen); `stationary`, whether nothing at all was detected; `missing`, whether there was no image.
-    `joint_names (8,)`, `part_names (3,)` (of `seen`), `angle_names (13,)`, and the body's `length_names` and
+    `joint_names (8,)`, `part_names (3,)` (of `seen`), `angle_names (16,)`, and the body's `length_names` and
     `lengths` px come once. x is to the right, y down, z away from the viewer, 0 at the root; left is the
     person's own.
 

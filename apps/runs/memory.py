@@ -18,7 +18,7 @@ FACE, FACE_EXPERT, EXPERT = 60, 1.5, 200_000
 BODY, SAMPLE = 180, 5_000
 """Bytes per pixel, and per sample."""
 
-IMAGE, KEPT_SAMPLE = 3, 200
+KEPT_IMAGE, KEPT_SAMPLE = 24, 250
 """Bytes per pixel and per sample of each frame that waits for later ones."""
 
 GIGA = 1e9

@@ -157,7 +157,7 @@ class BodyMoments:
     joints, joint_covariances
         `(8, 3)` px and `(8, 3, 3)` px^2, in the order of `models.body.upper_body.JOINTS`.
     angles, angle_covariances
-        `(13,)` and `(13, 13)`, px and rad, of `BodyPoses.angles`.
+        `(16,)` and `(16, 16)`, px and rad, of `BodyPoses.angles`.
     """
 
     joints: Array

@@ -153,10 +153,10 @@ def test_poses(finished: Path, scene: SignerScene) -> None:
     n = N_FRAMES
     shapes = {
         "frames": (n,), "times": (n,), "joints_2d": (n, 8, 2), "joints_2d_covariances": (n, 8, 2, 2),
-        "joints_3d": (n, 8, 3), "joints_3d_covariances": (n, 8, 3, 3), "angles": (n, 13),
-        "angle_covariances": (n, 13, 13), "samples": (n, N_DRAWN, 8, 3), "hypotheses": (n, 4),
+        "joints_3d": (n, 8, 3), "joints_3d_covariances": (n, 8, 3, 3), "angles": (n, 16),
+        "angle_covariances": (n, 16, 16), "samples": (n, N_DRAWN, 8, 3), "hypotheses": (n, 4),
         "hypothesis_joints": (n, 4, 8, 3), "exchanged": (n,), "seen": (n, 3), "stationary": (n,),
-        "missing": (n,), "joint_names": (8,), "part_names": (3,), "angle_names": (13,),
+        "missing": (n,), "joint_names": (8,), "part_names": (3,), "angle_names": (16,),
         "length_names": (len(fields(UpperBody)),), "lengths": (len(fields(UpperBody)),),
     }  # fmt: skip
     assert {name: array.shape for name, array in poses.items()} == shapes
@@ -578,7 +578,7 @@ def test_a_record_of_any_length() -> None:
         Hypotheses(np.array([1 - second, second, 0, 0]), np.stack([joints, elsewhere, joints, joints]), 10.0)
         for second in (0.02, 0.3)
     )
-    found = BodyMoments(joints, np.tile(4 * np.eye(3), (8, 1, 1)), np.zeros(13), np.eye(13))
+    found = BodyMoments(joints, np.tile(4 * np.eye(3), (8, 1, 1)), np.zeros(16), np.eye(16))
     for number in range(1, 101):
 
         class Samples:

@@ -45,7 +45,7 @@ def signing() -> BodyPoses:
     """One pose with both hands before the chest's sides, elbows out."""
     arms = np.array([[[[0.45, 0.85, -0.25], [0.1, -0.75, -0.6]], [[-0.5, 0.8, -0.3], [0.05, -0.3, -0.9]]]])
     arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    return BodyPoses(np.array([[310.0, 150.0]]), np.zeros((1, 3)), arms)
+    return BodyPoses(np.array([[310.0, 150.0]]), np.zeros((1, 3)), np.zeros((1, 3)), arms)
 
 
 def seen(poses: BodyPoses, *, without: tuple[int, ...] = (), discs: Array | None = None) -> BodyImage:
@@ -80,7 +80,7 @@ def scattered(n: int, random: np.random.Generator, spread: float = 0.3) -> BodyP
     arms = poses.arms + spread * random.normal(size=poses.arms.shape)
     arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
     roots = poses.roots + 30 * spread * random.normal(size=(n, 2))
-    return BodyPoses(roots, 0.5 * spread * random.normal(size=(n, 3)), arms)
+    return BodyPoses(roots, np.zeros((n, 3)), 0.5 * spread * random.normal(size=(n, 3)), arms)
 
 
 def hand_scores(image: BodyImage, parts: Array, roots: Array) -> Array:
