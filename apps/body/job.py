@@ -10,6 +10,9 @@ from ..options.job import FilmJob, resolved
 
 FEWEST_SAMPLES = 10
 
+LAG, MOST_LAG = 12, 250
+"""Frames: what is usual, and what is kept in memory at most."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class BodyJob(FilmJob):
@@ -34,6 +37,9 @@ class BodyJob(FilmJob):
         the largest person in it is followed.
     samples
         How many poses are drawn a frame.
+    lag
+        Frames that are waited for before one is answered, so that what they show of it counts: 12 if not
+        given, and 0 for cameras and streams.
     learned
         Begin with what a run over another film of the person has learned, lengths, colour and pose: the
         state.npz of its results. A recording is taken to go on where that one ended.
@@ -44,11 +50,14 @@ class BodyJob(FilmJob):
     joints: Path | None = None
     keypoints: Path | None = None
     samples: int = 1000
+    lag: int | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.samples < FEWEST_SAMPLES:
             raise ValueError(f"--samples: got {self.samples}, expected {FEWEST_SAMPLES} or more")
+        if self.lag is not None and not 0 <= self.lag <= MOST_LAG:
+            raise ValueError(f"--lag: got {self.lag}, expected 0 to {MOST_LAG} frames")
         if self.learned is not None:
             for name in ("head", "joints"):
                 if getattr(self, name) is not None:
@@ -62,5 +71,6 @@ class BodyJob(FilmJob):
             "keypoints": resolved(self.keypoints),
             "head": self.head,
             "samples": self.samples,
+            "lag": self.lag,
             **super().settings(),
         }

@@ -152,6 +152,18 @@ class BodyDynamics:
             log_scales + np.log(values.astype(np.float64)) + self.log_posture(poses, ancestors.elapsed)
         )
 
+    def log_step(self, poses: BodyPoses, before: BodyPoses, dt: float) -> Array:
+        """`(n,)` nats: log of p(x | x') of each pose and its own `dt` seconds before, as `log_density`."""
+        place, concentrations, jump = self._rates(dt)
+        kept, spread = self.turn_step(dt)
+        steps = [(poses.roots - before.roots) / place, (poses.turns - kept * before.turns) / spread]
+        squares = np.square(np.concatenate(steps, axis=1)).sum(axis=1)
+        peak = (1 - jump) * _peak(concentrations).prod()
+        turned = (((poses.arms * before.arms).sum(axis=3) - 1) * concentrations).sum(axis=2)
+        arms = np.log(peak * np.exp(turned) + jump * np.exp(_log_usual(poses.arms))).sum(axis=1)
+        gaussian = -4 * np.log(2 * np.pi) - 2 * np.log(place) - np.log(spread).sum()
+        return np.asarray(gaussian - 0.5 * squares + arms + self.log_posture(poses, dt))
+
     def draw_ancestors(
         self, poses: BodyPoses, ancestors: Ancestors, random: np.random.Generator
     ) -> NDArray[np.int64]:
@@ -279,7 +291,7 @@ def concentration(elapsed: Array) -> Array:
     return np.asarray(kappa)
 
 
-def around(directions: Array, concentration: float, random: np.random.Generator) -> Array:
+def around(directions: Array, concentration: Array | float, random: np.random.Generator) -> Array:
     """Draw unit vectors from von Mises and Fisher's density about `directions`, `(..., 3)`.
 
     On the sphere the cosine to the middle has an inverse distribution in closed form.

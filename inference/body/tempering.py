@@ -103,7 +103,7 @@ def temper(
         poses, likelihood, prior = poses.take(chosen), likelihood[chosen], prior[chosen]
         log_weights = np.zeros(n)
         for _ in range(MOVES):
-            moved, correction = _moved(dynamics, poses, random)
+            moved, correction = perturbed(dynamics, poses, random)
             new_prior = log_prior(moved)
             possible = np.flatnonzero(np.isfinite(new_prior) & np.isfinite(correction))
             new_likelihood = np.full(n, -np.inf)
@@ -150,7 +150,9 @@ def _rise(log_weights: Array, likelihood: Array, most: float) -> float:
     return max(low, 0.02 * most)
 
 
-def _moved(dynamics: BodyDynamics, poses: BodyPoses, random: np.random.Generator) -> tuple[BodyPoses, Array]:
+def perturbed(
+    dynamics: BodyDynamics, poses: BodyPoses, random: np.random.Generator
+) -> tuple[BodyPoses, Array]:
     """Each pose changed in one of the blocks, and the log of what makes the change symmetric (`(n,)`)."""
     n, body = len(poses), dynamics.body
     block = random.integers(BLOCKS, size=n)

@@ -172,3 +172,15 @@ def test_ancestors_are_drawn_in_proportion_to_their_terms():
     )
     counted = np.bincount(drawn, minlength=8) / n
     np.testing.assert_allclose(counted, shares / shares.sum(), atol=4 * 0.5 / np.sqrt(n))
+
+
+def test_one_step_is_a_mixture_of_one_ancestor():
+    random = np.random.default_rng(6)
+    dynamics = BodyDynamics(BODY)
+    before = some_poses(30, random)
+    poses = dynamics.draw(before, DT, random)
+    each = [
+        dynamics.log_density(poses.take([k]), Ancestors(before.take([k]), np.ones(1), DT))[0]
+        for k in range(30)
+    ]
+    np.testing.assert_allclose(dynamics.log_step(poses, before, DT), each, atol=1e-3)
