@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.body.dynamics import BodyDynamics
+from ..inference.body.guided_sampling import GuidedSampler
 from ..inference.body.likelihood_sampling import LikelihoodSampler
 from ..inference.body.samples import (
     LEAST_SPREAD,
@@ -19,6 +20,7 @@ from ..inference.body.samples import (
 )
 from ..inference.body.tempering import temper
 from ..inference.core.protocols import Incoming, Port
+from ..inference.filters.resampling import normalised
 from ..models.body.likelihood import BodyLikelihood, PoseLikelihood
 from ..models.body.part_message import PartMessage
 from ..models.body.parts import BodyParts
@@ -30,14 +32,17 @@ from ..models.core.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
-CANDIDATES = 2
+CANDIDATES = 3
 """Poses that are drawn at first, over those that are kept."""
 
 FIRST = 10_000
 """Poses that are drawn in the first frame, at least: nothing is known of the arms."""
 
 IMAGE_ONLY = 0.4
-"""Share of a part's draws for which other chains are not asked."""
+"""Share of a part's draws in the first frame for which other chains are not asked."""
+
+PREDICTED = 0.3
+"""Share of the hands that are drawn where other chains expect them; others are drawn where they are seen."""
 
 GROUPS = 4
 """Gaussians by which each part is predicted."""
@@ -133,23 +138,37 @@ class ArticulatedPose:
         if image is None or not image.mixtures.informative.any():
             return stationary(state, message.log_values(self.body.parts(state.poses)))
         dynamics, past, random = self._dynamics, state.ancestors, copied(state.random)
-        n = CANDIDATES * self.samples if past else max(FIRST, CANDIDATES * self.samples)
-        mixtures = self._mixtures(message, image.mixtures, state)
-        proposal = LikelihoodSampler(dynamics).draw(mixtures, past, n, random)
-        if not len(proposal.poses):
-            return stationary(state, np.zeros(len(state.poses)))
 
-        def log_prior(poses: BodyPoses) -> Array:
-            if past is None:
+        def log_prior(poses: BodyPoses, ancestors: BodyPoses | None) -> Array:
+            if past is None or ancestors is None:
                 prior = dynamics.log_density_anywhere(poses, state.size)
             else:
-                prior = dynamics.log_density(poses, past)
+                prior = dynamics.log_step(poses, ancestors, past.elapsed)
             prior += message.log_values(self.body.parts(poses))
             return np.where(self.body.allowed(poses), prior, -np.inf)
 
+        ancestors = None
+        if past is None:
+            proposal = LikelihoodSampler(dynamics).draw(
+                self._mixtures(message, image.mixtures, state), max(FIRST, CANDIDATES * self.samples), random
+            )
+            poses, log_weights = proposal.poses, log_prior(proposal.poses, None) - proposal.log_density
+        else:
+            said = ((image.mixtures, 1 - PREDICTED), (message.predicted, PREDICTED))
+            guided = GuidedSampler(dynamics).draw(past, said, CANDIDATES * self.samples, random)
+            poses, ancestors = guided.poses, past.poses.take(guided.ancestors)
+            log_weights = guided.log_weights + message.log_values(self.body.parts(poses))
+        if not np.isfinite(log_weights).any():
+            return stationary(state, np.zeros(len(state.poses)))
         likelihood = (self.likelihood or BodyLikelihood(self.body))(image)
         found = temper(
-            dynamics, proposal.poses, proposal.log_density, log_prior, likelihood, self.samples, random
+            dynamics,
+            poses,
+            normalised(log_weights),
+            lambda moved, owners: log_prior(moved, None if ancestors is None else ancestors.take(owners)),
+            likelihood,
+            self.samples,
+            random,
         )
         return BodySamples(
             found.poses, found.log_weights, state.size, random, log_evidence=found.log_evidence

@@ -154,15 +154,20 @@ class BodyDynamics:
 
     def log_step(self, poses: BodyPoses, before: BodyPoses, dt: float) -> Array:
         """`(n,)` nats: log of p(x | x') of each pose and its own `dt` seconds before, as `log_density`."""
-        place, concentrations, jump = self._rates(dt)
+        place = self._rates(dt)[0]
         kept, spread = self.turn_step(dt)
         steps = [(poses.roots - before.roots) / place, (poses.turns - kept * before.turns) / spread]
         squares = np.square(np.concatenate(steps, axis=1)).sum(axis=1)
+        gaussian = -4 * np.log(2 * np.pi) - 2 * np.log(place) - np.log(spread).sum()
+        arms = self.log_arm_steps(poses, before, dt).sum(axis=1)
+        return np.asarray(gaussian - 0.5 * squares + arms + self.log_posture(poses, dt))
+
+    def log_arm_steps(self, poses: BodyPoses, before: BodyPoses, dt: float) -> Array:
+        """`(n, 2)` nats: the factors of left and right arm in `log_step`."""
+        _, concentrations, jump = self._rates(dt)
         peak = (1 - jump) * _peak(concentrations).prod()
         turned = (((poses.arms * before.arms).sum(axis=3) - 1) * concentrations).sum(axis=2)
-        arms = np.log(peak * np.exp(turned) + jump * np.exp(_log_usual(poses.arms))).sum(axis=1)
-        gaussian = -4 * np.log(2 * np.pi) - 2 * np.log(place) - np.log(spread).sum()
-        return np.asarray(gaussian - 0.5 * squares + arms + self.log_posture(poses, dt))
+        return np.asarray(np.log(peak * np.exp(turned) + jump * np.exp(_log_usual(poses.arms))))
 
     def draw_ancestors(
         self, poses: BodyPoses, ancestors: Ancestors, random: np.random.Generator

@@ -18,10 +18,6 @@ from .dynamics import Ancestors, BodyDynamics
 
 Array = NDArray[np.float64]
 
-MOST_ANCESTORS = 500
-"""Poses of the frame before of which the temporal prior is a mixture, beside at most as many with exchanged
-hands: the cost of a frame is their number times that of the samples, and so in proportion to the latter."""
-
 MISTAKEN = 0.2
 """Chance that a part is where the samples do not expect it, as others are told."""
 
@@ -133,10 +129,9 @@ def predicted(dynamics: BodyDynamics, state: BodySamples, n: int, dt: float) -> 
     """
     state, dt = state.origin(dt)
     random = copied(state.random)
-    chosen, counts = np.unique(systematic(state.log_weights, MOST_ANCESTORS, random), return_counts=True)
-    ancestors = Ancestors(state.poses.take(chosen), counts / MOST_ANCESTORS, dt)
-    ancestors = dynamics.with_exchanged(ancestors, random)
-    drawn = systematic(np.log(ancestors.weights), n, random)
+    ancestors = dynamics.with_exchanged(Ancestors(state.poses, state.weights, dt), random)
+    with np.errstate(divide="ignore"):
+        drawn = systematic(np.log(ancestors.weights), n, random)
     poses = dynamics.draw(ancestors.poses.take(drawn), dt, random)
     possible = np.where(dynamics.body.allowed(poses), dynamics.log_posture(poses, dt), -np.inf)
     return BodySamples(poses, normalised(possible), state.size, random, ancestors, state, dt)

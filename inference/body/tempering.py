@@ -15,8 +15,10 @@ from ...models.body.inverse_kinematics import arm_at, log_volume, swivels
 from ...models.body.poses import BodyPoses
 from ..filters.resampling import log_sum, normalised, systematic
 from .dynamics import BodyDynamics, around
+from .strata import Strata
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 LogDensity = Callable[[BodyPoses], Array]
 
 KEPT = 0.3
@@ -65,46 +67,48 @@ class Tempered:
 def temper(
     dynamics: BodyDynamics,
     poses: BodyPoses,
-    log_proposal: Array,
-    log_prior: LogDensity,
+    log_weights: Array,
+    log_prior: Callable[[BodyPoses, Indices], Array],
     log_likelihood: LogDensity,
     n: int,
     random: np.random.Generator,
 ) -> Tempered:
-    """Bring draws of a proposal to the posterior in a few steps.
+    """Bring weighted samples of a prior to the posterior in a few steps.
 
-    Weights make them samples of the prior at first. In each step the likelihood is taken to a power b that
-    grows to 1, by as much as leaves enough samples with weight; they are drawn again and moved by Metropolis
-    steps that keep prior times likelihood^b as it is.
+    In each step the likelihood is taken to a power b that grows to 1, by as much as leaves enough samples
+    with weight; samples are drawn again, from all `Strata`, and moved by Metropolis steps that keep prior
+    times likelihood^b as it is.
 
     Parameters
     ----------
-    poses, log_proposal
-        any number of draws, and the density from which they come, up to a constant.
+    poses, log_weights
+        m samples of the prior, with weights of sum 1.
     log_prior
-        of the poses, up to a constant; minus infinity where a pose is impossible.
+        of poses and the numbers of the samples, 0 to m - 1, that they go back to: up to a constant of such a
+        number, minus infinity where a pose is impossible.
     log_likelihood
-        likewise.
+        of poses.
     n
         samples that are left.
     """
-    likelihood, prior = log_likelihood(poses), log_prior(poses)
-    log_weights = prior - log_proposal
-    power, evidence, moves, accepted = 0.0, 0.0, 0, 0
+    likelihood = log_likelihood(poses)
+    owners = np.arange(len(poses))
+    power, moves, accepted = 0.0, 0, 0
+    evidence = -log_sum(log_weights)
     for step in range(MOST_STEPS):
         rest = 1 - power
         rise = rest if step == MOST_STEPS - 1 else _rise(log_weights, likelihood, rest)
         power += rise
         log_weights = log_weights + rise * likelihood
-        evidence += log_sum(log_weights) - np.log(len(log_weights))
-        if power >= 1 and len(poses) == n and _effective(log_weights) > KEPT * n:
-            return Tempered(poses, normalised(log_weights), evidence, accepted / max(moves, 1))
-        chosen = systematic(log_weights, n, random)
-        poses, likelihood, prior = poses.take(chosen), likelihood[chosen], prior[chosen]
-        log_weights = np.zeros(n)
+        total = log_sum(log_weights)
+        choice = Strata.of(dynamics.body, poses).balanced(log_weights)
+        chosen = systematic(choice, n, random)
+        poses, likelihood, owners = poses.take(chosen), likelihood[chosen], owners[chosen]
+        log_weights = normalised(log_weights[chosen] - choice[chosen]) + total
+        prior = log_prior(poses, owners)
         for _ in range(MOVES):
             moved, correction = perturbed(dynamics, poses, random)
-            new_prior = log_prior(moved)
+            new_prior = log_prior(moved, owners)
             possible = np.flatnonzero(np.isfinite(new_prior) & np.isfinite(correction))
             new_likelihood = np.full(n, -np.inf)
             new_likelihood[possible] = log_likelihood(moved.take(possible))
@@ -116,18 +120,13 @@ def temper(
                 + correction[possible]
             )
             takes = np.log(random.random(n)) < gain
-            poses = BodyPoses(
-                np.where(takes[:, None], moved.roots, poses.roots),
-                np.where(takes[:, None], moved.torsos, poses.torsos),
-                np.where(takes[:, None], moved.necks, poses.necks),
-                np.where(takes[:, None, None, None], moved.arms, poses.arms),
-            )
+            poses = poses.replaced(takes, moved)
             likelihood = np.where(takes, new_likelihood, likelihood)
             prior = np.where(takes, new_prior, prior)
             moves, accepted = moves + n, accepted + int(np.count_nonzero(takes))
         if power >= 1:
             break
-    return Tempered(poses, np.full(n, -np.log(n)), evidence, accepted / max(moves, 1))
+    return Tempered(poses, normalised(log_weights), evidence + log_sum(log_weights), accepted / max(moves, 1))
 
 
 def _effective(log_weights: Array) -> float:

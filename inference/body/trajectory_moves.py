@@ -7,7 +7,7 @@ Carlo" (2013), move each pose x_t where it is
     p(x_t | x_t+1, I_1..t) ~ p(x_t | I_1..t-1) p(I_t | x_t) p(x_t+1 | x_t)
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,7 +138,7 @@ def moved_between(
             tried, correction = _with_arms(poses, proposals, random)
         new = log_target(tried)
         takes = np.log(random.random(n)) < new - value + correction
-        poses, value = _taken(takes, tried, poses), np.where(takes, new, value)
+        poses, value = poses.replaced(takes, tried), np.where(takes, new, value)
     return poses
 
 
@@ -156,12 +156,6 @@ def _with_arms(
         arms[changes, side] = drawn[changes]
         correction[changes] += ratio[changes]
     return replace(poses, arms=arms), correction
-
-
-def _taken(takes: NDArray[np.bool_], tried: BodyPoses, poses: BodyPoses) -> BodyPoses:
-    """`tried` where `takes` `(n,)`, `poses` elsewhere."""
-    parts = [(getattr(tried, field.name), getattr(poses, field.name)) for field in fields(BodyPoses)]
-    return BodyPoses(*(np.where(takes.reshape(-1, *[1] * (new.ndim - 1)), new, old) for new, old in parts))
 
 
 def _log_kernels(arms: Array, centres: Array, concentrations: Array) -> Array:

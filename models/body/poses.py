@@ -61,6 +61,20 @@ class BodyPoses:
         """The poses chosen by a slice, a mask or indices."""
         return type(self)(self.roots[chosen], self.torsos[chosen], self.necks[chosen], self.arms[chosen])
 
+    def replaced(self, where: NDArray[np.bool_], others: "BodyPoses") -> Self:
+        """The same, but for poses `where` `(n,)`, which are those of `others`."""
+        return type(self)(
+            *(
+                np.where(where.reshape(-1, *[1] * (own.ndim - 1)), new, own)
+                for own, new in (
+                    (self.roots, others.roots),
+                    (self.torsos, others.torsos),
+                    (self.necks, others.necks),
+                    (self.arms, others.arms),
+                )
+            )
+        )
+
     @property
     def turns(self) -> Array:
         """`(n, 6)` rad: rotation vectors of torso and neck."""

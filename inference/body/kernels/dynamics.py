@@ -119,42 +119,40 @@ def draw_terms(body, ancestors, least, arms, ancestor_arms, weights, concentrati
 
 
 @compiled
-def completion_values(turns, ancestor_turns, least, hidden, ancestor_hidden, weights, floors, values):
-    """Density with which torso, neck and hidden coordinates of both arms were drawn around the ancestors.
+def guided_values(
+    hands, chosen, walks, completions, sides, means, precisions, heights, closeness, free, values
+):
+    """Log densities of poses some of which were drawn with a hand at a target, given their ancestors.
 
     Parameters
     ----------
-    turns, ancestor_turns, least
-        `(n, d)`, `(d, k)`, `(n,)`: as `body` of `mixture_values`.
-    hidden, ancestor_hidden
-        `(n, 6)`, `(6, k)`: per arm the hand's depth in standard deviations, and cosine and sine of the
-        swivel times the root of its concentration.
-    weights
-        `(k,)` of the ancestors.
-    floors
-        `(n, 2)`: density of drawing an arm's coordinates anywhere, by that of the peak near an ancestor.
+    hands
+        `(n, 2, 2)` px: left and right.
+    chosen
+        `(n,)` of the ancestors.
+    walks, completions
+        `(n, 2)` nats of each arm: its density if the dynamics moved it, and that of all but its hand's place
+        if it was put in place.
+    sides, means, precisions, heights
+        `(k,)`, `(k, 2)`, `(k, 2, 2)`, `(k,)` of the targets: share of the draws times peak of the density.
+    closeness
+        `(n_ancestors, k)`: by how much more readily an ancestor is chosen for a target.
+    free
+        share of the draws without target.
     values
         `(n,)` filled in.
     """
-    n = len(turns)
-    k = len(weights)
-    squares = np.empty(k, np.float32)
-    for i in range(n):
-        _squares_to_rows(turns[i], ancestor_turns, squares)
-        total = _f4(0.0)
-        depth, cosine, sine = hidden[i, 0], hidden[i, 1], hidden[i, 2]
-        depth_2, cosine_2, sine_2 = hidden[i, 3], hidden[i, 4], hidden[i, 5]
-        nearest, floor, floor_2 = least[i], floors[i, 0], floors[i, 1]
-        for j in range(k):
-            near = exponential(_f4(-0.5) * (squares[j] - nearest))
-            # of two vectors of one length, half the squared distance is that length squared less the product
-            x = depth - ancestor_hidden[0, j]
-            y = cosine - ancestor_hidden[1, j]
-            z = sine - ancestor_hidden[2, j]
-            left = exponential(_f4(-0.5) * (x * x + y * y + z * z))
-            x = depth_2 - ancestor_hidden[3, j]
-            y = cosine_2 - ancestor_hidden[4, j]
-            z = sine_2 - ancestor_hidden[5, j]
-            right = exponential(_f4(-0.5) * (x * x + y * y + z * z))
-            total += weights[j] * near * (left + floor) * (right + floor_2)
-        values[i] = total
+    for i in range(len(hands)):
+        left, right = completions[i, 0] - walks[i, 0], completions[i, 1] - walks[i, 1]
+        peak = max(max(left, right), 0.0)
+        total = free * np.exp(-peak)
+        gains = (np.exp(left - peak), np.exp(right - peak))
+        for k in range(len(sides)):
+            side = sides[k]
+            x, y = hands[i, side, 0] - means[k, 0], hands[i, side, 1] - means[k, 1]
+            square = (
+                precisions[k, 0, 0] * x * x + 2 * precisions[k, 0, 1] * x * y + precisions[k, 1, 1] * y * y
+            )
+            if square < 1400.0:
+                total += gains[side] * heights[k] * closeness[chosen[i], k] * np.exp(-0.5 * square)
+        values[i] = peak + np.log(total) + walks[i, 0] + walks[i, 1]
