@@ -164,6 +164,17 @@ def test_a_left_shoulder_turns_to_the_viewer_and_a_lean_takes_it_down() -> None:
 
 
 @given(seeds)
+def test_a_torso_that_is_mirrored_in_depth_is_seen_in_the_same_places(seed: int) -> None:
+    """So a picture does not tell which way it turns."""
+    random = np.random.default_rng(seed)
+    poses = resting(np.zeros((20, 2)))
+    poses.torsos[:] = 0.3 * random.normal(size=(20, 3))
+    mirrored = replace(poses, torsos=poses.torsos * [-1, -1, 1])
+    np.testing.assert_allclose(BODY.parts(mirrored), BODY.parts(poses), atol=1e-11)
+    np.testing.assert_allclose(BODY.shoulders(mirrored), BODY.shoulders(poses) * [1, 1, -1], atol=1e-11)
+
+
+@given(seeds)
 def test_the_turn_of_a_straight_arm_is_not_judged(seed: int) -> None:
     upper = np.array([0.4, 0.5, -0.7]) / np.linalg.norm([0.4, 0.5, -0.7])
     forearm = upper + 0.02 * np.random.default_rng(seed).normal(size=3)
