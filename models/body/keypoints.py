@@ -44,6 +44,9 @@ AROUND = 4.0
 KEPT = (("shoulder", "elbow", "hand", "wrist"), ("shoulder",), ())
 """Kinds of points whose sides are told rightly, in the order of `EXCHANGED`."""
 
+SAME_THING = 0.3
+"""Head heights: so near to each other a point and a blob of skin, or a face, are the same thing."""
+
 OTHER = {"left": "right", "right": "left"}
 
 SAME_HEAD = 0.6
@@ -92,20 +95,32 @@ class SeenKeypoints:
         scores = np.clip(given.scores[person], 0.0, 1.0)
         return cls(given.positions[person], SURE * scores, head_height)
 
-    def mixtures(self, first_label: int) -> GaussianMixtures:
+    def mixtures(self, hands: Array, heads: Array) -> GaussianMixtures:
         """What they say of head, left and right hand: ratios of probabilities, as of blobs of skin.
 
-        Each point is a thing of its own, numbered from `first_label`; sides may be exchanged.
+        Sides may be exchanged.
+
+        Parameters
+        ----------
+        hands, heads
+            `(k, 2)`, `(m, 2)` px: other things in the picture that hands and heads may be, whose labels
+            are 0 to k + m - 1. A point that is as near to one of them as `SAME_THING` has its label, others
+            have labels of their own.
         """
         head = KEYPOINTS.index("head")
-        hands = [self._hand(side) for side in ("left", "right")]
+        own_hands = [self._hand(side) for side in ("left", "right")]
         unit = self.head_height
         head_spread = DEVIATIONS["head"]
-        places = [self.positions[head], *(place for place, _, _ in hands)]
-        spreads = np.square(np.array([head_spread, *(spread for _, spread, _ in hands)]) * unit)
-        chances = np.array([self.probabilities[head], *(chance for _, _, chance in hands)])
+        places = [self.positions[head], *(place for place, _, _ in own_hands)]
+        spreads = np.square(np.array([head_spread, *(spread for _, spread, _ in own_hands)]) * unit)
+        chances = np.array([self.probabilities[head], *(chance for _, _, chance in own_hands)])
         chances *= 1 - SOMEBODY_ELSE
         exchanged = self._exchanged
+        numbers = len(hands) + len(heads) + np.arange(len(PARTS))
+        for thing, (others, first) in enumerate(((heads, len(hands)), (hands, 0), (hands, 0))):
+            apart = np.linalg.norm(others - places[thing], axis=1)
+            if (apart < SAME_THING * unit).any():
+                numbers[thing] = first + apart.argmin()
         log_weights, means, covariances, labels, flat = [], [], [], [], []
         for part in range(len(PARTS)):
             shares = np.zeros(len(PARTS))
@@ -117,7 +132,7 @@ class SeenKeypoints:
             log_weights.append(np.log(own * (AROUND * unit) ** 2))
             means.append(np.array([places[thing] for thing in things]).reshape(-1, 2))
             covariances.append(spreads[things, None, None] * np.eye(2))
-            labels.append(first_label + things)
+            labels.append(numbers[things])
             flat.append(np.log(1 - own.sum()))
         return GaussianMixtures.of_parts(log_weights, means, covariances, flat, labels)
 

@@ -215,7 +215,7 @@ class BodyParts:
         if frame.keypoints is not None:
             points = SeenKeypoints.of(frame.keypoints, self._heads(centres, prior, image.shape), height)
         if points is not None:
-            mixtures = mixtures * points.mixtures(len(numbers) + len(heads.means))
+            mixtures = mixtures * points.mixtures(hands.means, heads.means)
         seen = BodyImage(skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, points)
         return PartMessage(self.uniform().predicted, seen)
 

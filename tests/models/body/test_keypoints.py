@@ -106,19 +106,30 @@ def test_without_points_of_arms_nothing_is_said() -> None:
 
 def values(found: SeenKeypoints, places: Array) -> Array:
     """`(3,)` ratios of head, left and right hand at `places` `(3, 2)`."""
-    return np.asarray(np.exp(found.mixtures(0).log_values(places[None])[0]))
+    return np.asarray(np.exp(found.mixtures(NOBODY, NOBODY).log_values(places[None])[0]))
 
 
 def test_mixtures_are_ratios_of_probabilities() -> None:
     """Over the square in which false points are, each averages 1: true ones and false ones are as many."""
-    mixtures = seen(POINTS[3], 0.8).mixtures(5)
+    mixtures = seen(POINTS[3], 0.8).mixtures(NOBODY, NOBODY)
     np.testing.assert_array_equal(mixtures.informative, True)
     steps = UNIT * (np.arange(-60, 60) + 0.5) * AROUND / 120
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 1, 2)
     head = grid + POINTS[3, 0]
     average = np.exp(mixtures.take([0]).log_values(head)).mean()
     assert average == pytest.approx(1, abs=0.01)
-    assert set(mixtures.labels[~mixtures.flat & np.isfinite(mixtures.log_weights)]) == {5, 6, 7}
+    assert set(mixtures.labels[~mixtures.flat & np.isfinite(mixtures.log_weights)]) == {0, 1, 2}
+
+
+def test_a_point_on_something_else_in_the_picture_is_that_thing() -> None:
+    left, right = POINTS[3, HANDS]
+    hands = np.array([left + 9 * UNIT, right + 0.1 * UNIT])
+    mixtures = seen(POINTS[3]).mixtures(hands, POINTS[3, :1])
+    labels = [
+        set(row[~flat & np.isfinite(weights)].tolist())
+        for row, flat, weights in zip(mixtures.labels, mixtures.flat, mixtures.log_weights, strict=True)
+    ]
+    assert labels == [{2}, {1, 4}, {1, 4}], "the face, the right hand's blob, and a left hand without any"
 
 
 def test_a_hand_is_beyond_its_wrist_by_half_a_hand() -> None:
@@ -187,7 +198,7 @@ def test_evidence_of_an_image_holds_them() -> None:
     assert known.keypoints is not None
     at = JOINTS_2D[:1, [0, *HANDS]]
     added = known.mixtures.log_values(at) - plain.mixtures.log_values(at)
-    np.testing.assert_allclose(added, known.keypoints.mixtures(0).log_values(at), atol=1e-4)
+    np.testing.assert_allclose(added, known.keypoints.mixtures(NOBODY, NOBODY).log_values(at), atol=1e-4)
     np.testing.assert_array_equal(foreign.mixtures.log_values(at), plain.mixtures.log_values(at))
     likelihood = BodyLikelihood(BODY)
     np.testing.assert_allclose(
