@@ -14,7 +14,7 @@ from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from .image_features import BodyImage, edge_distances
-from .keypoints import SeenKeypoints
+from .person.keypoints import SeenKeypoints
 from .skin_blobs import SkinBlobs, skin_blobs
 from .skin_colour import HIGHEST, SkinColour
 from .static_skin import static_skin
