@@ -216,7 +216,9 @@ class BodyParts:
             points = SeenKeypoints.of(frame.keypoints, self._heads(centres, prior, image.shape), height)
         if points is not None:
             mixtures = mixtures * points.mixtures(hands.means, heads.means)
-        seen = BodyImage(skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, points)
+        seen = BodyImage(
+            skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, keypoints=points
+        )
         return PartMessage(self.uniform().predicted, seen)
 
     def draw(self, picture: NDArray[np.uint8], belief: PartMessage) -> None:

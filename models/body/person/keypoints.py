@@ -11,7 +11,6 @@ from ...core.gaussian_mixtures import GaussianMixtures
 from ...core.keypoints import KEYPOINTS, GivenKeypoints
 from ...core.short_repr import short_repr
 from ..kernels.keypoints import keypoint_terms
-from ..poses import BodyPoses
 from ..upper_body import JOINTS, PARTS, PROPORTIONS, UpperBody
 
 Array = NDArray[np.float64]
@@ -136,12 +135,12 @@ class SeenKeypoints:
             flat.append(np.log(1 - own.sum()))
         return GaussianMixtures.of_parts(log_weights, means, covariances, flat, labels)
 
-    def log_ratios(self, body: UpperBody, poses: BodyPoses) -> Array:
-        """`(n,)` nats: how much more probable neck, shoulders and arms are in poses than anywhere.
+    def log_ratios(self, body: UpperBody, joints: Array) -> Array:
+        """`(n,)` nats: how much more probable points are if neck, shoulders and arms are there than anywhere.
 
-        The head is left to `mixtures`.
+        The head is left to `mixtures`. `joints` are those of n poses, `(n, 8, 2)` or `(n, 8, 3)` px.
         """
-        ratios = np.zeros(len(poses))
+        ratios = np.zeros(len(joints))
         found = [name for name in self._counted if self.probabilities[KEYPOINTS.index(name)] > 0]
         if not found:
             return ratios
@@ -151,7 +150,7 @@ class SeenKeypoints:
         wrist = 1 - body.hand / body.forearm
         chances = np.append((1 - SOMEBODY_ELSE) * np.array(EXCHANGED), SOMEBODY_ELSE)
         keypoint_terms(
-            body.joints(poses), self.positions[rows],
+            joints, self.positions[rows],
             np.array([[_ends(_mirrored(name, kept)) for name in found] for kept in KEPT]),
             np.array([wrist if name.endswith("wrist") else 0.0 for name in found]),
             probable * (AROUND * self.head_height) ** 2 / (2 * np.pi * deviations**2), 0.5 / deviations**2,

@@ -75,13 +75,13 @@ def test_ratios_are_those_of_the_formula(score: float) -> None:
     places = without(POINTS[4] + 0.1 * UNIT * random.standard_normal(POINTS[4].shape), HANDS)
     for fewer in ([], [1], [WRISTS[0], ELBOWS[1]], SHOULDERS):
         found = without(places, fewer)
-        ratios = seen(found, score).log_ratios(BODY, POSES)
+        ratios = seen(found, score).log_ratios(BODY, SCENE.joints)
         np.testing.assert_allclose(ratios, plain_ratios(found, SURE * score), atol=1e-3)
 
 
 def test_the_true_pose_is_liked_best_also_with_sides_exchanged() -> None:
     for order in (list(range(len(KEYPOINTS))), MIRRORED):
-        ratios = seen(POINTS[7][order]).log_ratios(BODY, POSES)
+        ratios = seen(POINTS[7][order]).log_ratios(BODY, SCENE.joints)
         assert ratios[7] == ratios.max()
         assert ratios[7] > 10
 
@@ -91,16 +91,18 @@ def test_a_point_far_off_costs_no_more_than_one_that_was_not_found() -> None:
     places = without(POINTS[2], HANDS)
     off = places.copy()
     off[WRISTS[0]] += 5 * UNIT
-    apart = seen(off).log_ratios(BODY, POSES) - seen(without(places, WRISTS[:1])).log_ratios(BODY, POSES)
+    apart = seen(off).log_ratios(BODY, SCENE.joints) - seen(without(places, WRISTS[:1])).log_ratios(
+        BODY, SCENE.joints
+    )
     assert (apart >= np.log(1 - SURE) - 1e-3).all()
     assert (apart <= 1e-3).all()
-    everything = seen(places + 9 * UNIT).log_ratios(BODY, POSES)
+    everything = seen(places + 9 * UNIT).log_ratios(BODY, SCENE.joints)
     np.testing.assert_allclose(everything, np.log(SOMEBODY_ELSE), atol=1e-3)
 
 
 def test_without_points_of_arms_nothing_is_said() -> None:
     """The head's is left to the mixtures."""
-    ratios = seen(without(POINTS[0], list(range(1, len(KEYPOINTS))))).log_ratios(BODY, POSES)
+    ratios = seen(without(POINTS[0], list(range(1, len(KEYPOINTS))))).log_ratios(BODY, SCENE.joints)
     assert not ratios.any()
 
 
@@ -203,6 +205,6 @@ def test_evidence_of_an_image_holds_them() -> None:
     likelihood = BodyLikelihood(BODY)
     np.testing.assert_allclose(
         (likelihood(known).terms(POSES) - likelihood(plain).terms(POSES))[1:],
-        [np.zeros(12), np.zeros(12), known.keypoints.log_ratios(BODY, POSES)],
+        [np.zeros(12), np.zeros(12), known.keypoints.log_ratios(BODY, SCENE.joints)],
     )
     assert node.evidence(Frame(None, 0.0, 1, keypoints=given_of(POINTS[0])), node.uniform()).image is None
