@@ -1,7 +1,9 @@
 """The body application: from a film of a person to the pose of the upper body in every frame."""
 
 import logging
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
@@ -13,6 +15,9 @@ from numpy.typing import NDArray
 from ...chains.articulated_pose import ArticulatedPose
 from ...chains.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
+from ...inference.body.dynamics import BodyDynamics
+from ...inference.body.hindsight import BLOCK, FixedLag, TimedSamples
+from ...inference.body.samples import BodySamples
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import PARTS
 from ...models.core.frame import Frame
@@ -22,13 +27,13 @@ from ..io.keypoints.table import Keypoints
 from ..io.segments import segment_pattern
 from ..io.sources.blank_frames import SeenFrames
 from ..io.sources.open_source import open_source
-from ..runs.film_run import FilmRun, Writer
+from ..runs.film_run import FilmRun, Step, Writer
 from ..runs.interruption import Interrupted, Outcome
-from ..runs.memory import BODY, SAMPLE
+from ..runs.memory import BODY, KEPT_IMAGE, KEPT_SAMPLE, SAMPLE
 from ..runs.saved_run import SavedRun
 from ..view.film import Film, Row
 from ..view.page import View
-from .job import BodyJob
+from .job import LAG, BodyJob
 from .joint_files import ClickedJoints, read_joints
 from .keypoint_start import followed, shows_whom, start_from_keypoints, with_lengths
 from .report import BodyRecord, write_body_report
@@ -61,6 +66,7 @@ class BodyRun(FilmRun[BodyJob]):
         "person": SavedPerson,
         "record": BodyRecord.kinds(),
         "draws": np.random.Generator,
+        "answered": TimedSamples | None,
     }
     chains: ClassVar[dict[str, Any]] = {"flesh": FleshTracker, "pose": ArticulatedPose}
 
@@ -79,8 +85,16 @@ class BodyRun(FilmRun[BodyJob]):
 
     @property
     def bytes_needed(self) -> tuple[float, float]:
-        """Depends on the number of samples."""
-        return BODY, self.job.samples * SAMPLE
+        """Depends on the number of samples, and on that of frames that wait with theirs."""
+        kept = self.lag + BLOCK if self.lag else 0
+        return BODY + KEPT_IMAGE * kept, self.job.samples * (SAMPLE + KEPT_SAMPLE * kept)
+
+    @property
+    def lag(self) -> int:
+        """Frames that are waited for before one is answered."""
+        if self.job.lag is not None:
+            return self.job.lag
+        return 0 if self.source.live else LAG
 
     def memory(self) -> dict[str, Any]:
         """Who is tracked, and the record."""
@@ -88,6 +102,7 @@ class BodyRun(FilmRun[BodyJob]):
             "person": SavedPerson.of(self._start),
             "record": self.record.saved(),
             "draws": self._draws,
+            "answered": self._hindsight.waiting.past,
         }
 
     def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
@@ -124,12 +139,15 @@ class BodyRun(FilmRun[BodyJob]):
     def _started_from(self, first: Frame, images: list[Image]) -> tuple[BodyStart, str]:
         """Who is tracked, and how that was found out."""
         job, clicked, keypoints = self.job, self._clicked, self._keypoints
-        if self._head is not None:
+        if self._head is not None and job.detector is None:
             start, found = start_from_head(first, self._head, images, clicked), "the head as marked"
         elif keypoints is not None and job.detector is None:
             return start_from_keypoints(first, keypoints, images, clicked), "keypoints"
         else:
-            start = start_from_faces(self.source.name, images, job.detector, clicked)
+            at_first = [first.image] if self._head is not None and first.image is not None else []
+            start = start_from_faces(
+                self.source.name, [*at_first, *images], job.detector, clicked, self._head
+            )
             found = str(job.detector or "OpenCV's cascades of faces")
         if keypoints is not None and clicked is None:
             start = with_lengths(start, followed(keypoints, first.number, start.head_in(first)))
@@ -140,6 +158,7 @@ class BodyRun(FilmRun[BodyJob]):
         self._draws = memory["draws"]
         self.record = BodyRecord.restored(memory["record"])
         self._begin_with(memory["person"].start(self.job.detector))
+        self._hindsight.waiting = replace(self._hindsight.waiting, past=memory["answered"])
 
     def learn_from(self, saved: SavedRun) -> None:
         """Take the person's lengths, colour and pose."""
@@ -151,6 +170,7 @@ class BodyRun(FilmRun[BodyJob]):
         self._pose = ArticulatedPose(start.body, self.job.samples, seed=self.job.seed)
         model = MultiChain().connect(self._flesh, start.parts).connect(self._pose, start.parts)
         self.engine = RecursiveBP(model)
+        self._hindsight = FixedLag(BodyDynamics(start.body), self.lag, seed=self.job.seed)
 
     def _looked_at(self) -> list[Image]:
         """Images from all over the source, which is read a second time for it."""
@@ -179,14 +199,40 @@ class BodyRun(FilmRun[BodyJob]):
         )
         return [self._writer]
 
-    def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
-        """Write the frame's poses."""
-        detected = belief[self._flesh].unseen == 0
-        self._row = self._writer.add(belief.frame, belief[self._pose], detected, seconds)
+    def found(self, belief: Belief) -> list[TimedSamples]:
+        """Poses of the frames of which enough later ones are known by now."""
+        self._begin_draws(belief.frame.number)
+        image = belief.evidence(self._start.parts).image
+        return self._hindsight.add(belief.frame, belief[self._pose], image)
 
-    def drawn(self, belief: Belief, found: Any) -> Callable[[], Row]:
+    def answered(self, steps: Iterator[Step]) -> Iterator[Step]:
+        """Frames with their poses in hindsight; of the last ones, fewer later frames are known."""
+        waiting: deque[Step] = deque()
+
+        def answer(poses: TimedSamples) -> Step:
+            return replace(waiting.popleft(), found=poses.samples)
+
+        for step in steps:
+            # without what else is believed of the frame, which is large
+            waiting.append(replace(step, belief=Belief(step.belief.frame, step.belief.state, None)))
+            yield from map(answer, step.found)
+        self._begin_draws(0)
+        yield from map(answer, self._hindsight.rest())
+
+    def _begin_draws(self, number: int) -> None:
+        """Let what hindsight draws depend on the frame alone: a run that is resumed takes in frames again."""
+        random = np.random.default_rng((self.job.seed, number))
+        self._hindsight.waiting = replace(self._hindsight.waiting, random=random)
+
+    def take_in(self, belief: Belief, found: BodySamples, seconds: float) -> None:
+        """Write the frame's poses."""
+        states = belief.states
+        detected = states[self._flesh.name].unseen == 0
+        self._row = self._writer.add(belief.frame, states[self._pose.name], found, detected, seconds)
+
+    def drawn(self, belief: Belief, found: BodySamples) -> Callable[[], Row]:
         """Joints and some samples."""
-        samples = belief[self._pose]
+        samples = belief.states[self._pose.name]
         return partial(drawn_of, self._row, samples.log_evidence, samples.effective)
 
     def told(self, belief: Belief, found: Any) -> dict[str, object]:
@@ -213,6 +259,7 @@ class BodyRun(FilmRun[BodyJob]):
             "seen": self.record.shares_seen,
             "stationary": self.record.stationary_periods,
             "keypoints": given,
+            "doubts": self.record.doubts,
             "flesh_colour": start.parts.skin is not None,
             "body": {"origin": start.origin, "lengths": lengths(start.body)},
             "notes": [*start.notes, *self.record.notes],

@@ -45,6 +45,8 @@ class BodyImage:
         the evidence phi(I, F) of head and hands that faces, blobs and keypoints give.
     keypoints
         points of this body that a detector has found, if there are any.
+    bare
+        probability that forearms are bare.
     """
 
     skin: NDArray[np.float32] | None
@@ -55,6 +57,7 @@ class BodyImage:
     blob_log_weights: NDArray[np.float64]
     mixtures: GaussianMixtures
     keypoints: SeenKeypoints | None = None
+    bare: float = 0.0
 
     @property
     def size(self) -> tuple[int, int]:
@@ -93,7 +96,9 @@ def edge_distances(image: NDArray[np.uint8], reach: float) -> tuple[NDArray[np.f
     )
     rows, columns = np.nonzero(edges)
     angles = np.zeros(len(rows) + 1, np.float32)
-    angles[nearest[rows, columns]] = np.arctan2(down[rows, columns], right[rows, columns]) % np.pi
+    # in float64: the angle of float32 is another one on other CPUs
+    normals = np.arctan2(down[rows, columns], right[rows, columns], dtype=np.float64)
+    angles[nearest[rows, columns]] = normals % np.pi
     return np.minimum(distances, np.float32(reach)), angles[nearest]
 
 
