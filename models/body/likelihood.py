@@ -163,7 +163,7 @@ class ImageLikelihood:
             np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)]), NO_EDGE, terms[2],
         )  # fmt: skip
         if image.keypoints is not None:
-            terms[3] = image.keypoints.log_ratios(body, poses)
+            terms[3] = image.keypoints.log_ratios(body, joints)
         return terms
 
     def _skin_terms(self, skin: tuple[Map, Map], parts: Array, roots: Array, elbows: Array) -> Array:

@@ -14,10 +14,10 @@ from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from .image_features import BodyImage, edge_distances
-from .keypoints import SeenKeypoints
 from .part_message import PartMessage
 from .person.bare_arms import bare_probability, hand_area
 from .person.faces import OtherFaces, face_at, largest_face, one_person
+from .person.keypoints import SeenKeypoints
 from .skin_blobs import SkinBlobs, skin_blobs
 from .skin_colour import HIGHEST, SkinColour
 from .static_skin import static_skin
@@ -220,7 +220,7 @@ class BodyParts:
         if frame.keypoints is not None:
             points = SeenKeypoints.of(frame.keypoints, self._heads(centres, prior, image.shape), height)
         if points is not None:
-            mixtures = mixtures * points.mixtures(len(numbers) + len(heads.means))
+            mixtures = mixtures * points.mixtures(hands.means, heads.means)
         seen = BodyImage(
             skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, points, self.bare
         )

@@ -14,7 +14,7 @@ def keypoint_terms(joints, places, ends, shares, heights, halves, false, chances
     Parameters
     ----------
     joints
-        `(n, 8, 3)` px.
+        `(n, 8, 2)` or `(n, 8, 3)` px.
     places
         `(m, 2)` px: points that were found.
     ends, shares

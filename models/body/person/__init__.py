@@ -1,1 +1,1 @@
-"""What is learned of a person before the track starts: whose face it is, whether forearms are bare."""
+"""What is known of a person: whose face it is, whether forearms are bare, which points were found."""

@@ -7,6 +7,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.short_repr import short_repr
+
 Array = NDArray[np.float64]
 
 ALIKE = 1.4
@@ -20,6 +22,7 @@ SWAY = 0.5
 """Face heights: standard deviation of faces about the places where they were seen."""
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class OtherFaces:
     """Where faces of others are seen: to the person who is tracked, they are false ones that stay.

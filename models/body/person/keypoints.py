@@ -7,12 +7,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.gaussian_mixtures import GaussianMixtures
-from ..core.keypoints import KEYPOINTS, GivenKeypoints
-from ..core.short_repr import short_repr
-from .kernels.keypoints import keypoint_terms
-from .poses import BodyPoses
-from .upper_body import JOINTS, PARTS, PROPORTIONS, UpperBody
+from ...core.gaussian_mixtures import GaussianMixtures
+from ...core.keypoints import KEYPOINTS, GivenKeypoints
+from ...core.short_repr import short_repr
+from ..kernels.keypoints import keypoint_terms
+from ..upper_body import JOINTS, PARTS, PROPORTIONS, UpperBody
 
 Array = NDArray[np.float64]
 
@@ -43,6 +42,9 @@ AROUND = 4.0
 
 KEPT = (("shoulder", "elbow", "hand", "wrist"), ("shoulder",), ())
 """Kinds of points whose sides are told rightly, in the order of `EXCHANGED`."""
+
+SAME_THING = 0.3
+"""Head heights: so near to each other a point and a blob of skin, or a face, are the same thing."""
 
 OTHER = {"left": "right", "right": "left"}
 
@@ -92,20 +94,32 @@ class SeenKeypoints:
         scores = np.clip(given.scores[person], 0.0, 1.0)
         return cls(given.positions[person], SURE * scores, head_height)
 
-    def mixtures(self, first_label: int) -> GaussianMixtures:
+    def mixtures(self, hands: Array, heads: Array) -> GaussianMixtures:
         """What they say of head, left and right hand: ratios of probabilities, as of blobs of skin.
 
-        Each point is a thing of its own, numbered from `first_label`; sides may be exchanged.
+        Sides may be exchanged.
+
+        Parameters
+        ----------
+        hands, heads
+            `(k, 2)`, `(m, 2)` px: other things in the picture that hands and heads may be, whose labels
+            are 0 to k + m - 1. A point that is as near to one of them as `SAME_THING` has its label, others
+            have labels of their own.
         """
         head = KEYPOINTS.index("head")
-        hands = [self._hand(side) for side in ("left", "right")]
+        own_hands = [self._hand(side) for side in ("left", "right")]
         unit = self.head_height
         head_spread = DEVIATIONS["head"]
-        places = [self.positions[head], *(place for place, _, _ in hands)]
-        spreads = np.square(np.array([head_spread, *(spread for _, spread, _ in hands)]) * unit)
-        chances = np.array([self.probabilities[head], *(chance for _, _, chance in hands)])
+        places = [self.positions[head], *(place for place, _, _ in own_hands)]
+        spreads = np.square(np.array([head_spread, *(spread for _, spread, _ in own_hands)]) * unit)
+        chances = np.array([self.probabilities[head], *(chance for _, _, chance in own_hands)])
         chances *= 1 - SOMEBODY_ELSE
         exchanged = self._exchanged
+        numbers = len(hands) + len(heads) + np.arange(len(PARTS))
+        for thing, (others, first) in enumerate(((heads, len(hands)), (hands, 0), (hands, 0))):
+            apart = np.linalg.norm(others - places[thing], axis=1)
+            if (apart < SAME_THING * unit).any():
+                numbers[thing] = first + apart.argmin()
         log_weights, means, covariances, labels, flat = [], [], [], [], []
         for part in range(len(PARTS)):
             shares = np.zeros(len(PARTS))
@@ -117,16 +131,16 @@ class SeenKeypoints:
             log_weights.append(np.log(own * (AROUND * unit) ** 2))
             means.append(np.array([places[thing] for thing in things]).reshape(-1, 2))
             covariances.append(spreads[things, None, None] * np.eye(2))
-            labels.append(first_label + things)
+            labels.append(numbers[things])
             flat.append(np.log(1 - own.sum()))
         return GaussianMixtures.of_parts(log_weights, means, covariances, flat, labels)
 
-    def log_ratios(self, body: UpperBody, poses: BodyPoses) -> Array:
-        """`(n,)` nats: how much more probable neck, shoulders and arms are in poses than anywhere.
+    def log_ratios(self, body: UpperBody, joints: Array) -> Array:
+        """`(n,)` nats: how much more probable points are if neck, shoulders and arms are there than anywhere.
 
-        The head is left to `mixtures`.
+        The head is left to `mixtures`. `joints` are those of n poses, `(n, 8, 2)` or `(n, 8, 3)` px.
         """
-        ratios = np.zeros(len(poses))
+        ratios = np.zeros(len(joints))
         found = [name for name in self._counted if self.probabilities[KEYPOINTS.index(name)] > 0]
         if not found:
             return ratios
@@ -136,7 +150,7 @@ class SeenKeypoints:
         wrist = 1 - body.hand / body.forearm
         chances = np.append((1 - SOMEBODY_ELSE) * np.array(EXCHANGED), SOMEBODY_ELSE)
         keypoint_terms(
-            body.joints(poses), self.positions[rows],
+            joints, self.positions[rows],
             np.array([[_ends(_mirrored(name, kept)) for name in found] for kept in KEPT]),
             np.array([wrist if name.endswith("wrist") else 0.0 for name in found]),
             probable * (AROUND * self.head_height) ** 2 / (2 * np.pi * deviations**2), 0.5 / deviations**2,

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import signer
 from rsmcm.models import BodyParts, Frame, GivenKeypoints
-from rsmcm.models.body.keypoints import (
+from rsmcm.models.body.likelihood import BodyLikelihood
+from rsmcm.models.body.person.keypoints import (
     AROUND,
     BEYOND,
     DEVIATIONS,
@@ -18,10 +19,9 @@ from rsmcm.models.body.keypoints import (
     head_places,
     joints_of,
 )
-from rsmcm.models.body.likelihood import BodyLikelihood
 from rsmcm.models.core.keypoints import KEYPOINTS
 
-from ...support.keypoints import ELBOWS, HANDS, MIRRORED, WRISTS, points_of
+from ....support.keypoints import ELBOWS, HANDS, MIRRORED, WRISTS, points_of
 
 Array = NDArray[np.float64]
 
@@ -75,13 +75,13 @@ def test_ratios_are_those_of_the_formula(score: float) -> None:
     places = without(POINTS[4] + 0.1 * UNIT * random.standard_normal(POINTS[4].shape), HANDS)
     for fewer in ([], [1], [WRISTS[0], ELBOWS[1]], SHOULDERS):
         found = without(places, fewer)
-        ratios = seen(found, score).log_ratios(BODY, POSES)
+        ratios = seen(found, score).log_ratios(BODY, SCENE.joints)
         np.testing.assert_allclose(ratios, plain_ratios(found, SURE * score), atol=1e-3)
 
 
 def test_the_true_pose_is_liked_best_also_with_sides_exchanged() -> None:
     for order in (list(range(len(KEYPOINTS))), MIRRORED):
-        ratios = seen(POINTS[7][order]).log_ratios(BODY, POSES)
+        ratios = seen(POINTS[7][order]).log_ratios(BODY, SCENE.joints)
         assert ratios[7] == ratios.max()
         assert ratios[7] > 10
 
@@ -91,34 +91,47 @@ def test_a_point_far_off_costs_no_more_than_one_that_was_not_found() -> None:
     places = without(POINTS[2], HANDS)
     off = places.copy()
     off[WRISTS[0]] += 5 * UNIT
-    apart = seen(off).log_ratios(BODY, POSES) - seen(without(places, WRISTS[:1])).log_ratios(BODY, POSES)
+    apart = seen(off).log_ratios(BODY, SCENE.joints) - seen(without(places, WRISTS[:1])).log_ratios(
+        BODY, SCENE.joints
+    )
     assert (apart >= np.log(1 - SURE) - 1e-3).all()
     assert (apart <= 1e-3).all()
-    everything = seen(places + 9 * UNIT).log_ratios(BODY, POSES)
+    everything = seen(places + 9 * UNIT).log_ratios(BODY, SCENE.joints)
     np.testing.assert_allclose(everything, np.log(SOMEBODY_ELSE), atol=1e-3)
 
 
 def test_without_points_of_arms_nothing_is_said() -> None:
     """The head's is left to the mixtures."""
-    ratios = seen(without(POINTS[0], list(range(1, len(KEYPOINTS))))).log_ratios(BODY, POSES)
+    ratios = seen(without(POINTS[0], list(range(1, len(KEYPOINTS))))).log_ratios(BODY, SCENE.joints)
     assert not ratios.any()
 
 
 def values(found: SeenKeypoints, places: Array) -> Array:
     """`(3,)` ratios of head, left and right hand at `places` `(3, 2)`."""
-    return np.asarray(np.exp(found.mixtures(0).log_values(places[None])[0]))
+    return np.asarray(np.exp(found.mixtures(NOBODY, NOBODY).log_values(places[None])[0]))
 
 
 def test_mixtures_are_ratios_of_probabilities() -> None:
     """Over the square in which false points are, each averages 1: true ones and false ones are as many."""
-    mixtures = seen(POINTS[3], 0.8).mixtures(5)
+    mixtures = seen(POINTS[3], 0.8).mixtures(NOBODY, NOBODY)
     np.testing.assert_array_equal(mixtures.informative, True)
     steps = UNIT * (np.arange(-60, 60) + 0.5) * AROUND / 120
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 1, 2)
     head = grid + POINTS[3, 0]
     average = np.exp(mixtures.take([0]).log_values(head)).mean()
     assert average == pytest.approx(1, abs=0.01)
-    assert set(mixtures.labels[~mixtures.flat & np.isfinite(mixtures.log_weights)]) == {5, 6, 7}
+    assert set(mixtures.labels[~mixtures.flat & np.isfinite(mixtures.log_weights)]) == {0, 1, 2}
+
+
+def test_a_point_on_something_else_in_the_picture_is_that_thing() -> None:
+    left, right = POINTS[3, HANDS]
+    hands = np.array([left + 9 * UNIT, right + 0.1 * UNIT])
+    mixtures = seen(POINTS[3]).mixtures(hands, POINTS[3, :1])
+    labels = [
+        set(row[~flat & np.isfinite(weights)].tolist())
+        for row, flat, weights in zip(mixtures.labels, mixtures.flat, mixtures.log_weights, strict=True)
+    ]
+    assert labels == [{2}, {1, 4}, {1, 4}], "the face, the right hand's blob, and a left hand without any"
 
 
 def test_a_hand_is_beyond_its_wrist_by_half_a_hand() -> None:
@@ -187,11 +200,11 @@ def test_evidence_of_an_image_holds_them() -> None:
     assert known.keypoints is not None
     at = JOINTS_2D[:1, [0, *HANDS]]
     added = known.mixtures.log_values(at) - plain.mixtures.log_values(at)
-    np.testing.assert_allclose(added, known.keypoints.mixtures(0).log_values(at), atol=1e-4)
+    np.testing.assert_allclose(added, known.keypoints.mixtures(NOBODY, NOBODY).log_values(at), atol=1e-4)
     np.testing.assert_array_equal(foreign.mixtures.log_values(at), plain.mixtures.log_values(at))
     likelihood = BodyLikelihood(BODY)
     np.testing.assert_allclose(
         (likelihood(known).terms(POSES) - likelihood(plain).terms(POSES))[1:],
-        [np.zeros(12), np.zeros(12), known.keypoints.log_ratios(BODY, POSES)],
+        [np.zeros(12), np.zeros(12), known.keypoints.log_ratios(BODY, SCENE.joints)],
     )
     assert node.evidence(Frame(None, 0.0, 1, keypoints=given_of(POINTS[0])), node.uniform()).image is None
