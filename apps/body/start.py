@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
+from ...models.body.person.clothes import ClothesColour
 from ...models.body.person.faces import OtherFaces
 from ...models.body.skin_colour import SkinColour
 from ...models.body.static_skin import static_skin
@@ -83,7 +84,7 @@ class SavedPerson:
     ----------
     head_height
         px.
-    skin, static_skin, bare, others
+    skin, static_skin, bare, others, clothes
         as of `BodyParts`.
     face_height
         px, size for which a detector of faces searches; `None` for any.
@@ -98,6 +99,7 @@ class SavedPerson:
     static_skin: NDArray[np.float32] | None
     bare: float
     others: OtherFaces | None
+    clothes: ClothesColour | None
     face_height: float | None
     marked: MarkedFace | None
     body: UpperBody
@@ -113,6 +115,7 @@ class SavedPerson:
             parts.static_skin,
             parts.bare,
             parts.others,
+            parts.clothes,
             detector.height if isinstance(detector, HaarFaces) else None,
             detector if isinstance(detector, MarkedFace) else None,
             start.body,
@@ -133,7 +136,15 @@ class SavedPerson:
             faces = default_faces(detector)
             if isinstance(faces, HaarFaces):
                 faces = replace(faces, height=self.face_height)
-        parts = BodyParts(self.head_height, self.skin, faces, self.static_skin, self.bare, self.others)
+        parts = BodyParts(
+            self.head_height,
+            self.skin,
+            faces,
+            self.static_skin,
+            self.bare,
+            self.others,
+            self.clothes,
+        )
         return BodyStart(parts, self.body, self.origin)
 
 
@@ -238,7 +249,7 @@ def start_from_head(
     skin = SkinColour.learned([image], box[None])
     still = None if skin is None else static_skin(skin, images)
     parts = BodyParts(height, skin, MarkedFace(box, first.number), still)
-    parts = replace(parts, bare=parts.bare_forearms([image], box[None]))
+    parts = parts.dressed([image], box[None])
     return _start(parts, "Usual proportions of a person whose head is as high as the given one.", clicked)
 
 

@@ -161,10 +161,9 @@ class GuidedSampler:
         possible = np.ones(len(poses), np.bool_)
         shoulders = body.shoulders(poses)[:, :, :2]
         roots = np.linalg.cholesky(targets.covariances)
+        goals = np.append(targets.sides, -1)[target]  # the last one stands for no target
         for side in (0, 1):
-            rows = (
-                np.flatnonzero((target >= 0) & (targets.sides[target] == side)) if len(targets.sides) else []
-            )
+            rows = np.flatnonzero(goals == side)
             if not len(rows):
                 continue
             goal, parent, count = target[rows], chosen[rows], len(rows)

@@ -47,6 +47,9 @@ class BodyImage:
         points of this body that a detector has found, if there are any.
     bare
         probability that forearms are bare.
+    arms
+        nats: log odds that a pixel's colour is that of an arm, half as large as the image; `None` where
+        clothes' colours are not known.
     """
 
     skin: NDArray[np.float32] | None
@@ -58,6 +61,7 @@ class BodyImage:
     mixtures: GaussianMixtures
     keypoints: SeenKeypoints | None = None
     bare: float = 0.0
+    arms: NDArray[np.float32] | None = None
 
     @property
     def size(self) -> tuple[int, int]:

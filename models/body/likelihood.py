@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .image_features import BodyImage
 from .kernels.likelihood import (
     HandModel,
+    arm_terms,
     blob_terms,
     edge_features,
     edge_terms,
@@ -81,6 +82,20 @@ EDGE_POINTS = 20.0
 """Independent points of a whole outline: neighbours on it err together."""
 
 
+ARM_POINTS = np.array([[0.25, 0.5, 0.75, 1.0], [0.2, 0.4, 0.6, 0.75]])
+"""Places on upper arm and forearm where their colours are looked at, from the shoulder and from the elbow."""
+
+ARM_WEIGHTS = np.array([0.25, 0.5])
+"""What the colour of each of them counts: neighbours are alike, and upper arms are mostly known anyway."""
+
+TRUNK, TRUNK_BLUR = (0.45, 0.12), 0.05
+"""Of the shoulders' distance: half the width of the trunk, and how far above the shoulders it reaches; head
+heights over which its border is blurred."""
+
+NO_SLEEVE = 0.1
+"""Chance that an arm has other colours than the trunk."""
+
+
 PoseLikelihood = Callable[[BodyImage], Callable[[BodyPoses], Array]]
 """Of an image, and then of poses `(n,)`: log p(image | pose) in nats, up to a constant of the image."""
 
@@ -141,17 +156,18 @@ class ImageLikelihood:
         return total
 
     def terms(self, poses: BodyPoses) -> Array:
-        """`(4, n)` nats: what face, skin, edges and keypoints say, each up to a constant.
+        """`(5, n)` nats: what face, skin, edges, keypoints and clothes say, each up to a constant.
 
         The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of skin
         stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,
         skin that looks like one more hand with `blob_terms`, bare forearms with `forearm_terms`, the outline
-        with `edge_terms`, points of a detector with `SeenKeypoints.log_ratios`.
+        with `edge_terms`, points of a detector with `SeenKeypoints.log_ratios`, the
+        colours along the arms with `arm_terms`.
         """
         body, image = self.body, self.image
         joints = body.joints(poses)[:, :, :2]
         parts = joints[:, [0, 4, 7]]
-        terms = np.zeros((4, len(poses)))
+        terms = np.zeros((5, len(poses)))
         terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
         if self.head is not None:
             head_terms(parts[:, 0], self.head, _scales(self.head, image), np.array(HEAD_SCORES), terms[0])
@@ -164,6 +180,12 @@ class ImageLikelihood:
         )  # fmt: skip
         if image.keypoints is not None:
             terms[3] = image.keypoints.log_ratios(body, joints)
+        if image.arms is not None:
+            torso = np.array([*TRUNK, TRUNK_BLUR * body.head_height])
+            arm_terms(
+                joints, image.arms, _scales(image.arms, image), ARM_POINTS, ARM_WEIGHTS, torso, NO_SLEEVE,
+                terms[4],
+            )  # fmt: skip
         return terms
 
     def _skin_terms(self, skin: tuple[Map, Map], parts: Array, roots: Array, elbows: Array) -> Array:

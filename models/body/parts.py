@@ -16,6 +16,7 @@ from ..face.detectors import HaarFaces, PartDetector
 from .image_features import BodyImage, edge_distances
 from .part_message import PartMessage
 from .person.bare_arms import bare_probability, hand_area
+from .person.clothes import ClothesColour
 from .person.faces import OtherFaces, face_at, largest_face, one_person
 from .person.keypoints import SeenKeypoints
 from .skin_blobs import SkinBlobs, skin_blobs
@@ -93,6 +94,7 @@ class BodyParts:
     static_skin: NDArray[np.float32] | None = None
     bare: float = 0.0
     others: OtherFaces | None = None
+    clothes: ClothesColour | None = None
     name: str = "parts"
 
     searches = True
@@ -142,7 +144,15 @@ class BodyParts:
         skin = SkinColour.learned(seen, boxes)
         still = None if skin is None else static_skin(skin, [images[number] for number in chosen])
         known = cls(HEAD_OF_BOX * height, skin, detector, still, others=OtherFaces.learned(found, own))
-        return replace(known, bare=known.bare_forearms(seen, boxes))
+        return known.dressed(seen, boxes)
+
+    def dressed(self, images: Sequence[NDArray[np.uint8]], boxes: Array) -> Self:
+        """The same with what images say of the person's clothes, given the face in each, `(n, 4)` px."""
+        if self.skin is None:
+            return self
+        heads = boxes[:, :2] + boxes[:, 2:] * (0.5, CENTRE_OF_BOX)
+        clothes = ClothesColour.learned(images, heads, self.head_height, self.skin)
+        return replace(self, bare=self.bare_forearms(images, boxes), clothes=clothes)
 
     def bare_forearms(self, images: Sequence[NDArray[np.uint8]], boxes: Array) -> float:
         """Probability that forearms are bare, from images and the person's face in each, `(n, 4)` px."""
@@ -222,7 +232,16 @@ class BodyParts:
         if points is not None:
             mixtures = mixtures * points.mixtures(hands.means, heads.means)
         seen = BodyImage(
-            skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, points, self.bare
+            skin,
+            moving,
+            edges,
+            directions,
+            hands.means,
+            hands.log_weights,
+            mixtures,
+            points,
+            self.bare,
+            self._arms(image, skin),
         )
         return PartMessage(self.uniform().stacked, seen)
 
@@ -241,6 +260,11 @@ class BodyParts:
         for x, y, across, down in faces:
             cv2.ellipse(still, ((x, y), (2 * across, 2 * down), 0.0), 0.0, cv2.FILLED)
         return np.asarray(np.maximum(skin - still, np.float32(-HIGHEST)))
+
+    def _arms(self, image: NDArray[np.uint8], skin: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+        if self.clothes is None or skin is None:
+            return None
+        return self.clothes.arm_map(image, self.head_height, skin, self.bare)
 
     def _heads(self, faces: Array, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: where the head is by what the chains know, or else by faces `(k, 2)`."""

@@ -18,6 +18,8 @@ Image = NDArray[np.uint8]
 BINS = (8, 64, 64)
 """Of luma and of the two differences of colour: shades of one skin differ in luma first of all."""
 
+N_BINS = int(np.prod(BINS))
+
 SMOOTHING = (0.7, 1.5, 1.5)
 """Of the histograms, bins: one face has too few pixels for 32,768 of them."""
 
@@ -85,14 +87,12 @@ class SkinColour:
         coloured = [(image, box) for image, box in zip(images, boxes, strict=True) if has_colour(image)]
         if not coloured:
             return None
-        face, rest = np.zeros(np.prod(BINS)), np.zeros(np.prod(BINS))
+        face, rest = np.zeros(N_BINS), np.zeros(N_BINS)
         for image, box in coloured:
-            bins = _bins(_smoothed(image))
-            inside, outside = _regions(bins.shape, box)
-            face += np.bincount(bins[inside], minlength=len(face))
-            rest += np.bincount(bins[outside], minlength=len(rest))
-        ratio = np.log(_density(face) / _density(rest))
-        return cls(np.clip(ratio, -HIGHEST, HIGHEST).astype(np.float32))
+            inside, outside = _regions(image.shape[:2], box)
+            face += colour_counts(image, inside)
+            rest += colour_counts(image, outside)
+        return cls(log_ratio_of(face, rest))
 
     def log_odds(self, image: Image) -> NDArray[np.float32]:
         """Log odds of skin against anything else, where both are as likely without the colour.
@@ -114,9 +114,25 @@ class SkinColour:
         """
         if image.ndim != 3:
             raise ValueError(f"image: got {image.shape}, expected (height, width, 3)")
-        out = np.empty(image.shape[:2], np.float32)
-        looked_up(_smoothed(image).reshape(-1, 3), self.table.reshape(-1), out.reshape(-1))
-        return out
+        return looked_up_in(self.table, image)
+
+
+def colour_counts(image: Image, where: NDArray[np.bool_]) -> Array:
+    """How often colours are seen in an image `where` `(height, width)`, by bins."""
+    return np.asarray(np.bincount(_bins(_smoothed(image))[where], minlength=N_BINS), np.float64)
+
+
+def log_ratio_of(some: Array, others: Array) -> NDArray[np.float32]:
+    """Table of nats over `BINS`: how much more often colours are among some counts than among others."""
+    ratio = np.log(_density(some) / _density(others))
+    return np.asarray(np.clip(ratio, -HIGHEST, HIGHEST), np.float32)
+
+
+def looked_up_in(table: NDArray[np.float32], image: Image) -> NDArray[np.float32]:
+    """`(height, width)` nats: what a table over `BINS` says of the colours of an image."""
+    out = np.empty(image.shape[:2], np.float32)
+    looked_up(_smoothed(image).reshape(-1, 3), table.reshape(-1), out.reshape(-1))
+    return out
 
 
 def has_colour(image: Image) -> bool:

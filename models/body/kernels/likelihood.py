@@ -221,6 +221,55 @@ def head_terms(heads, contrast, scales, scores, out):
 
 
 @compiled
+def arm_terms(joints, arms, scales, points, weights, torso, missing, out):
+    """Log likelihood ratios of the colours along arms, added to `out` `(n,)`.
+
+    Before the trunk, whose clothes are those of the arms, nothing is told.
+
+    Parameters
+    ----------
+    joints
+        `(n, 8, 2)` px.
+    arms
+        map of the log odds of an arm's colour; `scales` `(2,)` are its entries a px.
+    points, weights
+        `(2, k)` and `(2,)`: places on upper arm and forearm as shares of their length, and what each counts.
+    torso
+        `(3,)`: share of the shoulders' distance that the trunk is broad, how far above the shoulders it
+        reaches in that distance, and px over which its border is blurred.
+    missing
+        chance that an arm does not look like that.
+    """
+    broad, above, blur = _f4(torso[0]), _f4(torso[1]), _f4(torso[2])
+    across, down, hidden = _f4(scales[0]), _f4(scales[1]), _f4(missing)
+    for k in range(len(joints)):
+        root_x, root_y = _f4(joints[k, 1, 0]), _f4(joints[k, 1, 1])
+        axis_x, axis_y = _f4(joints[k, 2, 0] - joints[k, 5, 0]), _f4(joints[k, 2, 1] - joints[k, 5, 1])
+        length = max(np.sqrt(axis_x * axis_x + axis_y * axis_y), _f4(1.0))
+        axis_x, axis_y = axis_x / length, axis_y / length
+        total = _f4(0.0)
+        for side in range(2):
+            for part in range(2):
+                first = 2 + 3 * side + part
+                x, y = _f4(joints[k, first, 0]), _f4(joints[k, first, 1])
+                along_x, along_y = _f4(joints[k, first + 1, 0]) - x, _f4(joints[k, first + 1, 1]) - y
+                for j in range(points.shape[1]):
+                    share = _f4(points[part, j])
+                    here_x, here_y = x + share * along_x, y + share * along_y
+                    off_x, off_y = here_x - root_x, here_y - root_y
+                    beside = abs(off_x * axis_x + off_y * axis_y) - broad * length
+                    over = off_x * axis_y - off_y * axis_x - above * length
+                    outside = min(max(max(beside, over) / blur, _f4(-20.0)), _f4(20.0))
+                    odds = _at(
+                        arms,
+                        (here_x + _f4(0.5)) * across - _f4(0.5),
+                        (here_y + _f4(0.5)) * down - _f4(0.5),
+                    ) / (_f4(1.0) + exponential(-outside))
+                    total += _f4(weights[part]) * _seen_or_not(odds, hidden)
+        out[k] += total
+
+
+@compiled
 def blob_terms(parts, elbows, blobs, costs, reach, bare, out):
     """Takes from `out` `(n,)` the `costs` `(m,)` nats of `blobs` `(m, 2)` px that nothing explains.
 
