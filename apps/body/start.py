@@ -59,6 +59,11 @@ class BodyStart:
     body: UpperBody
     origin: str
 
+    def head_in(self, frame: Frame) -> Array | None:
+        """`(2,)` px: the centre of the face that the detector finds in a frame; `None` if there is none."""
+        found = np.zeros((0, 4)) if self.parts.detector is None else self.parts.detector(frame)
+        return found[0, :2] + found[0, 2:] * (0.5, CENTRE_OF_BOX) if len(found) else None
+
     @property
     def notes(self) -> list[str]:
         """What is out of the ordinary, a sentence each."""

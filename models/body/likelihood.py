@@ -143,17 +143,17 @@ class ImageLikelihood:
         return total
 
     def terms(self, poses: BodyPoses) -> Array:
-        """`(3, n)` nats: what face, skin and edges say, each up to a constant.
+        """`(4, n)` nats: what face, skin, edges and keypoints say, each up to a constant.
 
         The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of skin
         stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,
         skin that looks like one more hand with `blob_terms`, bare forearms with `forearm_terms`, the outline
-        with `edge_terms`.
+        with `edge_terms`, points of a detector with `SeenKeypoints.log_ratios`.
         """
         body, image = self.body, self.image
         joints = body.joints(poses)[:, :, :2]
         parts = joints[:, [0, 4, 7]]
-        terms = np.zeros((3, len(poses)))
+        terms = np.zeros((4, len(poses)))
         terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
         if self.head is not None:
             head_terms(parts[:, 0], self.head, _scales(self.head, image), np.array(HEAD_SCORES), terms[0])
@@ -164,6 +164,8 @@ class ImageLikelihood:
             outlines.points, outlines.normals, outlines.visible, self.edges, EDGE_POINTS,
             np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)]), NO_EDGE, terms[2],
         )  # fmt: skip
+        if image.keypoints is not None:
+            terms[3] = image.keypoints.log_ratios(body, poses)
         return terms
 
     def _skin_terms(self, skin: tuple[Map, Map], parts: Array, roots: Array, elbows: Array) -> Array:

@@ -14,6 +14,8 @@ from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from .image_features import BodyImage, edge_distances
+from .keypoints import SeenKeypoints
+from .part_message import PartMessage
 from .person.bare_arms import bare_probability, hand_area
 from .person.faces import OtherFaces, face_at, largest_face, one_person
 from .skin_blobs import SkinBlobs, skin_blobs
@@ -62,41 +64,6 @@ COLOURS = ((60, 220, 60), (60, 60, 255), (255, 190, 40))
 
 CALIBRATION_FRAMES = 24
 """Frames of a clip that are looked at for faces, evenly spread."""
-
-
-@short_repr
-@dataclass(frozen=True, eq=False)
-class PartMessage:
-    """What is said of the parts' positions, by chains and by the image.
-
-    The two are kept apart, since who compares whole bodies with the image reads it better than its mixtures
-    can say; `mixtures` is the product of both.
-
-    Parameters
-    ----------
-    predicted
-        product of the chains' messages.
-    image
-        what the image says; `None` where it says nothing.
-    """
-
-    predicted: GaussianMixtures
-    image: BodyImage | None = None
-
-    @property
-    def mixtures(self) -> GaussianMixtures:
-        """The product of all."""
-        return self.predicted if self.image is None else self.predicted * self.image.mixtures
-
-    @property
-    def log_mass(self) -> float:
-        """Log of the integral over all parts' positions."""
-        return float(self.mixtures.log_masses.sum())
-
-    def __mul__(self, other: Self) -> Self:
-        if self.image is not None and other.image is not None:
-            raise ValueError("part message: got two images, expected at most one")
-        return type(self)(self.predicted * other.predicted, self.image or other.image)
 
 
 @short_repr
@@ -206,7 +173,8 @@ class BodyParts:
         frame
             of a missing one, nothing is said.
         prior
-            shows where the head is when no face is detected, so that hands are distinguished from its skin.
+            shows where the head is when no face is detected, so that hands are distinguished from its skin;
+            and whose of several persons' keypoints count.
         """
         image = frame.image
         if image is None:
@@ -248,8 +216,15 @@ class BodyParts:
             [len(numbers) + np.arange(len(heads.means)), numbers, numbers],
         )
         edges, directions = edge_distances(image, EDGE_REACH * height)
-        seen = BodyImage(skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, self.bare)
-        return PartMessage(self.uniform().predicted, seen)
+        points = None
+        if frame.keypoints is not None:
+            points = SeenKeypoints.of(frame.keypoints, self._heads(centres, prior, image.shape), height)
+        if points is not None:
+            mixtures = mixtures * points.mixtures(len(numbers) + len(heads.means))
+        seen = BodyImage(
+            skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, points, self.bare
+        )
+        return PartMessage(self.uniform().stacked, seen)
 
     def draw(self, picture: NDArray[np.uint8], belief: PartMessage) -> None:
         """Draw into a BGR picture where head and hands are to 90 %, as far as that is known."""
@@ -267,12 +242,22 @@ class BodyParts:
             cv2.ellipse(still, ((x, y), (2 * across, 2 * down), 0.0), 0.0, cv2.FILLED)
         return np.asarray(np.maximum(skin - still, np.float32(-HIGHEST)))
 
+    def _heads(self, faces: Array, prior: PartMessage, shape: tuple[int, ...]) -> Array:
+        """`(k, 2)` px: where the head is by what the chains know, or else by faces `(k, 2)`."""
+        known = self._known_head(prior, shape)
+        return known if len(known) else faces
+
     def _with_known_head(self, faces: Array, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: heads of faces, and this one, if the chains know it and none of the faces is there."""
+        known = self._known_head(prior, shape)
+        near = np.linalg.norm(faces[:, None] - known, axis=2) < self.head_height
+        return faces if near.any() else np.concatenate([faces, known])
+
+    def _known_head(self, prior: PartMessage, shape: tuple[int, ...]) -> Array:
+        """`(k, 2)` px: the head's centre, k = 1, if the chains know it."""
         means, covariances = prior.predicted.moments(float(shape[0] * shape[1]), (shape[1] / 2, shape[0] / 2))
         known = np.linalg.eigvalsh(covariances[0])[-1] < (KNOWN * self.head_height) ** 2
-        found = (np.linalg.norm(faces - means[0], axis=1) < self.head_height).any()
-        return np.concatenate([faces, means[:1]]) if known and not found else faces
+        return means[:1] if known else np.zeros((0, 2))
 
 
 def _ellipses(heads: Array, shape: tuple[float, ...], height: float) -> Array:
