@@ -1,1 +1,1 @@
-"""What is learned of a person before the track starts: whose face it is, whether forearms are bare."""
+"""What is learned of a person at first: whose face it is, its colour, whether forearms are bare."""
