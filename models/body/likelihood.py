@@ -19,9 +19,9 @@ from .kernels.likelihood import (
     head_terms,
     over_density,
 )
+from .person.skin_colour import HIGHEST
 from .poses import BodyPoses
 from .silhouette import silhouettes
-from .skin_colour import HIGHEST
 from .upper_body import UpperBody
 
 Array = NDArray[np.float64]
@@ -39,8 +39,10 @@ SKIN_SCORES = (11.0, -1.0, 0.2)
 With these a hand's place is known to about 0.07 head heights, as real hands are off their model by. Skin is
 hidden in bursts, where frame after frame says the same: the second must not drive a hand to the face."""
 
-BARE_SCORES = (6.0, -4.0, 0.2)
-"""The same of a bare forearm across the line of sight: half of what as much skin in a hand would say."""
+BARE_SCORES, BARE_HAND_SCORES = (14.0, -4.0, 0.2), (8.0, -1.0, 0.2)
+"""The same of a bare forearm across the line of sight, and of the hand at its end. A forearm is as much skin
+as one hand and a little more. Skin speaks less for a hand there, since a forearm that goes on shows two
+thirds of it: otherwise hands that are hidden would be drawn to their wrists."""
 
 LEVELS = 256
 """Entries of tables over distances and directions."""
@@ -191,7 +193,7 @@ class ImageLikelihood:
     def _skin_terms(self, skin: tuple[Map, Map], parts: Array, roots: Array, elbows: Array) -> Array:
         """`(n,)` nats of hands and blobs: log of the mixture of bare forearms and such in sleeves."""
         body, image = self.body, self.image
-        hand = hand_model(body, NECK_RADIUS if image.moving_skin is image.skin else NO_NECK)
+        neck_radius = NECK_RADIUS if image.moving_skin is image.skin else NO_NECK
         scales = _scales(skin[0], image)
         # the odds that a blob is a hand; what is hardly one need not be explained
         costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
@@ -200,6 +202,7 @@ class ImageLikelihood:
         for bare, probability in enumerate((1 - image.bare, image.bare)):
             if probability > 0:
                 ratio = np.full(len(parts), np.log(probability))
+                hand = hand_model(body, neck_radius, bool(bare))
                 hand_terms(parts, roots, elbows, *skin, scales, hand, bool(bare), ratio)
                 blob_terms(parts, elbows, image.blobs, costs, reach, bool(bare), ratio)
                 if bare:
@@ -208,14 +211,14 @@ class ImageLikelihood:
         return np.asarray(np.logaddexp(*ratios))
 
 
-def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS) -> HandModel:
-    """What a hand of this body looks like; the neck's radius is in head heights."""
+def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS, bare: bool = False) -> HandModel:
+    """What a hand of this body looks like, in a sleeve or not; the neck's radius is in head heights."""
     return HandModel(
         body.hand,
         body.hand * np.array(WINDOWS),
         0.5 * np.array([body.head_width, body.head_height]),
         neck_radius * body.head_height,
-        np.array(SKIN_SCORES),
+        np.array(BARE_HAND_SCORES if bare else SKIN_SCORES),
         np.array([body.forearm, 0.25 * (body.forearm_width + body.wrist_width)]),
         np.array(BARE_SCORES),
     )

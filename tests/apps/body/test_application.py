@@ -15,7 +15,7 @@ from rsmcm.apps.body import report as body_report
 from rsmcm.apps.body import start as body_start
 from rsmcm.apps.body.hypotheses import HANDS, Hypotheses
 from rsmcm.apps.body.report import BodyRecord
-from rsmcm.apps.body.start import read_head, start_from_head
+from rsmcm.apps.body.start import SavedPerson, read_head, start_from_faces, start_from_head
 from rsmcm.apps.body.writer import ANGLE_NAMES, N_DRAWN
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.sources import blank_frames
@@ -24,6 +24,7 @@ from rsmcm.apps.reports import time_plots
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.inference.body.samples import BodyMoments
 from rsmcm.models import Frame
+from rsmcm.models.body.parts import HEAD_OF_BOX
 from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
 
 from ...conftest import Command, names, summary_of
@@ -605,3 +606,24 @@ def test_a_record_of_any_length() -> None:
     np.testing.assert_allclose(record.places[0][0], joints[HEAD])
     np.testing.assert_allclose(record.spreads, 2.0)
     assert 5 <= len(record.snapshots) <= 8
+
+
+def test_of_several_faces_the_one_that_is_pointed_at(
+    images: list[Image], scene: SignerScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a detector, the head that is marked says whose face is meant; without it, it is the largest."""
+    x, y, width, height = read_head(head_of(scene))
+    own = (x, y, width, height)
+
+    def faces(_: Frame) -> NDArray[np.float64]:
+        return np.array([(20.0, 20.0, 60.0, 60.0), (x, y + 0.1 * height, 0.75 * height, 0.75 * height)])
+
+    monkeypatch.setattr("rsmcm.apps.body.start.default_faces", lambda path: faces)
+    largest = start_from_faces("film", images, Path("any.onnx"), None)
+    meant = start_from_faces("film", images, Path("any.onnx"), None, own)
+    assert largest.parts.head_height == pytest.approx(HEAD_OF_BOX * 60)
+    assert meant.parts.head_height == pytest.approx(HEAD_OF_BOX * 0.75 * height)
+    again = SavedPerson.of(meant).start(Path("any.onnx"))
+    assert again.parts.bare == meant.parts.bare
+    assert again.parts.others is meant.parts.others
+    assert SavedPerson.of(meant).elsewhere().others is None

@@ -18,6 +18,7 @@ from rsmcm.models.body.kernels.likelihood import (
     hand_terms,
 )
 from rsmcm.models.body.likelihood import (
+    BARE_HAND_SCORES,
     BARE_SCORES,
     BLOB_COST,
     EDGE_POINTS,
@@ -99,7 +100,7 @@ def hand_scores(image: BodyImage, parts: Array, roots: Array, elbows: Array | No
     out = np.zeros(len(parts))
     bare = elbows is not None
     elbows = np.zeros((len(parts), 2, 2)) if elbows is None else elbows
-    hand_terms(parts, roots, elbows, *skin, scales, hand_model(BODY), bare, out)
+    hand_terms(parts, roots, elbows, *skin, scales, hand_model(BODY, bare=bare), bare, out)
     return out
 
 
@@ -135,7 +136,7 @@ def looked_up(one: NDArray[np.float32], places: Array) -> Array:
 def plain_hands(image: BodyImage, parts: Array, roots: Array, elbows: Array | None = None) -> Array:
     assert image.skin is not None
     maps = skin_maps(image.skin, BODY.hand)
-    full, none, hidden = SKIN_SCORES
+    full, none, hidden = SKIN_SCORES if elbows is None else BARE_HAND_SCORES
     r, inner, outer = BODY.hand, *(BODY.hand * np.array(WINDOWS))
     half = 0.5 * np.array([BODY.head_width, BODY.head_height])
     big, small = np.sqrt(half.prod()), NECK_RADIUS * BODY.head_height
@@ -502,3 +503,53 @@ def test_elbows_are_found_by_edges() -> None:
     off = np.linalg.norm(weights @ elbows / weights.sum() - joints[3, :2])
     assert off < 0.15 * BODY.head_height
     assert (term[0] > term[1:]).mean() > 0.95
+
+
+# --- bare forearms ------------------------------------------------------------------------------------------
+
+
+def bare_armed(poses: BodyPoses) -> BodyImage:
+    """What an image of the first of `poses` says, with bare forearms."""
+    image = seen(poses)
+    assert image.skin is not None
+    joints = BODY.joints(poses)[0, :, :2]
+    for elbow, hand in ((3, 4), (6, 7)):
+        ends = [tuple(int(x) for x in joints[end].round()) for end in (elbow, hand)]
+        cv2.line(image.skin, *ends, 4.0, round(0.5 * (BODY.forearm_width + BODY.wrist_width)))
+    blobs = np.concatenate([image.blobs, joints[[3, 6]]])
+    return replace(image, blobs=blobs, blob_log_weights=np.full(4, 1.5), bare=1.0)
+
+
+def test_hands_are_where_bare_forearms_end() -> None:
+    """Not at the elbows, nor halfway: forearms there leave skin unexplained, or lie where none is."""
+    truth = signing()
+    image = bare_armed(truth)
+    joints = BODY.joints(truth)[..., :2]
+    parts, elbows = joints[:, [0, 4, 7]], joints[:, [3, 6]]
+    likelihood = BodyLikelihood(BODY)(image)
+    assert likelihood.skin is not None
+
+    def score(hands: Array, elbows: Array) -> float:
+        placed = np.concatenate([parts[:, :1], hands], axis=1)
+        assert likelihood.skin is not None
+        return float(likelihood._skin_terms(likelihood.skin, placed, truth.roots, elbows)[0])
+
+    hands = parts[:, 1:]
+    right = score(hands, elbows)
+    assert right > score(0.5 * (hands + elbows), elbows) + 5
+    assert right > score(elbows, 2 * elbows - hands) + 5
+    # a sleeve is no forearm: the same pose is worse where there is none
+    bare_less = replace(seen(truth), bare=1.0)
+    assert right > BodyLikelihood(BODY)(bare_less).terms(truth)[SKIN, 0] + 5
+
+
+def test_who_may_be_in_sleeves_or_not_is_a_mixture() -> None:
+    random = np.random.default_rng(3)
+    poses = scattered(40, random)
+    image = bare_armed(signing())
+    sleeves, bare, either = (
+        BodyLikelihood(BODY)(replace(image, bare=share)).terms(poses)[SKIN] for share in (0.0, 1.0, 0.3)
+    )
+    np.testing.assert_allclose(either, np.log(0.7 * np.exp(sleeves) + 0.3 * np.exp(bare)), atol=1e-6)
+    assert (bare > sleeves).any()
+    assert (bare < sleeves).any()

@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.models.body.part_message import PartMessage
 from rsmcm.models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
-from rsmcm.models.body.skin_colour import SkinColour
+from rsmcm.models.body.person.skin_colour import SkinColour
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 from rsmcm.models.face.detectors import HaarFaces
@@ -211,3 +211,40 @@ def test_a_real_signer() -> None:
         errors.extend(apart.min(axis=0))
     assert np.median(errors) < 10
     assert max(errors) < 25
+
+
+def two_people(order: int = 0) -> tuple[Image, Array, Array]:
+    """A picture of two, and their faces' boxes: the second is smaller, darker, at the right."""
+    image = picture()
+    rows, columns = np.mgrid[:240, :320]
+    image[np.hypot((columns - 270) / 25, (rows - 60) / 33) < 1] = (40, 60, 110)
+    other = np.array([270 - 22, 60 - 18, 44.0, 44.0])
+    return image, np.array([BOX, other])[:: 1 - 2 * order], other
+
+
+def test_of_two_people_the_larger_one_is_learned_whatever_the_order() -> None:
+    image, _, _ = two_people()
+    alone = BodyParts.learned([image], Faces(BOX))
+    frames = [image] * 4
+
+    def alternating(frame: Frame) -> Array:
+        return two_people(frame.number % 2)[1]
+
+    both = BodyParts.learned(frames, alternating)
+    assert both.head_height == alone.head_height == pytest.approx(HEIGHT)
+    assert both.skin is not None
+    assert alone.skin is not None
+    np.testing.assert_allclose(both.skin.table, alone.skin.table, atol=1e-5)
+
+
+def test_the_one_who_is_pointed_at_is_learned() -> None:
+    image, boxes, other = two_people()
+    node = BodyParts.learned([image] * 4, Faces(*boxes), tuple(other + 5))
+    assert node.head_height == pytest.approx(HEAD_OF_BOX * 44)
+    # the larger face is somebody else's now, and says less of where the head is
+    seen = node.evidence(Frame(image, 0.0, 1), node.uniform()).image
+    assert seen is not None
+    middles = np.stack([HEAD, other[:2] + other[2:] * (0.5, CENTRE_OF_BOX)])
+    values = seen.mixtures.log_values(np.broadcast_to(middles[:, None], (2, 3, 2)).astype(np.float64))[:, 0]
+    assert values[1] > values[0] + 4
+    assert np.isfinite(values).all()  # but it may be

@@ -340,3 +340,24 @@ def test_near_triangles_hide_far_ones():
 def test_bad_parameters(arguments, message):
     with pytest.raises(ValueError, match=message):
         signer(**arguments)
+
+
+def test_short_sleeves_bare_forearms_and_change_nothing_else() -> None:
+    long, short = (signer(30, 3, noise=0.0, clutter=0.0, sleeves=sleeves) for sleeves in ("long", "short"))
+    np.testing.assert_array_equal(long.joints, short.joints)
+    before, after = (scene.image(5).astype(int) for scene in (long, short))
+    joints, unit = short.joints[5, :, :2], short.body.head_height
+    rows, columns = np.mgrid[: before.shape[0], : before.shape[1]]
+    away = np.ones(before.shape[:2], np.bool_)
+    for shoulder, elbow, hand in ((2, 3, 4), (5, 6, 7)):
+        for start, end in ((shoulder, elbow), (elbow, hand)):
+            for share in np.linspace(0, 1, 20):
+                x, y = joints[start] + share * (joints[end] - joints[start])
+                away &= np.hypot(columns - x, rows - y) > 0.4 * unit
+    np.testing.assert_array_equal(before[away], after[away])
+    skin = short._appearance.palette.skin
+    x, y = (0.5 * (joints[3] + joints[4])).round().astype(int)
+    tone = after[y, x] / after[y, x].sum()
+    assert np.abs(tone - skin / skin.sum()).max() < 0.05
+    with pytest.raises(ValueError, match="sleeves: got 'none', expected one of long, short"):
+        signer(2, sleeves="none")  # type: ignore[arg-type]

@@ -1,0 +1,55 @@
+"""Bare forearms are told from sleeves by how much skin hangs together."""
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.apps.scenes import signer
+from rsmcm.models.body.parts import BodyParts
+from rsmcm.models.body.person.bare_arms import IN_SLEEVE, WITH_FOREARM, bare_probability, hand_area
+from scipy.stats import norm
+
+HEAD_HEIGHT, RADIUS = 80.0, 24.0
+HEADS = np.array([[160.0, 70.0, 30.0, 39.0], [160.0, 120.0, 21.0, 26.0]])
+
+
+def test_the_probability_is_that_of_two_gaussians() -> None:
+    deviation = np.hypot(0.2, 0.4 / np.sqrt(3))
+    for middle in (0.9, 1.1, 1.3, 1.5):
+        low, high = (norm.pdf(np.log(middle), np.log(mean), deviation) for mean in (IN_SLEEVE, WITH_FOREARM))
+        assert bare_probability([0.3, middle, 4.0]) == pytest.approx(high / (low + high))
+
+
+def test_what_is_learned_from_frames() -> None:
+    assert bare_probability([]) == bare_probability([0.0, 0.0]) == 0.5
+    assert bare_probability([IN_SLEEVE] * 20) == 0
+    assert bare_probability([WITH_FOREARM] * 20) == 1
+    # one frame says less than many, and one that is unlike the others does not matter
+    assert 0.5 < bare_probability([1.3]) < bare_probability([1.3] * 5)
+    assert bare_probability([0.6] * 9 + [5.0]) == 0
+
+
+def test_the_area_is_that_of_the_largest_patch_beside_the_head() -> None:
+    skin = np.full((400, 640), -4, np.float32)
+    for x, y, across, down in HEADS:
+        cv2.ellipse(skin, ((x, y), (2 * across, 2 * down), 0.0), 4.0, cv2.FILLED)
+    assert hand_area(skin, HEADS, RADIUS, HEAD_HEIGHT) == 0
+    cv2.circle(skin, (230, 200), round(RADIUS), 4.0, cv2.FILLED)
+    alone = hand_area(skin, HEADS, RADIUS, HEAD_HEIGHT)
+    assert alone == pytest.approx(1, abs=0.05)
+    cv2.circle(skin, (80, 180), 15, 4.0, cv2.FILLED)  # the other hand is a patch of its own
+    cv2.circle(skin, (600, 60), 60, 4.0, cv2.FILLED)  # and what is out of reach is none
+    assert hand_area(skin, HEADS, RADIUS, HEAD_HEIGHT) == alone
+    cv2.line(skin, (230, 200), (300, 290), 4.0, 22)
+    assert 2 < hand_area(skin, HEADS, RADIUS, HEAD_HEIGHT) < 3
+
+
+@pytest.mark.parametrize(("sleeves", "bare"), [("long", 0.0), ("short", 1.0)])
+def test_sleeves_of_a_generated_signer(sleeves: str, bare: float) -> None:
+    scene = signer(40, 3, sleeves=sleeves)  # type: ignore[arg-type]
+    images = [scene.image(index) for index in range(0, 40, 4)]
+    boxes = tuple(scene.detector.boxes[::4])
+    parts = BodyParts.learned(images, lambda frame: boxes[frame.number - 1])
+    assert parts.bare == bare
+    seen = parts.evidence(scene.frame(0), parts.uniform()).image
+    assert seen is not None
+    assert seen.bare == bare

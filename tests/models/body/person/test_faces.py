@@ -1,0 +1,66 @@
+"""One person among the faces of several pictures."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.models.body.person.faces import OtherFaces, face_at, largest_face, one_person
+
+Array = NDArray[np.float64]
+
+NONE = np.zeros((0, 4))
+
+
+def faces(*squares: tuple[float, float, float]) -> Array:
+    """Boxes `(k, 4)` px of middles and sides."""
+    return np.array([(x - side / 2, y - side / 2, side, side) for x, y, side in squares]).reshape(-1, 4)
+
+
+def test_a_person_goes_on_whatever_the_order() -> None:
+    random = np.random.default_rng(0)
+    found, truth = [], []
+    for step in range(20):
+        order = random.permutation(2)
+        both = faces((100 + 3 * step, 80, 60), (300 - 2 * step, 90, 55))
+        found.append(both[order])
+        truth.append(int(np.flatnonzero(order == 0)[0]))
+    for picture in (0, 7, 19):
+        assert one_person(found, (picture, truth[picture])) == truth
+    assert one_person(found, (3, 1 - truth[3])) == [1 - one for one in truth]
+
+
+def test_a_person_who_is_not_found_is_nobody_else() -> None:
+    own, other = (100.0, 80.0, 60.0), (300.0, 80.0, 60.0)
+    small = (110.0, 90.0, 30.0)
+    found = [faces(own, other), faces(other), NONE, faces(small, other), faces(other, own)]
+    assert one_person(found, (0, 0)) == [0, None, None, None, 1]
+    assert one_person(found, (4, 1)) == [0, None, None, None, 1]
+
+
+def test_the_largest_is_not_a_false_one() -> None:
+    own, other, false = (100.0, 80.0, 60.0), (300.0, 80.0, 50.0), (200.0, 200.0, 120.0)
+    found = [faces(other, own), faces(false, own, other), NONE, faces(own, other), faces(other)]
+    picture, face = largest_face(found)
+    np.testing.assert_array_equal(found[picture][face], faces(own)[0])
+    with pytest.raises(ValueError, match="found: got no face in 2 pictures"):
+        largest_face([NONE, NONE])
+
+
+def test_the_face_that_is_pointed_at() -> None:
+    found = [NONE, faces((100, 80, 60), (300, 80, 40)), faces((300, 80, 40))]
+    assert face_at(found, faces((280, 100, 80))[0]) == (1, 1)
+    assert face_at(found, faces((130, 60, 20))[0]) == (1, 0)
+    with pytest.raises(ValueError, match="found: got no face in 1 pictures"):
+        face_at([NONE], faces((0, 0, 1))[0])
+
+
+def test_the_density_of_others_counts_them() -> None:
+    found = [faces((100, 80, 60), (300, 90, 50)), faces((300, 90, 50)), faces((305, 90, 50), (100, 80, 60))]
+    others = OtherFaces.learned(found, [0, None, 1])
+    assert others.pictures == 2
+    np.testing.assert_allclose(others.places, [[300, 90], [305, 90]])
+    grid = np.stack(np.meshgrid(np.arange(100.0, 500), np.arange(-110.0, 290)), -1).reshape(-1, 2)
+    density = others.density(grid)
+    assert density.sum() == pytest.approx(1, abs=1e-6)  # one a picture
+    assert np.abs(grid[density.argmax()] - (302.5, 90)).max() <= 1
+    alone = OtherFaces.learned([faces((100, 80, 60))], [0])
+    np.testing.assert_array_equal(alone.density(grid[:5]), 0)
