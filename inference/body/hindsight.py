@@ -6,6 +6,9 @@ The weighted poses x_k of a filter say what frames up to t know. Trajectories ar
 them: their ends from the newest frame, and then, frame after frame, a pose from which they may have come
 (Godsill, Doucet and West, "Monte Carlo smoothing for nonlinear time series", 2004), which is then moved a
 little (`trajectory_moves`), as the image and what comes before and after have it.
+
+A filter may have taken the hands for each other. Its poses are there with exchanged names, too, as probable
+as all frames so far, and those that came later, say (`labelling`).
 """
 
 from dataclasses import dataclass, replace
@@ -20,7 +23,7 @@ from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ..filters.resampling import normalised, systematic
 from .dynamics import Ancestors, BodyDynamics
-from .labelling import NOTHING_SAID, ExchangeEvidence, exchange_evidence
+from .labelling import NOTHING_SAID, ExchangeEvidence, both_names, hand_labels
 from .samples import LONGEST, BodySamples, copied
 from .tempering import LogDensity
 from .trajectory_moves import moved_between
@@ -32,6 +35,9 @@ CLOUD = 400
 
 BLOCK = 6
 """Frames that are answered at a time: a pass over all that wait costs the same for one."""
+
+LEAST_EXCHANGED = 1e-3
+"""Probability at least that hands have each other's name, or their own."""
 
 MOVES, MOVES_AHEAD = 8, 2
 """Of every pose in a frame that is answered, and in one that only leads there."""
@@ -60,24 +66,63 @@ class TimedSamples:
 
 @short_repr
 @dataclass(frozen=True, eq=False)
+class WaitingFrame:
+    """What is remembered of a frame.
+
+    Parameters
+    ----------
+    number, time
+        of the frame; s.
+    samples
+        what the filter knew, thinned.
+    exchanged
+        some of the same poses with the names of the hands exchanged.
+    evidence
+        whether these are right.
+    image
+        what the likelihood asks of it; `None` for a missing one.
+    """
+
+    number: int
+    time: float
+    samples: BodySamples
+    exchanged: BodyPoses
+    evidence: ExchangeEvidence
+    image: BodyImage | None
+
+    def named(self, probability: float) -> BodySamples:
+        """The samples, with names exchanged with some probability."""
+        extra = len(self.exchanged)
+        if not extra:
+            return self.samples
+        share = np.clip(probability, LEAST_EXCHANGED, 1 - LEAST_EXCHANGED)
+        log_weights = [self.samples.log_weights + np.log1p(-share), np.full(extra, np.log(share / extra))]
+        return replace(
+            self.samples,
+            poses=BodyPoses.concatenated([self.samples.poses, self.exchanged]),
+            log_weights=np.concatenate(log_weights),
+        )
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
 class WaitingFrames:
     """What fixed-lag smoothing has to remember: the frames that are not answered yet.
 
     Parameters
     ----------
     frames
-        in the order of time, what the filter knew of each, thinned.
-    images
-        of each, what the likelihood asks of it; `None` for a missing one.
-    past
-        the frame before them, which is answered; `None` at the beginning.
+        in the order of time.
+    past, log_odds
+        the frame before them, which is answered, `None` at the beginning; and the log odds, from all frames
+        up to it, that its hands have each other's name.
     random
         generator of the draws to come.
     """
 
-    frames: tuple[TimedSamples, ...]
-    images: tuple[BodyImage | None, ...]
-    past: TimedSamples | None
+    frames: tuple[WaitingFrame, ...]
+    past: WaitingFrame | None
+    log_odds: float
     random: np.random.Generator
 
 
@@ -125,7 +170,7 @@ class FixedLag:
         self.lag = lag
         self.likelihood = likelihood or BodyLikelihood(dynamics.body)
         self.trajectories = trajectories
-        self.waiting = WaitingFrames((), (), None, np.random.default_rng(seed))
+        self.waiting = WaitingFrames((), None, 0.0, np.random.default_rng(seed))
         self._likelihoods: dict[int, LogDensity] = {}
 
     def add(self, frame: Frame, samples: BodySamples, image: BodyImage | None = None) -> list[TimedSamples]:
@@ -144,11 +189,13 @@ class FixedLag:
         if not self.lag:
             return [TimedSamples(frame.number, frame.time, samples)]
         random = copied(self.waiting.random)
-        kept = TimedSamples(frame.number, frame.time, thinned(samples, CLOUD, random))
-        before = self.waiting
-        self.waiting = replace(
-            before, frames=(*before.frames, kept), images=(*before.images, image), random=random
-        )
+        if image is not None:
+            self._likelihoods[frame.number] = self.likelihood(image)
+        likelihood = self._likelihoods.get(frame.number)
+        evidence, exchanged = both_names(self.dynamics, samples, likelihood, random)
+        few = thinned(samples, CLOUD, random)
+        new = WaitingFrame(frame.number, frame.time, few, exchanged, evidence, image)
+        self.waiting = replace(self.waiting, frames=(*self.waiting.frames, new), random=random)
         if len(self.waiting.frames) < self.lag + BLOCK:
             return []
         return self._answers(BLOCK)
@@ -162,59 +209,61 @@ class FixedLag:
         if not count:
             return []
         waiting, random = self.waiting, copied(self.waiting.random)
-        numbers = [frame.number for frame in waiting.frames]
         self._likelihoods = {
-            number: self._likelihoods.get(number) or self.likelihood(image)
-            for number, image in zip(numbers, waiting.images, strict=True)
-            if image is not None
+            frame.number: self._likelihoods.get(frame.number) or self.likelihood(frame.image)
+            for frame in waiting.frames
+            if frame.image is not None
         }
-        smoothed = self._trajectories(count, random)
-        self.waiting = WaitingFrames(
-            waiting.frames[count:], waiting.images[count:], waiting.frames[count - 1], random
+        before = 0 if waiting.past is None else 1
+        frames = [*waiting.frames] if waiting.past is None else [waiting.past, *waiting.frames]
+        labels = hand_labels(
+            np.array([frame.number for frame in frames]),
+            np.array([frame.time for frame in frames]),
+            np.array([frame.evidence.log_odds for frame in frames]),
+            np.array([frame.evidence.confusable for frame in frames]),
+            known=waiting.log_odds if before else None,
         )
+        pairs = zip(frames, labels.probabilities, strict=True)
+        clouds = [TimedSamples(each.number, each.time, each.named(p)) for each, p in pairs]
+        smoothed = self._trajectories(clouds, before, before + count, random)
+        last = before + count - 1
+        self.waiting = WaitingFrames(waiting.frames[count:], frames[last], float(labels.so_far[last]), random)
         return smoothed
 
-    def _trajectories(self, count: int, random: np.random.Generator) -> list[TimedSamples]:
-        """Draw trajectories backwards through all frames that wait; their poses in the first `count`."""
-        frames = self.waiting.frames
-        poses = frames[-1].samples.drawn(self.trajectories, random)
-        smoothed = [self._answer(frames[-1], poses, random)]
-        past = self._past(frames[-2] if len(frames) > 1 else None, frames[-1].time, random)
-        for index in range(len(frames) - 2, -1, -1):
-            frame, later = frames[index], poses
-            assert past is not None
-            poses = past.poses.take(self.dynamics.draw_ancestors(later, past, random))
-            elapsed = past.elapsed
-            past = self._past(frames[index - 1] if index else self.waiting.past, frame.time, random)
-            likelihood = self._likelihoods.get(frame.number)
-            if past is not None and likelihood is not None:
-                moves = MOVES if index < count else MOVES_AHEAD
+    def _trajectories(
+        self, clouds: list[TimedSamples], first: int, stop: int, random: np.random.Generator
+    ) -> list[TimedSamples]:
+        """Draw trajectories backwards through clouds; their poses from `first` up to before `stop`."""
+        newest = len(clouds) - 1
+        poses = clouds[newest].samples.drawn(self.trajectories, random)
+        smoothed = []
+        past = None
+        for index in range(newest, first - 1, -1):
+            cloud, later, elapsed = clouds[index], poses, 0.0
+            if past is not None:
+                poses = past.poses.take(self.dynamics.draw_ancestors(later, past, random))
+                elapsed = past.elapsed
+            past = _ancestors(clouds[index - 1], cloud.time) if index else None
+            likelihood = self._likelihoods.get(cloud.number)
+            if index < newest and past is not None and likelihood is not None:
+                moves = MOVES if index < stop else MOVES_AHEAD
                 poses = moved_between(
-                    self.dynamics, poses, past, frame.samples, later, elapsed, likelihood, moves, random
+                    self.dynamics, poses, past, cloud.samples, later, elapsed, likelihood, moves, random
                 )
-            if index < count:
-                smoothed.append(self._answer(frame, poses, random))
-        return smoothed[::-1][:count]
+            if index < stop:
+                smoothed.append(self._answer(cloud, poses, random))
+        return smoothed[::-1]
 
-    def _answer(self, frame: TimedSamples, poses: BodyPoses, random: np.random.Generator) -> TimedSamples:
-        n, likelihood = len(poses), self._likelihoods.get(frame.number)
-        samples = replace(frame.samples, poses=poses, log_weights=np.full(n, -np.log(n)))
-        if likelihood is None:
-            return replace(frame, samples=samples)
-        evidence = exchange_evidence(self.dynamics, poses, likelihood, random)
-        return replace(frame, samples=samples, evidence=evidence)
+    def _answer(self, cloud: TimedSamples, poses: BodyPoses, random: np.random.Generator) -> TimedSamples:
+        n, likelihood = len(poses), self._likelihoods.get(cloud.number)
+        samples = replace(cloud.samples, poses=poses, log_weights=np.full(n, -np.log(n)))
+        evidence = both_names(self.dynamics, samples, likelihood, random)[0]
+        return replace(cloud, samples=samples, evidence=evidence)
 
-    def _past(self, frame: TimedSamples | None, time: float, random: np.random.Generator) -> Ancestors | None:
-        """What may have become poses at `time`: those of the frame before, also with exchanged hands.
 
-        A trajectory that came from these goes on with them: hands are not exchanged in the world, they
-        turn out to have been taken for each other.
-        """
-        if frame is None:
-            return None
-        elapsed = min(time - frame.time, LONGEST)
-        past = Ancestors(frame.samples.poses, frame.samples.weights, elapsed)
-        return self.dynamics.with_exchanged(past, random)
+def _ancestors(cloud: TimedSamples, time: float) -> Ancestors:
+    """What may have become poses at `time`."""
+    return Ancestors(cloud.samples.poses, cloud.samples.weights, min(time - cloud.time, LONGEST))
 
 
 def thinned(samples: BodySamples, n: int, random: np.random.Generator) -> BodySamples:
