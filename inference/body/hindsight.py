@@ -80,7 +80,9 @@ class WaitingFrame:
     evidence
         whether these are right.
     image
-        what the likelihood asks of it; `None` for a missing one.
+        what the likelihood asks of it; `None` for a missing one, and once it is answered.
+    log_odds
+        nats, once it is answered: that these are right, by all frames up to it.
     """
 
     number: int
@@ -88,7 +90,8 @@ class WaitingFrame:
     samples: BodySamples
     exchanged: BodyPoses
     evidence: ExchangeEvidence
-    image: BodyImage | None
+    image: BodyImage | None = None
+    log_odds: float | None = None
 
     def named(self, probability: float) -> BodySamples:
         """The samples, with names exchanged with some probability."""
@@ -113,16 +116,14 @@ class WaitingFrames:
     ----------
     frames
         in the order of time.
-    past, log_odds
-        the frame before them, which is answered, `None` at the beginning; and the log odds, from all frames
-        up to it, that its hands have each other's name.
+    past
+        the frame before them, which is answered; `None` at the beginning.
     random
         generator of the draws to come.
     """
 
     frames: tuple[WaitingFrame, ...]
     past: WaitingFrame | None
-    log_odds: float
     random: np.random.Generator
 
 
@@ -170,7 +171,7 @@ class FixedLag:
         self.lag = lag
         self.likelihood = likelihood or BodyLikelihood(dynamics.body)
         self.trajectories = trajectories
-        self.waiting = WaitingFrames((), None, 0.0, np.random.default_rng(seed))
+        self.waiting = WaitingFrames((), None, np.random.default_rng(seed))
         self._likelihoods: dict[int, LogDensity] = {}
 
     def add(self, frame: Frame, samples: BodySamples, image: BodyImage | None = None) -> list[TimedSamples]:
@@ -221,13 +222,14 @@ class FixedLag:
             np.array([frame.time for frame in frames]),
             np.array([frame.evidence.log_odds for frame in frames]),
             np.array([frame.evidence.confusable for frame in frames]),
-            known=waiting.log_odds if before else None,
+            known=frames[0].log_odds,
         )
         pairs = zip(frames, labels.probabilities, strict=True)
         clouds = [TimedSamples(each.number, each.time, each.named(p)) for each, p in pairs]
         smoothed = self._trajectories(clouds, before, before + count, random)
         last = before + count - 1
-        self.waiting = WaitingFrames(waiting.frames[count:], frames[last], float(labels.so_far[last]), random)
+        past = replace(frames[last], image=None, log_odds=float(labels.so_far[last]))
+        self.waiting = WaitingFrames(waiting.frames[count:], past, random)
         return smoothed
 
     def _trajectories(
