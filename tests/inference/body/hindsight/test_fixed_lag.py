@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rsmcm.inference.body.dynamics import BodyDynamics
-from rsmcm.inference.body.hindsight import FixedLag, WaitingFrames, thinned
+from rsmcm.inference.body.hindsight.fixed_lag import FixedLag, WaitingFrames, thinned
 from rsmcm.inference.body.samples import BodySamples
 from rsmcm.inference.core import checkpoint
 from rsmcm.models.body.upper_body import UpperBody

@@ -16,16 +16,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.image_features import BodyImage
-from ...models.body.likelihood import BodyLikelihood, PoseLikelihood
-from ...models.body.poses import BodyPoses
-from ...models.core.frame import Frame
-from ...models.core.short_repr import short_repr
-from ..filters.resampling import normalised, systematic
-from .dynamics import Ancestors, BodyDynamics
+from ....models.body.image_features import BodyImage
+from ....models.body.likelihood import BodyLikelihood, PoseLikelihood
+from ....models.body.poses import BodyPoses
+from ....models.core.frame import Frame
+from ....models.core.short_repr import short_repr
+from ...filters.resampling import normalised, systematic
+from ..dynamics import Ancestors, BodyDynamics
+from ..samples import LONGEST, BodySamples, copied
+from ..tempering import LogDensity
 from .labelling import NOTHING_SAID, ExchangeEvidence, both_names, hand_labels
-from .samples import LONGEST, BodySamples, copied
-from .tempering import LogDensity
 from .trajectory_moves import moved_between
 
 Array = NDArray[np.float64]

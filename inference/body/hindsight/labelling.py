@@ -16,14 +16,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.inverse_kinematics import arm_at
-from ...models.body.poses import BodyPoses
-from ...models.body.upper_body import UpperBody
-from ...models.core.short_repr import short_repr
-from ..filters.resampling import log_sum, systematic
-from .dynamics import BodyDynamics
-from .samples import BodySamples
-from .tempering import LogDensity
+from ....models.body.inverse_kinematics import arm_at
+from ....models.body.poses import BodyPoses
+from ....models.body.upper_body import UpperBody
+from ....models.core.short_repr import short_repr
+from ...filters.resampling import log_sum, systematic
+from ..dynamics import BodyDynamics
+from ..samples import BodySamples
+from ..tempering import LogDensity
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rsmcm.apps.scenes import signer
 from rsmcm.inference.body.dynamics import BodyDynamics
-from rsmcm.inference.body.labelling import (
+from rsmcm.inference.body.hindsight.labelling import (
     APART,
     MEMORY,
     MISTAKEN,
