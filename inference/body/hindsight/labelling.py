@@ -37,8 +37,8 @@ PAIRS = 50
 MOST = 10.0
 """Nats: one frame says no more than this; the likelihood is not right to that degree."""
 
-MEMORY = 0.2
-"""s: frames of so short a time say the same again, as arms hardly move and edges stay where they are."""
+MEMORY = 0.1
+"""s: frames of so short a time say the same again, as an arm hardly moves by its own width."""
 
 APART, TOGETHER = 0.002, 1.0
 """Exchanges in one second by mistake, of hands that are apart, and of hands that could be confused."""
