@@ -16,7 +16,7 @@ from ...chains.articulated_pose import ArticulatedPose
 from ...chains.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...inference.body.dynamics import BodyDynamics
-from ...inference.body.hindsight import BLOCK, FixedLag, TimedSamples
+from ...inference.body.hindsight import BLOCK, FixedLag, TimedSamples, WaitingFrame
 from ...inference.body.samples import BodySamples
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import PARTS
@@ -66,7 +66,7 @@ class BodyRun(FilmRun[BodyJob]):
         "person": SavedPerson,
         "record": BodyRecord.kinds(),
         "draws": np.random.Generator,
-        "answered": TimedSamples | None,
+        "answered": WaitingFrame | None,
     }
     chains: ClassVar[dict[str, Any]] = {"flesh": FleshTracker, "pose": ArticulatedPose}
 

@@ -12,16 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.poses import BodyPoses
-from ..filters.resampling import systematic
-from .dynamics import Ancestors, BodyDynamics, around, concentration
-from .samples import BodySamples
-from .tempering import LogDensity, perturbed
+from ....models.body.poses import BodyPoses
+from ...filters.resampling import systematic
+from ..dynamics import Ancestors, BodyDynamics, around, concentration
+from ..samples import BodySamples
+from ..tempering import LogDensity, perturbed
 
 Array = NDArray[np.float64]
-
-MOVES = 4
-"""Of every pose: half of them of whole arms, half small ones."""
 
 SCALES = np.array([0.1, 0.3, 0.7, 1.2])
 """Sizes of an arm's move away from where it is in the next frame, over those of the dynamics."""
@@ -36,7 +33,8 @@ NEXT = 0.3
 """Share of arms that are drawn near the next frame's: so where a hand was found goes back to where it was
 lost."""
 
-LEAST_DENSITY = 1e-30
+LEAST_DENSITY, IMPOSSIBLE = 1e-30, -1e300
+"""Of an arm that is drawn; nats of a pose that joints do not allow, which any other replaces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +97,13 @@ def moved_between(
     samples: BodySamples,
     later: BodyPoses,
     elapsed: float,
-    log_likelihood: LogDensity | None,
+    log_likelihood: LogDensity,
+    moves: int,
     random: np.random.Generator,
 ) -> BodyPoses:
     """Move each pose between a past that all share and a next pose of its own.
+
+    Half of the moves are of whole arms, half are small ones.
 
     Parameters
     ----------
@@ -115,14 +116,16 @@ def moved_between(
     later, elapsed
         `n` poses of the next frame; s from this one to it.
     log_likelihood
-        of this frame's image; `None` where there is none.
+        of this frame's image.
+    moves
+        of every pose.
     """
     n = len(poses)
 
     def log_target(tried: BodyPoses) -> Array:
         total = dynamics.log_density(tried, past) + dynamics.log_step(later, tried, elapsed)
         allowed = np.flatnonzero(dynamics.body.allowed(tried))
-        if log_likelihood is not None and len(allowed):
+        if len(allowed):
             total[allowed] += log_likelihood(tried.take(allowed))
         possible = np.full(n, -np.inf)
         possible[allowed] = total[allowed]
@@ -130,8 +133,8 @@ def moved_between(
 
     centres = samples.poses.arms[systematic(samples.log_weights, CENTRES, random)]
     proposals = [ArmProposal.of(dynamics, elapsed, centres[:, side], later.arms[:, side]) for side in (0, 1)]
-    value = log_target(poses)
-    for move in range(MOVES):
+    value = np.maximum(log_target(poses), IMPOSSIBLE)
+    for move in range(moves):
         if move % 2:
             tried, correction = perturbed(dynamics, poses, random)
         else:
