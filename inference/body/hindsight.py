@@ -20,6 +20,7 @@ from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ..filters.resampling import normalised, systematic
 from .dynamics import Ancestors, BodyDynamics
+from .labelling import NOTHING_SAID, ExchangeEvidence, exchange_evidence
 from .samples import LONGEST, BodySamples, copied
 from .tempering import LogDensity
 from .trajectory_moves import moved_between
@@ -31,6 +32,9 @@ CLOUD = 400
 
 BLOCK = 6
 """Frames that are answered at a time: a pass over all that wait costs the same for one."""
+
+MOVES, MOVES_AHEAD = 8, 2
+"""Of every pose in a frame that is answered, and in one that only leads there."""
 
 
 @short_repr
@@ -44,11 +48,14 @@ class TimedSamples:
         of the frame; s.
     samples
         its poses.
+    evidence
+        of an answer, what the frame says of which hand is which (see `Labelling`).
     """
 
     number: int
     time: float
     samples: BodySamples
+    evidence: ExchangeEvidence = NOTHING_SAID
 
 
 @short_repr
@@ -107,7 +114,7 @@ class FixedLag:
         lag: int = 12,
         *,
         likelihood: PoseLikelihood | None = None,
-        trajectories: int = 100,
+        trajectories: int = 64,
         seed: int = 0,
     ) -> None:
         if lag < 0:
@@ -171,7 +178,7 @@ class FixedLag:
         """Draw trajectories backwards through all frames that wait; their poses in the first `count`."""
         frames = self.waiting.frames
         poses = frames[-1].samples.drawn(self.trajectories, random)
-        smoothed = [_even(frames[-1], poses)]
+        smoothed = [self._answer(frames[-1], poses, random)]
         past = self._past(frames[-2] if len(frames) > 1 else None, frames[-1].time, random)
         for index in range(len(frames) - 2, -1, -1):
             frame, later = frames[index], poses
@@ -181,12 +188,21 @@ class FixedLag:
             past = self._past(frames[index - 1] if index else self.waiting.past, frame.time, random)
             likelihood = self._likelihoods.get(frame.number)
             if past is not None and likelihood is not None:
+                moves = MOVES if index < count else MOVES_AHEAD
                 poses = moved_between(
-                    self.dynamics, poses, past, frame.samples, later, elapsed, likelihood, random
+                    self.dynamics, poses, past, frame.samples, later, elapsed, likelihood, moves, random
                 )
             if index < count:
-                smoothed.append(_even(frame, poses))
+                smoothed.append(self._answer(frame, poses, random))
         return smoothed[::-1][:count]
+
+    def _answer(self, frame: TimedSamples, poses: BodyPoses, random: np.random.Generator) -> TimedSamples:
+        n, likelihood = len(poses), self._likelihoods.get(frame.number)
+        samples = replace(frame.samples, poses=poses, log_weights=np.full(n, -np.log(n)))
+        if likelihood is None:
+            return replace(frame, samples=samples)
+        evidence = exchange_evidence(self.dynamics, poses, likelihood, random)
+        return replace(frame, samples=samples, evidence=evidence)
 
     def _past(self, frame: TimedSamples | None, time: float, random: np.random.Generator) -> Ancestors | None:
         """What may have become poses at `time`: those of the frame before, also with exchanged hands.
@@ -217,9 +233,3 @@ def thinned(samples: BodySamples, n: int, random: np.random.Generator) -> BodySa
         ancestors=None,
         before=None,
     )
-
-
-def _even(frame: TimedSamples, poses: BodyPoses) -> TimedSamples:
-    n = len(poses)
-    samples = replace(frame.samples, poses=poses, log_weights=np.full(n, -np.log(n)))
-    return replace(frame, samples=samples)

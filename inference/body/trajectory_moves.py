@@ -20,9 +20,6 @@ from .tempering import LogDensity, perturbed
 
 Array = NDArray[np.float64]
 
-MOVES = 4
-"""Of every pose: half of them of whole arms, half small ones."""
-
 SCALES = np.array([0.1, 0.3, 0.7, 1.2])
 """Sizes of an arm's move away from where it is in the next frame, over those of the dynamics."""
 
@@ -99,10 +96,13 @@ def moved_between(
     samples: BodySamples,
     later: BodyPoses,
     elapsed: float,
-    log_likelihood: LogDensity | None,
+    log_likelihood: LogDensity,
+    moves: int,
     random: np.random.Generator,
 ) -> BodyPoses:
     """Move each pose between a past that all share and a next pose of its own.
+
+    Half of the moves are of whole arms, half are small ones.
 
     Parameters
     ----------
@@ -115,14 +115,16 @@ def moved_between(
     later, elapsed
         `n` poses of the next frame; s from this one to it.
     log_likelihood
-        of this frame's image; `None` where there is none.
+        of this frame's image.
+    moves
+        of every pose.
     """
     n = len(poses)
 
     def log_target(tried: BodyPoses) -> Array:
         total = dynamics.log_density(tried, past) + dynamics.log_step(later, tried, elapsed)
         allowed = np.flatnonzero(dynamics.body.allowed(tried))
-        if log_likelihood is not None and len(allowed):
+        if len(allowed):
             total[allowed] += log_likelihood(tried.take(allowed))
         possible = np.full(n, -np.inf)
         possible[allowed] = total[allowed]
@@ -131,7 +133,7 @@ def moved_between(
     centres = samples.poses.arms[systematic(samples.log_weights, CENTRES, random)]
     proposals = [ArmProposal.of(dynamics, elapsed, centres[:, side], later.arms[:, side]) for side in (0, 1)]
     value = log_target(poses)
-    for move in range(MOVES):
+    for move in range(moves):
         if move % 2:
             tried, correction = perturbed(dynamics, poses, random)
         else:

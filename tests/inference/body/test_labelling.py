@@ -1,0 +1,85 @@
+"""Names of the hands over a film: against enumeration, and of a generated signer."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from rsmcm.apps.scenes import signer
+from rsmcm.inference.body.dynamics import BodyDynamics
+from rsmcm.inference.body.labelling import (
+    APART,
+    MEMORY,
+    TOGETHER,
+    ExchangeEvidence,
+    Labelling,
+    exchange_evidence,
+    hand_labels,
+    with_names_exchanged,
+)
+from rsmcm.inference.core import checkpoint
+from rsmcm.models.body.likelihood import BodyLikelihood
+from rsmcm.models.body.parts import BodyParts
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_labels_are_those_of_all_sequences(seed):
+    random = np.random.default_rng(seed)
+    n = 7
+    times = np.cumsum(random.choice([0.04, 0.4, 3.0], n))
+    log_odds, confusable = 3 * random.standard_normal(n), random.random(n)
+    found = hand_labels(np.arange(1, n + 1), times, log_odds, confusable)
+    steps = np.diff(times)
+    weights = np.minimum(np.concatenate([[MEMORY], steps]) / MEMORY, 1)
+    sequences = np.array(list(product([0, 1], repeat=n)))
+    scores = sequences @ (weights * log_odds)
+    for index in range(1, n):
+        rate = APART + TOGETHER * confusable[index - 1 : index + 1].max()
+        change = 0.5 * (1 - np.exp(-2 * rate * steps[index - 1]))
+        switches = sequences[:, index] != sequences[:, index - 1]
+        scores = scores + np.where(switches, np.log(change), np.log(1 - change))
+    shares = np.exp(scores - scores.max())
+    np.testing.assert_allclose(found.probabilities, shares @ sequences / shares.sum(), atol=1e-12)
+    np.testing.assert_array_equal(found.exchanged, sequences[scores.argmax()] == 1)
+
+
+def test_of_no_frame_nothing_is_said():
+    found = Labelling().result()
+    assert len(found.numbers) == len(found.probabilities) == len(found.exchanged) == 0
+
+
+def test_where_hands_have_the_wrong_names_a_film_says_so(tmp_path):
+    scene = signer(50, seed=103)
+    parts = BodyParts.learned(list(scene.images()), scene.detector)
+    body = scene.body
+    dynamics, likelihood = BodyDynamics(body), BodyLikelihood(body)
+    random = np.random.default_rng(1)
+    labelling = Labelling()
+    for index, frame in enumerate(scene):
+        image = parts.evidence(frame, parts.uniform()).image
+        poses = dynamics.draw(scene.poses.take(np.full(60, index)), 0.002, random)
+        if index >= 25:
+            exchanged, possible = with_names_exchanged(body, poses, random)
+            if possible.any():
+                poses = exchanged.take(possible)
+        evidence = exchange_evidence(dynamics, poses, likelihood(image), random)
+        labelling.add(frame.number, frame.time, evidence)
+    checkpoint.save(tmp_path / "labelling.npz", {"of": labelling}, {"of": Labelling})
+    labels = checkpoint.load(tmp_path / "labelling.npz", {"of": Labelling})["of"].result()
+    np.testing.assert_array_equal(labels.numbers, np.arange(1, 51))
+    assert not labels.exchanged[:20].any()
+    assert labels.exchanged[30:].all()
+    assert (labels.probabilities[:20] < 0.1).all()
+    assert (labels.probabilities[30:] > 0.9).all()
+
+
+def test_hands_that_are_far_apart_are_not_confused():
+    scene = signer(1, seed=101)
+    dynamics = BodyDynamics(scene.body)
+    random = np.random.default_rng(1)
+    poses = dynamics.draw_anywhere(400, (360, 640), random)
+    hands = scene.body.parts(poses)[:, 1:]
+    far = np.linalg.norm(hands[:, 0] - hands[:, 1], axis=1).argmax()
+    apart = poses.take(np.full(50, far))
+    found = exchange_evidence(dynamics, apart, lambda tried: np.zeros(len(tried)), random)
+    assert found.confusable == 0
+    assert isinstance(found, ExchangeEvidence)
