@@ -21,6 +21,9 @@ from ...inference.body.samples import BodySamples
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import PARTS
 from ...models.core.frame import Frame
+from ..io.keypoints.attached import given_keypoints, with_keypoints
+from ..io.keypoints.read import digest_of
+from ..io.keypoints.table import Keypoints
 from ..io.segments import segment_pattern
 from ..io.sources.blank_frames import SeenFrames
 from ..io.sources.open_source import open_source
@@ -32,6 +35,7 @@ from ..view.film import Film, Row
 from ..view.page import View
 from .job import LAG, BodyJob
 from .joint_files import ClickedJoints, read_joints
+from .keypoint_start import followed, shows_whom, start_from_keypoints, with_lengths
 from .report import BodyRecord, write_body_report
 from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
 from .view import body_view, drawn_of
@@ -68,6 +72,12 @@ class BodyRun(FilmRun[BodyJob]):
 
     def __init__(self, job: BodyJob, clicked: ClickedJoints | None) -> None:
         super().__init__(job)
+        if job.keypoints is not None:
+            self.settings["keypoints"] = {
+                "file": self.settings["keypoints"],
+                "sha256": digest_of(job.keypoints),
+            }
+        self._keypoints: Keypoints | None = None
         self._head = None if job.head is None else read_head(job.head)
         self._clicked = clicked
         self._draws = np.random.default_rng(job.seed)  # of the poses that are shown
@@ -95,6 +105,14 @@ class BodyRun(FilmRun[BodyJob]):
             "answered": self._hindsight.waiting.past,
         }
 
+    def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """What a detector has found in the frames."""
+        job = self.job
+        if job.keypoints is None:
+            return frames
+        self._keypoints = given_keypoints(job.keypoints, self.source, job.start, job.stop, job.step)
+        return with_keypoints(frames, self._keypoints)
+
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """Find the person in the first frame in which anything is to be seen, and in others."""
         job, images = self.job, None
@@ -102,23 +120,38 @@ class BodyRun(FilmRun[BodyJob]):
             beginning = list(islice(frames, CALIBRATION_FRAMES))
             frames = chain(beginning, frames)
             images = [frame.image for frame in beginning if frame.image is not None]
+        by_keypoints = self._keypoints is not None and self._head is None and job.detector is None
         for first in frames:
-            if first.image is not None:
+            if first.image is not None and (not by_keypoints or shows_whom(first)):
                 break
             self.before.append(first.number)
         else:
-            raise self.no_frame("holds no frame in which anything is to be seen")
+            what = "a head or shoulders were found" if by_keypoints else "anything is to be seen"
+            raise self.no_frame(f"holds no frame in which {what}")
         if images is None:
             images = self._looked_at()
         images = images or [first.image]  # where nothing else is to be seen in what was looked at
-        if self._head is not None:
-            start = start_from_head(first, self._head, images, self._clicked)
-        else:
-            start = start_from_faces(self.source.name, images, job.detector, self._clicked)
-        found = "the head as marked" if job.head else str(job.detector or "OpenCV's cascades of faces")
+        start, found = self._started_from(first, images)
         _log.info("start in frame %d, by %s: %s", first.number, found, start.origin)
         self._begin_with(start)
         return chain([first], frames)
+
+    def _started_from(self, first: Frame, images: list[Image]) -> tuple[BodyStart, str]:
+        """Who is tracked, and how that was found out."""
+        job, clicked, keypoints = self.job, self._clicked, self._keypoints
+        if self._head is not None and job.detector is None:
+            start, found = start_from_head(first, self._head, images, clicked), "the head as marked"
+        elif keypoints is not None and job.detector is None:
+            return start_from_keypoints(first, keypoints, images, clicked), "keypoints"
+        else:
+            at_first = [first.image] if self._head is not None and first.image is not None else []
+            start = start_from_faces(
+                self.source.name, [*at_first, *images], job.detector, clicked, self._head
+            )
+            found = str(job.detector or "OpenCV's cascades of faces")
+        if keypoints is not None and clicked is None:
+            start = with_lengths(start, followed(keypoints, first.number, start.head_in(first)))
+        return start, found
 
     def go_on(self, memory: Mapping[str, Any]) -> None:
         """Take up the person, and the record."""
@@ -219,10 +252,13 @@ class BodyRun(FilmRun[BodyJob]):
 
     def facts(self) -> dict[str, Any]:
         """What was seen, and what is assumed of the person."""
-        start = self._start
+        start, given = self._start, None
+        if self._keypoints is not None:
+            given = self._keypoints.counted(set(self.record.numbers) - set(self.record.missing))
         return {
             "seen": self.record.shares_seen,
             "stationary": self.record.stationary_periods,
+            "keypoints": given,
             "doubts": self.record.doubts,
             "flesh_colour": start.parts.skin is not None,
             "body": {"origin": start.origin, "lengths": lengths(start.body)},

@@ -24,12 +24,17 @@ class BodyJob(FilmJob):
         The face is found by a detector: OpenCV's YuNet with this model file (.onnx), or the Haar cascade that
         OpenCV 4 brings along.
     head
-        Instead of a detector: x,y,width,height in px of the head in the first frame, from chin to the top of
-        the skull. It is then followed by its colour and edges.
+        x,y,width,height in px of the head in the first frame, from chin to the top of the skull. Instead of a
+        detector; it is then followed by its colour and edges. With --detector, it says whose face is meant
+        where there are several; otherwise that is the largest.
     joints
         CSV file with the columns frame,joint,x,y: joints that were clicked in a few frames, from which the
         lengths of the person's arms are taken. Without it, proportions are usual ones. Joints: head, neck
         (between the shoulders), left_shoulder, left_elbow, left_hand, and right; left is the person's own.
+    keypoints
+        File of what a detector of poses or hands has found: CSV with the columns frame, person, joint, x, y
+        and score, COCO's JSON of results, or the folder of OpenPose's JSON. Without --detector and --head,
+        the largest person in it is followed.
     samples
         How many poses are drawn a frame.
     lag
@@ -43,6 +48,7 @@ class BodyJob(FilmJob):
     detector: Path | None = None
     head: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     joints: Path | None = None
+    keypoints: Path | None = None
     samples: int = 1000
     lag: int | None = None
 
@@ -52,8 +58,6 @@ class BodyJob(FilmJob):
             raise ValueError(f"--samples: got {self.samples}, expected {FEWEST_SAMPLES} or more")
         if self.lag is not None and not 0 <= self.lag <= MOST_LAG:
             raise ValueError(f"--lag: got {self.lag}, expected 0 to {MOST_LAG} frames")
-        if self.head is not None and self.detector is not None:
-            raise ValueError("--head: got --detector as well, expected one of them")
         if self.learned is not None:
             for name in ("head", "joints"):
                 if getattr(self, name) is not None:
@@ -64,6 +68,7 @@ class BodyJob(FilmJob):
         return {
             "detector": resolved(self.detector),
             "joints": resolved(self.joints),
+            "keypoints": resolved(self.keypoints),
             "head": self.head,
             "samples": self.samples,
             "lag": self.lag,

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 AROUND = 20  # vertices of a ring
 FINGER_AROUND = 8
+SLEEVE = 0.55  # of an upper arm, that a short sleeve covers
+BARE = 0.85  # width of a bare arm over a clothed one
 SPREAD = np.array([-0.42, -0.15, 0.05, 0.22, 0.40])  # rad, of thumb, then fingers, across the palm
 ROOTS = np.array([-0.30, -0.30, -0.10, 0.10, 0.28])  # where they begin across the palm, in palms
 LENGTHS = np.array([0.85, 1.12, 1.25, 1.18, 0.95])  # in hand radii
@@ -125,8 +127,13 @@ def limb(
     return tube(material, centres, frame[:, 0], frame[:, 2], radii, flat * radii)
 
 
-def surface(body: UpperBody, palette: Palette, pose: BodyPoses, hands: list[HandShape]) -> list[Solid]:
-    """All of a person in the first of `pose`; materials are skin, head, top, left sleeve, trousers, ..."""
+def surface(
+    body: UpperBody, palette: Palette, pose: BodyPoses, hands: list[HandShape], bare: bool = False
+) -> list[Solid]:
+    """All of a person in the first of `pose`, with `bare` forearms or in sleeves.
+
+    Materials are skin, head, top, left hand, right hand and trousers.
+    """
     joints = body.joints(pose)[0]
     root = np.array([*pose.roots[0], 0.0])
     torso, turn = exponential(pose.torsos)[0], exponential(pose.necks)[0]
@@ -135,17 +142,34 @@ def surface(body: UpperBody, palette: Palette, pose: BodyPoses, hands: list[Hand
     for side, name in enumerate(("left", "right")):
         shoulder, elbow, hand = joints[2 + 3 * side : 5 + 3 * side]
         upper, fore = transport(pose.arms[0, side])
-        solids.append(
-            limb("top", shoulder, elbow, upper, 0.5 * body.upper_arm_width, 0.52 * body.forearm_width)
-        )
         wrist = hand - 0.75 * body.hand * fore[:, 1]
         cuff = wrist - 0.25 * body.hand * fore[:, 1]
-        solids.append(limb("top", elbow, cuff, fore, 0.5 * body.forearm_width, 0.58 * body.wrist_width))
+        solids.extend(
+            _bare_arm(body, shoulder, elbow, cuff, upper, fore)
+            if bare
+            else [
+                limb("top", shoulder, elbow, upper, 0.5 * body.upper_arm_width, 0.52 * body.forearm_width),
+                limb("top", elbow, cuff, fore, 0.5 * body.forearm_width, 0.58 * body.wrist_width),
+            ]
+        )
         solids.append(
             limb(f"{name} hand", cuff, wrist, fore, 0.45 * body.wrist_width, 0.42 * body.wrist_width)
         )
         solids.extend(_hand(body, f"{name} hand", side, hand, fore, hands[side]))
     return solids
+
+
+def _bare_arm(
+    body: UpperBody, shoulder: Array, elbow: Array, wrist: Array, upper: Array, fore: Array
+) -> list[Solid]:
+    """A short sleeve, and the skin of upper arm and forearm."""
+    thick, bent = 0.5 * body.upper_arm_width, 0.5 * BARE * body.forearm_width
+    hem = shoulder + SLEEVE * (elbow - shoulder)
+    return [
+        limb("top", shoulder, hem, upper, thick, thick + SLEEVE * (0.52 * body.forearm_width - thick)),
+        limb("skin", hem, elbow, upper, BARE * thick, bent),
+        limb("skin", elbow, wrist, fore, bent, 0.45 * body.wrist_width),
+    ]
 
 
 def _trunk(body: UpperBody, root: Array, torso: Array) -> list[Solid]:

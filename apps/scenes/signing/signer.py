@@ -6,6 +6,7 @@ Any frame is rendered on its own, from the seed and the frame's index only.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,8 @@ BLUR_STEP = 4.0  # px that a hand moves between two pictures of one exposure
 MOST_PICTURES = 4  # of one exposure
 MOST_LEAN = 0.3  # rad
 
+Sleeves = Literal["long", "short"]
+
 
 @dataclass(frozen=True, eq=False)
 class SignerScene:
@@ -43,6 +46,7 @@ class SignerScene:
     size: tuple[int, int]
     noise: float
     lean: float = 0.0
+    sleeves: Sleeves = "long"
     dt: float = 1 / 25
 
     def __post_init__(self) -> None:
@@ -59,6 +63,8 @@ class SignerScene:
             raise ValueError(f"detector_dropout: got {self.detector_dropout}, expected 0 to 1")
         if not 0 <= self.lean <= MOST_LEAN:
             raise ValueError(f"lean: got {self.lean}, expected 0 to {MOST_LEAN}")
+        if self.sleeves not in get_args(Sleeves):
+            raise ValueError(f"sleeves: got {self.sleeves!r}, expected one of {', '.join(get_args(Sleeves))}")
         for name in ("clutter", "noise"):
             value = getattr(self, name)
             if not 0 <= value < np.inf:
@@ -222,7 +228,7 @@ class SignerScene:
         for part, name in ((1, "left hand"), (2, "right hand")):
             burst = int(self._bursts[index, part])
             shown[name] = "skin" if not burst else "glare" if (burst + self.seed) % 3 == 0 else "glove"
-        for solid in surface(self.body, self._appearance.palette, pose, hands):
+        for solid in surface(self.body, self._appearance.palette, pose, hands, self.sleeves == "short"):
             yield solid, shown.get(solid.material, solid.material)
         for thing in self.distractors:
             if thing.first <= index <= thing.last:
@@ -238,6 +244,7 @@ def signer(
     *,
     noise: float = 2.5,
     lean: float = 0.0,
+    sleeves: Sleeves = "long",
 ) -> SignerScene:
     """Somebody who sits and signs, in front of a cluttered room, and features that fail for a while.
 
@@ -264,6 +271,9 @@ def signer(
     lean
         rad, 0 to 0.3: how far the torso leans at most, forwards and sideways; it turns twice as far. At 0 it
         is upright and faces the camera; 0.25 is somebody who moves a little.
+    sleeves
+        "long", or "short": lower halves of upper arms, and forearms, have the colour of skin. They keep it
+        where a hand's is missing.
 
     Raises
     ------
@@ -271,4 +281,4 @@ def signer(
         if the picture is less than 120 px high or higher than wide, there is no frame, or a parameter is out
         of its range.
     """
-    return SignerScene(n_frames, seed, detector_dropout, clutter, size, noise, lean)
+    return SignerScene(n_frames, seed, detector_dropout, clutter, size, noise, lean, sleeves)

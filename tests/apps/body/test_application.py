@@ -463,7 +463,6 @@ def test_wrong_arguments(
         ((film, *out), "no face detector along, expected a model file of YuNet as --detector, or the head"),
         ((film, *out, "--detector", bad), "bad.onnx: is no model"),
         ((film, *out, "--detector", tmp_path / "nowhere.onnx"), "nowhere.onnx: no such file"),
-        ((film, *out, *head, "--detector", bad), "--head: got --detector as well"),
         ((film, *out, "--head", "1,2,3"), "--head: got '1,2,3', expected x,y,width,height in px"),
         ((film, *out, "--head", "400,10,30,40"), "expected the head inside the picture of 320x180 px"),
         ((film, *out, "--head=-90,10,30,40"), "expected the head inside the picture of 320x180 px"),
