@@ -1,11 +1,13 @@
 """The pose of a person's upper body in 16 degrees of freedom, by likelihood sampling."""
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.body.dynamics import BodyDynamics
+from ..inference.body.hindsight.film import PoseTrajectory, predicted_messages, smoothed_poses
 from ..inference.body.likelihood_sampling import LikelihoodSampler
 from ..inference.body.samples import (
     LEAST_SPREAD,
@@ -18,7 +20,7 @@ from ..inference.body.samples import (
     weighted_moments,
 )
 from ..inference.body.tempering import temper
-from ..inference.core.protocols import Incoming, Port
+from ..inference.core.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ..models.body.likelihood import BodyLikelihood, PoseLikelihood
 from ..models.body.part_message import PartMessage
 from ..models.body.parts import BodyParts
@@ -154,6 +156,22 @@ class ArticulatedPose:
         return BodySamples(
             found.poses, found.log_weights, state.size, random, log_evidence=found.log_evidence
         )
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: PoseTrajectory | None = None
+    ) -> Smoothed[PoseTrajectory]:
+        """Poses in all frames, given what all frames show and what other chains say."""
+        likelihood = self.likelihood or BodyLikelihood(self.body)
+        return Smoothed(smoothed_poses(self, self._dynamics, likelihood, incoming_over_time))
+
+    def messages(
+        self,
+        trajectory: PoseTrajectory,
+        feature: BodyParts,
+        incoming_over_time: Sequence[BatchIncoming] = (),
+    ) -> list[PartMessage]:
+        """Where parts should be by the poses of the frame before, with hindsight (mu_{X -> F})."""
+        return predicted_messages(self, trajectory.samples, trajectory.times, feature)
 
     @property
     def _dynamics(self) -> BodyDynamics:

@@ -5,6 +5,7 @@ hand is not seen, and tells left from right only by how they move; a chain of wh
 feature knows better.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from ..inference.body.flesh_tracks import HANDS, HEAD, LEFT, RIGHT, FleshTracks
+from ..inference.body.hindsight.film import FleshTrajectory, filtered, predicted_messages
 from ..inference.body.part_assignment import Assignment, PartChoices
 from ..inference.body.part_filter import MovingParts, PartPosterior
-from ..inference.core.protocols import Incoming, Port
+from ..inference.core.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ..models.body.part_message import PartMessage
 from ..models.body.parts import BodyParts
 from ..models.body.upper_body import UpperBody
@@ -133,6 +135,23 @@ class FleshTracker:
             list(np.stack(spreads, axis=1)[..., :2, :2]),
         )
         return PartMessage(mixtures)
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: FleshTrajectory | None = None
+    ) -> Smoothed[FleshTrajectory]:
+        """Parts in all frames, forwards, given what other chains say with hindsight."""
+        tracks = [state for _, state, _ in filtered(self, incoming_over_time)]
+        times = np.array([incoming.time for incoming in incoming_over_time])
+        return Smoothed(FleshTrajectory(tracks, times))
+
+    def messages(
+        self,
+        trajectory: FleshTrajectory,
+        feature: BodyParts,
+        incoming_over_time: Sequence[BatchIncoming] = (),
+    ) -> list[PartMessage]:
+        """Where each part should be, by the frames before (mu_{X -> F})."""
+        return predicted_messages(self, trajectory.tracks, trajectory.times, feature)
 
     def update(self, state: FleshTracks, incoming: Incoming) -> FleshTracks:
         """Parts that are assigned something in the picture follow it, others coast.

@@ -3,7 +3,7 @@
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
@@ -16,10 +16,7 @@ from ...chains.articulated_pose import ArticulatedPose
 from ...chains.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...inference.body.dynamics import BodyDynamics
-from ...inference.body.hindsight import BLOCK, FixedLag, TimedSamples
-from ...inference.body.labelling import NOTHING_SAID, exchange_evidence
-from ...inference.body.samples import BodySamples
-from ...models.body.image_features import BodyImage
+from ...inference.body.hindsight import BLOCK, FixedLag, TimedSamples, WaitingFrame
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import PARTS
 from ...models.core.frame import Frame
@@ -53,14 +50,6 @@ SPREAD_OVER = 1000
 """Frames of a video over which those are spread in which faces are looked for: all of these are decoded."""
 
 
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What is said of a frame: its poses, and what its image shows; `None` where there is none."""
-
-    samples: BodySamples
-    image: BodyImage | None
-
-
 def run_body(job: BodyJob) -> Outcome:
     """Run the body application; see `FilmRun.carry_out`.
 
@@ -78,7 +67,7 @@ class BodyRun(FilmRun[BodyJob]):
         "person": SavedPerson,
         "record": BodyRecord.kinds(),
         "draws": np.random.Generator,
-        "answered": TimedSamples | None,
+        "answered": WaitingFrame | None,
     }
     chains: ClassVar[dict[str, Any]] = {"flesh": FleshTracker, "pose": ArticulatedPose}
 
@@ -224,17 +213,15 @@ class BodyRun(FilmRun[BodyJob]):
 
     def answered(self, steps: Iterator[Step]) -> Iterator[Step]:
         """Frames with their poses in hindsight; of the last ones, fewer later frames are known."""
-        waiting: deque[tuple[Step, BodyImage | None]] = deque()
+        waiting: deque[Step] = deque()
 
         def answer(poses: TimedSamples) -> Step:
-            step, image = waiting.popleft()
-            return replace(step, found=Answer(poses.samples, image))
+            return replace(waiting.popleft(), found=poses)
 
         for step in steps:
             belief = step.belief
-            image = belief.evidence(self._start.parts).image
             # without what else is believed of the frame, which is large
-            waiting.append((replace(step, belief=Belief(belief.frame, belief.state, None)), image))
+            waiting.append(replace(step, belief=Belief(belief.frame, belief.state, None)))
             yield from map(answer, step.found)
         self._begin_draws(0)
         yield from map(answer, self._hindsight.rest())
@@ -244,19 +231,14 @@ class BodyRun(FilmRun[BodyJob]):
         random = np.random.default_rng((self.job.seed, number))
         self._hindsight.waiting = replace(self._hindsight.waiting, random=random)
 
-    def take_in(self, belief: Belief, found: Answer, seconds: float) -> None:
+    def take_in(self, belief: Belief, found: TimedSamples, seconds: float) -> None:
         """Write the frame's poses."""
-        states, names = belief.states, NOTHING_SAID
-        if found.image is not None:
-            dynamics, draws = self._hindsight.dynamics, self._draws
-            likelihood = self._hindsight.likelihood(found.image)
-            even = found.samples.drawn(self._hindsight.trajectories, draws)
-            names = exchange_evidence(dynamics, even, likelihood, draws)
+        states = belief.states
         detected = states[self._flesh.name].unseen == 0
         filtered = states[self._pose.name]
-        self._row = self._writer.add(belief.frame, filtered, found.samples, names, detected, seconds)
+        self._row = self._writer.add(belief.frame, filtered, found, detected, seconds)
 
-    def drawn(self, belief: Belief, found: Answer) -> Callable[[], Row]:
+    def drawn(self, belief: Belief, found: TimedSamples) -> Callable[[], Row]:
         """Joints and some samples."""
         samples = belief.states[self._pose.name]
         return partial(drawn_of, self._row, samples.log_evidence, samples.effective)

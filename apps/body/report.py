@@ -12,7 +12,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ...inference.body.labelling import ExchangeEvidence, HandLabels, hand_labels
+from ...inference.body.hindsight.labelling import ExchangeEvidence, HandLabels, hand_labels
 from ...inference.body.samples import BodyMoments, BodySamples
 from ...models.body.upper_body import JOINTS, PARTS
 from ...models.core.frame import Frame

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.body.labelling import ExchangeEvidence
+from ...inference.body.hindsight import TimedSamples
 from ...inference.body.samples import BodySamples, moments
 from ...models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...models.core.frame import Frame
@@ -105,8 +105,7 @@ class BodyWriter(PoseWriter):
         self,
         frame: Frame,
         filtered: BodySamples,
-        samples: BodySamples,
-        names: ExchangeEvidence,
+        answer: TimedSamples,
         detected: Mask,
         seconds: float,
     ) -> Mapping[str, Any]:
@@ -118,15 +117,14 @@ class BodyWriter(PoseWriter):
             that was processed.
         filtered
             its posterior, given the frames up to it.
-        samples
+        answer
             its posterior, given later ones as well.
-        names
-            what it says of which hand is left.
         detected
             `(3,)`: which parts were taken for something in the image.
         seconds
             that the tracker took.
         """
+        samples = answer.samples
         found = moments(self._body, samples)
         drawn = self._body.joints(samples.drawn(N_DRAWN, self._random))
         seen = detected & ~_before_face(found.joints[PART_JOINTS, :2], self._body.head_height)
@@ -148,7 +146,7 @@ class BodyWriter(PoseWriter):
             "missing": np.bool_(frame.missing),
         }
         drawing = self.write(frame, row, partial(self.draw, frame, row))
-        self._record.add(frame, found, seen, filtered, answers, names, seconds, overlay=drawing)
+        self._record.add(frame, found, seen, filtered, answers, answer.evidence, seconds, overlay=drawing)
         return row
 
     def draw(self, frame: Frame, row: Mapping[str, Any], image: Image) -> Image:

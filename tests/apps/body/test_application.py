@@ -24,7 +24,7 @@ from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.reports import time_plots
 from rsmcm.apps.runs import film_run
 from rsmcm.apps.scenes import SignerScene, signer
-from rsmcm.inference.body.labelling import NOTHING_SAID, ExchangeEvidence, HandLabels
+from rsmcm.inference.body.hindsight.labelling import ExchangeEvidence, HandLabels
 from rsmcm.inference.body.samples import BodyMoments
 from rsmcm.models import Frame
 from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
@@ -263,13 +263,18 @@ def test_same_seed_same_run(film: Path, tmp_path: Path) -> None:
     assert (found[0]["samples"] != found[2]["samples"]).any()
 
 
+def unchanged(numbers: NDArray[np.int64], *_: Any) -> HandLabels:
+    n = len(numbers)
+    return HandLabels(numbers, np.zeros(n), np.zeros(n, np.bool_), np.full(n, -np.inf))
+
+
 @pytest.mark.usefixtures("faces")
 def test_later_frames_change_what_is_said_of_earlier_ones(
     film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a lag; without, the frames behind a frame do not count."""
     monkeypatch.setattr(application, "CALIBRATION_FRAMES", 1)
-    monkeypatch.setattr(application, "exchange_evidence", lambda *_: NOTHING_SAID)  # which is of a whole film
+    monkeypatch.setattr(body_report, "hand_labels", unchanged)  # they are of a whole film
     found = {}
     for lag, stop in ((0, 8), (0, 16), (5, 8), (5, 16)):
         out = tmp_path / f"{lag}-{stop}"

@@ -12,11 +12,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.poses import BodyPoses
-from ..filters.resampling import systematic
-from .dynamics import Ancestors, BodyDynamics, around, concentration
-from .samples import BodySamples
-from .tempering import LogDensity, perturbed
+from ....models.body.poses import BodyPoses
+from ...filters.resampling import systematic
+from ..dynamics import Ancestors, BodyDynamics, around, concentration
+from ..samples import BodySamples
+from ..tempering import LogDensity, perturbed
 
 Array = NDArray[np.float64]
 

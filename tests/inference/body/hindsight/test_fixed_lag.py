@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rsmcm.inference.body.dynamics import BodyDynamics
-from rsmcm.inference.body.hindsight import FixedLag, WaitingFrames, thinned
+from rsmcm.inference.body.hindsight.fixed_lag import FixedLag, WaitingFrames, thinned
 from rsmcm.inference.body.samples import BodySamples
 from rsmcm.inference.core import checkpoint
 from rsmcm.models.body.upper_body import UpperBody
@@ -25,7 +25,9 @@ def random_walk(n_frames, n, random, noise=4.0):
     step = dynamics.place * BODY.head_height * np.sqrt(DT)
     truth = 300 + np.cumsum(step * random.standard_normal(n_frames))
     seen = truth + noise * random.standard_normal(n_frames)
-    pose = dynamics.draw_anywhere(1, SIZE, random)
+    pose = dynamics.draw_anywhere(400, SIZE, random)
+    hands = BODY.joints(pose)[:, [4, 7]]
+    pose = pose.take([np.linalg.norm(hands[:, 0] - hands[:, 1], axis=1).argmax()])  # not to be exchanged
     clouds, means, variances = [], [], []
     mean, variance = 300.0, step**2
     xs = 300 + step * random.standard_normal(n)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rsmcm.inference.body.dynamics import Ancestors, BodyDynamics
+from rsmcm.inference.body.hindsight.trajectory_moves import ArmProposal, moved_between
 from rsmcm.inference.body.samples import BodySamples
-from rsmcm.inference.body.trajectory_moves import ArmProposal, moved_between
 from rsmcm.inference.filters.resampling import normalised, systematic
 from rsmcm.models.body.upper_body import UpperBody
 

@@ -16,19 +16,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.inverse_kinematics import arm_at
-from ...models.body.poses import BodyPoses
-from ...models.body.upper_body import UpperBody
-from ...models.core.short_repr import short_repr
-from ..filters.resampling import log_sum
-from .dynamics import BodyDynamics
-from .tempering import LogDensity
+from ....models.body.inverse_kinematics import arm_at
+from ....models.body.poses import BodyPoses
+from ....models.body.upper_body import UpperBody
+from ....models.core.short_repr import short_repr
+from ...filters.resampling import log_sum, systematic
+from ..dynamics import BodyDynamics
+from ..samples import BodySamples
+from ..tempering import LogDensity
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 POSES, ELBOWS = 24, 8
 """Poses of a frame whose hands are given both names, and elbows that are tried for each."""
+
+PAIRS = 50
+"""Of left and right hands that are compared; so many poses with exchanged names are kept, too."""
 
 MOST = 10.0
 """Nats: one frame says no more than this; the likelihood is not right to that degree."""
@@ -38,6 +42,9 @@ MEMORY = 0.2
 
 APART, TOGETHER = 0.002, 1.0
 """Exchanges in one second by mistake, of hands that are apart, and of hands that could be confused."""
+
+MISTAKEN = 0.05
+"""Probability that a filter has begun with the wrong names: it has weighed both."""
 
 NEAR = 3.0
 """Hand radii: hands that are so near could be confused."""
@@ -56,11 +63,14 @@ class HandLabels:
         `(n,)`, of an exchange: given the whole film.
     exchanged
         `(n,)`: the most probable sequence.
+    so_far
+        `(n,)` nats: log odds of an exchange given the film up to the frame.
     """
 
     numbers: NDArray[np.int64]
     probabilities: Array
     exchanged: Mask
+    so_far: Array
 
 
 @short_repr
@@ -115,31 +125,63 @@ class Labelling:
         )
 
 
-def exchange_evidence(
-    dynamics: BodyDynamics, poses: BodyPoses, log_likelihood: LogDensity, random: np.random.Generator
-) -> ExchangeEvidence:
-    """What a frame says whose `poses` are evenly weighted; its elbows are drawn anew in both cases."""
+def both_names(
+    dynamics: BodyDynamics,
+    samples: BodySamples,
+    log_likelihood: LogDensity | None,
+    random: np.random.Generator,
+) -> tuple[ExchangeEvidence, BodyPoses]:
+    """What a frame says of the names of the hands, and poses with exchanged ones, evenly weighted.
+
+    In both cases hands stay where they are in space and elbows are drawn anew. There are no poses where
+    that is impossible. Without a likelihood, the frame says nothing.
+    """
     body = dynamics.body
-    some = poses.take(random.integers(len(poses), size=POSES))
-    kept, exchanged = (
-        _log_mean(dynamics, _with_any_elbows(body, some, swap, random), log_likelihood)
-        for swap in (False, True)
-    )
-    odds = 0.0 if np.isneginf([kept, exchanged]).all() else float(np.clip(exchanged - kept, -MOST, MOST))
-    hands = body.parts(poses)[:, 1:]
-    apart = hands[:, 0] - hands[random.permutation(len(poses)), 1]  # also if nobody knows where they are
-    near = np.square(apart).sum(axis=1) < (NEAR * body.hand) ** 2
-    return ExchangeEvidence(odds, float(near.mean()))
+    some = samples.drawn(2 * PAIRS, random)
+    hands = body.parts(some)[random.permutation(2 * PAIRS), 1:]  # far from each other if nobody knows where
+    squares = np.square(hands[:PAIRS, 0] - hands[PAIRS:, 1]).sum(axis=1)
+    near = float((squares < (NEAR * body.hand) ** 2).mean())
+    few = some.take(random.permutation(2 * PAIRS)[:POSES].repeat(ELBOWS))
+    values, drawn = [], few
+    for swap in (False, True):
+        drawn, possible = _with_any_elbows(body, few, swap, random)
+        value = np.full(len(few), -np.inf)
+        if possible.any():
+            tried = drawn.take(possible)
+            value[possible] = dynamics.log_posture(tried)
+            if log_likelihood is not None:
+                value[possible] += log_likelihood(tried)
+        values.append(value)
+    kept, exchanged = map(log_sum, values)
+    poses = drawn.take(systematic(values[1], PAIRS, random) if np.isfinite(exchanged) else slice(0))
+    if log_likelihood is None or np.isneginf([kept, exchanged]).all():
+        return ExchangeEvidence(0.0, near), poses
+    return ExchangeEvidence(float(np.clip(exchanged - kept, -MOST, MOST)), near), poses
 
 
-def hand_labels(numbers: NDArray[np.int64], times: Array, log_odds: Array, confusable: Array) -> HandLabels:
-    """Labels of all frames by what each says; arrays are `(n,)`, frames in the order of time."""
+def hand_labels(
+    numbers: NDArray[np.int64],
+    times: Array,
+    log_odds: Array,
+    confusable: Array,
+    known: float | None = None,
+) -> HandLabels:
+    """Labels of all frames by what each says.
+
+    Parameters
+    ----------
+    numbers, times, log_odds, confusable
+        `(n,)`, of frames in the order of time, and their `ExchangeEvidence`.
+    known
+        nats: log odds of the first frame, given all up to it; `None` where it is the first of all.
+    """
     n = len(times)
     if not n:
-        return HandLabels(numbers, np.zeros(0), np.zeros(0, np.bool_))
+        return HandLabels(numbers, np.zeros(0), np.zeros(0, np.bool_), np.zeros(0))
     steps = np.diff(times, prepend=times[0] - MEMORY)
     evidence = np.zeros((n, 2))
     evidence[:, 1] = log_odds * np.minimum(steps / MEMORY, 1.0)
+    evidence[0, 1] = evidence[0, 1] + np.log(MISTAKEN / (1 - MISTAKEN)) if known is None else known
     # a frame in which they could be confused lasts from the one before to the one after
     rates = APART + TOGETHER * np.maximum(confusable[1:], confusable[:-1])
     changes = -0.5 * np.expm1(-2 * rates * steps[1:])
@@ -160,25 +202,13 @@ def hand_labels(numbers: NDArray[np.int64], times: Array, log_odds: Array, confu
     for index in range(n - 1, -1, -1):
         labels[index] = best[-1].argmax() if index == n - 1 else origins[index + 1, labels[index + 1]]
     odds = np.clip(both[:, 1] - both[:, 0], -700, 700)
-    return HandLabels(numbers, 1 / (1 + np.exp(-odds)), labels == 1)
-
-
-def with_names_exchanged(
-    body: UpperBody, poses: BodyPoses, random: np.random.Generator
-) -> tuple[BodyPoses, Mask]:
-    """Poses with each hand where the other one was and elbows anywhere, and `(n,)` whether that can be."""
-    return _posed(body, poses, True, random)
+    return HandLabels(numbers, 1 / (1 + np.exp(-odds)), labels == 1, forward[:, 1] - forward[:, 0])
 
 
 def _with_any_elbows(
     body: UpperBody, poses: BodyPoses, swap: bool, random: np.random.Generator
 ) -> tuple[BodyPoses, Mask]:
-    return _posed(body, poses.take(np.repeat(np.arange(len(poses)), ELBOWS)), swap, random)
-
-
-def _posed(
-    body: UpperBody, poses: BodyPoses, swap: bool, random: np.random.Generator
-) -> tuple[BodyPoses, Mask]:
+    """Poses whose hands are where they are, or where the other one is, and which of them are possible."""
     n, joints = len(poses), body.joints(poses)
     arms, within = np.empty_like(poses.arms), np.ones(n, np.bool_)
     for side in (0, 1):
@@ -188,13 +218,3 @@ def _posed(
         within &= reached
     posed = replace(poses, arms=arms)
     return posed, within & body.allowed(posed)
-
-
-def _log_mean(dynamics: BodyDynamics, drawn: tuple[BodyPoses, Mask], log_likelihood: LogDensity) -> float:
-    """Log of the mean likelihood of poses, with how usual they are; impossible ones have none."""
-    poses, possible = drawn
-    if not possible.any():
-        return -np.inf
-    some = poses.take(possible)
-    total = log_sum(log_likelihood(some) + dynamics.log_posture(some))
-    return total - float(np.log(len(possible)))
