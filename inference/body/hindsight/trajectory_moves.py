@@ -33,7 +33,8 @@ NEXT = 0.3
 """Share of arms that are drawn near the next frame's: so where a hand was found goes back to where it was
 lost."""
 
-LEAST_DENSITY = 1e-30
+LEAST_DENSITY, IMPOSSIBLE = 1e-30, -1e300
+"""Of an arm that is drawn; nats of a pose that joints do not allow, which any other replaces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,7 @@ def moved_between(
 
     centres = samples.poses.arms[systematic(samples.log_weights, CENTRES, random)]
     proposals = [ArmProposal.of(dynamics, elapsed, centres[:, side], later.arms[:, side]) for side in (0, 1)]
-    value = log_target(poses)
+    value = np.maximum(log_target(poses), IMPOSSIBLE)
     for move in range(moves):
         if move % 2:
             tried, correction = perturbed(dynamics, poses, random)

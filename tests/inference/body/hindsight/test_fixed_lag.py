@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rsmcm.apps.scenes import signer
 from rsmcm.inference.body.dynamics import BodyDynamics
 from rsmcm.inference.body.hindsight.fixed_lag import FixedLag, WaitingFrames, thinned
 from rsmcm.inference.body.samples import BodySamples
 from rsmcm.inference.core import checkpoint
+from rsmcm.models.body.parts import BodyParts
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import Frame
 
@@ -130,3 +132,32 @@ def test_settings_that_make_no_sense():
         FixedLag(BodyDynamics(BODY), -1)
     with pytest.raises(ValueError, match="trajectories: got 1"):
         FixedLag(BodyDynamics(BODY), 3, trajectories=1)
+
+
+def test_a_run_over_pictures_that_is_taken_up_again_gives_the_same(tmp_path):
+    scene = signer(10, seed=4)
+    parts = BodyParts.learned(list(scene.images()), scene.detector)
+    dynamics = BodyDynamics(scene.body)
+    random = np.random.default_rng(1)
+    shown = [
+        (
+            frame,
+            BodySamples.even(dynamics.draw(scene.poses.take(np.full(80, index)), DT, random), SIZE, random),
+            parts.evidence(frame, parts.uniform()).image,
+        )
+        for index, frame in enumerate(scene)
+    ]
+    whole, first, second = (FixedLag(dynamics, 2) for _ in range(3))
+    answers = [answer for each in shown for answer in whole.add(*each)] + whole.rest()
+    again = [answer for each in shown[:9] for answer in first.add(*each)]
+    assert len(again) == 6
+    checkpoint.save(tmp_path / "state.npz", {"waiting": first.waiting}, {"waiting": WaitingFrames})
+    second.waiting = checkpoint.load(tmp_path / "state.npz", {"waiting": WaitingFrames})["waiting"]
+    again += second.add(*shown[9]) + second.rest()
+    for one, other in zip(answers, again, strict=True):
+        np.testing.assert_array_equal(one.samples.poses.arms, other.samples.poses.arms)
+        assert one.evidence == other.evidence
+    # most arms are not the filter's own: they were moved
+    pairs = zip(answers[1:5], shown[1:5], strict=True)
+    own = [np.isin(answer.samples.poses.arms, each[1].poses.arms).mean() for answer, each in pairs]
+    assert max(own) < 0.5
