@@ -114,8 +114,8 @@ def body_view(film: Film, arm: float, exchanged: NDArray[np.float64]) -> View:
         for place, part in enumerate(PARTS)
         if part != "head"
     ]
-    plots.append(Plot("second answer", "%", 100 * columns["secondWeight"]))
-    plots.append(Plot("hands exchanged", "%", 100 * exchanged))
+    plots.append(Plot("second answer", "%", np.round(100 * columns["secondWeight"], 1)))
+    plots.append(Plot("hands exchanged", "%", np.round(100 * exchanged, 1)))
     plots.append(Plot("log evidence", "nats", columns["evidence"]))
     plots.append(Plot("samples, effective", "", columns["effective"]))
     return View({"body": layer}, rows, plots)
