@@ -17,10 +17,10 @@ from ...chains.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...inference.body.dynamics import BodyDynamics
 from ...inference.body.hindsight import BLOCK, FixedLag, TimedSamples, WaitingFrame
-from ...inference.body.samples import BodySamples
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import PARTS
 from ...models.core.frame import Frame
+from ..drawing.overlay_video import OverlayVideo
 from ..io.keypoints.attached import given_keypoints, with_keypoints
 from ..io.keypoints.read import digest_of
 from ..io.keypoints.table import Keypoints
@@ -36,9 +36,10 @@ from ..view.page import View
 from .job import LAG, BodyJob
 from .joint_files import ClickedJoints, read_joints
 from .keypoint_start import followed, shows_whom, start_from_keypoints, with_lengths
+from .relabelling import ROWS
 from .report import BodyRecord, write_body_report
 from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
-from .view import body_view, drawn_of
+from .view import body_view, drawn_of, redrawn
 from .writer import BodyWriter, lengths
 
 _log = logging.getLogger(__name__)
@@ -116,7 +117,7 @@ class BodyRun(FilmRun[BodyJob]):
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """Find the person in the first frame in which anything is to be seen, and in others."""
         job, images = self.job, None
-        if self.source.kind in ("camera", "stream"):  # cannot be read twice
+        if self._read_once:
             beginning = list(islice(frames, CALIBRATION_FRAMES))
             frames = chain(beginning, frames)
             images = [frame.image for frame in beginning if frame.image is not None]
@@ -172,6 +173,11 @@ class BodyRun(FilmRun[BodyJob]):
         self.engine = RecursiveBP(model)
         self._hindsight = FixedLag(BodyDynamics(start.body), self.lag, seed=self.job.seed)
 
+    @property
+    def _read_once(self) -> bool:
+        """Whether the source cannot be read a second time."""
+        return self.source.kind in ("camera", "stream")
+
     def _looked_at(self) -> list[Image]:
         """Images from all over the source, which is read a second time for it."""
         job, total = self.job, self.source.n_frames
@@ -210,11 +216,12 @@ class BodyRun(FilmRun[BodyJob]):
         waiting: deque[Step] = deque()
 
         def answer(poses: TimedSamples) -> Step:
-            return replace(waiting.popleft(), found=poses.samples)
+            return replace(waiting.popleft(), found=poses)
 
         for step in steps:
+            belief = step.belief
             # without what else is believed of the frame, which is large
-            waiting.append(replace(step, belief=Belief(step.belief.frame, step.belief.state, None)))
+            waiting.append(replace(step, belief=Belief(belief.frame, belief.state, None)))
             yield from map(answer, step.found)
         self._begin_draws(0)
         yield from map(answer, self._hindsight.rest())
@@ -224,13 +231,14 @@ class BodyRun(FilmRun[BodyJob]):
         random = np.random.default_rng((self.job.seed, number))
         self._hindsight.waiting = replace(self._hindsight.waiting, random=random)
 
-    def take_in(self, belief: Belief, found: BodySamples, seconds: float) -> None:
+    def take_in(self, belief: Belief, found: TimedSamples, seconds: float) -> None:
         """Write the frame's poses."""
         states = belief.states
         detected = states[self._flesh.name].unseen == 0
-        self._row = self._writer.add(belief.frame, states[self._pose.name], found, detected, seconds)
+        filtered = states[self._pose.name]
+        self._row = self._writer.add(belief.frame, filtered, found, detected, seconds)
 
-    def drawn(self, belief: Belief, found: BodySamples) -> Callable[[], Row]:
+    def drawn(self, belief: Belief, found: TimedSamples) -> Callable[[], Row]:
         """Joints and some samples."""
         samples = belief.states[self._pose.name]
         return partial(drawn_of, self._row, samples.log_evidence, samples.effective)
@@ -247,8 +255,40 @@ class BodyRun(FilmRun[BodyJob]):
 
     def view(self, film: Film) -> View:
         """The body over the film, and in space."""
-        body = self._start.body
-        return body_view(film, body.upper_arm + body.forearm)
+        body, record = self._start.body, self.record
+        shown = np.searchsorted(record.labels.numbers, film.numbers)
+        chosen = np.flatnonzero(record.labels.exchanged[shown]).tolist()
+        if chosen:
+            with np.load(self.job.out / "poses.npz") as poses:
+                columns = {name: poses[name] for name in (*ROWS, "missing", "stationary")}
+            rows = {k: {name: each[shown[k]] for name, each in columns.items()} for k in chosen}
+            film = redrawn(film, rows)
+        return body_view(film, body.upper_arm + body.forearm, record.exchanged[shown])
+
+    def _draw_anew(self) -> list[str]:
+        """Draw pictures by the final names of the hands; a sentence says where that cannot be."""
+        record, job = self.record, self.job
+        if not record.relabelled:
+            return []
+        if self._ended_early or self._read_once:
+            return ["The pictures, but not view.html, show the names of the hands as they were before."]
+        with np.load(job.out / "poses.npz") as poses:
+            rows = {name: poses[name] for name in (*ROWS, "missing", "stationary")}
+        place = {number: index for index, number in enumerate(record.numbers)}
+        width, height = self.source.size
+        image: Image = np.zeros((height, width, 3), np.uint8)
+        with (
+            open_source(job.source, job.start, job.stop, job.step) as source,
+            OverlayVideo(job.out / "overlay.mp4", self.source.rate / job.step) as video,
+        ):
+            for frame in SeenFrames(iter(source)):
+                image = image if frame.image is None else frame.image
+                if (index := place.get(frame.number)) is not None:
+                    row = {name: each[index] for name, each in rows.items()}
+                    draw = partial(self._writer.draw, frame, row, image)
+                    record.snapshots.redraw(frame.number, draw)
+                    video.write(frame, draw)
+        return []
 
     def facts(self) -> dict[str, Any]:
         """What was seen, and what is assumed of the person."""
@@ -260,9 +300,10 @@ class BodyRun(FilmRun[BodyJob]):
             "stationary": self.record.stationary_periods,
             "keypoints": given,
             "doubts": self.record.doubts,
+            "relabelled": self.record.relabelled,
             "flesh_colour": start.parts.skin is not None,
             "body": {"origin": start.origin, "lengths": lengths(start.body)},
-            "notes": [*start.notes, *self.record.notes],
+            "notes": [*start.notes, *self.record.notes, *self._draw_anew()],
         }
 
     def finish(self, summary: Mapping[str, Any]) -> None:

@@ -52,13 +52,6 @@ class Hypotheses:
         away = np.linalg.norm(self.joints[:, HANDS, :2] - self.joints[0, HANDS, :2], axis=2)
         return np.asarray(self.weights @ (away > self.apart))
 
-    @property
-    def exchanged(self) -> float:
-        """Probability of answers in which each hand is nearer to where the first one has the other."""
-        hands = self.joints[:, HANDS, :2]
-        own, others = (np.square(hands - first).sum(axis=(1, 2)) for first in (hands[0], hands[0, ::-1]))
-        return float(self.weights @ (others < own))
-
 
 def hypotheses(body: UpperBody, samples: BodySamples, random: np.random.Generator) -> Hypotheses:
     """Gather poses of which one leads to the next by steps that move no hand by more than its radius.

@@ -3,6 +3,7 @@
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ...inference.body.hindsight.labelling import ExchangeEvidence, HandLabels, hand_labels
 from ...inference.body.samples import BodyMoments, BodySamples
 from ...models.body.upper_body import JOINTS, PARTS
 from ...models.core.frame import Frame
@@ -21,6 +23,7 @@ from ..reports.snapshots import Snapshots
 from ..reports.time_plots import BLUE, GREEN, ORANGE, RED, Line, over_time
 from ..runs.frame_record import FrameRecord
 from .hypotheses import WORTH_SAYING, Hypotheses
+from .relabelling import EXCHANGED_PARTS
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -106,9 +109,10 @@ class BodyRecord(FrameRecord):
     second
         probability of the second answer.
     unsure
-        a frame each: `(2,)`, probability that left and right hand are elsewhere than the best answer says.
-    exchanged
-        probability that left and right hand are exchanged.
+        a frame each: `(3,)`, probability that a part is elsewhere than in the best answer, 0 for the head.
+    exchange_log_odds, confusable
+        what each frame says of the names of the hands: log odds, nats, that they are exchanged, and the
+        probability that they could be confused.
     stationary
         numbers of the frames whose image has shown nothing of the body.
     """
@@ -120,7 +124,8 @@ class BodyRecord(FrameRecord):
     seen: list[Mask] = field(default_factory=list)
     second: "array[float]" = field(default_factory=lambda: array("d"))
     unsure: list[Array] = field(default_factory=list)
-    exchanged: "array[float]" = field(default_factory=lambda: array("d"))
+    exchange_log_odds: "array[float]" = field(default_factory=lambda: array("d"))
+    confusable: "array[float]" = field(default_factory=lambda: array("d"))
     stationary: list[int] = field(default_factory=list)
     snapshots: Snapshots = field(default_factory=lambda: Snapshots(PICTURE_WIDTH))
 
@@ -131,6 +136,7 @@ class BodyRecord(FrameRecord):
         seen: Mask,
         filtered: BodySamples,
         answers: Hypotheses,
+        names: ExchangeEvidence,
         seconds: float,
         *,
         overlay: Callable[[], Image],
@@ -147,8 +153,9 @@ class BodyRecord(FrameRecord):
         self.spreads.append(np.sqrt(np.maximum(variances, 0)))
         self.seen.append(seen)
         self.second.append(float(answers.weights[1]))
-        self.unsure.append(answers.unsure)
-        self.exchanged.append(answers.exchanged)
+        self.unsure.append(np.concatenate([[0.0], answers.unsure]))
+        self.exchange_log_odds.append(names.log_odds)
+        self.confusable.append(names.confusable)
         if frame.missing:
             self.missing.append(frame.number)
         elif filtered.stationary:
@@ -159,7 +166,7 @@ class BodyRecord(FrameRecord):
     def shares_seen(self) -> dict[str, float]:
         """Of the frames that are not missing, the share in which the image has shown a part."""
         there = ~np.isin(np.array(self.numbers), self.missing)
-        shares = np.array(self.seen)[there].mean(axis=0) if there.any() else np.zeros(len(PARTS))
+        shares = self.of_parts(self.seen)[there].mean(axis=0) if there.any() else np.zeros(len(PARTS))
         return dict(zip(PARTS, map(float, shares), strict=True))
 
     @property
@@ -167,18 +174,47 @@ class BodyRecord(FrameRecord):
         """First and last frame of every period in which nothing of the body was seen."""
         return periods(self.numbers, self.stationary)
 
+    @cached_property
+    def labels(self) -> HandLabels:
+        """Which hand is left, by the whole film; to be asked for when all frames are there."""
+        numbers, times = np.array(self.numbers, np.int64), np.array(self.times)
+        return hand_labels(numbers, times, np.array(self.exchange_log_odds), np.array(self.confusable))
+
+    @property
+    def exchanged(self) -> Array:
+        """Probability of each frame that hands have each other's name, after what was relabelled."""
+        found = self.labels
+        return np.where(found.exchanged, 1 - found.probabilities, found.probabilities)
+
+    @property
+    def relabelled(self) -> list[tuple[int, int]]:
+        """First and last frame of every period in which hands have changed their names at the end."""
+        return periods(self.numbers, self.labels.numbers[self.labels.exchanged].tolist())
+
+    def of_parts(self, columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+        """Values `(n, 3, ...)` of head and hands by their final names, from those of every frame."""
+        values = np.array(columns)
+        chosen = self.labels.exchanged
+        values[chosen] = values[chosen][:, EXCHANGED_PARTS]
+        return values
+
     @property
     def doubts(self) -> dict[str, list[Doubt]]:
         """When hands may be exchanged, or one of them elsewhere."""
-        probabilities = {"exchanged": np.array(self.exchanged)}
-        unsure = np.reshape(self.unsure, (-1, 2))
-        probabilities |= {name: unsure[:, hand] for hand, name in enumerate(PARTS[1:])}
+        probabilities = {"exchanged": self.exchanged}
+        unsure = self.of_parts(self.unsure)
+        probabilities |= {PARTS[hand]: unsure[:, hand] for hand in (1, 2)}
         return {name: doubts(self.numbers, self.times, each) for name, each in probabilities.items()}
 
     @property
     def notes(self) -> list[str]:
         """What is out of the ordinary, a sentence each."""
         notes = [*super().notes, *in_words(self.doubts)]
+        if self.relabelled:
+            notes.append(
+                "By the whole film, left and right hand have changed their names in "
+                f"{listed_periods(self.relabelled)}."
+            )
         if self.stationary:
             notes.append(
                 f"Nothing of the body was seen, and it was only predicted, in "
@@ -253,7 +289,7 @@ def _over_time(record: BodyRecord, plots: Sequence[tuple[str, Sequence[Line]]], 
 
 
 def _places(record: BodyRecord) -> Markup:
-    places, spreads = np.array(record.places), HALF_90 * np.array(record.spreads)
+    places, spreads = record.of_parts(record.places), HALF_90 * record.of_parts(record.spreads)
     plots = []
     for axis, name in enumerate(("x, px\n(to the right)", "y, px\n(down)", "z, px\n(away)")):
         lines = []
@@ -265,7 +301,7 @@ def _places(record: BodyRecord) -> Markup:
 
 
 def _seen(record: BodyRecord) -> Markup:
-    seen = np.array(record.seen)
+    seen = record.of_parts(record.seen)
     rows = [
         (name.replace("_", " "), int(np.count_nonzero(seen[:, part])), f"{100 * share:.1f} %")
         for part, (name, share) in enumerate(record.shares_seen.items())
@@ -298,14 +334,14 @@ def _seen(record: BodyRecord) -> Markup:
 
 
 def _doubt(record: BodyRecord) -> Markup:
-    unsure = np.array(record.unsure)
+    unsure = record.of_parts(record.unsure)
     lines = [
         Line("second answer", RED, np.array(record.second)),
         *(
-            Line(f"{name.replace('_', ' ')} elsewhere", colour, unsure[:, hand])
-            for hand, (name, colour) in enumerate(zip(PARTS[1:], COLOURS[1:], strict=True))
+            Line(f"{PARTS[hand].replace('_', ' ')} elsewhere", COLOURS[hand], unsure[:, hand])
+            for hand in (1, 2)
         ),
-        Line("hands exchanged", GREEN, np.array(record.exchanged)),
+        Line("hands exchanged", GREEN, record.exchanged),
     ]
     rows = [
         (name.replace("_", " "), each.frames, f"{100 * each.probability:.0f} %")
@@ -314,7 +350,8 @@ def _doubt(record: BodyRecord) -> Markup:
     ]
     caption = (
         "Poses drawn from the posterior, gathered by where their hands are: the probability of the second "
-        "best answer, of answers with a hand elsewhere than in the best one, and that hands are exchanged."
+        "best answer, of answers with a hand elsewhere than in the best one, and, by the whole film, that "
+        "hands have each other's name."
     )
     return Markup(
         _over_time(record, [("probability", lines)], caption)

@@ -1,6 +1,7 @@
 """A body's part of `view.html`: skeletons over the film and in space, and how sure each joint is."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -21,6 +22,9 @@ SAMPLES = 12
 PER_PX = 4
 """Their places are whole numbers of this part of a px."""
 
+OF_FILTER = ("evidence", "effective")
+"""What of a frame is no matter of names."""
+
 GREY = "#8a929e"
 """On the page, of what is white on the pictures."""
 
@@ -37,7 +41,6 @@ def drawn_of(row: Mapping[str, Any], log_evidence: float, effective: float) -> R
         "samples": _whole(samples),
         "second": _whole(row["hypothesis_joints"][1]),
         "secondWeight": row["hypotheses"][1:2].astype(np.float32),
-        "exchanged": row["exchanged"][None].astype(np.float32),
         "seen": row["seen"][None],
         "missing": row["missing"][None],
         "evidence": np.array([np.nan if nothing else log_evidence], np.float32),
@@ -52,8 +55,29 @@ def _whole(places: NDArray[Any]) -> NDArray[np.int16]:
     return np.asarray(np.clip(scaled, limits.min, limits.max).astype(np.int16))
 
 
-def body_view(film: Film, arm: float) -> View:
-    """The page of a film with what `drawn_of` gives; `arm` is the length of a stretched one, px."""
+def redrawn(film: Film, rows: Mapping[int, Mapping[str, Any]]) -> Film:
+    """A film of which some frames, by their index, have other rows of `poses.npz`."""
+    columns = {name: values.copy() for name, values in film.columns.items()}
+    for index, row in rows.items():
+        for name, values in drawn_of(row, np.nan, np.nan).items():
+            if name not in OF_FILTER:
+                each = columns[name].reshape(len(film.numbers), -1)
+                each[index] = values.reshape(-1)
+    return replace(film, columns=columns)
+
+
+def body_view(film: Film, arm: float, exchanged: NDArray[np.float64]) -> View:
+    """The page of a film with what `drawn_of` gives.
+
+    Parameters
+    ----------
+    film
+        its frames, and what is drawn.
+    arm
+        length of a stretched one, px.
+    exchanged
+        `(n_frames,)`: probability that hands have each other's name.
+    """
     columns = film.columns
     seen = columns["seen"] & ~columns["missing"][:, None]
     inks = dict.fromkeys(range(len(JOINTS)), GREY)
@@ -90,8 +114,8 @@ def body_view(film: Film, arm: float) -> View:
         for place, part in enumerate(PARTS)
         if part != "head"
     ]
-    plots.append(Plot("second answer", "%", 100 * columns["secondWeight"]))
-    plots.append(Plot("hands exchanged", "%", 100 * columns["exchanged"]))
+    plots.append(Plot("second answer", "%", np.round(100 * columns["secondWeight"], 1)))
+    plots.append(Plot("hands exchanged", "%", np.round(100 * exchanged, 1)))
     plots.append(Plot("log evidence", "nats", columns["evidence"]))
     plots.append(Plot("samples, effective", "", columns["effective"]))
     return View({"body": layer}, rows, plots)

@@ -2,19 +2,22 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...inference.body.hindsight import TimedSamples
 from ...inference.body.samples import BodySamples, moments
 from ...models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...models.core.frame import Frame
 from ..drawing.overlay_video import caption
 from ..runs.pose_writer import PoseWriter
-from .hypotheses import hypotheses
+from .hypotheses import WORTH_SAYING, hypotheses
 from .overlay import BodyOverlay, TrackedBody
+from .relabelling import relabel
 from .report import PART_JOINTS, BodyRecord
 
 Array = NDArray[np.float64]
@@ -43,10 +46,11 @@ class BodyWriter(PoseWriter):
     `joints_2d (8, 2)` px, `joints_2d_covariances (8, 2, 2)`, `joints_3d (8, 3)`, `joints_3d_covariances (8,
     3, 3)`, `angles (16,)`, `angle_covariances (16, 16)`; `samples (40, 8, 3)` px, joints of poses drawn from
     the posterior; `hypotheses (4,)`, probabilities of answers that differ in where the hands are, the best
-    one first, and `hypothesis_joints (4, 8, 3)` px, their means, NaN where there are fewer; `exchanged`, the
-    probability that left and right hand are exchanged; `seen (3,)`, whether the image has shown head, left
-    hand and right hand (a hand before face or neck does not count, since their skin may be all that was
-    seen); `stationary`, whether nothing at all was detected; `missing`, whether there was no image.
+    one first, and `hypothesis_joints (4, 8, 3)` px, their means, NaN where there are fewer; `seen (3,)`,
+    whether the image has shown head, left hand and right hand (a hand before face or neck does not count,
+    since their skin may be all that was seen); `stationary`, whether nothing at all was detected; `missing`,
+    whether there was no image. Of the whole film: `exchanged`, the probability that left and right hand have
+    each other's name, and `relabelled`, whether names were exchanged at the end because of it.
     `joint_names (8,)`, `part_names (3,)` (of `seen`), `angle_names (16,)`, and the body's `length_names` and
     `lengths` px come once. x is to the right, y down, z away from the viewer, 0 at the root; left is the
     person's own.
@@ -83,21 +87,27 @@ class BodyWriter(PoseWriter):
         show: Callable[[Image], None] | None = None,
     ) -> None:
         known = lengths(body)
-        constants = {
+        self._constants: dict[str, NDArray[Any]] = {
             "joint_names": np.array(JOINTS),
             "part_names": np.array(PARTS),
             "angle_names": np.array(ANGLE_NAMES),
             "length_names": np.array(list(known)),
             "lengths": np.array(list(known.values())),
         }
-        super().__init__(folder, size, rate, after, constants, show)
+        super().__init__(folder, size, rate, after, self._constants, show)
+        self._path = folder / "poses.npz"
         self._body = body
         self._random = random
         self._record = record
         self._overlay = BodyOverlay(body.upper_arm + body.forearm)
 
     def add(
-        self, frame: Frame, filtered: BodySamples, samples: BodySamples, detected: Mask, seconds: float
+        self,
+        frame: Frame,
+        filtered: BodySamples,
+        answer: TimedSamples,
+        detected: Mask,
+        seconds: float,
     ) -> Mapping[str, Any]:
         """Take in a frame; its row of `poses.npz` is returned.
 
@@ -107,17 +117,17 @@ class BodyWriter(PoseWriter):
             that was processed.
         filtered
             its posterior, given the frames up to it.
-        samples
+        answer
             its posterior, given later ones as well.
         detected
             `(3,)`: which parts were taken for something in the image.
         seconds
             that the tracker took.
         """
+        samples = answer.samples
         found = moments(self._body, samples)
         drawn = self._body.joints(samples.drawn(N_DRAWN, self._random))
-        before_face = _before_face(found.joints[PART_JOINTS, :2], self._body.head_height)
-        seen = detected & ~before_face
+        seen = detected & ~_before_face(found.joints[PART_JOINTS, :2], self._body.head_height)
         answers = hypotheses(self._body, samples, self._random)
         row = {
             "frames": np.int64(frame.number),
@@ -131,18 +141,31 @@ class BodyWriter(PoseWriter):
             "samples": drawn.astype(np.float32),
             "hypotheses": answers.weights,
             "hypothesis_joints": answers.joints,
-            "exchanged": np.float64(answers.exchanged),
             "seen": seen,
             "stationary": np.bool_(filtered.stationary),
             "missing": np.bool_(frame.missing),
         }
-        state = _state(frame, filtered, detected, before_face)
-        if answers.second is not None:
-            state += f"{', ' * bool(state)}or as dashed, {100 * answers.weights[1]:.0f} %"
-        shown = TrackedBody(drawn, found.joints, found.joint_covariances, state, answers.second)
-        drawing = self.write(frame, row, lambda image: self._overlay.draw(image, shown, caption(frame)))
-        self._record.add(frame, found, seen, filtered, answers, seconds, overlay=drawing)
+        drawing = self.write(frame, row, partial(self.draw, frame, row))
+        self._record.add(frame, found, seen, filtered, answers, answer.evidence, seconds, overlay=drawing)
         return row
+
+    def draw(self, frame: Frame, row: Mapping[str, Any], image: Image) -> Image:
+        """A frame's row of `poses.npz` over an image."""
+        state, second = _state(row, self._body.head_height), None
+        if row["hypotheses"][1] >= WORTH_SAYING:
+            second = row["hypothesis_joints"][1]
+            state += f"{', ' * bool(state)}or as dashed, {100 * row['hypotheses'][1]:.0f} %"
+        shown = TrackedBody(row["samples"], row["joints_3d"], row["joints_3d_covariances"], state, second)
+        return self._overlay.draw(image, shown, caption(frame))
+
+    def __exit__(self, *error: Any) -> None:
+        """Complete the files, with what is known when all frames are there."""
+        relabelled = self._record.labels.exchanged
+        self._constants["exchanged"] = self._record.exchanged
+        self._constants["relabelled"] = np.zeros_like(relabelled)
+        super().__exit__(*error)
+        if relabelled.any():
+            relabel(self._path, self._body, relabelled)
 
 
 def lengths(body: UpperBody) -> dict[str, float]:
@@ -156,16 +179,16 @@ def _before_face(places: Array, head_height: float) -> Mask:
     return np.asarray((np.hypot(*away.T) < 1) & (np.arange(len(places)) > 0))
 
 
-def _state(frame: Frame, samples: BodySamples, detected: Mask, before_face: Mask) -> str:
+def _state(row: Mapping[str, Any], head_height: float) -> str:
     """What is out of the ordinary in a frame."""
-    if frame.missing:
+    if row["missing"]:
         return ""  # the caption says it
-    if samples.stationary:
+    if row["stationary"]:
         return "nothing seen, stationary"
-    found = zip(PARTS, detected, before_face, strict=True)
+    before_face = _before_face(row["joints_2d"][PART_JOINTS], head_height)
     remarks = [
-        f"{name.replace('_', ' ')} {'before the face' if there else 'not seen'}"
-        for name, there, before in found
-        if before or not there
+        f"{name.replace('_', ' ')} {'before the face' if before else 'not seen'}"
+        for name, seen, before in zip(PARTS, row["seen"], before_face, strict=True)
+        if not seen
     ]
     return ", ".join(remarks)

@@ -1,7 +1,7 @@
 """A few pictures of a run of any length."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import cv2
@@ -60,6 +60,13 @@ class Snapshots:
     def add(self, frame: Frame, draw: Callable[[], Image]) -> None:
         """Take in a frame; `draw` is called for the few of which a picture is kept."""
         self._kept.add(lambda: Snapshot(frame.number, frame.time, small(draw(), self._width)))
+
+    def redraw(self, number: int, draw: Callable[[], Image]) -> None:
+        """Have another picture of a frame, if one of it is kept."""
+        kept = self._kept.kept
+        for index, one in enumerate(kept):
+            if one.number == number:
+                kept[index] = replace(one, picture=small(draw(), self._width))
 
     def saved(self) -> dict[str, Any]:
         """Everything."""

@@ -115,10 +115,11 @@ class Turned:
         self._shown = shown
         self._centre, self._reach = centre, reach
         self.yaw = self.pitch = 0.0
-        shown.page.locator(".space").scroll_into_view_if_needed()
 
     def _box(self) -> Any:
-        box = self._shown.page.locator(".space").bounding_box()
+        space = self._shown.page.locator(".space")
+        space.scroll_into_view_if_needed()  # what is said of a selection may have moved it down
+        box = space.bounding_box()
         assert box is not None
         return box
 

@@ -1,7 +1,8 @@
 """`rsmcm body`, as a user runs it: on rendered films of a signer, and with what can be wrong about them."""
 
 import signal
-from dataclasses import fields
+from collections.abc import Iterator
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,9 @@ from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
 from rsmcm.apps.io.sources import blank_frames
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.reports import time_plots
+from rsmcm.apps.runs import film_run
 from rsmcm.apps.scenes import SignerScene, signer
+from rsmcm.inference.body.hindsight.labelling import ExchangeEvidence, HandLabels
 from rsmcm.inference.body.samples import BodyMoments
 from rsmcm.models import Frame
 from rsmcm.models.body.parts import HEAD_OF_BOX
@@ -156,7 +159,8 @@ def test_poses(finished: Path, scene: SignerScene) -> None:
         "frames": (n,), "times": (n,), "joints_2d": (n, 8, 2), "joints_2d_covariances": (n, 8, 2, 2),
         "joints_3d": (n, 8, 3), "joints_3d_covariances": (n, 8, 3, 3), "angles": (n, 16),
         "angle_covariances": (n, 16, 16), "samples": (n, N_DRAWN, 8, 3), "hypotheses": (n, 4),
-        "hypothesis_joints": (n, 4, 8, 3), "exchanged": (n,), "seen": (n, 3), "stationary": (n,),
+        "hypothesis_joints": (n, 4, 8, 3), "exchanged": (n,), "relabelled": (n,), "seen": (n, 3),
+        "stationary": (n,),
         "missing": (n,), "joint_names": (8,), "part_names": (3,), "angle_names": (16,),
         "length_names": (len(fields(UpperBody)),), "lengths": (len(fields(UpperBody)),),
     }  # fmt: skip
@@ -196,7 +200,7 @@ def test_answers_are_of_the_posterior(finished: Path) -> None:
     assert whole.any()
     mean = np.einsum("fh,fhjx->fjx", weights, np.nan_to_num(joints))
     np.testing.assert_allclose(mean[whole], poses["joints_3d"][whole], atol=1e-6)
-    assert ((poses["exchanged"] >= 0) & (poses["exchanged"] <= 1 - weights[:, 0] + 1e-9)).all()
+    assert ((poses["exchanged"] >= 0) & (poses["exchanged"] <= 1)).all()
 
 
 def test_the_body_is_followed(finished: Path, scene: SignerScene) -> None:
@@ -260,12 +264,18 @@ def test_same_seed_same_run(film: Path, tmp_path: Path) -> None:
     assert (found[0]["samples"] != found[2]["samples"]).any()
 
 
+def unchanged(numbers: NDArray[np.int64], *_: Any) -> HandLabels:
+    n = len(numbers)
+    return HandLabels(numbers, np.zeros(n), np.zeros(n, np.bool_), np.full(n, -np.inf))
+
+
 @pytest.mark.usefixtures("faces")
 def test_later_frames_change_what_is_said_of_earlier_ones(
     film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a lag; without, the frames behind a frame do not count."""
     monkeypatch.setattr(application, "CALIBRATION_FRAMES", 1)
+    monkeypatch.setattr(body_report, "hand_labels", unchanged)  # they are of a whole film
     found = {}
     for lag, stop in ((0, 8), (0, 16), (5, 8), (5, 16)):
         out = tmp_path / f"{lag}-{stop}"
@@ -275,6 +285,45 @@ def test_later_frames_change_what_is_said_of_earlier_ones(
     np.testing.assert_array_equal(found[0, 8], found[0, 16][:8])
     assert (found[5, 8] != found[5, 16][:8]).any(axis=(1, 2)).all(), "none was known any better before"
     assert (found[5, 8] != found[0, 8]).any(axis=(1, 2))[:-1].all()
+
+
+def test_hands_change_their_names_at_the_end(
+    video: Path, head: tuple[str, str], finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the whole film says so: in arrays, pictures and summary, and only there."""
+    labels = body_report.hand_labels
+
+    def changed(numbers: NDArray[np.int64], *said: Any) -> HandLabels:
+        found = labels(numbers, *said)
+        exchanged = (numbers > 5) & (numbers < 9)
+        return replace(found, probabilities=np.where(exchanged, 0.8, 0.02), exchanged=exchanged)
+
+    monkeypatch.setattr(body_report, "hand_labels", changed)
+    assert run(video, *head, "--out", tmp_path, "--samples", 300) == 0
+    before, after = poses_of(finished), poses_of(tmp_path)
+    chosen = (after["frames"] > 5) & (after["frames"] < 9)
+    np.testing.assert_array_equal(after["relabelled"], chosen)
+    np.testing.assert_allclose(after["exchanged"], np.where(chosen, 0.2, 0.02))
+    hands = [JOINTS.index(f"{side}_hand") for side in ("left", "right")]
+    for joints in ("joints_2d", "joints_3d"):
+        np.testing.assert_array_equal(after[joints][~chosen], before[joints][~chosen])
+        np.testing.assert_array_equal(after[joints][chosen][:, hands], before[joints][chosen][:, hands[::-1]])
+    summary = summary_of(tmp_path)
+    assert summary["relabelled"] == [[6, 8]]
+    assert summary["doubts"]["exchanged"] == [[6, 8, 0.2]]
+    notes = summary["notes"]
+    assert "The hands may be exchanged in frames 6 to 8 (20 %)." in notes
+    assert "By the whole film, left and right hand have changed their names in frames 6 to 8." in notes
+    pictures = [[*frames_of(out / "overlay.mp4")] for out in (finished, tmp_path)]
+    assert len(pictures[1]) == N_FRAMES
+    differs = [np.mean(np.abs(one.astype(int) - other) > 60) for one, other in zip(*pictures, strict=True)]
+    assert min(np.array(differs)[chosen]) > 3 * max(np.array(differs)[~chosen])
+
+
+def frames_of(path: Path) -> Iterator[Image]:
+    film = cv2.VideoCapture(str(path))
+    while (read := film.read())[0]:
+        yield np.asarray(read[1], np.uint8)
 
 
 @pytest.mark.usefixtures("faces")
@@ -349,7 +398,8 @@ def test_a_stream_is_read_once(
         looked_at.append(frame.number)
         return scene.detector(frame)
 
-    monkeypatch.setattr(application, "open_source", stream)
+    for module in (film_run, application):
+        monkeypatch.setattr(module, "open_source", stream)
     monkeypatch.setattr(application, "CALIBRATION_FRAMES", 6)
     monkeypatch.setattr(body_start, "default_faces", lambda _: faces)
     assert run(film, "--out", tmp_path, *FEW) == 0
@@ -589,7 +639,16 @@ def test_a_record_of_any_length() -> None:
         seen = np.array([True, number % 4 != 0, number % 4 == 0]) & (number != 9)
         frame = Frame(None if number == 9 else picture, number / 25, number)
         answers = doubtful if 40 <= number < 60 else certain
-        record.add(frame, found, seen, Samples(), answers, 0.1, overlay=lambda: picture)  # type: ignore[arg-type]
+        record.add(
+            frame,
+            found,
+            seen,
+            Samples(),  # type: ignore[arg-type]
+            answers,
+            ExchangeEvidence(-3.0, 0.0),
+            0.1,
+            overlay=lambda: picture,
+        )
     assert record.stationary_periods == [(5, 7), (20, 20)]
     assert record.missing == [9]
     assert record.shares_seen == {"head": 1.0, "left_hand": 74 / 99, "right_hand": 25 / 99}

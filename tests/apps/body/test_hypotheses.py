@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.body.hypotheses import ENOUGH, HANDS, MOST, WORTH_SAYING, Hypotheses, hypotheses
+from rsmcm.apps.body.hypotheses import ENOUGH, MOST, WORTH_SAYING, Hypotheses, hypotheses
 from rsmcm.inference.body.samples import BodySamples
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import UpperBody
@@ -48,7 +48,6 @@ def test_two_places_of_a_hand_are_two_answers() -> None:
     np.testing.assert_allclose(found.unsure, [expected[1], 0])
     assert found.second is not None
     np.testing.assert_array_equal(found.second, found.joints[1])
-    assert found.exchanged == 0
 
 
 def test_a_region_is_one_answer() -> None:
@@ -58,18 +57,6 @@ def test_a_region_is_one_answer() -> None:
     np.testing.assert_allclose(found.weights, [1, 0, 0, 0])
     apart = answers(reaching(1.2 * left / 0.9, np.zeros(len(left))), np.full(len(left), 1 / len(left)))
     assert (apart.weights > 0).all(), "and without them many"
-
-
-def test_exchanged_hands() -> None:
-    """An answer in which each hand is where the first one has the other."""
-    n = 40
-    left = np.repeat([0.2, -0.9], [25, 15])
-    right = np.repeat([0.25, -0.85], [25, 15])
-    found = answers(reaching(left, right), np.full(n, 1 / n))
-    first = found.joints[0, HANDS, 0]
-    assert first[0] > first[1], "the person's own left is on the right"
-    assert found.exchanged == pytest.approx(15 / 40)
-    np.testing.assert_allclose(found.unsure, 15 / 40)
 
 
 def test_more_answers_than_are_told() -> None:

@@ -180,7 +180,7 @@ addLayers(({ joints, samples, second, secondWeight, worthSaying, perPx, bones, c
     return [
       ["now", isSeen(i, j) ? "seen" : parts.includes(j) ? "hidden, predicted" : "inferred"],
       ["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`],
-      ...(isDoubtful(i) && colours[j] !== colours[0] ? [["or", elsewhere(j, i)]] : []),
+      ["or", isDoubtful(i) ? elsewhere(j, i) : "–"],
       ["unsure by", `${Math.sqrt(xx).toFixed(1)}, ${Math.sqrt(yy).toFixed(1)} px`],
       ["depth", z < 0 ? `${px(-z)} nearer than the neck` : `${px(z)} farther than the neck`],
       ["depth unsure by", px(Math.sqrt(zz))],

@@ -1,0 +1,86 @@
+"""Hands that change their names in what a run has written."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.body.relabelling import ELBOWS, HANDS, ROWS, SHOULDERS, relabel, with_names_exchanged
+from rsmcm.apps.body.writer import N_DRAWN
+from rsmcm.inference.body.dynamics import BodyDynamics
+from rsmcm.inference.body.samples import BodySamples, moments
+from rsmcm.models.body.upper_body import UpperBody
+
+from ...support.body_poses import resting
+
+BODY = UpperBody.from_head(60.0)
+TRUNK = [0, 1, *SHOULDERS]
+
+
+@pytest.fixture(scope="module")
+def row() -> dict[str, NDArray[Any]]:
+    """About a pose whose hands can both be where the other one is."""
+    random = np.random.default_rng(0)
+    around = resting(np.tile([300.0, 150.0], (N_DRAWN, 1)))
+    around.arms[:, :, 1] = np.array([[-0.6, 0.3, -0.75], [0.5, 0.1, -0.86]])
+    poses = BodyDynamics(BODY, jumps=0).draw(around, 0.01, random)
+    samples = BodySamples.even(poses, (360, 640), random)
+    found, joints = moments(BODY, samples), BODY.joints(poses)
+    return {
+        "joints_2d": found.joints[:, :2],
+        "joints_2d_covariances": found.joint_covariances[:, :2, :2],
+        "joints_3d": found.joints,
+        "joints_3d_covariances": found.joint_covariances,
+        "angles": found.angles,
+        "angle_covariances": found.angle_covariances,
+        "samples": joints,
+        "hypotheses": np.array([0.7, 0.3, 0, 0]),
+        "hypothesis_joints": np.stack([*joints[:2], *np.full((2, 8, 3), np.nan)]),
+        "seen": np.array([True, True, False]),
+        "relabelled": np.bool_(False),
+    }
+
+
+def test_hands_change_places_and_arms_lead_there(row: dict[str, NDArray[Any]]) -> None:
+    found = with_names_exchanged(BODY, row)
+    for name in ("samples", "hypothesis_joints", "joints_3d"):
+        before, after = row[name], found[name]
+        np.testing.assert_allclose(after[..., TRUNK, :], before[..., TRUNK, :])
+        np.testing.assert_allclose(after[..., HANDS, :], before[..., HANDS[::-1], :], atol=1e-4)
+    for name in ("samples", "hypothesis_joints"):
+        joints = found[name][:2]
+        for ends, length in (((SHOULDERS, ELBOWS), BODY.upper_arm), ((ELBOWS, HANDS), BODY.forearm)):
+            steps = joints[:, ends[1]] - joints[:, ends[0]]
+            np.testing.assert_allclose(np.linalg.norm(steps, axis=2), length, rtol=1e-5)
+    assert np.isnan(found["hypothesis_joints"][2:]).all()
+    np.testing.assert_allclose(found["joints_3d"][ELBOWS], found["samples"].mean(axis=0)[ELBOWS], atol=1e-3)
+    assert found["seen"].tolist() == [True, False, True]
+    assert found["relabelled"]
+    assert np.linalg.eigvalsh(found["angle_covariances"]).min() > -1e-9
+    np.testing.assert_array_equal(found["angles"][:8], row["angles"][:8])
+
+
+def test_twice_is_as_before(row: dict[str, NDArray[Any]]) -> None:
+    again = with_names_exchanged(BODY, with_names_exchanged(BODY, row))
+    for name in ROWS - {"angle_covariances"}:
+        np.testing.assert_allclose(again[name], row[name], atol=2e-3, err_msg=name)
+
+
+def test_some_rows_of_a_file(row: dict[str, NDArray[Any]], tmp_path: Path) -> None:
+    """Once, however often it is asked for; others and other arrays stay."""
+    path, n = tmp_path / "poses.npz", 8
+    columns = {name: np.stack([each] * n) for name, each in row.items()}
+    np.savez(path, joint_names=np.array(list("abcdefgh")), frames=np.arange(n), **columns)  # type: ignore[arg-type]
+    chosen = np.arange(n) % 3 == 1
+    for _ in range(2):
+        relabel(path, BODY, chosen)
+        with np.load(path) as arrays:
+            found = dict(arrays)
+        assert found["joint_names"].tolist() == list("abcdefgh")
+        np.testing.assert_array_equal(found["relabelled"], chosen)
+        exchanged = with_names_exchanged(BODY, row)
+        for name in ROWS:
+            for index in range(n):
+                expected = exchanged if chosen[index] else row
+                np.testing.assert_array_equal(found[name][index], expected[name], err_msg=name)
