@@ -1,4 +1,4 @@
-"""The pose of a person's upper body in 13 degrees of freedom, by likelihood sampling."""
+"""The pose of a person's upper body in 16 degrees of freedom, by likelihood sampling."""
 
 from dataclasses import KW_ONLY, dataclass
 
@@ -20,7 +20,8 @@ from ..inference.body.samples import (
 from ..inference.body.tempering import temper
 from ..inference.core.protocols import Incoming, Port
 from ..models.body.likelihood import BodyLikelihood, PoseLikelihood
-from ..models.body.parts import BodyParts, PartMessage
+from ..models.body.part_message import PartMessage
+from ..models.body.parts import BodyParts
 from ..models.body.poses import BodyPoses
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
@@ -47,7 +48,7 @@ GROUPS = 4
 class ArticulatedPose:
     """Likelihood sampling of an articulated body (RSMCM paper §4.1).
 
-    X is a pose in 13 degrees of freedom, F the places of head and hands in the picture:
+    X is a pose in 16 degrees of freedom, F the places of head and hands in the picture:
 
         p(X_t | X_t-1) ~ sum_e p(e) K(X_t | e(X_t-1), dt) g(X_t)
         p(F | X)       = delta(F - parts(X))
@@ -128,9 +129,9 @@ class ArticulatedPose:
     def update(self, state: BodySamples, incoming: Incoming) -> BodySamples:
         """Samples of the posterior, or of the prediction where there is nothing to sample from."""
         message = incoming[BodyParts]
-        others, image = message.predicted, message.image
+        image = message.image
         if image is None or not image.mixtures.informative.any():
-            return stationary(state, others.log_values(self.body.parts(state.poses)).sum(axis=1))
+            return stationary(state, message.log_values(self.body.parts(state.poses)))
         dynamics, past, random = self._dynamics, state.ancestors, copied(state.random)
         n = CANDIDATES * self.samples if past else max(FIRST, CANDIDATES * self.samples)
         mixtures = self._mixtures(message, image.mixtures, state)
@@ -143,7 +144,7 @@ class ArticulatedPose:
                 prior = dynamics.log_density_anywhere(poses, state.size)
             else:
                 prior = dynamics.log_density(poses, past)
-            prior += others.log_values(self.body.parts(poses)).sum(axis=1)
+            prior += message.log_values(self.body.parts(poses))
             return np.where(self.body.allowed(poses), prior, -np.inf)
 
         likelihood = (self.likelihood or BodyLikelihood(self.body))(image)

@@ -11,7 +11,8 @@ from ..inference.body.samples import BodySamples, copied, part_message
 from ..inference.core.protocols import Incoming, Port
 from ..inference.filters.resampling import normalised, systematic
 from ..models.body.likelihood import BodyLikelihood, PoseLikelihood
-from ..models.body.parts import BodyParts, PartMessage
+from ..models.body.part_message import PartMessage
+from ..models.body.parts import BodyParts
 from ..models.body.poses import BodyPoses
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
@@ -125,8 +126,8 @@ class Condensation:
         """Weights times the likelihood of the image; as they are where there is none."""
         message = incoming[BodyParts]
         log_factors = np.zeros(len(state.poses))
-        if message.predicted.informative.any():
-            log_factors += message.predicted.log_values(self.body.parts(state.poses)).sum(axis=1)
+        if message.stacked.informative.any():
+            log_factors += message.log_values(self.body.parts(state.poses))
         if message.image is not None:
             likelihood = self.likelihood or BodyLikelihood(self.body)
             log_factors += likelihood(message.image)(state.poses)

@@ -16,7 +16,8 @@ from ..inference.body.flesh_tracks import HANDS, HEAD, LEFT, RIGHT, FleshTracks
 from ..inference.body.part_assignment import Assignment, PartChoices
 from ..inference.body.part_filter import MovingParts, PartPosterior
 from ..inference.core.protocols import Incoming, Port
-from ..models.body.parts import BodyParts, PartMessage
+from ..models.body.part_message import PartMessage
+from ..models.body.parts import BodyParts
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
 from ..models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures

@@ -4,28 +4,32 @@
 
 The weighted poses x_k of a filter say what frames up to t know. Trajectories are drawn backwards through
 them: their ends from the newest frame, and then, frame after frame, a pose from which they may have come
-(Godsill, Doucet and West, "Monte Carlo smoothing for nonlinear time series", 2004).
+(Godsill, Doucet and West, "Monte Carlo smoothing for nonlinear time series", 2004), which is then moved a
+little (`trajectory_moves`), as the image and what comes before and after have it.
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.body.image_features import BodyImage
+from ...models.body.likelihood import BodyLikelihood, PoseLikelihood
 from ...models.body.poses import BodyPoses
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ..filters.resampling import normalised, systematic
 from .dynamics import Ancestors, BodyDynamics
 from .samples import LONGEST, BodySamples, copied
+from .tempering import LogDensity
+from .trajectory_moves import moved_between
 
 Array = NDArray[np.float64]
 
 CLOUD = 400
 """Poses of a frame that are kept until later ones have spoken."""
 
-BLOCK = 4
+BLOCK = 6
 """Frames that are answered at a time: a pass over all that wait costs the same for one."""
 
 
@@ -56,17 +60,18 @@ class WaitingFrames:
     ----------
     frames
         in the order of time, what the filter knew of each, thinned.
+    images
+        of each, what the likelihood asks of it; `None` for a missing one.
+    past
+        the frame before them, which is answered; `None` at the beginning.
     random
         generator of the draws to come.
     """
 
     frames: tuple[TimedSamples, ...]
+    images: tuple[BodyImage | None, ...]
+    past: TimedSamples | None
     random: np.random.Generator
-
-    @classmethod
-    def none(cls, seed: int) -> Self:
-        """Before the first frame."""
-        return cls((), np.random.default_rng(seed))
 
 
 class FixedLag:
@@ -77,7 +82,9 @@ class FixedLag:
     dynamics
         of the filter whose poses these are.
     lag
-        frames by which answers are late, at least, and at most 3 more; 0 for none: the filter's own answers.
+        frames by which answers are late, at least, and at most 5 more; 0 for none: the filter's own answers.
+    likelihood
+        of images; that of the body, unless given.
     trajectories
         that are drawn; so many poses answer for a frame.
     seed
@@ -95,7 +102,13 @@ class FixedLag:
     """
 
     def __init__(
-        self, dynamics: BodyDynamics, lag: int = 12, *, trajectories: int = 100, seed: int = 0
+        self,
+        dynamics: BodyDynamics,
+        lag: int = 12,
+        *,
+        likelihood: PoseLikelihood | None = None,
+        trajectories: int = 100,
+        seed: int = 0,
     ) -> None:
         if lag < 0:
             raise ValueError(f"lag: got {lag} frames, expected 0 or more")
@@ -103,10 +116,12 @@ class FixedLag:
             raise ValueError(f"trajectories: got {trajectories}, expected 2 or more")
         self.dynamics = dynamics
         self.lag = lag
+        self.likelihood = likelihood or BodyLikelihood(dynamics.body)
         self.trajectories = trajectories
-        self.waiting = WaitingFrames.none(seed)
+        self.waiting = WaitingFrames((), (), None, np.random.default_rng(seed))
+        self._likelihoods: dict[int, LogDensity] = {}
 
-    def add(self, frame: Frame, samples: BodySamples) -> list[TimedSamples]:
+    def add(self, frame: Frame, samples: BodySamples, image: BodyImage | None = None) -> list[TimedSamples]:
         """Take in what a filter knows after a frame, and answer for frames that waited long enough.
 
         Parameters
@@ -115,12 +130,18 @@ class FixedLag:
             later than those before; it may be missing.
         samples
             the filter's posterior, or its prediction.
+        image
+            what the filter was told of the frame: the `image` of the parts' message. Without it, of a frame
+            that is not missing, poses are chosen among the filter's own.
         """
         if not self.lag:
             return [TimedSamples(frame.number, frame.time, samples)]
         random = copied(self.waiting.random)
         kept = TimedSamples(frame.number, frame.time, thinned(samples, CLOUD, random))
-        self.waiting = WaitingFrames((*self.waiting.frames, kept), random)
+        before = self.waiting
+        self.waiting = replace(
+            before, frames=(*before.frames, kept), images=(*before.images, image), random=random
+        )
         if len(self.waiting.frames) < self.lag + BLOCK:
             return []
         return self._answers(BLOCK)
@@ -133,28 +154,51 @@ class FixedLag:
         """Answers for the first frames that wait, which are then forgotten."""
         if not count:
             return []
-        frames, random = self.waiting.frames, copied(self.waiting.random)
-        smoothed = backward_simulation(self.dynamics, frames, self.trajectories, count, random)
-        self.waiting = WaitingFrames(frames[count:], random)
+        waiting, random = self.waiting, copied(self.waiting.random)
+        numbers = [frame.number for frame in waiting.frames]
+        self._likelihoods = {
+            number: self._likelihoods.get(number) or self.likelihood(image)
+            for number, image in zip(numbers, waiting.images, strict=True)
+            if image is not None
+        }
+        smoothed = self._trajectories(count, random)
+        self.waiting = WaitingFrames(
+            waiting.frames[count:], waiting.images[count:], waiting.frames[count - 1], random
+        )
         return smoothed
 
+    def _trajectories(self, count: int, random: np.random.Generator) -> list[TimedSamples]:
+        """Draw trajectories backwards through all frames that wait; their poses in the first `count`."""
+        frames = self.waiting.frames
+        poses = frames[-1].samples.drawn(self.trajectories, random)
+        smoothed = [_even(frames[-1], poses)]
+        past = self._past(frames[-2] if len(frames) > 1 else None, frames[-1].time, random)
+        for index in range(len(frames) - 2, -1, -1):
+            frame, later = frames[index], poses
+            assert past is not None
+            poses = past.poses.take(self.dynamics.draw_ancestors(later, past, random))
+            elapsed = past.elapsed
+            past = self._past(frames[index - 1] if index else self.waiting.past, frame.time, random)
+            likelihood = self._likelihoods.get(frame.number)
+            if past is not None and likelihood is not None:
+                poses = moved_between(
+                    self.dynamics, poses, past, frame.samples, later, elapsed, likelihood, random
+                )
+            if index < count:
+                smoothed.append(_even(frame, poses))
+        return smoothed[::-1][:count]
 
-def backward_simulation(
-    dynamics: BodyDynamics,
-    frames: tuple[TimedSamples, ...],
-    n: int,
-    count: int,
-    random: np.random.Generator,
-) -> list[TimedSamples]:
-    """Draw `n` trajectories backwards through `frames`; their poses in the first `count` of them."""
-    poses = frames[-1].samples.drawn(n, random)
-    smoothed: list[TimedSamples] = []
-    for index in range(len(frames) - 1, -1, -1):
-        if index < len(frames) - 1:
-            poses = _came_from(dynamics, frames[index], frames[index + 1].time, poses, random)
-        if index < count:
-            smoothed.append(_even(frames[index], poses))
-    return smoothed[::-1]
+    def _past(self, frame: TimedSamples | None, time: float, random: np.random.Generator) -> Ancestors | None:
+        """What may have become poses at `time`: those of the frame before, also with exchanged hands.
+
+        A trajectory that came from these goes on with them: hands are not exchanged in the world, they
+        turn out to have been taken for each other.
+        """
+        if frame is None:
+            return None
+        elapsed = min(time - frame.time, LONGEST)
+        past = Ancestors(frame.samples.poses, frame.samples.weights, elapsed)
+        return self.dynamics.with_exchanged(past, random)
 
 
 def thinned(samples: BodySamples, n: int, random: np.random.Generator) -> BodySamples:
@@ -173,16 +217,6 @@ def thinned(samples: BodySamples, n: int, random: np.random.Generator) -> BodySa
         ancestors=None,
         before=None,
     )
-
-
-def _came_from(
-    dynamics: BodyDynamics, frame: TimedSamples, time: float, poses: BodyPoses, random: np.random.Generator
-) -> BodyPoses:
-    """For each of `poses` at `time`, one of the frame's before: as hands may be exchanged, with its own."""
-    samples = frame.samples
-    past = Ancestors(samples.poses, samples.weights, min(time - frame.time, LONGEST))
-    past = dynamics.with_exchanged(past, random)
-    return past.poses.take(dynamics.draw_ancestors(poses, past, random))
 
 
 def _even(frame: TimedSamples, poses: BodyPoses) -> TimedSamples:

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.parts import PartMessage
+from ...models.body.part_message import PartMessage
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import PARTS, UpperBody
 from ...models.core.gaussian_mixtures import GaussianMixtures
@@ -157,7 +157,7 @@ class BodyMoments:
     joints, joint_covariances
         `(8, 3)` px and `(8, 3, 3)` px^2, in the order of `models.body.upper_body.JOINTS`.
     angles, angle_covariances
-        `(13,)` and `(13, 13)`, px and rad, of `BodyPoses.angles`.
+        `(16,)` and `(16, 16)`, px and rad, of `BodyPoses.angles`.
     """
 
     joints: Array

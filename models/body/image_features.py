@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.grey import grey_of
 from ..core.short_repr import short_repr
+from .keypoints import SeenKeypoints
 
 BLUR = 1.2
 """px: of the picture in which edges are looked for."""
@@ -41,7 +42,11 @@ class BodyImage:
         `(m,)`: log of the probability ratio that the blob is some given hand against clutter, up to one
         constant.
     mixtures
-        the evidence phi(I, F) of head and hands that faces and blobs give.
+        the evidence phi(I, F) of head and hands that faces, blobs and keypoints give.
+    keypoints
+        points of this body that a detector has found, if there are any.
+    bare
+        probability that forearms are bare.
     """
 
     skin: NDArray[np.float32] | None
@@ -51,6 +56,8 @@ class BodyImage:
     blobs: NDArray[np.float64]
     blob_log_weights: NDArray[np.float64]
     mixtures: GaussianMixtures
+    keypoints: SeenKeypoints | None = None
+    bare: float = 0.0
 
     @property
     def size(self) -> tuple[int, int]:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -128,15 +128,52 @@ class GaussianMixtures:
             weights, means, covariances, flat.reshape(n_parts, -1), labels.reshape(n_parts, -1)
         )._pruned()
 
-    def take(self, parts: Sequence[int]) -> Self:
+    def take(self, parts: Sequence[int] | NDArray[np.intp]) -> Self:
         """Mixtures of some of the parts, in that order."""
-        chosen = list(parts)
+        chosen = np.asarray(parts)
         return type(self)(
             self.log_weights[chosen],
             self.means[chosen],
             self.covariances[chosen],
             self.flat[chosen],
             self.labels[chosen],
+        )
+
+    @classmethod
+    def stacked(cls, mixtures: "Sequence[GaussianMixtures]") -> Self:
+        """The parts of several, one after the other."""
+        most = max(each.log_weights.shape[1] for each in mixtures)
+        filled = [each._filled(most) for each in mixtures]
+        return cls(
+            np.concatenate([each.log_weights for each in filled]),
+            np.concatenate([each.means for each in filled]),
+            np.concatenate([each.covariances for each in filled]),
+            np.concatenate([each.flat for each in filled]),
+            np.concatenate([each.labels for each in filled]),
+        )
+
+    def pooled(self, n_parts: int, log_weights: Array) -> Self:
+        """Sums of several mixtures of the same parts, which are stacked here.
+
+        Parameters
+        ----------
+        n_parts
+            of the sum; these are a multiple of it.
+        log_weights
+            nats for each of these.
+        """
+
+        def side_by_side(values: NDArray[Any]) -> NDArray[Any]:
+            """`(k * n_parts, n, ...)` as `(n_parts, k * n, ...)`."""
+            each = values.reshape(-1, n_parts, *values.shape[1:]).swapaxes(0, 1)
+            return each.reshape(n_parts, -1, *values.shape[2:])
+
+        return type(self)(
+            side_by_side(self.log_weights + log_weights[:, None]),
+            side_by_side(self.means),
+            side_by_side(self.covariances),
+            side_by_side(self.flat),
+            side_by_side(self.labels),
         )
 
     def proper(self, log_mass: float, means: Array, covariances: Array) -> Self:

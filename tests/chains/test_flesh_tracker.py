@@ -17,7 +17,8 @@ from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.inference.body.part_assignment import Assignment, PartChoices
 from rsmcm.inference.body.part_filter import MovingParts, PartPosterior
 from rsmcm.models.body.image_features import BodyImage
-from rsmcm.models.body.parts import BodyParts, PartMessage
+from rsmcm.models.body.part_message import PartMessage
+from rsmcm.models.body.parts import BodyParts
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ....chains.condensation import Condensation
 from ....inference.core.protocols import Incoming
-from ....models.body.parts import BodyParts, PartMessage
+from ....models.body.part_message import PartMessage
+from ....models.body.parts import BodyParts
 from ....models.body.upper_body import PARTS
 from ....models.core.frame import Frame
 from ....models.core.gaussian_mixtures import GaussianMixtures

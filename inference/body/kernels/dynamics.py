@@ -119,13 +119,13 @@ def draw_terms(body, ancestors, least, arms, ancestor_arms, weights, concentrati
 
 
 @compiled
-def completion_values(necks, ancestor_necks, least, hidden, ancestor_hidden, weights, floors, values):
-    """Density with which neck and hidden coordinates of both arms were drawn around the ancestors.
+def completion_values(turns, ancestor_turns, least, hidden, ancestor_hidden, weights, floors, values):
+    """Density with which torso, neck and hidden coordinates of both arms were drawn around the ancestors.
 
     Parameters
     ----------
-    necks, ancestor_necks, least
-        `(n, 3)`, `(3, k)`, `(n,)`: as `body` of `mixture_values`.
+    turns, ancestor_turns, least
+        `(n, d)`, `(d, k)`, `(n,)`: as `body` of `mixture_values`.
     hidden, ancestor_hidden
         `(n, 6)`, `(6, k)`: per arm the hand's depth in standard deviations, and cosine and sine of the
         swivel times the root of its concentration.
@@ -136,19 +136,17 @@ def completion_values(necks, ancestor_necks, least, hidden, ancestor_hidden, wei
     values
         `(n,)` filled in.
     """
-    n = len(necks)
+    n = len(turns)
     k = len(weights)
+    squares = np.empty(k, np.float32)
     for i in range(n):
+        _squares_to_rows(turns[i], ancestor_turns, squares)
         total = _f4(0.0)
         depth, cosine, sine = hidden[i, 0], hidden[i, 1], hidden[i, 2]
         depth_2, cosine_2, sine_2 = hidden[i, 3], hidden[i, 4], hidden[i, 5]
-        n0, n1, n2 = necks[i, 0], necks[i, 1], necks[i, 2]
         nearest, floor, floor_2 = least[i], floors[i, 0], floors[i, 1]
         for j in range(k):
-            s0 = n0 - ancestor_necks[0, j]
-            s1 = n1 - ancestor_necks[1, j]
-            s2 = n2 - ancestor_necks[2, j]
-            near = exponential(_f4(-0.5) * (s0 * s0 + s1 * s1 + s2 * s2 - nearest))
+            near = exponential(_f4(-0.5) * (squares[j] - nearest))
             # of two vectors of one length, half the squared distance is that length squared less the product
             x = depth - ancestor_hidden[0, j]
             y = cosine - ancestor_hidden[1, j]

@@ -1,0 +1,164 @@
+"""Joint hypotheses of head and hands: against sums over all of them, one by one."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.models.body.image_features import BodyImage
+from rsmcm.models.body.part_message import MOST_HYPOTHESES, PartMessage
+from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+Array = NDArray[np.float64]
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def mixtures(random: np.random.Generator, flat: float = -np.inf) -> GaussianMixtures:
+    """Of head and hands, one or two Gaussians each."""
+    counts = random.integers(1, 3, 3)
+    roots = [random.normal(0, 8, (count, 2, 2)) for count in counts]
+    return GaussianMixtures.of_parts(
+        [random.normal(0, 1, count) for count in counts],
+        [random.normal(0, 10, (count, 2)) for count in counts],
+        [root @ root.swapaxes(1, 2) + 4 * np.eye(2) for root in roots],
+        np.full(3, flat),
+    )
+
+
+def message(random: np.random.Generator, n_hypotheses: int) -> PartMessage:
+    hypotheses = [mixtures(random) for _ in range(n_hypotheses)]
+    return PartMessage.of_hypotheses(hypotheses, random.normal(0, 1, n_hypotheses))
+
+
+def of_image(said: GaussianMixtures) -> PartMessage:
+    flat = np.zeros((20, 20), np.float32)
+    image = BodyImage(None, None, flat, flat, np.zeros((0, 2)), np.zeros(0), said)
+    return PartMessage(GaussianMixtures.uniform(3), image)
+
+
+def value(said: GaussianMixtures, part: int, place: Array) -> float:
+    """Of one part's mixture."""
+    total = 0.0
+    for weight, mean, covariance, flat in zip(
+        said.log_weights[part], said.means[part], said.covariances[part], said.flat[part], strict=True
+    ):
+        density = 1.0 if flat else multivariate_normal.pdf(place, mean, covariance)
+        total += np.exp(weight) * density
+    return total
+
+
+def brute_force(said: PartMessage, places: Array) -> float:
+    """p(F) as its definition has it."""
+    return sum(
+        np.exp(weight) * np.prod([value(each, part, places[part]) for part in range(3)])
+        for weight, each in zip(said.log_hypotheses, said.hypotheses, strict=True)
+    )
+
+
+@given(SEEDS, st.integers(1, 4))
+@settings(max_examples=20, deadline=None)
+def test_values_are_sums_over_hypotheses(seed: int, n_hypotheses: int) -> None:
+    random = np.random.default_rng(seed)
+    said, places = message(random, n_hypotheses), random.normal(0, 10, (5, 3, 2))
+    assert said.log_values_each(places).shape == (5, n_hypotheses)
+    np.testing.assert_allclose(
+        np.exp(said.log_values(places)), [brute_force(said, each) for each in places], rtol=1e-6
+    )
+
+
+@given(SEEDS, st.integers(1, 4), st.integers(1, 4))
+@settings(max_examples=20, deadline=None)
+def test_products_are_products_of_values_and_commute(seed: int, n_ours: int, n_theirs: int) -> None:
+    random = np.random.default_rng(seed)
+    ours, theirs = message(random, n_ours), message(random, n_theirs)
+    places = random.normal(0, 10, (7, 3, 2))
+    product = ours * theirs
+    assert len(product.hypotheses) == n_ours * n_theirs
+    np.testing.assert_allclose(
+        product.log_values(places), ours.log_values(places) + theirs.log_values(places), rtol=1e-9
+    )
+    np.testing.assert_allclose((theirs * ours).log_values(places), product.log_values(places), rtol=1e-9)
+    assert (theirs * ours).log_mass == pytest.approx(product.log_mass, abs=1e-9)
+
+
+@given(SEEDS)
+@settings(max_examples=20, deadline=None)
+def test_products_are_associative(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    one, two, three = message(random, 3), message(random, 4), message(random, 1)
+    places = random.normal(0, 10, (7, 3, 2))
+    left, right = (one * two) * three, one * (two * three)
+    np.testing.assert_allclose(left.log_values(places), right.log_values(places), rtol=1e-9)
+    assert left.log_mass == pytest.approx(right.log_mass, abs=1e-9)
+
+
+def test_of_many_combinations_the_heaviest_are_kept() -> None:
+    random = np.random.default_rng(0)
+    ours, theirs = message(random, 6), message(random, 7)
+    product = ours * theirs
+    masses = [
+        PartMessage.of_hypotheses([one], [a]) * PartMessage.of_hypotheses([other], [b])
+        for one, a in zip(ours.hypotheses, ours.log_hypotheses, strict=True)
+        for other, b in zip(theirs.hypotheses, theirs.log_hypotheses, strict=True)
+    ]
+    expected = sorted((each.log_mass for each in masses), reverse=True)[:MOST_HYPOTHESES]
+    assert len(product.hypotheses) == MOST_HYPOTHESES == len(expected)
+    assert product.log_mass == pytest.approx(logsumexp(expected), abs=1e-9)
+
+
+def test_masses_moments_and_marginals_are_those_of_draws() -> None:
+    """1e5 draws: means within 5 standard errors."""
+    random = np.random.default_rng(1)
+    said = message(random, 3)
+    image = of_image(mixtures(random, flat=-4.0))
+    n = 100_000
+    masses = np.array([each.log_masses.sum() for each in said.hypotheses]) + said.log_hypotheses
+    assert said.log_mass == pytest.approx(logsumexp(masses), abs=1e-9)
+    chosen = random.choice(3, n, p=np.exp(masses - said.log_mass))
+    places = np.empty((n, 3, 2))
+    for h, each in enumerate(said.hypotheses):
+        here = np.flatnonzero(chosen == h)
+        for part in range(3):
+            share = np.exp(each.log_weights[part] - each.log_masses[part])
+            component = random.choice(len(share), len(here), p=share)
+            roots = np.linalg.cholesky(each.covariances[part])[component]
+            steps = (roots @ random.standard_normal((len(here), 2, 1)))[..., 0]
+            places[here, part] = each.means[part, component] + steps
+    weights = [1 + np.zeros(n), np.exp(image.image.mixtures.log_values(places).sum(axis=1))]  # type: ignore[union-attr]
+    for message_, weight in zip((said, said * image), weights, strict=True):
+        mean, covariance = message_.mixtures.moments(1.0, (0.0, 0.0))
+        ratio = weight / weight.mean()
+        for part in range(3):
+            error = (ratio[:, None] * (places[:, part] - mean[part])).std(axis=0) / np.sqrt(n)
+            np.testing.assert_array_less(
+                np.abs((ratio[:, None] * places[:, part]).mean(axis=0) - mean[part]), 5 * error
+            )
+            apart = places[:, part] - mean[part]
+            scatter = (ratio[:, None, None] * apart[:, :, None] * apart[:, None]).mean(axis=0)
+            np.testing.assert_allclose(scatter, covariance[part], rtol=0.1, atol=3)
+        of_image_given = weight.std() / weight.mean() / np.sqrt(n)
+        assert message_.log_mass - said.log_mass == pytest.approx(
+            np.log(weight.mean()), abs=5 * of_image_given + 1e-9
+        )
+    np.testing.assert_allclose(said.predicted.moments(1.0, (0, 0))[0], said.mixtures.moments(1.0, (0, 0))[0])
+
+
+def test_one_hypothesis_is_a_product_of_mixtures() -> None:
+    """Nothing is said where a part is flat."""
+    random = np.random.default_rng(2)
+    one = mixtures(random)
+    nothing = GaussianMixtures.uniform(3)
+    places = random.normal(0, 10, (7, 3, 2))
+    for said in (PartMessage(one), PartMessage(nothing) * PartMessage(one)):
+        np.testing.assert_allclose(said.log_values(places), one.log_values(places).sum(axis=1))
+        np.testing.assert_array_equal(said.predicted.means, one.means)
+    np.testing.assert_array_equal(PartMessage(nothing).log_values(places), 0.0)
+    assert PartMessage(nothing).log_mass == np.inf
+
+
+def test_hypotheses_have_three_parts() -> None:
+    with pytest.raises(ValueError, match="got 6 mixtures, expected 3 for each of 1 hypotheses"):
+        PartMessage(GaussianMixtures.uniform(6))
