@@ -110,7 +110,7 @@ def seconds_a_frame(film: BodyFilm, samples: int) -> tuple[Numbers, dict[str, Nu
     for frame in film.frames:
         with spent.frame():
             belief = engine.step(state, frame)
-            hindsight.add(frame, belief[pose])
+            hindsight.add(frame, belief[pose], belief.evidence(film.parts).image)
         state, seen = belief.state, belief[film.parts].image
         assert seen is not None
         spent.timed("blobs", skin_blobs, seen.skin, HAND_RADIUS * unit)

@@ -120,16 +120,15 @@ class _Run:
         """Take in frame `index`."""
         frame = self._film.frames[index]
         started = time.perf_counter()
-        state = self._engine.step(self._state, frame).state
+        belief = self._engine.step(self._state, frame)
         seconds = time.perf_counter() - started
-        if index == 0:
-            state = self._with_truth(state)
+        state = self._with_truth(belief.state) if index == 0 else belief.state
         self._state, found = state, state.states[self._chain]
         self._now.add(found, seconds)
         if self._hindsight is None:
             return
         started = time.perf_counter()
-        answers = self._hindsight.add(frame, found)
+        answers = self._hindsight.add(frame, found, belief.evidence(self._film.parts).image)
         if index == len(self._film.frames) - 1:
             answers += self._hindsight.rest()
         self._later.seconds.append(seconds + time.perf_counter() - started)
