@@ -1,4 +1,4 @@
-"""The pose of a person's upper body in 13 degrees of freedom, by likelihood sampling."""
+"""The pose of a person's upper body in 16 degrees of freedom, by likelihood sampling."""
 
 from dataclasses import KW_ONLY, dataclass
 
@@ -48,7 +48,7 @@ GROUPS = 4
 class ArticulatedPose:
     """Likelihood sampling of an articulated body (RSMCM paper §4.1).
 
-    X is a pose in 13 degrees of freedom, F the places of head and hands in the picture:
+    X is a pose in 16 degrees of freedom, F the places of head and hands in the picture:
 
         p(X_t | X_t-1) ~ sum_e p(e) K(X_t | e(X_t-1), dt) g(X_t)
         p(F | X)       = delta(F - parts(X))

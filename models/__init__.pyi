@@ -6,6 +6,7 @@ from .body.poses import BodyPoses
 from .body.upper_body import UpperBody
 from .core.categorical import Categorical
 from .core.frame import Frame, GivenBoxes
+from .core.keypoints import GivenKeypoints
 from .face.detectors import HaarFaces, YuNetFaces
 from .face.morphable_model import MorphableModel
 from .face.pose import Poses
@@ -18,6 +19,7 @@ __all__ = [
     "Categorical",
     "Frame",
     "GivenBoxes",
+    "GivenKeypoints",
     "HaarFaces",
     "Layer",
     "LayerStack",

@@ -1,7 +1,9 @@
 """The body application: from a film of a person to the pose of the upper body in every frame."""
 
 import logging
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
@@ -13,20 +15,27 @@ from numpy.typing import NDArray
 from ...chains.articulated_pose import ArticulatedPose
 from ...chains.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
+from ...inference.body.dynamics import BodyDynamics
+from ...inference.body.hindsight import BLOCK, FixedLag, TimedSamples
+from ...inference.body.samples import BodySamples
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import PARTS
 from ...models.core.frame import Frame
+from ..io.keypoints.attached import given_keypoints, with_keypoints
+from ..io.keypoints.read import digest_of
+from ..io.keypoints.table import Keypoints
 from ..io.segments import segment_pattern
 from ..io.sources.blank_frames import SeenFrames
 from ..io.sources.open_source import open_source
-from ..runs.film_run import FilmRun, Writer
+from ..runs.film_run import FilmRun, Step, Writer
 from ..runs.interruption import Interrupted, Outcome
-from ..runs.memory import BODY, SAMPLE
+from ..runs.memory import BODY, KEPT_IMAGE, KEPT_SAMPLE, SAMPLE
 from ..runs.saved_run import SavedRun
 from ..view.film import Film, Row
 from ..view.page import View
-from .job import BodyJob
+from .job import LAG, BodyJob
 from .joint_files import ClickedJoints, read_joints
+from .keypoint_start import followed, shows_whom, start_from_keypoints, with_lengths
 from .report import BodyRecord, write_body_report
 from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
 from .view import body_view, drawn_of
@@ -57,11 +66,18 @@ class BodyRun(FilmRun[BodyJob]):
         "person": SavedPerson,
         "record": BodyRecord.kinds(),
         "draws": np.random.Generator,
+        "answered": TimedSamples | None,
     }
     chains: ClassVar[dict[str, Any]] = {"flesh": FleshTracker, "pose": ArticulatedPose}
 
     def __init__(self, job: BodyJob, clicked: ClickedJoints | None) -> None:
         super().__init__(job)
+        if job.keypoints is not None:
+            self.settings["keypoints"] = {
+                "file": self.settings["keypoints"],
+                "sha256": digest_of(job.keypoints),
+            }
+        self._keypoints: Keypoints | None = None
         self._head = None if job.head is None else read_head(job.head)
         self._clicked = clicked
         self._draws = np.random.default_rng(job.seed)  # of the poses that are shown
@@ -69,8 +85,16 @@ class BodyRun(FilmRun[BodyJob]):
 
     @property
     def bytes_needed(self) -> tuple[float, float]:
-        """Depends on the number of samples."""
-        return BODY, self.job.samples * SAMPLE
+        """Depends on the number of samples, and on that of frames that wait with theirs."""
+        kept = self.lag + BLOCK if self.lag else 0
+        return BODY + KEPT_IMAGE * kept, self.job.samples * (SAMPLE + KEPT_SAMPLE * kept)
+
+    @property
+    def lag(self) -> int:
+        """Frames that are waited for before one is answered."""
+        if self.job.lag is not None:
+            return self.job.lag
+        return 0 if self.source.live else LAG
 
     def memory(self) -> dict[str, Any]:
         """Who is tracked, and the record."""
@@ -78,7 +102,16 @@ class BodyRun(FilmRun[BodyJob]):
             "person": SavedPerson.of(self._start),
             "record": self.record.saved(),
             "draws": self._draws,
+            "answered": self._hindsight.waiting.past,
         }
+
+    def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """What a detector has found in the frames."""
+        job = self.job
+        if job.keypoints is None:
+            return frames
+        self._keypoints = given_keypoints(job.keypoints, self.source, job.start, job.stop, job.step)
+        return with_keypoints(frames, self._keypoints)
 
     def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """Find the person in the first frame in which anything is to be seen, and in others."""
@@ -87,29 +120,45 @@ class BodyRun(FilmRun[BodyJob]):
             beginning = list(islice(frames, CALIBRATION_FRAMES))
             frames = chain(beginning, frames)
             images = [frame.image for frame in beginning if frame.image is not None]
+        by_keypoints = self._keypoints is not None and self._head is None and job.detector is None
         for first in frames:
-            if first.image is not None:
+            if first.image is not None and (not by_keypoints or shows_whom(first)):
                 break
             self.before.append(first.number)
         else:
-            raise self.no_frame("holds no frame in which anything is to be seen")
+            what = "a head or shoulders were found" if by_keypoints else "anything is to be seen"
+            raise self.no_frame(f"holds no frame in which {what}")
         if images is None:
             images = self._looked_at()
         images = images or [first.image]  # where nothing else is to be seen in what was looked at
-        if self._head is not None:
-            start = start_from_head(first, self._head, images, self._clicked)
-        else:
-            start = start_from_faces(self.source.name, images, job.detector, self._clicked)
-        found = "the head as marked" if job.head else str(job.detector or "OpenCV's cascades of faces")
+        start, found = self._started_from(first, images)
         _log.info("start in frame %d, by %s: %s", first.number, found, start.origin)
         self._begin_with(start)
         return chain([first], frames)
+
+    def _started_from(self, first: Frame, images: list[Image]) -> tuple[BodyStart, str]:
+        """Who is tracked, and how that was found out."""
+        job, clicked, keypoints = self.job, self._clicked, self._keypoints
+        if self._head is not None and job.detector is None:
+            start, found = start_from_head(first, self._head, images, clicked), "the head as marked"
+        elif keypoints is not None and job.detector is None:
+            return start_from_keypoints(first, keypoints, images, clicked), "keypoints"
+        else:
+            at_first = [first.image] if self._head is not None and first.image is not None else []
+            start = start_from_faces(
+                self.source.name, [*at_first, *images], job.detector, clicked, self._head
+            )
+            found = str(job.detector or "OpenCV's cascades of faces")
+        if keypoints is not None and clicked is None:
+            start = with_lengths(start, followed(keypoints, first.number, start.head_in(first)))
+        return start, found
 
     def go_on(self, memory: Mapping[str, Any]) -> None:
         """Take up the person, and the record."""
         self._draws = memory["draws"]
         self.record = BodyRecord.restored(memory["record"])
         self._begin_with(memory["person"].start(self.job.detector))
+        self._hindsight.waiting = replace(self._hindsight.waiting, past=memory["answered"])
 
     def learn_from(self, saved: SavedRun) -> None:
         """Take the person's lengths, colour and pose."""
@@ -121,6 +170,7 @@ class BodyRun(FilmRun[BodyJob]):
         self._pose = ArticulatedPose(start.body, self.job.samples, seed=self.job.seed)
         model = MultiChain().connect(self._flesh, start.parts).connect(self._pose, start.parts)
         self.engine = RecursiveBP(model)
+        self._hindsight = FixedLag(BodyDynamics(start.body), self.lag, seed=self.job.seed)
 
     def _looked_at(self) -> list[Image]:
         """Images from all over the source, which is read a second time for it."""
@@ -149,14 +199,40 @@ class BodyRun(FilmRun[BodyJob]):
         )
         return [self._writer]
 
-    def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
-        """Write the frame's poses."""
-        detected = belief[self._flesh].unseen == 0
-        self._row = self._writer.add(belief.frame, belief[self._pose], detected, seconds)
+    def found(self, belief: Belief) -> list[TimedSamples]:
+        """Poses of the frames of which enough later ones are known by now."""
+        self._begin_draws(belief.frame.number)
+        image = belief.evidence(self._start.parts).image
+        return self._hindsight.add(belief.frame, belief[self._pose], image)
 
-    def drawn(self, belief: Belief, found: Any) -> Callable[[], Row]:
+    def answered(self, steps: Iterator[Step]) -> Iterator[Step]:
+        """Frames with their poses in hindsight; of the last ones, fewer later frames are known."""
+        waiting: deque[Step] = deque()
+
+        def answer(poses: TimedSamples) -> Step:
+            return replace(waiting.popleft(), found=poses.samples)
+
+        for step in steps:
+            # without what else is believed of the frame, which is large
+            waiting.append(replace(step, belief=Belief(step.belief.frame, step.belief.state, None)))
+            yield from map(answer, step.found)
+        self._begin_draws(0)
+        yield from map(answer, self._hindsight.rest())
+
+    def _begin_draws(self, number: int) -> None:
+        """Let what hindsight draws depend on the frame alone: a run that is resumed takes in frames again."""
+        random = np.random.default_rng((self.job.seed, number))
+        self._hindsight.waiting = replace(self._hindsight.waiting, random=random)
+
+    def take_in(self, belief: Belief, found: BodySamples, seconds: float) -> None:
+        """Write the frame's poses."""
+        states = belief.states
+        detected = states[self._flesh.name].unseen == 0
+        self._row = self._writer.add(belief.frame, states[self._pose.name], found, detected, seconds)
+
+    def drawn(self, belief: Belief, found: BodySamples) -> Callable[[], Row]:
         """Joints and some samples."""
-        samples = belief[self._pose]
+        samples = belief.states[self._pose.name]
         return partial(drawn_of, self._row, samples.log_evidence, samples.effective)
 
     def told(self, belief: Belief, found: Any) -> dict[str, object]:
@@ -176,10 +252,14 @@ class BodyRun(FilmRun[BodyJob]):
 
     def facts(self) -> dict[str, Any]:
         """What was seen, and what is assumed of the person."""
-        start = self._start
+        start, given = self._start, None
+        if self._keypoints is not None:
+            given = self._keypoints.counted(set(self.record.numbers) - set(self.record.missing))
         return {
             "seen": self.record.shares_seen,
             "stationary": self.record.stationary_periods,
+            "keypoints": given,
+            "doubts": self.record.doubts,
             "flesh_colour": start.parts.skin is not None,
             "body": {"origin": start.origin, "lengths": lengths(start.body)},
             "notes": [*start.notes, *self.record.notes],

@@ -10,6 +10,9 @@ from ..options.job import FilmJob, resolved
 
 FEWEST_SAMPLES = 10
 
+LAG, MOST_LAG = 12, 250
+"""Frames: what is usual, and what is kept in memory at most."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class BodyJob(FilmJob):
@@ -21,14 +24,22 @@ class BodyJob(FilmJob):
         The face is found by a detector: OpenCV's YuNet with this model file (.onnx), or the Haar cascade that
         OpenCV 4 brings along.
     head
-        Instead of a detector: x,y,width,height in px of the head in the first frame, from chin to the top of
-        the skull. It is then followed by its colour and edges.
+        x,y,width,height in px of the head in the first frame, from chin to the top of the skull. Instead of a
+        detector; it is then followed by its colour and edges. With --detector, it says whose face is meant
+        where there are several; otherwise that is the largest.
     joints
         CSV file with the columns frame,joint,x,y: joints that were clicked in a few frames, from which the
         lengths of the person's arms are taken. Without it, proportions are usual ones. Joints: head, neck
         (between the shoulders), left_shoulder, left_elbow, left_hand, and right; left is the person's own.
+    keypoints
+        File of what a detector of poses or hands has found: CSV with the columns frame, person, joint, x, y
+        and score, COCO's JSON of results, or the folder of OpenPose's JSON. Without --detector and --head,
+        the largest person in it is followed.
     samples
         How many poses are drawn a frame.
+    lag
+        Frames that are waited for before one is answered, so that what they show of it counts: 12 if not
+        given, and 0 for cameras and streams.
     learned
         Begin with what a run over another film of the person has learned, lengths, colour and pose: the
         state.npz of its results. A recording is taken to go on where that one ended.
@@ -37,14 +48,16 @@ class BodyJob(FilmJob):
     detector: Path | None = None
     head: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     joints: Path | None = None
+    keypoints: Path | None = None
     samples: int = 1000
+    lag: int | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.samples < FEWEST_SAMPLES:
             raise ValueError(f"--samples: got {self.samples}, expected {FEWEST_SAMPLES} or more")
-        if self.head is not None and self.detector is not None:
-            raise ValueError("--head: got --detector as well, expected one of them")
+        if self.lag is not None and not 0 <= self.lag <= MOST_LAG:
+            raise ValueError(f"--lag: got {self.lag}, expected 0 to {MOST_LAG} frames")
         if self.learned is not None:
             for name in ("head", "joints"):
                 if getattr(self, name) is not None:
@@ -55,7 +68,9 @@ class BodyJob(FilmJob):
         return {
             "detector": resolved(self.detector),
             "joints": resolved(self.joints),
+            "keypoints": resolved(self.keypoints),
             "head": self.head,
             "samples": self.samples,
+            "lag": self.lag,
             **super().settings(),
         }

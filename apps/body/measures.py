@@ -27,6 +27,9 @@ SOON = 10
 LEAST_VARIANCE = 0.01
 """px^2: added to a hand's covariance, since all samples may be one."""
 
+APART = 0.5
+"""Head heights: of true hands that are nearer to each other nobody can say which one was found."""
+
 
 @dataclass(frozen=True)
 class MisTrack:
@@ -80,10 +83,14 @@ class BodyTrial:
         `(n_frames,)`: of the whole frame, features included.
     hidden
         `(n_frames, 2)`: whether left and right hand do not look like skin.
+    exchanged
+        `(n_frames,)`: whether the hands are exchanged, as of `exchanged_hands`.
     head_height
         px.
     shown
         by frame (index from 0), the posterior in pictures.
+    later
+        the same of answers with hindsight; `None` without.
     """
 
     errors: Numbers
@@ -92,8 +99,10 @@ class BodyTrial:
     effective: Numbers
     seconds: Numbers
     hidden: Mask
+    exchanged: Numbers
     head_height: float
     shown: Mapping[int, TrackedBody] = field(default_factory=dict)
+    later: "BodyTrial | None" = None
 
     @property
     def error(self) -> float:
@@ -110,6 +119,11 @@ class BodyTrial:
         """Share of frames in which a hand is not followed."""
         far = self.errors[1:, HANDS] > OFF * self.head_height
         return float(far.any(axis=1).mean())
+
+    @property
+    def longest_exchange(self) -> int:
+        """Frames of the longest stretch in which the hands are exchanged."""
+        return longest_exchange(np.arange(len(self.exchanged)), self.exchanged)
 
     @cached_property
     def mis_tracks(self) -> list[MisTrack]:
@@ -142,6 +156,41 @@ def _first(holds: Mask, start: int) -> int | None:
     """First index from `start` on where it holds."""
     ahead = np.flatnonzero(holds[start:])
     return start + int(ahead[0]) if len(ahead) else None
+
+
+def exchanged_hands(hands: Numbers, truth: Numbers, apart: float) -> Numbers:
+    """Whether each hand is nearer to where the other one truly is: `(n,)`, 1 or 0, NaN where nobody can say.
+
+    Parameters
+    ----------
+    hands, truth
+        `(n, 2, 2)` px: of left and right hand in n frames; NaN where a place is not known.
+    apart
+        px: true hands that are nearer to each other do not tell.
+    """
+    own, other = (np.linalg.norm(hands - places, axis=2) for places in (truth, truth[:, ::-1]))
+    told = np.linalg.norm(truth[:, 0] - truth[:, 1], axis=1) >= apart
+    told &= np.isfinite(own).all(axis=1)
+    return np.where(told, (other < own).all(axis=1), np.nan)
+
+
+def longest_exchange(numbers: NDArray[np.int64], exchanged: Numbers) -> int:
+    """Frames from the first to the last of the longest stretch with exchanged hands.
+
+    Parameters
+    ----------
+    numbers
+        `(n,)` of the frames, in order, with gaps perhaps.
+    exchanged
+        `(n,)` as of `exchanged_hands`; frames in which nobody can say do not end a stretch.
+    """
+    told = np.isfinite(exchanged)
+    longest, first = 0, None
+    for number, so in zip(numbers[told].tolist(), exchanged[told] > 0, strict=True):
+        first = (number if first is None else first) if so else None
+        if first is not None:
+            longest = max(longest, number - first + 1)
+    return longest
 
 
 def pooled(trials: Sequence[BodyTrial], measure: str) -> Numbers:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -20,6 +21,7 @@ LEAST_HEIGHT = 360  # px; smaller frames are enlarged, so that skeletons can be 
 IN_FRONT, BEHIND = 1.1, 0.5  # how far the side view reaches from the root, by the length of a stretched arm
 OPACITY = 0.3  # of a sample
 REGION_90 = 4.605  # squared Mahalanobis distance that holds 90 % of a Gaussian in the plane
+DASH = 6  # px, and as much between two of them
 FRACTION_BITS = 4  # of coordinates in OpenCV's drawing
 FARTHEST = 20_000.0  # px; coordinates beyond would overflow there
 
@@ -61,20 +63,24 @@ class TrackedBody:
         `(8, 3, 3)` px^2.
     state
         text that is written after the frame's number: what was not seen, for instance.
+    second
+        `(8, 3)` px: another pose that is worth showing.
     """
 
     samples: Array
     joints: Array
     covariances: Array
     state: str = ""
+    second: Array | None = None
 
 
 class BodyOverlay:
     """Draws tracked bodies.
 
     On the frame, the samples' skeletons thin and translucent, the mean bold, and ellipses that hold head and
-    hands with a probability of 90 %. The person's left arm is blue, the right one orange. Right of it the
-    same from the side, at the same height and scale: z to the right, so the viewer stands on the left.
+    hands with a probability of 90 %; the arms of a second answer dashed and paler. The person's left arm is
+    blue, the right one orange. Right of it the same from the side, at the same height and scale: z to the
+    right, so the viewer stands on the left.
 
     Parameters
     ----------
@@ -122,6 +128,8 @@ class BodyOverlay:
                 _draw_translucent(canvas, skeleton, unit)
             _draw_skeleton(canvas, mean, INK, round(4 * unit))
             _draw_skeleton(canvas, mean, None, round(2 * unit))
+            if body.second is not None:
+                _draw_dashed(canvas, _on_canvas(body.second[:, axes] + shift, scale), unit)
         for colour, joint in REGIONS:
             place = _on_canvas(body.joints[joint, :2], scale)
             _draw_region(large, place, scale**2 * body.covariances[joint, :2, :2], colour)
@@ -146,6 +154,21 @@ def _draw_skeleton(canvas: NDArray[Any], joints: Array, colour: Colour | None, t
         points = [_fixed(joints[list(chain)])]
         ink = own if colour is None else colour
         cv2.polylines(canvas, points, False, ink, thickness, cv2.LINE_AA, FRACTION_BITS)
+
+
+def _draw_dashed(canvas: NDArray[Any], joints: Array, unit: float) -> None:
+    """Draw the arms of a skeleton `(8, 2)` px, so that they are no other's."""
+    for colour, chain in CHAINS:
+        if colour == TRUNK:
+            continue
+        pale = tuple((each + 255) // 2 for each in colour)
+        for start, end in pairwise(joints[list(chain)]):
+            length = min(float(np.hypot(*(end - start))), FARTHEST)
+            edges = np.arange(0.0, 1.0, 2 * DASH * unit / max(length, 1.0))
+            dashes = np.stack([edges, np.minimum(edges + DASH * unit / max(length, 1.0), 1.0)], axis=1)
+            lines = _fixed(start + dashes[..., None] * (end - start))
+            for ink, thickness in ((INK, round(3 * unit)), (pale, round(1.5 * unit))):
+                cv2.polylines(canvas, list(lines), False, ink, thickness, cv2.LINE_AA, FRACTION_BITS)
 
 
 def _draw_translucent(canvas: NDArray[Any], joints: Array, unit: float) -> None:

@@ -4,7 +4,7 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
@@ -18,8 +18,9 @@ from ..reports.frame_lists import listed_periods, periods
 from ..reports.page import Section, cards, paragraph, table, write_run_page
 from ..reports.plots import figure
 from ..reports.snapshots import Snapshots
-from ..reports.time_plots import BLUE, GREEN, ORANGE, Line, over_time
+from ..reports.time_plots import BLUE, GREEN, ORANGE, RED, Line, over_time
 from ..runs.frame_record import FrameRecord
+from .hypotheses import WORTH_SAYING, Hypotheses
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -34,8 +35,58 @@ COLOURS = (GREEN, BLUE, ORANGE)
 PICTURE_WIDTH = 960  # px: two views beside each other
 
 PART_JOINTS = [JOINTS.index(name) for name in PARTS]
+
+SAME_DOUBT = 0.5
+"""s: doubt that comes again so soon is the same."""
+
+MOST_SAID = 5
+"""Stretches of doubt that a sentence names."""
+
 RARELY_SEEN = 0.5
 """Share of the frames below which a part's position is mostly a guess, and said to be one."""
+
+
+class Doubt(NamedTuple):
+    """First and last frame of a stretch with another answer, and its greatest probability there."""
+
+    first: int
+    last: int
+    probability: float
+
+    @property
+    def frames(self) -> str:
+        """In words."""
+        return f"{self.first} to {self.last}"
+
+
+def doubts(numbers: Sequence[int], times: Sequence[float], probabilities: Array) -> list[Doubt]:
+    """Stretches of frames in which something is probable enough to be said, but for gaps of a moment."""
+    found: list[Doubt] = []
+    ended = -np.inf  # s
+    for index in np.flatnonzero(probabilities >= WORTH_SAYING).tolist():
+        one = Doubt(numbers[index], numbers[index], round(float(probabilities[index]), 3))
+        if times[index] - ended <= SAME_DOUBT:
+            before = found.pop()
+            one = Doubt(before.first, one.last, max(before.probability, one.probability))
+        found.append(one)
+        ended = times[index]
+    return found
+
+
+def in_words(found: Mapping[str, Sequence[Doubt]]) -> list[str]:
+    """A sentence for each kind of doubt that there is, the longest stretches first where they are many."""
+    sentences = []
+    for name, stretches in found.items():
+        if not stretches:
+            continue
+        part = name.replace("_", " ")
+        what = "hands may be exchanged" if name == "exchanged" else f"{part} may be elsewhere"
+        longest = sorted(stretches, key=lambda each: each.first - each.last)[:MOST_SAID]
+        where = ", ".join(f"{each.frames} ({100 * each.probability:.0f} %)" for each in sorted(longest))
+        more = len(stretches) - len(longest)
+        shorter = f" and {more} shorter stretches" if more else ""
+        sentences.append(f"The {what} in frames {where}{shorter}.")
+    return sentences
 
 
 @dataclass(eq=False, kw_only=True)
@@ -52,6 +103,12 @@ class BodyRecord(FrameRecord):
         a frame each: means `(3, 3)` px of head and hands, and their standard deviations.
     seen
         a frame each: `(3,)`, whether the image has shown them.
+    second
+        probability of the second answer.
+    unsure
+        a frame each: `(2,)`, probability that left and right hand are elsewhere than the best answer says.
+    exchanged
+        probability that left and right hand are exchanged.
     stationary
         numbers of the frames whose image has shown nothing of the body.
     """
@@ -61,6 +118,9 @@ class BodyRecord(FrameRecord):
     places: list[Array] = field(default_factory=list)
     spreads: list[Array] = field(default_factory=list)
     seen: list[Mask] = field(default_factory=list)
+    second: "array[float]" = field(default_factory=lambda: array("d"))
+    unsure: list[Array] = field(default_factory=list)
+    exchanged: "array[float]" = field(default_factory=lambda: array("d"))
     stationary: list[int] = field(default_factory=list)
     snapshots: Snapshots = field(default_factory=lambda: Snapshots(PICTURE_WIDTH))
 
@@ -69,25 +129,29 @@ class BodyRecord(FrameRecord):
         frame: Frame,
         found: BodyMoments,
         seen: Mask,
-        samples: BodySamples,
+        filtered: BodySamples,
+        answers: Hypotheses,
         seconds: float,
         *,
         overlay: Callable[[], Image],
     ) -> None:
         """Take in a frame; `overlay` is called for the few frames of which a picture is kept."""
-        nothing = frame.missing or samples.stationary
+        nothing = frame.missing or filtered.stationary
         self.numbers.append(frame.number)
         self.times.append(frame.time)
-        self.log_evidence.append(np.nan if nothing else samples.log_evidence)
-        self.effective.append(samples.effective)
+        self.log_evidence.append(np.nan if nothing else filtered.log_evidence)
+        self.effective.append(filtered.effective)
         self.seconds.append(seconds)
         self.places.append(found.joints[PART_JOINTS])
         variances = np.diagonal(found.joint_covariances[PART_JOINTS], axis1=1, axis2=2)
         self.spreads.append(np.sqrt(np.maximum(variances, 0)))
         self.seen.append(seen)
+        self.second.append(float(answers.weights[1]))
+        self.unsure.append(answers.unsure)
+        self.exchanged.append(answers.exchanged)
         if frame.missing:
             self.missing.append(frame.number)
-        elif samples.stationary:
+        elif filtered.stationary:
             self.stationary.append(frame.number)
         self.snapshots.add(frame, overlay)
 
@@ -104,9 +168,17 @@ class BodyRecord(FrameRecord):
         return periods(self.numbers, self.stationary)
 
     @property
+    def doubts(self) -> dict[str, list[Doubt]]:
+        """When hands may be exchanged, or one of them elsewhere."""
+        probabilities = {"exchanged": np.array(self.exchanged)}
+        unsure = np.reshape(self.unsure, (-1, 2))
+        probabilities |= {name: unsure[:, hand] for hand, name in enumerate(PARTS[1:])}
+        return {name: doubts(self.numbers, self.times, each) for name, each in probabilities.items()}
+
+    @property
     def notes(self) -> list[str]:
         """What is out of the ordinary, a sentence each."""
-        notes = super().notes
+        notes = [*super().notes, *in_words(self.doubts)]
         if self.stationary:
             notes.append(
                 f"Nothing of the body was seen, and it was only predicted, in "
@@ -149,6 +221,7 @@ def write_body_report(path: Path, record: BodyRecord, summary: Mapping[str, Any]
     sections: list[Section] = [
         ("Pictures over time", [note, record.snapshots.column()]),
         ("Head and hands", [_places(record), _seen(record)]),
+        ("Doubt", [_doubt(record)]),
         ("Tracker", [_tracker(record)]),
         ("Body", [_body(summary["body"])]),
     ]
@@ -221,6 +294,31 @@ def _seen(record: BodyRecord) -> Markup:
             "When the image has shown the parts. A hand before face or neck does not count, since their "
             "skin may be all that was seen.",
         )
+    )
+
+
+def _doubt(record: BodyRecord) -> Markup:
+    unsure = np.array(record.unsure)
+    lines = [
+        Line("second answer", RED, np.array(record.second)),
+        *(
+            Line(f"{name.replace('_', ' ')} elsewhere", colour, unsure[:, hand])
+            for hand, (name, colour) in enumerate(zip(PARTS[1:], COLOURS[1:], strict=True))
+        ),
+        Line("hands exchanged", GREEN, np.array(record.exchanged)),
+    ]
+    rows = [
+        (name.replace("_", " "), each.frames, f"{100 * each.probability:.0f} %")
+        for name, stretches in record.doubts.items()
+        for each in stretches
+    ]
+    caption = (
+        "Poses drawn from the posterior, gathered by where their hands are: the probability of the second "
+        "best answer, of answers with a hand elsewhere than in the best one, and that hands are exchanged."
+    )
+    return Markup(
+        _over_time(record, [("probability", lines)], caption)
+        + (table(("what may be otherwise", "frames", "probability, at most"), rows) if rows else "")
     )
 
 

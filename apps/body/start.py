@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
+from ...models.body.person.faces import OtherFaces
 from ...models.body.skin_colour import SkinColour
 from ...models.body.static_skin import static_skin
 from ...models.body.upper_body import UpperBody
@@ -58,6 +59,11 @@ class BodyStart:
     body: UpperBody
     origin: str
 
+    def head_in(self, frame: Frame) -> Array | None:
+        """`(2,)` px: the centre of the face that the detector finds in a frame; `None` if there is none."""
+        found = np.zeros((0, 4)) if self.parts.detector is None else self.parts.detector(frame)
+        return found[0, :2] + found[0, 2:] * (0.5, CENTRE_OF_BOX) if len(found) else None
+
     @property
     def notes(self) -> list[str]:
         """What is out of the ordinary, a sentence each."""
@@ -77,7 +83,7 @@ class SavedPerson:
     ----------
     head_height
         px.
-    skin, static_skin
+    skin, static_skin, bare, others
         as of `BodyParts`.
     face_height
         px, size for which a detector of faces searches; `None` for any.
@@ -90,6 +96,8 @@ class SavedPerson:
     head_height: float
     skin: SkinColour | None
     static_skin: NDArray[np.float32] | None
+    bare: float
+    others: OtherFaces | None
     face_height: float | None
     marked: MarkedFace | None
     body: UpperBody
@@ -103,6 +111,8 @@ class SavedPerson:
             parts.head_height,
             parts.skin,
             parts.static_skin,
+            parts.bare,
+            parts.others,
             detector.height if isinstance(detector, HaarFaces) else None,
             detector if isinstance(detector, MarkedFace) else None,
             start.body,
@@ -110,8 +120,9 @@ class SavedPerson:
         )
 
     def elsewhere(self) -> Self:
-        """The same person in another film, in which nobody has marked a face."""
-        return self if self.marked is None else replace(self, marked=replace(self.marked, number=0))
+        """The same person in another film, in which nobody has marked a face, and with whom is not known."""
+        marked = None if self.marked is None else replace(self.marked, number=0)
+        return replace(self, marked=marked, others=None)
 
     def start(self, detector: Path | None) -> BodyStart:
         """The start again, with a model file of a detector if there was one."""
@@ -122,7 +133,7 @@ class SavedPerson:
             faces = default_faces(detector)
             if isinstance(faces, HaarFaces):
                 faces = replace(faces, height=self.face_height)
-        parts = BodyParts(self.head_height, self.skin, faces, self.static_skin)
+        parts = BodyParts(self.head_height, self.skin, faces, self.static_skin, self.bare, self.others)
         return BodyStart(parts, self.body, self.origin)
 
 
@@ -144,9 +155,13 @@ def read_head(text: str) -> BoundingBox:
 
 
 def start_from_faces(
-    name: str, images: Sequence[Image], detector: Path | None, clicked: ClickedJoints | None
+    name: str,
+    images: Sequence[Image],
+    detector: Path | None,
+    clicked: ClickedJoints | None,
+    head: BoundingBox | None = None,
 ) -> BodyStart:
-    """Find faces in some images, and learn size and colour from them.
+    """Find a person's face in some images, and learn size and colour from it.
 
     Parameters
     ----------
@@ -158,6 +173,9 @@ def start_from_faces(
         model file of YuNet; OpenCV's cascade without it.
     clicked
         joints from which the lengths are taken.
+    head
+        x, y, width, height px of the person's head in the first image; without it, it is the person whose
+        face is largest.
 
     Raises
     ------
@@ -174,7 +192,7 @@ def start_from_faces(
         raise ValueError(f"{error} as --detector, or the head in the first frame as --head") from None
     faces(Frame(images[0], 0.0, 1))  # a file that holds another network shows it now
     try:
-        parts = BodyParts.learned(images, faces)
+        parts = BodyParts.learned(images, faces, None if head is None else _face_of(head))
     except ValueError:
         raise ValueError(
             f"{name}: no face is found in the {len(images)} frames looked at, expected a person who faces "
@@ -216,13 +234,19 @@ def start_from_head(
             f"--head: got {x:g},{y:g},{width:g},{height:g}, expected the head inside the picture of "
             f"{columns}x{rows} px"
         )
-    # the box that a detector would give
-    side = height / HEAD_OF_BOX
-    box = np.array([x + (width - side) / 2, y + height / 2 - CENTRE_OF_BOX * side, side, side])
+    box = np.array(_face_of(head))
     skin = SkinColour.learned([image], box[None])
     still = None if skin is None else static_skin(skin, images)
     parts = BodyParts(height, skin, MarkedFace(box, first.number), still)
+    parts = replace(parts, bare=parts.bare_forearms([image], box[None]))
     return _start(parts, "Usual proportions of a person whose head is as high as the given one.", clicked)
+
+
+def _face_of(head: BoundingBox) -> BoundingBox:
+    """The box that a detector would give of a head."""
+    x, y, width, height = head
+    side = height / HEAD_OF_BOX
+    return x + (width - side) / 2, y + height / 2 - CENTRE_OF_BOX * side, side, side
 
 
 def _start(parts: BodyParts, origin: str, clicked: ClickedJoints | None) -> BodyStart:

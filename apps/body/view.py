@@ -5,11 +5,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...models.body.upper_body import JOINTS, PARTS
 from ..drawing.boxes import css_colour
 from ..view.film import Film, Row
 from ..view.page import Plot, TimelineRow, View, spans_of
+from .hypotheses import WORTH_SAYING
 from .overlay import CHAINS, TRUNK
 from .report import PART_JOINTS
 
@@ -28,17 +30,26 @@ def drawn_of(row: Mapping[str, Any], log_evidence: float, effective: float) -> R
     covariances = row["joints_3d_covariances"]
     upper = covariances[:, *np.triu_indices(3)]
     every = len(row["samples"]) // SAMPLES
-    samples = np.rint(PER_PX * row["samples"][::every][:SAMPLES])
-    limits = np.iinfo(np.int16)
+    samples = row["samples"][::every][:SAMPLES]
     nothing = row["missing"] or row["stationary"]
     return {
         "joints": np.concatenate([row["joints_3d"], upper], axis=1).astype(np.float32),
-        "samples": np.clip(samples, limits.min, limits.max).astype(np.int16),
+        "samples": _whole(samples),
+        "second": _whole(row["hypothesis_joints"][1]),
+        "secondWeight": row["hypotheses"][1:2].astype(np.float32),
+        "exchanged": row["exchanged"][None].astype(np.float32),
         "seen": row["seen"][None],
         "missing": row["missing"][None],
         "evidence": np.array([np.nan if nothing else log_evidence], np.float32),
         "effective": np.array([effective], np.float32),
     }
+
+
+def _whole(places: NDArray[Any]) -> NDArray[np.int16]:
+    """Places as whole numbers of parts of a px, 0 where there is none."""
+    limits = np.iinfo(np.int16)
+    scaled = np.nan_to_num(np.rint(PER_PX * places), nan=0.0)
+    return np.asarray(np.clip(scaled, limits.min, limits.max).astype(np.int16))
 
 
 def body_view(film: Film, arm: float) -> View:
@@ -61,6 +72,9 @@ def body_view(film: Film, arm: float) -> View:
     layer = {
         "joints": columns["joints"],
         "samples": columns["samples"],
+        "second": columns["second"],
+        "secondWeight": columns["secondWeight"],
+        "worthSaying": WORTH_SAYING,
         "perPx": PER_PX,
         "bones": bones,
         "colours": [inks[joint] for joint in range(len(JOINTS))],
@@ -76,6 +90,8 @@ def body_view(film: Film, arm: float) -> View:
         for place, part in enumerate(PARTS)
         if part != "head"
     ]
+    plots.append(Plot("second answer", "%", 100 * columns["secondWeight"]))
+    plots.append(Plot("hands exchanged", "%", 100 * columns["exchanged"]))
     plots.append(Plot("log evidence", "nats", columns["evidence"]))
     plots.append(Plot("samples, effective", "", columns["effective"]))
     return View({"body": layer}, rows, plots)

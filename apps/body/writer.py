@@ -13,6 +13,7 @@ from ...models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...models.core.frame import Frame
 from ..drawing.overlay_video import caption
 from ..runs.pose_writer import PoseWriter
+from .hypotheses import hypotheses
 from .overlay import BodyOverlay, TrackedBody
 from .report import PART_JOINTS, BodyRecord
 
@@ -24,7 +25,7 @@ N_DRAWN = 40
 """Samples that are drawn and kept, as in Figs. 4 to 6 of the paper."""
 
 ANGLE_NAMES = (
-    "root_x", "root_y", "neck_x", "neck_y", "neck_z",
+    "root_x", "root_y", "torso_x", "torso_y", "torso_z", "neck_x", "neck_y", "neck_z",
     "left_shoulder_x", "left_shoulder_y", "left_shoulder_z", "left_elbow",
     "right_shoulder_x", "right_shoulder_y", "right_shoulder_z", "right_elbow",
 )  # fmt: skip
@@ -40,12 +41,15 @@ class BodyWriter(PoseWriter):
 
     `poses.npz` holds, a row a frame: `frames` (their numbers) and `times` s; posterior means and covariances:
     `joints_2d (8, 2)` px, `joints_2d_covariances (8, 2, 2)`, `joints_3d (8, 3)`, `joints_3d_covariances (8,
-    3, 3)`, `angles (13,)`, `angle_covariances (13, 13)`; `samples (40, 8, 3)` px, joints of poses drawn from
-    the posterior; `seen (3,)`, whether the image has shown head, left hand and right hand (a hand before face
-    or neck does not count, since their skin may be all that was seen); `stationary`, whether nothing at all
-    was detected; `missing`, whether there was no image. `joint_names (8,)`,
-    `part_names (3,)` (of `seen`), `angle_names (13,)`, and the body's `length_names` and `lengths` px come
-    once. x is to the right, y down, z away from the viewer, 0 at the root; left is the person's own.
+    3, 3)`, `angles (16,)`, `angle_covariances (16, 16)`; `samples (40, 8, 3)` px, joints of poses drawn from
+    the posterior; `hypotheses (4,)`, probabilities of answers that differ in where the hands are, the best
+    one first, and `hypothesis_joints (4, 8, 3)` px, their means, NaN where there are fewer; `exchanged`, the
+    probability that left and right hand are exchanged; `seen (3,)`, whether the image has shown head, left
+    hand and right hand (a hand before face or neck does not count, since their skin may be all that was
+    seen); `stationary`, whether nothing at all was detected; `missing`, whether there was no image.
+    `joint_names (8,)`, `part_names (3,)` (of `seen`), `angle_names (16,)`, and the body's `length_names` and
+    `lengths` px come once. x is to the right, y down, z away from the viewer, 0 at the root; left is the
+    person's own.
 
     Parameters
     ----------
@@ -92,15 +96,19 @@ class BodyWriter(PoseWriter):
         self._record = record
         self._overlay = BodyOverlay(body.upper_arm + body.forearm)
 
-    def add(self, frame: Frame, samples: BodySamples, detected: Mask, seconds: float) -> Mapping[str, Any]:
+    def add(
+        self, frame: Frame, filtered: BodySamples, samples: BodySamples, detected: Mask, seconds: float
+    ) -> Mapping[str, Any]:
         """Take in a frame; its row of `poses.npz` is returned.
 
         Parameters
         ----------
         frame
             that was processed.
+        filtered
+            its posterior, given the frames up to it.
         samples
-            the posterior.
+            its posterior, given later ones as well.
         detected
             `(3,)`: which parts were taken for something in the image.
         seconds
@@ -110,6 +118,7 @@ class BodyWriter(PoseWriter):
         drawn = self._body.joints(samples.drawn(N_DRAWN, self._random))
         before_face = _before_face(found.joints[PART_JOINTS, :2], self._body.head_height)
         seen = detected & ~before_face
+        answers = hypotheses(self._body, samples, self._random)
         row = {
             "frames": np.int64(frame.number),
             "times": np.float64(frame.time),
@@ -120,15 +129,19 @@ class BodyWriter(PoseWriter):
             "angles": found.angles,
             "angle_covariances": found.angle_covariances,
             "samples": drawn.astype(np.float32),
+            "hypotheses": answers.weights,
+            "hypothesis_joints": answers.joints,
+            "exchanged": np.float64(answers.exchanged),
             "seen": seen,
-            "stationary": np.bool_(samples.stationary),
+            "stationary": np.bool_(filtered.stationary),
             "missing": np.bool_(frame.missing),
         }
-        shown = TrackedBody(
-            drawn, found.joints, found.joint_covariances, _state(frame, samples, detected, before_face)
-        )
+        state = _state(frame, filtered, detected, before_face)
+        if answers.second is not None:
+            state += f"{', ' * bool(state)}or as dashed, {100 * answers.weights[1]:.0f} %"
+        shown = TrackedBody(drawn, found.joints, found.joint_covariances, state, answers.second)
         drawing = self.write(frame, row, lambda image: self._overlay.draw(image, shown, caption(frame)))
-        self._record.add(frame, found, seen, samples, seconds, overlay=drawing)
+        self._record.add(frame, found, seen, filtered, answers, seconds, overlay=drawing)
         return row
 
 

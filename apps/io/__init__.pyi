@@ -2,6 +2,9 @@ from .detections.attached import with_boxes
 from .detections.read import read_detections
 from .detections.table import Detections
 from .ground_truth import BoxTruth, MaskTruth, read_ground_truth
+from .keypoints.attached import with_keypoints
+from .keypoints.read import read_keypoints
+from .keypoints.table import Keypoints
 from .masks import MaskWriter
 from .mot import TrackWriter, read_tracks
 from .point_files import read_points
@@ -11,6 +14,7 @@ from .track_files import frames_of_tracks
 __all__ = [
     "BoxTruth",
     "Detections",
+    "Keypoints",
     "MaskTruth",
     "MaskWriter",
     "Source",
@@ -19,7 +23,9 @@ __all__ = [
     "open_source",
     "read_detections",
     "read_ground_truth",
+    "read_keypoints",
     "read_points",
     "read_tracks",
     "with_boxes",
+    "with_keypoints",
 ]

@@ -9,7 +9,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
@@ -45,6 +45,25 @@ class Writer(AbstractContextManager[Any], Protocol):
         """Return when everything is on disk and readable."""
 
 
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A frame that was taken in.
+
+    Parameters
+    ----------
+    belief
+        after the frame.
+    found
+        what was read from it.
+    seconds
+        that both took.
+    """
+
+    belief: Belief
+    found: Any
+    seconds: float
+
+
 class _EndedEarlyError(Exception):
     """Leaves the writers' blocks in a way that they keep what a resumed run needs."""
 
@@ -55,7 +74,7 @@ class FilmRun(Run[F]):
     Attributes
     ----------
     source, engine, state
-        as they are while the run goes on; `state` is that after the last frame.
+        as they are while the run goes on; `state` is that after the last frame that is answered.
     record
         what report and summary need, with columns `numbers`, `missing` and `seconds` of the frames so far.
     before
@@ -78,6 +97,7 @@ class FilmRun(Run[F]):
         self.news: Sequence[str] = ()
         self._running: Running | None = None  # where somebody may look
         self._frames = SeenFrames(iter(()))
+        self._unsaved = 0  # frames answered since the last saved state
 
     # --- what an application says ---
 
@@ -124,6 +144,14 @@ class FilmRun(Run[F]):
     def found(self, belief: Belief) -> Any:
         """What is read from a belief, as part of the time of the frame."""
         return belief
+
+    def answered(self, steps: Iterator[Step]) -> Iterator[Step]:
+        """The frames as they are answered, in their order, each once.
+
+        An application that waits for what later frames say holds some back, without anything that is large.
+        What it holds is not saved: a run that is resumed takes these frames in again.
+        """
+        return steps
 
     @abstractmethod
     def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
@@ -304,33 +332,46 @@ class FilmRun(Run[F]):
             writers = [*self.writers(rate, number), film]
             for writer in writers:
                 stack.enter_context(writer)
-            unsaved = 0
-            for frame in frames:
-                before = time.perf_counter()
-                belief = self.engine.step(self.state, frame)
-                found = self.found(belief)
-                seconds = time.perf_counter() - before
-                self.state = belief.state
-                self.take_in(belief, found, seconds)
-                film.add(frame, self.drawn(belief, found))
-                if self._running is not None:
-                    self._running.take_in(frame, self.told(belief, found), self.news)
-                unsaved += 1
-                if unsaved == job.every:
-                    unsaved = 0
-                    self._checkpoint(writers)
+            for step in self.answered(self._steps(frames, writers)):
+                self._answer(step, film)
                 progress.update()
-            self._checkpoint(writers)
-            self._ended_early = bool(
-                self.interruption.signal is not None or self._frames.error or self.source.lost
-            )
             if self._ended_early and not self.source.live:  # which nobody can resume
                 raise _EndedEarlyError
+            self._checkpoint(writers)
+
+    def _steps(self, frames: Iterator[Frame], writers: Sequence[Writer]) -> Iterator[Step]:
+        """Take in frame after frame; when the next one is asked for, all that was answered is written."""
+        state = self.state
+        for frame in frames:
+            before = time.perf_counter()
+            belief = self.engine.step(state, frame)
+            found = self.found(belief)
+            state = belief.state
+            yield Step(belief, found, time.perf_counter() - before)
+            if self._unsaved >= self.job.every:
+                self._checkpoint(writers)
+        self._ended_early = bool(
+            self.interruption.signal is not None or self._frames.error or self.source.lost
+        )
+        if self._ended_early and not self.source.live:
+            # frames that are still held back will be answered better by a run that is resumed
+            self._checkpoint(writers)
+
+    def _answer(self, step: Step, film: FilmWriter) -> None:
+        """Write a frame, and show it."""
+        belief, found = step.belief, step.found
+        self.state = belief.state
+        self.take_in(belief, found, step.seconds)
+        film.add(belief.frame, self.drawn(belief, found))
+        if self._running is not None:
+            self._running.take_in(belief.frame, self.told(belief, found), self.news)
+        self._unsaved += 1
 
     def _checkpoint(self, writers: Sequence[Writer]) -> None:
         for writer in writers:
             writer.checkpoint()
         self._save()
+        self._unsaved = 0
         _log.info("state saved after frame %d", self.state.number)
 
     def _save(self, finished: dict[str, Any] | None = None) -> None:
@@ -339,7 +380,7 @@ class FilmRun(Run[F]):
             "live": self.source.live,
             "clock": time.time(),
             "before": self.before,
-            "blank": self.blank,
+            "blank": [number for number in self.blank if number <= self.state.number],
             "notes": self.notes,
         }
         SavedRun(about, self.state, self.memory()).save(self.job.out / STATE, self.chains, self.kinds)

@@ -18,6 +18,9 @@ FACE, FACE_EXPERT, EXPERT = 60, 1.5, 200_000
 BODY, SAMPLE = 180, 5_000
 """Bytes per pixel, and per sample."""
 
+KEPT_IMAGE, KEPT_SAMPLE = 24, 250
+"""Bytes per pixel and per sample of each frame that waits for later ones."""
+
 GIGA = 1e9
 
 

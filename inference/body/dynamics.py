@@ -1,6 +1,7 @@
 """How a person's upper body moves from frame to frame: p(x_t | x_t-1), to draw from and to evaluate."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from ...models.body.kernels.kinematics import lean
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import UpperBody
 from ...models.core.short_repr import short_repr
-from .kernels.dynamics import least_squares_to_rows, mixture_values
+from .kernels.dynamics import draw_terms, least_squares_to_rows, mixture_values
 
 Array = NDArray[np.float64]
 
@@ -58,10 +59,12 @@ class Ancestors:
 class BodyDynamics:
     """A random walk of the place and of the direction of every segment, in which an arm may also jump.
 
-    With the root r, the neck's rotation n and the directions u of upper arms and forearms, after dt seconds
+    With the root r, the rotations o of the torso and n of the neck and the directions of upper arms and
+    forearms, after dt seconds
 
         p(r | r') = N(r; r', place^2 dt)
         p(n | n') = N(n; k n', neck^2 (1 - k^2)),    k = exp(-dt / neck_time)
+        p(o | o') = N(o; l o', s^2 (1 - l^2)),       l = exp(-dt / torso_time),  s = (lean, turn, lean)
         p(arm | arm') = (1 - j) vMF(upper; upper', K) vMF(fore; fore', K') + j usual(arm),
                         j = 1 - exp(-jumps dt)
 
@@ -81,6 +84,11 @@ class BodyDynamics:
         whose lengths give the scale.
     place
         head heights after one second, standard deviation of each coordinate.
+    lean, turn
+        rad, standard deviations in the long run of the torso's lean, forwards and sideways, and of its turn.
+        Who sits and talks seldom leans by more than 17 degrees or turns by more than 34.
+    torso_time
+        s, in which they are forgotten: a torso moves slower than a head.
     neck
         rad, standard deviation of each rotation in the long run.
     neck_time
@@ -95,6 +103,9 @@ class BodyDynamics:
 
     body: UpperBody
     place: float = 0.3
+    lean: float = 0.15
+    turn: float = 0.3
+    torso_time: float = 2.0
     neck: float = 0.25
     neck_time: float = 1.0
     upper_arm: float = 0.6
@@ -103,7 +114,7 @@ class BodyDynamics:
     exchanges: float = 0.05
 
     def __post_init__(self) -> None:
-        for name in ("place", "neck", "neck_time", "upper_arm", "forearm"):
+        for name in ("place", "lean", "turn", "torso_time", "neck", "neck_time", "upper_arm", "forearm"):
             value = getattr(self, name)
             if not 0 < value < np.inf:
                 raise ValueError(f"{name}: got {value}, expected more than 0")
@@ -114,45 +125,76 @@ class BodyDynamics:
     def draw(self, poses: BodyPoses, dt: float, random: np.random.Generator) -> BodyPoses:
         """Move every pose by `dt` seconds at random."""
         n = len(poses)
-        place, neck, kept, concentrations, jump = self._rates(dt)
+        place, concentrations, jump = self._rates(dt)
+        kept, spread = self.turn_step(dt)
         roots = poses.roots + place * random.standard_normal((n, 2))
-        necks = kept * poses.necks + neck * random.standard_normal((n, 3))
+        torsos = kept[:3] * poses.torsos + spread[:3] * random.standard_normal((n, 3))
+        necks = kept[3:] * poses.necks + spread[3:] * random.standard_normal((n, 3))
         arms = np.stack(
             [around(poses.arms[:, :, part], concentrations[part], random) for part in (0, 1)], axis=2
         )
         jumping = random.random((n, 2)) < jump
         arms[jumping] = usual_arms(n, random)[jumping]
-        return BodyPoses(roots, necks, arms)
+        return BodyPoses(roots, torsos, necks, arms)
 
     def log_density(self, poses: BodyPoses, ancestors: Ancestors) -> Array:
         """`(n,)` nats: log of the mixture of p(x | ancestor) over ancestors, with `log_posture`.
 
-        Density in px^2 of the place, rad^3 of the neck's rotations and solid angle of the four directions.
+        Density in px^2 of the place, rad^3 each of the rotations of torso and neck and solid angle of the
+        four directions.
         The sum is taken relative to its largest place, and an arm's factor has a floor, so that nothing
         underflows. The cost is the number of poses times that of ancestors.
         """
-        place, neck, kept, concentrations, jump = self._rates(ancestors.elapsed)
+        terms, log_scales = self._terms(poses, ancestors)
+        values = np.empty(len(poses), np.float32)
+        mixture_values(*terms, values)
+        return np.asarray(
+            log_scales + np.log(values.astype(np.float64)) + self.log_posture(poses, ancestors.elapsed)
+        )
+
+    def log_step(self, poses: BodyPoses, before: BodyPoses, dt: float) -> Array:
+        """`(n,)` nats: log of p(x | x') of each pose and its own `dt` seconds before, as `log_density`."""
+        place, concentrations, jump = self._rates(dt)
+        kept, spread = self.turn_step(dt)
+        steps = [(poses.roots - before.roots) / place, (poses.turns - kept * before.turns) / spread]
+        squares = np.square(np.concatenate(steps, axis=1)).sum(axis=1)
+        peak = (1 - jump) * _peak(concentrations).prod()
+        turned = (((poses.arms * before.arms).sum(axis=3) - 1) * concentrations).sum(axis=2)
+        arms = np.log(peak * np.exp(turned) + jump * np.exp(_log_usual(poses.arms))).sum(axis=1)
+        gaussian = -4 * np.log(2 * np.pi) - 2 * np.log(place) - np.log(spread).sum()
+        return np.asarray(gaussian - 0.5 * squares + arms + self.log_posture(poses, dt))
+
+    def draw_ancestors(
+        self, poses: BodyPoses, ancestors: Ancestors, random: np.random.Generator
+    ) -> NDArray[np.int64]:
+        """`(n,)` indices: for each pose one of the ancestors, drawn from p(ancestor | pose), in proportion to
+        its weight times p(x | ancestor). The cost is that of `log_density`."""
+        chosen = np.empty(len(poses), np.int64)
+        draw_terms(*self._terms(poses, ancestors)[0], random.random(len(poses)), chosen)
+        return chosen
+
+    def _terms(self, poses: BodyPoses, ancestors: Ancestors) -> tuple[tuple[Any, ...], Array]:
+        """What `mixture_values` takes, and `(n,)` nats: by what its values are too small."""
+        place, concentrations, jump = self._rates(ancestors.elapsed)
+        kept, spread = self.turn_step(ancestors.elapsed)
         past = ancestors.poses
         origin = past.roots.mean(axis=0)
-        here = np.concatenate([(poses.roots - origin) / place, poses.necks / neck], axis=1)
-        there = np.concatenate([(past.roots - origin) / place, kept * past.necks / neck], axis=1)
+        here = np.concatenate([(poses.roots - origin) / place, poses.turns / spread], axis=1)
+        there = np.concatenate([(past.roots - origin) / place, kept * past.turns / spread], axis=1)
         peak = (1 - jump) * _peak(concentrations).prod()
         jumped = jump * np.exp(_log_usual(poses.arms))
         floors = np.maximum(jumped / peak, LEAST_FLOOR).astype(np.float32)
         body, rows = here.astype(np.float32), np.ascontiguousarray(there.T, np.float32)
         least = np.empty(len(poses), np.float32)
         least_squares_to_rows(body, rows, least)
-        values = np.empty(len(poses), np.float32)
-        mixture_values(
+        terms = (
             body, rows, least,
             poses.arms.reshape(-1, 12).astype(np.float32),
             np.ascontiguousarray(past.arms.reshape(-1, 12).T, np.float32),
-            ancestors.weights.astype(np.float32), concentrations.astype(np.float32),
-            floors, values,
+            ancestors.weights.astype(np.float32), concentrations.astype(np.float32), floors,
         )  # fmt: skip
-        gaussian = -np.log(2 * np.pi * place**2) - 1.5 * np.log(2 * np.pi * neck**2)
-        walk = gaussian + 2 * np.log(peak) + np.log(values.astype(np.float64)) - 0.5 * least
-        return np.asarray(walk + self.log_posture(poses, ancestors.elapsed))
+        gaussian = -4 * np.log(2 * np.pi) - 2 * np.log(place) - np.log(spread).sum()
+        return terms, gaussian + 2 * np.log(peak) - 0.5 * least
 
     def log_posture(self, poses: BodyPoses, dt: float = CROSSED_TIME) -> Array:
         """`(n,)` nats, at most 0: how much less usual a posture is than one with each hand on its own side.
@@ -181,7 +223,7 @@ class BodyDynamics:
                 self.body, side, offsets, random.uniform(-np.pi, np.pi, len(poses))
             )
             within &= reached
-        exchanged = BodyPoses(poses.roots, poses.necks, arms)
+        exchanged = BodyPoses(poses.roots, poses.torsos, poses.necks, arms)
         chosen = np.flatnonzero(within)
         chosen = chosen[self.body.allowed(exchanged.take(chosen))]
         share = float(-0.5 * np.expm1(-2 * self.exchanges * ancestors.elapsed))  # or exchanged back
@@ -200,10 +242,11 @@ class BodyDynamics:
         """
         height, width = size
         roots = random.random((n, 2)) * (width, height)
-        poses = BodyPoses(roots, np.zeros((n, 3)), np.empty((n, 2, 2, 3)))
+        poses = BodyPoses(roots, np.zeros((n, 3)), np.zeros((n, 3)), np.empty((n, 2, 2, 3)))
         wrong = np.arange(n)
         while len(wrong):
-            poses.necks[wrong] = self.neck * random.standard_normal((len(wrong), 3))
+            turns = self.turn_spreads * random.standard_normal((len(wrong), 6))
+            poses.torsos[wrong], poses.necks[wrong] = turns[:, :3], turns[:, 3:]
             poses.arms[wrong] = usual_arms(len(wrong), random)
             wrong = wrong[~self.body.allowed(poses.take(wrong))]
         return poses
@@ -211,23 +254,27 @@ class BodyDynamics:
     def log_density_anywhere(self, poses: BodyPoses, size: tuple[int, int]) -> Array:
         """`(n,)` log density of `draw_anywhere` times that of the posture, but for a constant factor."""
         height, width = size
-        square = (poses.necks**2).sum(axis=1) / self.neck**2
         place = -np.log(float(height) * width)
-        neck = -1.5 * np.log(2 * np.pi * self.neck**2) - 0.5 * square
-        return np.asarray(place + neck + _log_usual(poses.arms).sum(axis=1) + self.log_posture(poses))
+        turns = -3 * np.log(2 * np.pi) - np.log(self.turn_spreads).sum()
+        turns -= 0.5 * ((poses.turns / self.turn_spreads) ** 2).sum(axis=1)
+        return np.asarray(place + turns + _log_usual(poses.arms).sum(axis=1) + self.log_posture(poses))
 
-    def neck_step(self, dt: float) -> tuple[float, float]:
-        """Share of a neck's rotation left after `dt` seconds, and standard deviation of what comes."""
-        kept = float(np.exp(-dt / self.neck_time))
-        return kept, self.neck * float(np.sqrt(-np.expm1(-2 * dt / self.neck_time)))
+    @property
+    def turn_spreads(self) -> Array:
+        """`(6,)` rad: standard deviations of `BodyPoses.turns` in the long run."""
+        return np.array([self.lean, self.turn, self.lean, self.neck, self.neck, self.neck])
 
-    def _rates(self, dt: float) -> tuple[float, float, float, Array, float]:
-        """Standard deviations of place (px) and neck, share of the neck kept, concentrations, jumps."""
-        kept, neck = self.neck_step(dt)
+    def turn_step(self, dt: float) -> tuple[Array, Array]:
+        """Shares of `BodyPoses.turns` left after `dt` s, standard deviations of what comes; each `(6,)`."""
+        times = np.repeat([self.torso_time, self.neck_time], 3)
+        return np.exp(-dt / times), self.turn_spreads * np.sqrt(-np.expm1(-2 * dt / times))
+
+    def _rates(self, dt: float) -> tuple[float, Array, float]:
+        """Standard deviation of place (px), concentrations of the arms' directions, chance of a jump."""
         place = self.place * self.body.head_height * float(np.sqrt(dt))
         concentrations = concentration(np.array([self.upper_arm, self.forearm]) ** 2 * dt)
         jump = min(float(-np.expm1(-self.jumps * dt)), MOST_JUMPS)
-        return place, neck, kept, concentrations, jump
+        return place, concentrations, jump
 
 
 def concentration(elapsed: Array) -> Array:
@@ -244,7 +291,7 @@ def concentration(elapsed: Array) -> Array:
     return np.asarray(kappa)
 
 
-def around(directions: Array, concentration: float, random: np.random.Generator) -> Array:
+def around(directions: Array, concentration: Array | float, random: np.random.Generator) -> Array:
     """Draw unit vectors from von Mises and Fisher's density about `directions`, `(..., 3)`.
 
     On the sphere the cosine to the middle has an inverse distribution in closed form.

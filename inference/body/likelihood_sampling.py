@@ -49,9 +49,9 @@ class Proposal:
 class LikelihoodSampler:
     """Draws poses from mixtures of head and hands.
 
-    The neck is drawn from its dynamics. Depth of a hand and swivel of an elbow are drawn around those of a
-    pose of the frame before, or else evenly over all that the arm can reach, which finds an arm again of
-    which the past is wrong. (The paper draws them without the past.)
+    Torso and neck are drawn from their dynamics. Depth of a hand, from its shoulder, and swivel of an elbow
+    are drawn around those of a pose of the frame before, or else evenly over all that the arm can reach,
+    which finds an arm again of which the past is wrong. (The paper draws them without the past.)
 
     Parameters
     ----------
@@ -102,27 +102,26 @@ class LikelihoodSampler:
         places = np.stack([draw_mixture(mixtures, part, n, random) for part in range(3)], axis=1)
         if past is None:
             near = None
-            necks = dynamics.neck * random.standard_normal((n, 3))
+            turns = dynamics.turn_spreads * random.standard_normal((n, 6))
         else:
             chosen = random.permutation(systematic(np.log(past.weights), n, random))
-            kept, spread = dynamics.neck_step(past.elapsed)
-            necks = kept * past.poses.necks[chosen] + spread * random.standard_normal((n, 3))
+            kept, spread = dynamics.turn_step(past.elapsed)
+            turns = kept * past.poses.turns[chosen] + spread * random.standard_normal((n, 6))
             near = _Hidden.of(self, past).take(chosen)
-        heads = body.joints(BodyPoses(np.zeros((n, 2)), necks, np.zeros((n, 2, 2, 3))))[:, 0, :2]
-        roots = places[:, 0] - heads
+        torsos, necks = turns[:, :3].copy(), turns[:, 3:].copy()
+        trunks = BodyPoses(np.zeros((n, 2)), torsos, necks, np.zeros((n, 2, 2, 3)))
+        roots = places[:, 0] - body.parts(trunks)[:, 0]
+        shoulders = body.shoulders(trunks)[:, :, :2] + roots[:, None]
         arms = np.empty((n, 2, 2, 3))
         possible = np.ones(n, np.bool_)
         for side in (0, 1):
             offsets = np.zeros((n, 3))
-            offsets[:, :2] = places[:, 1 + side] - self._shoulders(roots, side)
+            offsets[:, :2] = places[:, 1 + side] - shoulders[:, side]
             offsets[:, 2], angles = self._complete(side, offsets, near, random)
             arms[:, side], within = arm_at(body, side, offsets, angles)
             possible &= within
-        poses = BodyPoses(roots, necks, arms).take(possible)
+        poses = BodyPoses(roots, torsos, necks, arms).take(possible)
         return poses.take(body.allowed(poses))
-
-    def _shoulders(self, roots: Array, side: int) -> Array:
-        return np.asarray(roots + np.array([(0.5 - side) * self.body.shoulder_width, 0.0]))
 
     def _half_range(self, offsets: Array) -> Array:
         """`(n,)` px: greatest depth of a hand at `offsets` `(n, 2)` from its shoulder, either way."""
@@ -154,18 +153,18 @@ class LikelihoodSampler:
             total += log_volume(body, offsets)
             evenly[:, side] = 1 / (4 * np.pi * self._half_range(offsets[:, :2]))
         if past is None:
-            square = (poses.necks**2).sum(axis=1) / dynamics.neck**2
+            square = ((poses.turns / dynamics.turn_spreads) ** 2).sum(axis=1)
             return np.asarray(total - 0.5 * square + np.log(evenly).sum(axis=1))
         here, there = _Hidden.of(self, Ancestors(poses, past.weights, past.elapsed)), _Hidden.of(self, past)
-        kept, spread = dynamics.neck_step(past.elapsed)
-        necks = (poses.necks / spread).astype(np.float32)
-        rows = np.ascontiguousarray((kept * past.poses.necks / spread).T, np.float32)
+        kept, spread = dynamics.turn_step(past.elapsed)
+        turns = (poses.turns / spread).astype(np.float32)
+        rows = np.ascontiguousarray((kept * past.poses.turns / spread).T, np.float32)
         least = np.empty(len(poses), np.float32)
-        least_squares_to_rows(necks, rows, least)
+        least_squares_to_rows(turns, rows, least)
         peak = (1 - self.anywhere) * here.peak
         values = np.empty(len(poses), np.float32)
         completion_values(
-            necks, rows, least,
+            turns, rows, least,
             here.coordinates.astype(np.float32), np.ascontiguousarray(there.coordinates.T, np.float32),
             past.weights.astype(np.float32), (self.anywhere * evenly / peak).astype(np.float32), values,
         )  # fmt: skip
@@ -176,7 +175,7 @@ class LikelihoodSampler:
 class _Hidden:
     """Of each arm what head and hands in the picture do not tell: depth of the hand, swivel of the elbow."""
 
-    depths: Array  # (n, 2) px
+    depths: Array  # (n, 2) px, from the shoulder
     swivels: Array  # (n, 2) rad
     spread: float  # px, of a depth around another
     concentration: float  # of a swivel around another
@@ -190,7 +189,7 @@ class _Hidden:
         spread = scale * np.hypot(body.upper_arm * dynamics.upper_arm, body.forearm * dynamics.forearm)
         # an elbow turns about the line to the hand, from which it is half an upper arm away, say
         turn = scale * 2 * dynamics.upper_arm
-        return cls(joints[:, [4, 7], 2], angles, float(spread), 1 / turn**2)
+        return cls(joints[:, [4, 7], 2] - joints[:, [2, 5], 2], angles, float(spread), 1 / turn**2)
 
     def take(self, chosen: NDArray[np.int64]) -> "_Hidden":
         return _Hidden(self.depths[chosen], self.swivels[chosen], self.spread, self.concentration)

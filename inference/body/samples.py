@@ -157,7 +157,7 @@ class BodyMoments:
     joints, joint_covariances
         `(8, 3)` px and `(8, 3, 3)` px^2, in the order of `models.body.upper_body.JOINTS`.
     angles, angle_covariances
-        `(13,)` and `(13, 13)`, px and rad, of `BodyPoses.angles`.
+        `(16,)` and `(16, 16)`, px and rad, of `BodyPoses.angles`.
     """
 
     joints: Array
@@ -171,7 +171,7 @@ def moments(body: UpperBody, samples: BodySamples) -> BodyMoments:
     weights = samples.weights
     mean, covariance = weighted_moments(body.joints(samples.poses), weights)
     angles = samples.poses.angles
-    typical = weights @ angles
+    typical = np.einsum("n,na->a", weights, angles)
     away = angles - typical
     return BodyMoments(mean, covariance, typical, np.einsum("n,na,nb->ab", weights, away, away))
 
@@ -199,7 +199,7 @@ def part_message(body: UpperBody, poses: BodyPoses, weights: Array, groups: int)
     for part in range(len(PARTS)):
         masses, centres, spreads = _grouped(places[:, part], weights, groups)
         log_weights.append(np.append(masses + np.log1p(-MISTAKEN), np.log(MISTAKEN)))
-        means.append(np.concatenate([centres, (weights @ places[:, part])[None]]))
+        means.append(np.concatenate([centres, np.einsum("n,nx->x", weights, places[:, part])[None]]))
         covariances.append(np.concatenate([spreads, broad[part] * np.eye(2)[None]]))
     return PartMessage(GaussianMixtures.of_parts(log_weights, means, covariances))
 
@@ -212,10 +212,11 @@ def copied(random: np.random.Generator) -> np.random.Generator:
 
 
 def _grouped(places: Array, weights: Array, groups: int) -> Sequence[Array]:
-    mean = weights @ places
+    # einsum, since sums of linear algebra depend on its number of threads
+    mean = np.einsum("n,nx->x", weights, places)
     apart = places - mean
-    axes = np.linalg.eigh((weights[:, None] * apart).T @ apart)[1]
-    order = np.argsort(apart @ axes[:, 1], kind="stable")
+    axes = np.linalg.eigh(np.einsum("n,nx,ny->xy", weights, apart, apart))[1]
+    order = np.argsort(np.einsum("nx,x->n", apart, axes[:, 1]), kind="stable")
     n = len(order) // groups * groups
     # the few that are left over go to the last group
     numbers = np.minimum(np.arange(len(order)) // max(n // groups, 1), groups - 1)
@@ -224,7 +225,7 @@ def _grouped(places: Array, weights: Array, groups: int) -> Sequence[Array]:
     mass = membership.sum(axis=1)
     used = mass > 0
     share = membership[used] / mass[used, None]
-    means = share @ places
+    means = np.einsum("gn,nx->gx", share, places)
     steps = places - means[:, None]
     covariances = np.einsum("gn,gnx,gny->gxy", share, steps, steps) + LEAST_SPREAD**2 * np.eye(2)
     return np.log(mass[used]), means, covariances

@@ -35,8 +35,9 @@ as the image makes them."""
 A_FRAME = 0.04
 """s"""
 
-BLOCKS = 5
-"""What moves at a time: place and neck; left or right arm; either arm while its hand is seen where it was."""
+BLOCKS = 6
+"""What moves at a time: place and neck; left or right arm; either arm while its hand is seen where it was;
+the torso while both hands and the swivels of the elbows stay."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ def temper(
         poses, likelihood, prior = poses.take(chosen), likelihood[chosen], prior[chosen]
         log_weights = np.zeros(n)
         for _ in range(MOVES):
-            moved, correction = _moved(dynamics, poses, random)
+            moved, correction = perturbed(dynamics, poses, random)
             new_prior = log_prior(moved)
             possible = np.flatnonzero(np.isfinite(new_prior) & np.isfinite(correction))
             new_likelihood = np.full(n, -np.inf)
@@ -117,6 +118,7 @@ def temper(
             takes = np.log(random.random(n)) < gain
             poses = BodyPoses(
                 np.where(takes[:, None], moved.roots, poses.roots),
+                np.where(takes[:, None], moved.torsos, poses.torsos),
                 np.where(takes[:, None], moved.necks, poses.necks),
                 np.where(takes[:, None, None, None], moved.arms, poses.arms),
             )
@@ -148,31 +150,40 @@ def _rise(log_weights: Array, likelihood: Array, most: float) -> float:
     return max(low, 0.02 * most)
 
 
-def _moved(dynamics: BodyDynamics, poses: BodyPoses, random: np.random.Generator) -> tuple[BodyPoses, Array]:
+def perturbed(
+    dynamics: BodyDynamics, poses: BodyPoses, random: np.random.Generator
+) -> tuple[BodyPoses, Array]:
     """Each pose changed in one of the blocks, and the log of what makes the change symmetric (`(n,)`)."""
     n, body = len(poses), dynamics.body
     block = random.integers(BLOCKS, size=n)
     scale = np.array(SCALES)[random.integers(len(SCALES), size=n)]
     pace = np.sqrt(A_FRAME)
-    roots, necks, arms = poses.roots.copy(), poses.necks.copy(), poses.arms.copy()
+    roots, torsos, necks, arms = (
+        each.copy() for each in (poses.roots, poses.torsos, poses.necks, poses.arms)
+    )
     correction = np.zeros(n)
     whole = np.flatnonzero(block == 0)
     size = scale[whole, None]
     roots[whole] += size * dynamics.place * body.head_height * pace * random.standard_normal((len(whole), 2))
     necks[whole] += size * dynamics.neck * pace * random.standard_normal((len(whole), 3))
+    leaning = np.flatnonzero(block == 5)
+    steps = dynamics.turn_spreads[:3] * random.standard_normal((len(leaning), 3))
+    torsos[leaning] += scale[leaning, None] * pace * steps
+    shifts = body.shoulders(poses) - body.shoulders(BodyPoses(roots, torsos, necks, arms))
     for side in (0, 1):
         free = np.flatnonzero(block == 1 + side)
         for part, rate in enumerate((dynamics.upper_arm, dynamics.forearm)):
             spread = scale[free] * rate * pace
             arms[free, side, part] = around(arms[free, side, part], 1 / spread**2, random)
-        kept = np.flatnonzero(block == 3 + side)
-        size = scale[kept] * pace
+        kept = np.flatnonzero((block == 3 + side) | (block == 5))
+        size = np.where(block[kept] == 5, 0.0, scale[kept] * pace)
         offsets = body.upper_arm * arms[kept, side, 0] + body.forearm * arms[kept, side, 1]
         angles = swivels(side, arms[kept, side], body)
         angles = angles + 2 * dynamics.upper_arm * size * random.standard_normal(len(kept))
         before = log_volume(body, offsets)
         reach = np.hypot(body.upper_arm * dynamics.upper_arm, body.forearm * dynamics.forearm)
+        offsets += shifts[kept, side]
         offsets[:, 2] += reach * size * random.standard_normal(len(kept))
         arms[kept, side], within = arm_at(body, side, offsets, angles)
-        correction[kept] = np.where(within, before - log_volume(body, offsets), -np.inf)
-    return BodyPoses(roots, necks, arms), correction
+        correction[kept] += np.where(within, before - log_volume(body, offsets), -np.inf)
+    return BodyPoses(roots, torsos, necks, arms), correction

@@ -13,6 +13,7 @@ from .kernels.likelihood import (
     blob_terms,
     edge_features,
     edge_terms,
+    forearm_terms,
     hand_terms,
     head_terms,
     over_density,
@@ -37,6 +38,9 @@ SKIN_SCORES = (11.0, -1.0, 0.2)
 With these a hand's place is known to about 0.07 head heights, as real hands are off their model by. Skin is
 hidden in bursts, where frame after frame says the same: the second must not drive a hand to the face."""
 
+BARE_SCORES = (6.0, -4.0, 0.2)
+"""The same of a bare forearm across the line of sight: half of what as much skin in a hand would say."""
+
 LEVELS = 256
 """Entries of tables over distances and directions."""
 
@@ -52,8 +56,8 @@ NECK_RADIUS, NO_NECK = 0.28, -9.0
 BLOB_COST = 4.0
 """Nats: of what looks like a hand and is neither hand nor head."""
 
-BLOB_REACH = (0.6, 0.35, 0.35)
-"""Head heights: within which head and hands explain a blob."""
+BLOB_REACH = (0.6, 0.35, 0.35, 0.25)
+"""Head heights: within which head, hands and bare forearms explain a blob."""
 
 EDGE_SPREAD = 0.05
 """Head heights: standard deviation of an edge about the outline of a body that is only nearly right."""
@@ -137,30 +141,49 @@ class ImageLikelihood:
         return total
 
     def terms(self, poses: BodyPoses) -> Array:
-        """`(3, n)` nats: what face, skin and edges say, each up to a constant.
+        """`(4, n)` nats: what face, skin, edges and keypoints say, each up to a constant.
 
         The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of skin
         stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,
-        skin that looks like one more hand with `blob_terms`, the outline with `edge_terms`.
+        skin that looks like one more hand with `blob_terms`, bare forearms with `forearm_terms`, the outline
+        with `edge_terms`, points of a detector with `SeenKeypoints.log_ratios`.
         """
         body, image = self.body, self.image
-        parts = body.parts(poses)
-        terms = np.zeros((3, len(poses)))
+        joints = body.joints(poses)[:, :, :2]
+        parts = joints[:, [0, 4, 7]]
+        terms = np.zeros((4, len(poses)))
         terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
         if self.head is not None:
             head_terms(parts[:, 0], self.head, _scales(self.head, image), np.array(HEAD_SCORES), terms[0])
         if self.skin is not None:
-            hand = hand_model(body, NECK_RADIUS if image.moving_skin is image.skin else NO_NECK)
-            hand_terms(parts, poses.roots, *self.skin, _scales(self.skin[0], image), hand, terms[1])
-            # the odds that a blob is a hand; what is hardly one need not be explained
-            costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
-            blob_terms(parts, image.blobs, costs, body.head_height * np.array(BLOB_REACH), terms[1])
+            terms[1] = self._skin_terms(self.skin, parts, poses.roots, joints[:, [3, 6]])
         outlines = silhouettes(body, poses)
         edge_terms(
             outlines.points, outlines.normals, outlines.visible, self.edges, EDGE_POINTS,
             np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)]), NO_EDGE, terms[2],
         )  # fmt: skip
+        if image.keypoints is not None:
+            terms[3] = image.keypoints.log_ratios(body, poses)
         return terms
+
+    def _skin_terms(self, skin: tuple[Map, Map], parts: Array, roots: Array, elbows: Array) -> Array:
+        """`(n,)` nats of hands and blobs: log of the mixture of bare forearms and such in sleeves."""
+        body, image = self.body, self.image
+        hand = hand_model(body, NECK_RADIUS if image.moving_skin is image.skin else NO_NECK)
+        scales = _scales(skin[0], image)
+        # the odds that a blob is a hand; what is hardly one need not be explained
+        costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
+        reach = body.head_height * np.array(BLOB_REACH)
+        ratios = np.full((2, len(parts)), -np.inf)
+        for bare, probability in enumerate((1 - image.bare, image.bare)):
+            if probability > 0:
+                ratio = np.full(len(parts), np.log(probability))
+                hand_terms(parts, roots, elbows, *skin, scales, hand, bool(bare), ratio)
+                blob_terms(parts, elbows, image.blobs, costs, reach, bool(bare), ratio)
+                if bare:
+                    forearm_terms(parts, roots, elbows, skin[0], scales, hand, ratio)
+                ratios[bare] = ratio
+        return np.asarray(np.logaddexp(*ratios))
 
 
 def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS) -> HandModel:
@@ -171,6 +194,8 @@ def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS) -> HandModel:
         0.5 * np.array([body.head_width, body.head_height]),
         neck_radius * body.head_height,
         np.array(SKIN_SCORES),
+        np.array([body.forearm, 0.25 * (body.forearm_width + body.wrist_width)]),
+        np.array(BARE_SCORES),
     )
 
 

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.drawing import draw_region
-from ..core.frame import Frame
+from ..core.frame import BoundingBox, Frame
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from .image_features import BodyImage, edge_distances
+from .keypoints import SeenKeypoints
 from .part_message import PartMessage
+from .person.bare_arms import bare_probability, hand_area
+from .person.faces import OtherFaces, face_at, largest_face, one_person
 from .skin_blobs import SkinBlobs, skin_blobs
 from .skin_colour import HIGHEST, SkinColour
 from .static_skin import static_skin
@@ -78,12 +81,18 @@ class BodyParts:
         of faces; without it, the head is where a head's size of skin is.
     static_skin
         `(height, width)` nats: `static_skin` of the clip, from which hands are distinguished.
+    bare
+        probability that forearms are bare: of skin, as hands are.
+    others
+        where other people's faces are seen.
     """
 
     head_height: float
     skin: SkinColour | None = None
     detector: PartDetector | None = None
     static_skin: NDArray[np.float32] | None = None
+    bare: float = 0.0
+    others: OtherFaces | None = None
     name: str = "parts"
 
     searches = True
@@ -93,8 +102,25 @@ class BodyParts:
             raise ValueError(f"head_height: got {self.head_height} px, expected more than 0")
 
     @classmethod
-    def learned(cls, images: Sequence[NDArray[np.uint8]], detector: PartDetector) -> Self:
+    def learned(
+        cls,
+        images: Sequence[NDArray[np.uint8]],
+        detector: PartDetector,
+        face: BoundingBox | None = None,
+    ) -> Self:
         """Learn the head's size and the skin's colour from the faces found in some frames of a clip.
+
+        Of several people it is the one whose face is largest, unless `face` tells; faces of others are
+        expected where they are seen.
+
+        Parameters
+        ----------
+        images
+            frames of the clip.
+        detector
+            of faces.
+        face
+            x, y, width, height px: about where the person's is in the first image in which there are any.
 
         Raises
         ------
@@ -104,20 +130,31 @@ class BodyParts:
         chosen = np.unique(
             np.linspace(0, len(images) - 1, min(len(images), CALIBRATION_FRAMES)).round().astype(int)
         )
-        seen, boxes = [], []
-        for number in chosen:
-            found = detector(Frame(images[number], 0.0, int(number) + 1))
-            if len(found):
-                seen.append(images[number])
-                boxes.append(found[0])
-        if not seen:
+        found = [detector(Frame(images[number], 0.0, int(number) + 1)) for number in chosen]
+        if not any(map(len, found)):
             raise ValueError(f"images: got no face in {len(chosen)} of {len(images)}, expected one at least")
-        height = float(np.median([box[3] for box in boxes]))
+        own = one_person(found, largest_face(found) if face is None else face_at(found, np.array(face)))
+        seen = [images[number] for number, one in zip(chosen, own, strict=True) if one is not None]
+        boxes = np.array([faces[one] for faces, one in zip(found, own, strict=True) if one is not None])
+        height = float(np.median(boxes[:, 3]))
         if isinstance(detector, HaarFaces):
             detector = replace(detector, height=height)
-        skin = SkinColour.learned(seen, np.array(boxes))
+        skin = SkinColour.learned(seen, boxes)
         still = None if skin is None else static_skin(skin, [images[number] for number in chosen])
-        return cls(HEAD_OF_BOX * height, skin, detector, still)
+        known = cls(HEAD_OF_BOX * height, skin, detector, still, others=OtherFaces.learned(found, own))
+        return replace(known, bare=known.bare_forearms(seen, boxes))
+
+    def bare_forearms(self, images: Sequence[NDArray[np.uint8]], boxes: Array) -> float:
+        """Probability that forearms are bare, from images and the person's face in each, `(n, 4)` px."""
+        if self.skin is None:
+            return 0.0
+        height, areas = self.head_height, []
+        for image, box in zip(images, boxes, strict=True):
+            centre = box[None, :2] + box[None, 2:] * (0.5, CENTRE_OF_BOX)
+            ellipses = [_ellipses(centre, shape, height) for shape in (HEAD_ELLIPSE, NECK_ELLIPSE)]
+            skin = self._moving(self.skin.log_odds(image), ellipses[0])
+            areas.append(hand_area(skin, np.concatenate(ellipses), HAND_RADIUS * height, height))
+        return bare_probability(areas)
 
     def uniform(self) -> PartMessage:
         """The message that says nothing."""
@@ -136,7 +173,8 @@ class BodyParts:
         frame
             of a missing one, nothing is said.
         prior
-            shows where the head is when no face is detected, so that hands are distinguished from its skin.
+            shows where the head is when no face is detected, so that hands are distinguished from its skin;
+            and whose of several persons' keypoints count.
         """
         image = frame.image
         if image is None:
@@ -151,9 +189,12 @@ class BodyParts:
         covariances = np.broadcast_to(spread, (len(faces), 2, 2)).copy()
         heads = SkinBlobs(centres, covariances, np.zeros(len(faces)))
         hands, moving = SkinBlobs.none(), None
-        found, false = FACE_FOUND, FALSE_FACES
+        area = image.shape[0] * image.shape[1]
+        found, false = FACE_FOUND, np.full(len(faces), FALSE_FACES / area)
+        if self.others is not None:
+            false += self.others.density(faces[:, :2] + 0.5 * faces[:, 2:])
         if skin is not None:
-            known = centres if len(faces) else self._known_head(prior, image.shape)
+            known = self._with_known_head(centres, prior, image.shape)
             faces_there = _ellipses(known, HEAD_ELLIPSE, height)
             moving = self._moving(skin, faces_there)
             bare = (
@@ -161,21 +202,28 @@ class BodyParts:
             )
             hands = skin_blobs(moving, HAND_RADIUS * height, np.concatenate(bare))
             if not len(faces):
-                heads, found, false = skin_blobs(skin, HEAD_BLOB * height), HEAD_SKIN, FALSE_HEADS
-        area = image.shape[0] * image.shape[1]
+                heads, found = skin_blobs(skin, HEAD_BLOB * height), HEAD_SKIN
+                false = np.full(len(heads.means), FALSE_HEADS / area)
         hand_weights = np.log(HAND_FOUND * area / FALSE_HANDS) + hands.log_weights
         lost_head = np.log(1 - found) if len(heads.means) else 0.0
         lost_hand = np.log(1 - HAND_FOUND) if len(hands.means) else 0.0
         numbers = np.arange(len(hands.means))
         mixtures = GaussianMixtures.of_parts(
-            [np.log(found * area / false) + heads.log_weights, hand_weights, hand_weights],
+            [np.log(found / false) + heads.log_weights, hand_weights, hand_weights],
             [heads.means, hands.means, hands.means],
             [heads.covariances, hands.covariances, hands.covariances],
             [lost_head, lost_hand, lost_hand],
             [len(numbers) + np.arange(len(heads.means)), numbers, numbers],
         )
         edges, directions = edge_distances(image, EDGE_REACH * height)
-        seen = BodyImage(skin, moving, edges, directions, hands.means, hands.log_weights, mixtures)
+        points = None
+        if frame.keypoints is not None:
+            points = SeenKeypoints.of(frame.keypoints, self._heads(centres, prior, image.shape), height)
+        if points is not None:
+            mixtures = mixtures * points.mixtures(len(numbers) + len(heads.means))
+        seen = BodyImage(
+            skin, moving, edges, directions, hands.means, hands.log_weights, mixtures, points, self.bare
+        )
         return PartMessage(self.uniform().stacked, seen)
 
     def draw(self, picture: NDArray[np.uint8], belief: PartMessage) -> None:
@@ -193,6 +241,17 @@ class BodyParts:
         for x, y, across, down in faces:
             cv2.ellipse(still, ((x, y), (2 * across, 2 * down), 0.0), 0.0, cv2.FILLED)
         return np.asarray(np.maximum(skin - still, np.float32(-HIGHEST)))
+
+    def _heads(self, faces: Array, prior: PartMessage, shape: tuple[int, ...]) -> Array:
+        """`(k, 2)` px: where the head is by what the chains know, or else by faces `(k, 2)`."""
+        known = self._known_head(prior, shape)
+        return known if len(known) else faces
+
+    def _with_known_head(self, faces: Array, prior: PartMessage, shape: tuple[int, ...]) -> Array:
+        """`(k, 2)` px: heads of faces, and this one, if the chains know it and none of the faces is there."""
+        known = self._known_head(prior, shape)
+        near = np.linalg.norm(faces[:, None] - known, axis=2) < self.head_height
+        return faces if near.any() else np.concatenate([faces, known])
 
     def _known_head(self, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: the head's centre, k = 1, if the chains know it."""

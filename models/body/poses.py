@@ -1,4 +1,4 @@
-"""Poses of an upper body, many at once: where it is, how its neck turns, where its arms point."""
+"""Poses of an upper body, many at once: where it is, how torso and neck turn, where its arms point."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,22 +12,27 @@ from ..numerics.rotations import logarithm
 
 Array = NDArray[np.float64]
 
-ANGLES = 13
-"""Degrees of freedom: two of the root, three of the neck, three of each shoulder, one of each elbow."""
+ANGLES = 16
+"""Degrees of freedom: two of the root, three of torso and neck each, three of a shoulder, one of an elbow."""
 
 
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BodyPoses:
-    """Poses of an upper body with 13 degrees of freedom, one an entry (RSMCM paper §4.1).
+    """Poses of an upper body with 16 degrees of freedom, one an entry (RSMCM paper §4.1 has 13).
 
     x is to the right, y down and z away from the viewer; "left" is the person's own. The elbow is a hinge,
-    so the directions of upper arm and forearm hold all four angles of an arm, without jumps.
+    so the directions of upper arm and forearm hold all four angles of an arm, without jumps. Everything is
+    said in the picture's axes and not in those of the torso: who leans keeps the head up, and hands where
+    they are.
 
     Parameters
     ----------
     roots
         `(n, 2)` px: the point between the shoulders.
+    torsos
+        `(n, 3)` rad: rotation vectors of the torso about the root; x leans it forwards, y turns its left
+        shoulder to the viewer, z leans it to its left. 0 is upright and faces the camera.
     necks
         `(n, 3)` rad: rotation vectors of the head about the root.
     arms
@@ -35,6 +40,7 @@ class BodyPoses:
     """
 
     roots: Array
+    torsos: Array
     necks: Array
     arms: Array
 
@@ -46,17 +52,23 @@ class BodyPoses:
         """All poses of `parts`, one after the other."""
         return cls(
             np.concatenate([part.roots for part in parts]),
+            np.concatenate([part.torsos for part in parts]),
             np.concatenate([part.necks for part in parts]),
             np.concatenate([part.arms for part in parts]),
         )
 
     def take(self, chosen: Any) -> Self:
         """The poses chosen by a slice, a mask or indices."""
-        return type(self)(self.roots[chosen], self.necks[chosen], self.arms[chosen])
+        return type(self)(self.roots[chosen], self.torsos[chosen], self.necks[chosen], self.arms[chosen])
+
+    @property
+    def turns(self) -> Array:
+        """`(n, 6)` rad: rotation vectors of torso and neck."""
+        return np.concatenate([self.torsos, self.necks], axis=1)
 
     @property
     def angles(self) -> Array:
-        """`(n, 13)`: root, neck, then of each arm rotation vector of the shoulder and flexion of the elbow.
+        """`(n, 16)`: root, torso, neck, of each arm rotation vector of the shoulder and flexion of the elbow.
 
         A shoulder at zero lets the arm hang, and the elbow bends the forearm towards the viewer. The twist of
         a straight arm cannot be seen from its directions: it is taken from `transport`.
@@ -64,8 +76,8 @@ class BodyPoses:
         rotations, flexions = shoulder_rotations(self.arms)
         n = len(self)
         angles = np.empty((n, ANGLES))
-        angles[:, :2], angles[:, 2:5] = self.roots, self.necks
-        per_arm = angles[:, 5:].reshape(n, 2, 4)
+        angles[:, :2], angles[:, 2:8] = self.roots, self.turns
+        per_arm = angles[:, 8:].reshape(n, 2, 4)
         per_arm[:, :, :3] = logarithm(rotations.reshape(2 * n, 3, 3)).reshape(n, 2, 3)
         per_arm[:, :, 3] = flexions
         return angles

@@ -20,8 +20,9 @@ _WRONG = 0.05
 def segment_lengths(joints: Array, head_heights: Array | None = None) -> dict[str, float]:
     """Lengths for `UpperBody` from joints in pictures, see `UpperBody.fit`.
 
-    Shoulders and neck face the camera, so that their medians are taken. Arms point anywhere and are seen at
-    most as long as they are, see `projected_length`. Left and right have equal lengths.
+    Shoulders and neck mostly face the camera, so that their medians are taken: of somebody who turns by 17
+    degrees as a rule the shoulders come out 2 % too narrow. Arms point anywhere and are seen at most as long
+    as they are, see `projected_length`. Left and right have equal lengths.
 
     Raises
     ------

@@ -66,7 +66,7 @@ def silhouettes(body: UpperBody, poses: BodyPoses) -> Silhouettes:
     def trace(first: int, end: int) -> None:
         rows = slice(first, end)
         outlines(
-            poses.roots[rows], poses.necks[rows], poses.arms[rows], solid,
+            poses.roots[rows], poses.torsos[rows], poses.necks[rows], poses.arms[rows], solid,
             points[rows], normals[rows], visible[rows],
         )  # fmt: skip
 

@@ -88,7 +88,8 @@ def skin_blobs(skin: Map, radius: float, heads: Array | None = None) -> SkinBlob
     scale = min(1.0, COARSE_RADIUS / radius)
     reach = radius * scale
     odds = np.asarray(cv2.resize(skin, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.float32)
-    share = np.asarray(1 / (1 + np.exp(-odds)), np.float32)
+    # in float64: the exponential of float32 is another one on other CPUs
+    share = np.asarray(1 / (1 + np.exp(-odds, dtype=np.float64)), np.float32)
     inside = _inside(share.shape, np.zeros((0, 4)) if heads is None else heads, scale)
     beside = np.where(inside, np.float32(0), share)
     places = _thinned(np.concatenate([_peaks(beside, reach), _peaks(share, reach)]), reach)

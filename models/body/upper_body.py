@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
-from .kernels.kinematics import place_joints, place_parts, within_limits
+from .kernels.kinematics import place_joints, place_parts, place_shoulders, within_limits
 from .poses import BodyPoses
 
 Array = NDArray[np.float64]
@@ -27,12 +27,15 @@ JOINTS = (
 class JointLimits:
     """How far the joints turn, in rad; of the right arm everything is mirrored.
 
-    The limits are wide: they are to exclude what no person does, not to tell what is usual.
+    The limits are wide: they are to exclude what no person does, not to tell what is usual. Head and arms
+    are limited by the torso, in whose axes their limits are said.
 
     Parameters
     ----------
+    torso
+        largest rotation of the torso, from upright.
     neck
-        largest rotation of the head.
+        largest rotation of the head against the torso.
     swing_centre, swing
         middle of the cone in which the left upper arm points (outwards, down, towards the viewer), not of
         unit length, and the largest angle from it: not far across the back nor the chest.
@@ -45,6 +48,7 @@ class JointLimits:
         flexion below which the turn of the upper arm cannot be told, so that it is not tested.
     """
 
+    torso: float = np.radians(45)
     neck: float = np.radians(50)
     swing_centre: tuple[float, float, float] = (0.35, 0.6, -0.6)
     swing: float = np.radians(105)
@@ -55,11 +59,11 @@ class JointLimits:
 
     @cached_property
     def numbers(self) -> Array:
-        """`(9,)`: the limits as `within_limits` takes them."""
+        """`(10,)`: the limits as `within_limits` takes them."""
         centre = np.array(self.swing_centre) / np.linalg.norm(self.swing_centre)
         middle, half = 0.5 * (self.inwards + self.outwards), 0.5 * (self.inwards - self.outwards)
         bends = np.cos([self.elbow, self.straight])
-        return np.array([self.neck, *centre, np.cos(self.swing), middle, half, *bends])
+        return np.array([self.torso, np.cos(self.neck), *centre, np.cos(self.swing), middle, half, *bends])
 
 
 LIMITS = JointLimits()
@@ -68,7 +72,7 @@ LIMITS = JointLimits()
 @short_repr
 @dataclass(frozen=True)
 class UpperBody:
-    """Lengths and widths of an upper body that faces the camera, all in px.
+    """Lengths and widths of an upper body, all in px.
 
     Parameters
     ----------
@@ -150,7 +154,7 @@ class UpperBody:
         """`(n, 8, 3)` px: where the `JOINTS` are; z is 0 at the root and grows away from the viewer."""
         joints = np.empty((len(poses), 8, 3))
         place_joints(
-            poses.roots, poses.necks, poses.arms,
+            poses.roots, poses.torsos, poses.necks, poses.arms,
             self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, joints,
         )  # fmt: skip
         return joints
@@ -159,18 +163,24 @@ class UpperBody:
         """`(n, 3, 2)` px: where head, left hand and right hand are seen."""
         parts = np.empty((len(poses), 3, 2))
         place_parts(
-            poses.roots, poses.necks, poses.arms,
+            poses.roots, poses.torsos, poses.necks, poses.arms,
             self.neck, self.shoulder_width / 2, self.upper_arm, self.forearm, parts,
         )  # fmt: skip
         return parts
+
+    def shoulders(self, poses: BodyPoses) -> Array:
+        """`(n, 2, 3)` px: where left and right shoulder are, as in `joints`."""
+        shoulders = np.empty((len(poses), 2, 3))
+        place_shoulders(poses.roots, poses.torsos, self.shoulder_width / 2, shoulders)
+        return shoulders
 
     def allowed(self, poses: BodyPoses) -> Mask:
         """`(n,)`: whether every joint is within its limits and no arm goes through or behind the torso."""
         allowed = np.empty(len(poses), np.bool_)
         torso = np.array([self.shoulder_width, self.torso_width, self.torso_height, 0.45 * self.head_height])
         within_limits(
-            poses.necks, poses.arms, self.shoulder_width / 2, self.upper_arm, self.forearm,
-            LIMITS.numbers, torso, allowed,
+            poses.torsos, poses.necks, poses.arms,
+            self.shoulder_width / 2, self.upper_arm, self.forearm, LIMITS.numbers, torso, allowed,
         )  # fmt: skip
         return allowed
 

@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from .keypoints import GivenKeypoints
 from .short_repr import short_repr
 
 BoundingBox = tuple[float, float, float, float]
@@ -163,6 +164,8 @@ class Frame:
         points that somebody else has found in it.
     boxes
         objects that a detector has found in it; `None` where it did not run on this frame.
+    keypoints
+        points of persons that a detector of poses or hands has found in it; `None` where it did not run.
 
     Raises
     ------
@@ -176,6 +179,7 @@ class Frame:
     number: int
     points: GivenPoints | None = None
     boxes: GivenBoxes | None = None
+    keypoints: GivenKeypoints | None = None
 
     def __post_init__(self) -> None:
         image = self.image
@@ -197,4 +201,5 @@ class Frame:
     @property
     def missing(self) -> bool:
         """Whether there is nothing to see in it."""
-        return self.image is None and self.points is None and self.boxes is None
+        given = self.image, self.points, self.boxes, self.keypoints
+        return all(each is None for each in given)

@@ -22,6 +22,8 @@ from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 
+from ..support.body_poses import resting
+
 Array = NDArray[np.float64]
 
 BODY = UpperBody.from_head(50)
@@ -29,7 +31,7 @@ FIRST = Frame(np.zeros((240, 320, 3), np.uint8), 0.0, 1)
 DT = 0.04
 NOISE = 4.0  # px
 UNIFORM = GaussianMixtures.uniform(3)
-START = BodyPoses(np.array([[160.0, 120.0]]), np.zeros((1, 3)), np.tile([0.0, 0.8, -0.6], (1, 2, 2, 1)))
+START = replace(resting([[160.0, 120.0]]), arms=np.tile([0.0, 0.8, -0.6], (1, 2, 2, 1)))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 import struct
 
 import numpy as np
+from numpy.typing import NDArray
 
 STRIDES, OUTPUTS = (8, 16, 32), {"cls": 1, "obj": 1, "bbox": 4, "kps": 10}
 FLOAT, INT64 = 1, 7  # ONNX's types of elements
@@ -44,15 +45,47 @@ def bright_cells(size: int = 64, cell: int = 8, box: int = 12) -> bytes:
     places = np.zeros((6, n_cells, n_cells), np.float32)
     places[1], places[0] = (np.indices((n_cells, n_cells)) + 0.5) * cell
     places[2:4] = box
+    return _over_cells(colours, places, size)
+
+
+def steady_person(points: NDArray[np.float32], size: int = 64) -> bytes:
+    """A detector with the input and output of YOLOv8-pose: it finds one person, at one place in all images.
+
+    Parameters
+    ----------
+    points
+        `(17, 3)`: x, y px of the input, and score, in COCO's order.
+    size
+        px: width and height of the input.
+    """
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    row = np.concatenate([(low + high) / 2, high - low, [0.9], points.ravel()]).astype(np.float32)
+    return _over_cells(np.zeros((len(row), 3), np.float32), row[:, None, None], size)
+
+
+def _over_cells(colours: NDArray[np.float32], places: NDArray[np.float32], size: int) -> bytes:
+    """Rows for all cells of an image: sums of their mean colours, and what is there anyway.
+
+    Parameters
+    ----------
+    colours
+        `(rows, 3)`: what is made of red, green and blue.
+    places
+        `(rows, n_cells, n_cells)`.
+    size
+        px: width and height of the input.
+    """
+    rows, n_cells = places.shape[:2]
+    cell = size // n_cells
     kernel = _list("kernel_shape", cell, cell) + _list("strides", cell, cell)
     nodes = _node("AveragePool", ["images"], "cells", kernel)
     nodes += _node("Conv", ["cells", "colours"], "scores", _list("kernel_shape", 1, 1))
     nodes += _node("Add", ["scores", "places"], "all", b"")
     nodes += _node("Reshape", ["all", "shape"], "output0", b"")
-    weights = _field(5, _tensor("colours", [6, 3, 1, 1], FLOAT, colours.tobytes()))
-    weights += _field(5, _tensor("places", [1, 6, n_cells, n_cells], FLOAT, places.tobytes()))
-    weights += _field(5, _tensor("shape", [3], INT64, struct.pack("<3q", 1, 6, n_cells**2)))
-    result = _field(12, _value("output0", [1, 6, n_cells**2]))
+    weights = _field(5, _tensor("colours", [rows, 3, 1, 1], FLOAT, colours.tobytes()))
+    weights += _field(5, _tensor("places", [1, *places.shape], FLOAT, places.tobytes()))
+    weights += _field(5, _tensor("shape", [3], INT64, struct.pack("<3q", 1, rows, n_cells**2)))
+    result = _field(12, _value("output0", [1, rows, n_cells**2]))
     graph = nodes + _field(2, b"g") + weights + _field(11, _value("images", [1, 3, size, size])) + result
     return _number(1, 6) + _field(7, graph) + _field(8, _field(1, b"") + _number(2, 11))
 

@@ -16,6 +16,7 @@ from rsmcm.apps.events import Sighting, Watch, read_zones
 from rsmcm.apps.exports import to_coco, to_cvat, to_movement
 from rsmcm.apps.io.detections.read import read_detections
 from rsmcm.apps.io.ground_truth import BoxTruth, read_ground_truth
+from rsmcm.apps.io.keypoints.read import read_keypoints
 from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.point_files import read_points
 from rsmcm.apps.io.sources.open_source import IMAGE_SUFFIXES, open_source
@@ -102,6 +103,15 @@ def detections(folder: Path) -> None:
         found.at(number)
 
 
+def keypoints(folder: Path) -> None:
+    """Points that a detector has found of persons, checked against a film, and those of its frames."""
+    path = folder if any(folder.glob("*_keypoints.json")) else _file(folder)
+    found = read_keypoints(path, film=str(folder))
+    found.check(str(folder), SIZE, MOST_FRAMES)
+    for number in range(20):
+        found.at(number)
+
+
 def parameters(folder: Path) -> None:
     """Parameters, as far as chains that have them."""
     read = read_parameters(_file(folder))
@@ -176,7 +186,7 @@ SLOW = {"detectors": 20}
 READERS: dict[str, Callable[[Path], None]] = {
     reader.__name__: reader
     for reader in (
-        films, pictures, masks, regions, boxes, archives, results, detections, parameters, zones, tracks,
-        landmarks, models, correspondences, joints, states, predictions, exports, detectors,
+        films, pictures, masks, regions, boxes, archives, results, detections, keypoints, parameters, zones,
+        tracks, landmarks, models, correspondences, joints, states, predictions, exports, detectors,
     )
 }  # fmt: skip

@@ -142,6 +142,28 @@ def _detections(_: Path) -> list[Files]:
     ]
 
 
+def _keypoints(_: Path) -> list[Files]:
+    places = [number for k in range(25) for number in (5 + k, 40 - k, 0.5)]
+    results = [{"image_id": frame, "keypoints": places[:51], "score": 0.9} for frame in range(1, 6)]
+    people = [{"pose_keypoints_2d": places, "hand_left_keypoints_2d": places[:63]}]
+    names = ("nose", "neck", "left_shoulder", "left_wrist", "left_knee")
+    rows = [
+        f"{frame},{person},{name},{5 + k},{30 - k},0.5\n"
+        for frame in range(1, 6)
+        for person in (1, 2)
+        for k, name in enumerate(names)
+    ]
+    files = {
+        f"film_{number:012d}_keypoints.json": json.dumps({"version": 1.3, "people": people}).encode()
+        for number in range(3)
+    }
+    return [
+        {"found.csv": ("frame,person,joint,x,y,score\n" + "".join(rows)).encode()},
+        {"results.json": json.dumps(results).encode()},
+        files,
+    ]
+
+
 def _parameters(_: Path) -> list[Files]:
     return [
         {"a.toml": b"[background]\nprior = 0.9 # P\nsettle_time = 10.0\n\n[blobs]\nhidden_patience = 5.0\n"},
@@ -283,6 +305,7 @@ MAKERS: dict[str, Callable[[Path], list[Files]]] = {
     "archives": _archives,
     "results": _boxes,
     "detections": _detections,
+    "keypoints": _keypoints,
     "parameters": _parameters,
     "zones": _zones,
     "tracks": _points,

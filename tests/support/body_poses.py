@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rsmcm.models.body.kernels.silhouette import _fronts, _put_body
+from rsmcm.models.body.kernels.silhouette import NUMBERS, _fronts, _put_body
 from rsmcm.models.body.poses import BodyPoses, cross, transport
 from rsmcm.models.body.silhouette import OUTLINE_PARTS, solid_of
 from rsmcm.models.body.upper_body import UpperBody
@@ -18,18 +18,19 @@ def resting(roots: ArrayLike) -> BodyPoses:
     """Bodies at `roots` `(n, 2)` px that look at the viewer, with their arms hanging straight down."""
     places = np.asarray(roots, np.float64)
     n = len(places)
-    return BodyPoses(places, np.zeros((n, 3)), np.tile([0.0, 1.0, 0.0], (n, 2, 2, 1)))
+    return BodyPoses(places, np.zeros((n, 3)), np.zeros((n, 3)), np.tile([0.0, 1.0, 0.0], (n, 2, 2, 1)))
 
 
 def from_angles(angles: Array) -> BodyPoses:
-    """Poses from the rows of `angles` `(n, 13)`, as `BodyPoses.angles` gives them."""
+    """Poses from the rows of `angles` `(n, 16)`, as `BodyPoses.angles` gives them."""
     n = len(angles)
-    per_arm = angles[:, 5:].reshape(2 * n, 4)
+    per_arm = angles[:, 8:].reshape(2 * n, 4)
     rotations = Rotation.from_rotvec(per_arm[:, :3]).as_matrix().reshape(n, 2, 3, 3)
     flexions = per_arm[:, 3].reshape(n, 2, 1)
     upper_arms = rotations[..., 1]
     forearms = np.cos(flexions) * upper_arms - np.sin(flexions) * rotations[..., 2]
-    return BodyPoses(angles[:, :2].copy(), angles[:, 2:5].copy(), np.stack([upper_arms, forearms], axis=2))
+    roots, torsos, necks = (angles[:, run].copy() for run in (slice(2), slice(2, 5), slice(5, 8)))
+    return BodyPoses(roots, torsos, necks, np.stack([upper_arms, forearms], axis=2))
 
 
 def twists(arms: Array) -> Array:
@@ -49,10 +50,13 @@ def masks(body: UpperBody, poses: BodyPoses, size: tuple[int, int]) -> NDArray[n
     solid = solid_of(body)
     rows, columns = (each.reshape(-1).astype(np.float32) for each in np.indices(size))
     labels = np.zeros((len(poses), *size), np.uint8)
-    shapes = np.zeros((len(OUTLINE_PARTS), 11), np.float32)
+    shapes = np.zeros((len(OUTLINE_PARTS), NUMBERS), np.float32)
     fronts = np.empty((len(OUTLINE_PARTS), rows.size), np.float32)
     for pose in range(len(poses)):
-        _put_body(poses.roots[pose], poses.necks[pose], poses.arms[pose], solid.lengths, solid.torso, shapes)
+        _put_body(
+            poses.roots[pose], poses.torsos[pose], poses.necks[pose], poses.arms[pose],
+            solid.lengths, solid.torso, shapes,
+        )  # fmt: skip
         for part in range(len(OUTLINE_PARTS)):
             _fronts(shapes[part], part, solid.torso, np.float32(0), columns, rows, fronts[part])
         nearest = np.where(fronts.min(axis=0) < FAR, 1 + fronts.argmin(axis=0), 0)

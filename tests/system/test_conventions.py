@@ -88,7 +88,7 @@ def test_z_points_away_from_the_viewer() -> None:
     arms = np.zeros((1, 2, 2, 3))
     arms[..., 1] = 1  # hanging
     body = UpperBody.from_head(80.0)
-    joints = body.joints(BodyPoses(np.array([[100.0, 100.0]]), np.zeros((1, 3)), arms))[0]
+    joints = body.joints(BodyPoses(np.array([[100.0, 100.0]]), np.zeros((1, 3)), np.zeros((1, 3)), arms))[0]
     left_hand, right_hand, head = joints[4], joints[7], joints[0]
     assert left_hand[0] > 100 > right_hand[0]  # the person faces the camera
     assert head[1] < 100 < left_hand[1]

@@ -22,6 +22,7 @@ from ..support.pages import NOT_RUN, ROOT, Reader, blocks, pages
 OF_THEIR_OWN = {
     "own-chain": "test_own_chain.py",
     "detectors": "test_detectors_page.py",
+    "keypoints": "test_keypoints_page.py",
     "scale": "test_scale_page.py",
     "events": "test_events.py",
 }
@@ -32,6 +33,7 @@ WHOLE_SCENE = ("validity",)
 
 NOT_RUN_BLOCKS = {
     "detectors": 1,  # networks of others
+    "keypoints": 1,  # the same
     "running": 1,  # a camera
     "scale": 2,  # a cluster
     "start": 1,  # pip install

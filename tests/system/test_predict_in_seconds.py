@@ -1,7 +1,7 @@
 """Every chain: predicting for a, then for b seconds is predicting for a + b seconds."""
 
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -27,9 +27,10 @@ from rsmcm.chains.condensation import Condensation
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.body.samples import BodySamples
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels, PointTracks, ScenePixels
-from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import GivenBoxes, GivenPoints
+
+from ..support.body_poses import resting
 
 Prediction = tuple[Any, Any]
 """A chain and a state of it after a few frames."""
@@ -37,7 +38,7 @@ Prediction = tuple[Any, Any]
 DT = 0.1
 BODY = UpperBody.from_head(50)
 BLANK = Frame(np.zeros((240, 320, 3), np.uint8), 0.0, 1)
-STANDING = BodyPoses(np.array([[160.0, 120.0]]), np.zeros((1, 3)), np.tile([0.0, 0.8, -0.6], (1, 2, 2, 1)))
+STANDING = replace(resting([[160.0, 120.0]]), arms=np.tile([0.0, 0.8, -0.6], (1, 2, 2, 1)))
 
 
 @cache
@@ -172,7 +173,7 @@ def test_ten_short_predictions_are_a_long_one(name: str) -> None:
 def moments(state: BodySamples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and standard deviation of all numbers of a pose."""
     poses = state.poses
-    numbers = np.concatenate([poses.roots, poses.necks, poses.arms.reshape(len(poses), -1)], axis=1)
+    numbers = np.concatenate([poses.roots, poses.turns, poses.arms.reshape(len(poses), -1)], axis=1)
     return numbers.mean(axis=0), numbers.std(axis=0)
 
 

@@ -169,7 +169,7 @@ def signals_after(
     ("name", "after"),
     [
         ("background", 9), ("structure", 1), ("structure", 2), ("face", 1), ("face", 10), ("face", 24),
-        ("body", 26), ("body", 32), ("body", 47),
+        ("body", 26), ("body", 32), ("body", 45), ("body", 47),
     ],
 )  # fmt: skip
 def test_interrupted_and_resumed(

@@ -14,19 +14,25 @@ from ....chains.articulated_pose import ArticulatedPose
 from ....chains.condensation import Condensation
 from ....chains.flesh_tracker import FleshTracker
 from ....inference import MultiChain, RecursiveBP
+from ....inference.body.dynamics import BodyDynamics
+from ....inference.body.hindsight import FixedLag
 from ....inference.body.samples import BodySamples, moments
 from ....inference.core.recursive_bp import RunState
 from ....models.body.parts import BodyParts
 from ....models.body.upper_body import JOINTS, PARTS
 from ....models.core.frame import Frame
 from ....models.core.mahalanobis import squared_distances
-from ...body.measures import HANDS, LEAST_VARIANCE, PLACES, BodyTrial
+from ...body.measures import APART, HANDS, LEAST_VARIANCE, PLACES, BodyTrial, exchanged_hands
 from ...body.overlay import TrackedBody
 from ...scenes import SignerScene, signer
 
 Numbers = NDArray[np.float64]
 
 HEAD_AND_HANDS = [JOINTS.index(name) for name in PARTS]
+HAND_JOINTS = HEAD_AND_HANDS[1:]
+
+LAG = 12
+"""Frames by which answers with hindsight are late."""
 
 N_SHOWN = 40
 """Poses that are drawn from a posterior to be shown, as in the paper."""
@@ -67,11 +73,14 @@ class BodyTracker:
         tracker of flesh alone, which finds the hands only.
     samples
         number of poses; 0 where there are none.
+    lag
+        frames by which answers with hindsight are late, which are then given beside the filter's; 0 for none.
     """
 
     name: str
     system: System
     samples: int
+    lag: int = 0
 
     def connected(self, film: SignerFilm) -> tuple[MultiChain, str]:
         """The model for a film, and the name of the chain that is measured."""
@@ -99,41 +108,33 @@ class _Run:
         model, self._chain = tracker.connected(film)
         self._engine = RecursiveBP(model)
         self._film = film
-        self._shown = shown
-        self._random = np.random.default_rng([film.scene.seed, 40])
         self._state = RunState()
-        self._rows: list[tuple[Numbers, Numbers, Numbers, float, float]] = []
-        self._pictures: dict[int, TrackedBody] = {}
+        self._now = _Answers(film, shown)
+        self._later = _Answers(film, shown)
+        seed = film.scene.seed
+        self._hindsight = (
+            FixedLag(BodyDynamics(film.scene.body), tracker.lag, seed=seed) if tracker.lag else None
+        )
 
     def step(self, index: int) -> None:
         """Take in frame `index`."""
+        frame = self._film.frames[index]
         started = time.perf_counter()
-        state = self._engine.step(self._state, self._film.frames[index]).state
+        state = self._engine.step(self._state, frame).state
         seconds = time.perf_counter() - started
         if index == 0:
             state = self._with_truth(state)
-        self._state = state
-        found = self._belief(index, state.states[self._chain])
-        apart = found.joints - self._film.scene.joints[index]
-        covariances = found.covariances[PLACES[HANDS], :2, :2] + LEAST_VARIANCE * np.eye(2)
-        nees = squared_distances(apart[PLACES[HANDS], :2], covariances)
-        flat, deep = (np.linalg.norm(apart[PLACES, :axes], axis=1) for axes in (2, 3))
-        self._rows.append((flat, deep, nees, self._effective(state), seconds))
-
-    def _belief(self, index: int, after: Any) -> TrackedBody:
-        """Means and covariances of the joints, NaN where they are not known, and poses if they are shown."""
-        if isinstance(after, BodySamples):
-            body = self._film.scene.body
-            found = moments(body, after)
-            samples = body.joints(after.drawn(N_SHOWN, self._random)) if index in self._shown else np.empty(0)
-            believed = TrackedBody(samples, found.joints, found.joint_covariances)
-            if index in self._shown:
-                self._pictures[index] = believed
-            return believed
-        means, covariances = np.full((8, 3), np.nan), np.full((8, 3, 3), np.nan)
-        means[HEAD_AND_HANDS, :2] = after.positions
-        covariances[HEAD_AND_HANDS, :2, :2] = after.position_covariances
-        return TrackedBody(np.empty(0), means, covariances)
+        self._state, found = state, state.states[self._chain]
+        self._now.add(found, seconds)
+        if self._hindsight is None:
+            return
+        started = time.perf_counter()
+        answers = self._hindsight.add(frame, found)
+        if index == len(self._film.frames) - 1:
+            answers += self._hindsight.rest()
+        self._later.seconds.append(seconds + time.perf_counter() - started)
+        for answer in answers:
+            self._later.add(answer.samples)
 
     def _with_truth(self, state: RunState) -> RunState:
         """The state of a tracker that is given the true pose of the first frame."""
@@ -145,17 +146,67 @@ class _Run:
         known = BodySamples.even(truth, poses.size, poses.random)
         return replace(state, states={**state.states, self._chain: known})
 
-    def _effective(self, state: RunState) -> float:
-        after = state.states[self._chain]
-        return after.effective if isinstance(after, BodySamples) else np.nan
+    def trial(self) -> BodyTrial:
+        """What was measured."""
+        trial = self._now.trial()
+        return trial if self._hindsight is None else replace(trial, later=self._later.trial())
+
+
+class _Answers:
+    """What is said of one frame after the other, beside the truth."""
+
+    def __init__(self, film: SignerFilm, shown: Sequence[int]) -> None:
+        self._scene = film.scene
+        self._shown = shown
+        self._random = np.random.default_rng([film.scene.seed, 40])
+        self._rows: list[tuple[Numbers, Numbers, Numbers, Numbers, float]] = []
+        self._pictures: dict[int, TrackedBody] = {}
+        self.seconds: list[float] = []
+
+    def add(self, after: Any, seconds: float | None = None) -> None:
+        """Take in what a chain knows of the next frame, and how long that took."""
+        index = len(self._rows)
+        found = self._believed(index, after)
+        apart = found.joints - self._scene.joints[index]
+        covariances = found.covariances[PLACES[HANDS], :2, :2] + LEAST_VARIANCE * np.eye(2)
+        nees = squared_distances(apart[PLACES[HANDS], :2], covariances)
+        flat, deep = (np.linalg.norm(apart[PLACES, :axes], axis=1) for axes in (2, 3))
+        effective = after.effective if isinstance(after, BodySamples) else np.nan
+        self._rows.append((flat, deep, nees, found.joints[HAND_JOINTS, :2], effective))
+        if seconds is not None:
+            self.seconds.append(seconds)
+
+    def _believed(self, index: int, after: Any) -> TrackedBody:
+        """Means and covariances of the joints, NaN where they are not known, and poses if they are shown."""
+        if isinstance(after, BodySamples):
+            body = self._scene.body
+            found = moments(body, after)
+            samples = body.joints(after.drawn(N_SHOWN, self._random)) if index in self._shown else np.empty(0)
+            believed = TrackedBody(samples, found.joints, found.joint_covariances)
+            if index in self._shown:
+                self._pictures[index] = believed
+            return believed
+        means, covariances = np.full((8, 3), np.nan), np.full((8, 3, 3), np.nan)
+        means[HEAD_AND_HANDS, :2] = after.positions
+        covariances[HEAD_AND_HANDS, :2, :2] = after.position_covariances
+        return TrackedBody(np.empty(0), means, covariances)
 
     def trial(self) -> BodyTrial:
         """What was measured."""
-        flat, deep, nees, effective, seconds = (np.array(row) for row in zip(*self._rows, strict=True))
-        scene = self._film.scene
-        hidden = scene.hidden[: len(flat), 1:]
-        size = scene.body.head_height
-        return BodyTrial(flat, deep, nees, effective, seconds, hidden, size, self._pictures)
+        flat, deep, nees, hands, effective = (np.array(row) for row in zip(*self._rows, strict=True))
+        scene = self._scene
+        truth = scene.joints[: len(hands), HAND_JOINTS, :2]
+        return BodyTrial(
+            errors=flat,
+            errors_3d=deep,
+            nees=nees,
+            effective=effective,
+            seconds=np.array(self.seconds),
+            hidden=scene.hidden[: len(flat), 1:],
+            exchanged=exchanged_hands(hands, truth, APART * scene.body.head_height),
+            head_height=scene.body.head_height,
+            shown=self._pictures,
+        )
 
 
 def in_turns(film: SignerFilm, trackers: Sequence[BodyTracker], shown: Sequence[int] = ()) -> list[BodyTrial]:

@@ -31,14 +31,31 @@ def with_boxes(frames: Iterable[Frame], detector: Callable[[Frame], Any], every:
     TypeError
         if the detector cannot be called, or what comes are no frames.
     """
+    return with_found(
+        frames, detector, every, lambda frame, found: replace(frame, boxes=GivenBoxes.of(found))
+    )
+
+
+def with_found(
+    frames: Iterable[Frame],
+    detector: Callable[[Frame], Any],
+    every: int,
+    taken: Callable[[Frame, Any], Frame],
+) -> Iterator[Frame]:
+    """Frames with what a detector finds in them, which `taken` puts into each; as `with_boxes` otherwise."""
     if every < 1:
         raise ValueError(f"every: got {every}, expected 1 or more frames")
     if not callable(detector):
         raise TypeError(f"detector: got {type(detector).__name__}, expected something to call with a frame")
-    return _attached(frames, detector, every)
+    return _attached(frames, detector, every, taken)
 
 
-def _attached(frames: Iterable[Frame], detector: Callable[[Frame], Any], every: int) -> Iterator[Frame]:
+def _attached(
+    frames: Iterable[Frame],
+    detector: Callable[[Frame], Any],
+    every: int,
+    taken: Callable[[Frame, Any], Frame],
+) -> Iterator[Frame]:
     count = 0
     for frame in frames:
         if not isinstance(frame, Frame):
@@ -51,10 +68,10 @@ def _attached(frames: Iterable[Frame], detector: Callable[[Frame], Any], every: 
             yield frame
             continue
         try:
-            boxes = GivenBoxes.of(found)
+            known = taken(frame, found)
         except ValueError as error:
             raise ValueError(f"frame {frame.number}: {error}") from None
-        yield replace(frame, boxes=boxes)
+        yield known
 
 
 def given_boxes(
@@ -81,10 +98,13 @@ def given_boxes(
     if source.live:
         raise ValueError(f"--detections: {source.name} is live, so nobody has seen its frames before")
     found = read_detections(path, classes, film=source.name, pictures=source.pictures)
-    last = None
-    if source.n_frames is not None and source.counted:
-        last = start + source.n_frames * step - 1
-        if stop is not None and stop <= last:  # the film may go on behind it
-            last = None
-    found.check(source.name, source.size, last)
+    found.check(source.name, source.size, last_frame(source, start, stop, step))
     return found
+
+
+def last_frame(source: Source, start: int, stop: int | None, step: int) -> int | None:
+    """Number of the last frame of a source of which some are taken; `None` if that is not known."""
+    if source.n_frames is None or not source.counted:
+        return None
+    last = start + source.n_frames * step - 1
+    return None if stop is not None and stop <= last else last  # the film may go on behind it

@@ -13,6 +13,11 @@ from .table import Columns, Detections, whole_frame
 
 ImageId = int | str
 
+EXPECTED = (
+    "detections in COCO's form: a list of image_id, category_id, bbox, score, or images, annotations and "
+    "categories"
+)
+
 
 def read_coco(path: Path, film: str, pictures: Sequence[str]) -> Detections:
     """Read detections in COCO's form; boxes are left, top, width, height, in px from 0.
@@ -39,9 +44,9 @@ def read_coco(path: Path, film: str, pictures: Sequence[str]) -> Detections:
     OSError
         if the file cannot be read.
     """
-    frame_of = _Pictures(path, film, pictures)
+    frame_of = Pictures(path, film, pictures)
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        stream = JsonStream(path, file)
+        stream = JsonStream(path, file, EXPECTED)
         if stream.peek() == "[":
             columns = Columns(path, "result")
             for place, item in enumerate(stream.items(), start=1):
@@ -51,7 +56,7 @@ def read_coco(path: Path, film: str, pictures: Sequence[str]) -> Detections:
         return _data_set(path, stream, frame_of)
 
 
-def _data_set(path: Path, stream: JsonStream, frame_of: "_Pictures") -> Detections:
+def _data_set(path: Path, stream: JsonStream, frame_of: "Pictures") -> Detections:
     columns = Columns(path, "annotation")
     images: dict[ImageId, int] | None = None
     categories: dict[str, str] = {}
@@ -61,8 +66,8 @@ def _data_set(path: Path, stream: JsonStream, frame_of: "_Pictures") -> Detectio
         if key == "images":
             images = {}
             for place, item in enumerate(stream.items(), start=1):
-                image = _fields(path, "image", place, item, ("id", "file_name"))
-                images[_image_id(path, "image", place, image["id"])] = frame_of(
+                image = fields_of(path, "image", place, item, ("id", "file_name"))
+                images[image_id(path, "image", place, image["id"])] = frame_of(
                     "image", place, str(image["file_name"])
                 )
         elif key == "annotations":
@@ -76,7 +81,7 @@ def _data_set(path: Path, stream: JsonStream, frame_of: "_Pictures") -> Detectio
                 _add(columns, place, item, code)
         elif key == "categories":
             for place, item in enumerate(stream.items(), start=1):
-                category = _fields(path, "category", place, item, ("id", "name"))
+                category = fields_of(path, "category", place, item, ("id", "name"))
                 categories[str(category["id"])] = str(category["name"])
         else:
             stream.value()
@@ -92,7 +97,7 @@ def _data_set(path: Path, stream: JsonStream, frame_of: "_Pictures") -> Detectio
 
 
 def _add(columns: Columns, place: int, item: Any, key_of: Callable[[ImageId], int]) -> None:
-    found = _fields(columns.path, columns.unit, place, item, ("image_id", "bbox"))
+    found = fields_of(columns.path, columns.unit, place, item, ("image_id", "bbox"))
     box, score, category = found["bbox"], found.get("score"), found.get("category_id")
     try:
         left, top, width, height = map(float, box if isinstance(box, list) else ())
@@ -104,12 +109,13 @@ def _add(columns: Columns, place: int, item: Any, key_of: Callable[[ImageId], in
         raise columns.wrong(place, f"score {brief(score)}", "a number") from None
     if not (category is None or isinstance(category, int | str)):
         raise columns.wrong(place, f"category_id {brief(category)}", "a number")
-    frame = key_of(_image_id(columns.path, columns.unit, place, found["image_id"]))
+    frame = key_of(image_id(columns.path, columns.unit, place, found["image_id"]))
     class_name = None if category is None else str(category)
     columns.add(place, frame, (left, top, left + width, top + height), confidence, class_name)
 
 
-def _fields(path: Path, unit: str, place: int, item: Any, needed: Sequence[str]) -> Mapping[str, Any]:
+def fields_of(path: Path, unit: str, place: int, item: Any, needed: Sequence[str]) -> Mapping[str, Any]:
+    """An object that has the fields that are needed, or an error that says where it stands."""
     if not isinstance(item, dict):
         raise ValueError(f"{path}, {unit} {place}: got {brief(item)}, expected an object in braces")
     for name in needed:
@@ -118,13 +124,14 @@ def _fields(path: Path, unit: str, place: int, item: Any, needed: Sequence[str])
     return item
 
 
-def _image_id(path: Path, unit: str, place: int, value: Any) -> ImageId:
+def image_id(path: Path, unit: str, place: int, value: Any) -> ImageId:
+    """A number or a name of an image, or an error that says where it stands."""
     if isinstance(value, int | str) and not isinstance(value, bool):
         return value
     raise ValueError(f"{path}, {unit} {place}: got image {brief(value)}, expected a number or a name")
 
 
-class _Pictures:
+class Pictures:
     """Tells the number of a frame from its number, or from the name of a picture."""
 
     def __init__(self, path: Path, film: str, pictures: Sequence[str]) -> None:
@@ -133,6 +140,7 @@ class _Pictures:
         self._numbers = {name: number for number, name in enumerate(pictures, start=1)}
 
     def __call__(self, unit: str, place: int, image: ImageId) -> int:
+        """The number of the frame of an image that is mentioned at a place, or an error that says where."""
         if isinstance(image, str):
             name = PurePosixPath(image.replace("\\", "/")).name
             if self._numbers:

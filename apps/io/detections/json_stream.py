@@ -23,10 +23,13 @@ class JsonStream:
         for messages.
     file
         open for reading.
+    expected
+        what it should hold, for messages.
     """
 
-    def __init__(self, path: Path, file: TextIO) -> None:
+    def __init__(self, path: Path, file: TextIO, expected: str) -> None:
         self._path = path
+        self._expected = expected
         self._file = file
         self._decoder = JSONDecoder()
         self._text = ""
@@ -93,7 +96,7 @@ class JsonStream:
                     raise self._wrong("no JSON, or a part of it") from None
                 continue
             except (ValueError, RecursionError):  # a number of thousands of digits, lists without end
-                raise self._wrong("no value of a file of detections") from None
+                raise self._wrong("no value that such a file has") from None
             if end < len(self._text) or not self._more():
                 self._place = end
                 return value
@@ -133,7 +136,4 @@ class JsonStream:
 
     def _wrong(self, got: str) -> ValueError:
         line = self._line + self._text.count("\n", 0, self._place)
-        return ValueError(
-            f"{self._path}, line {line}: got {got}, expected detections in COCO's form: a list of image_id, "
-            "category_id, bbox, score, or images, annotations and categories"
-        )
+        return ValueError(f"{self._path}, line {line}: got {got}, expected {self._expected}")

@@ -59,7 +59,7 @@ def read_csv(path: Path) -> Detections:
     """
     columns = Columns(path, "line")
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        lines = _lines(path, file)
+        lines = short_lines(path, file)
         header = next(lines, "")
         delimiter = max(",;\t", key=header.count)
         place = _places(path, next(csv.reader([header], delimiter=delimiter)))
@@ -74,13 +74,13 @@ def read_csv(path: Path) -> Detections:
     return columns.table()
 
 
-def _lines(path: Path, file: TextIO) -> Iterator[str]:
+def short_lines(path: Path, file: TextIO) -> Iterator[str]:
     """Lines of a bounded length."""
     for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=1):
         if "\0" in line or len(line) >= LONGEST_LINE:
             raise ValueError(f"{path}, line {number}: got no text of short lines, expected CSV")
         if '"' in line and line.count('"') % 2:
-            raise ValueError(f"{path}, line {number}: got a quote that does not end, expected one line a box")
+            raise ValueError(f"{path}, line {number}: got a quote that does not end, expected one line each")
         yield line
 
 

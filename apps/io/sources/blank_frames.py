@@ -48,7 +48,7 @@ class SeenFrames:
             for frame in self._frames:
                 if self._blank_is_missing and frame.image is not None and is_blank(frame.image):
                     self.blank.append(frame.number)
-                    yield replace(frame, image=None)
+                    yield replace(frame, image=None, keypoints=None)  # of what is not seen
                 else:
                     yield frame
         except (ValueError, OSError) as error:

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 AROUND = 20  # vertices of a ring
 FINGER_AROUND = 8
+SLEEVE = 0.55  # of an upper arm, that a short sleeve covers
+BARE = 0.85  # width of a bare arm over a clothed one
 SPREAD = np.array([-0.42, -0.15, 0.05, 0.22, 0.40])  # rad, of thumb, then fingers, across the palm
 ROOTS = np.array([-0.30, -0.30, -0.10, 0.10, 0.28])  # where they begin across the palm, in palms
 LENGTHS = np.array([0.85, 1.12, 1.25, 1.18, 0.95])  # in hand radii
@@ -125,21 +127,31 @@ def limb(
     return tube(material, centres, frame[:, 0], frame[:, 2], radii, flat * radii)
 
 
-def surface(body: UpperBody, palette: Palette, pose: BodyPoses, hands: list[HandShape]) -> list[Solid]:
-    """All of a person in the first of `pose`; materials are skin, head, top, left sleeve, trousers, ..."""
+def surface(
+    body: UpperBody, palette: Palette, pose: BodyPoses, hands: list[HandShape], bare: bool = False
+) -> list[Solid]:
+    """All of a person in the first of `pose`, with `bare` forearms or in sleeves.
+
+    Materials are skin, head, top, left hand, right hand and trousers.
+    """
     joints = body.joints(pose)[0]
     root = np.array([*pose.roots[0], 0.0])
-    turn = exponential(pose.necks)[0]
-    solids = [*_trunk(body, root), *_head(body, joints[0], turn, palette), _neck(body, root, joints[0])]
+    torso, turn = exponential(pose.torsos)[0], exponential(pose.necks)[0]
+    solids = _trunk(body, root, torso)
+    solids += [*_head(body, joints[0], turn, palette), _neck(body, root, torso, joints[0])]
     for side, name in enumerate(("left", "right")):
         shoulder, elbow, hand = joints[2 + 3 * side : 5 + 3 * side]
         upper, fore = transport(pose.arms[0, side])
-        solids.append(
-            limb("top", shoulder, elbow, upper, 0.5 * body.upper_arm_width, 0.52 * body.forearm_width)
-        )
         wrist = hand - 0.75 * body.hand * fore[:, 1]
         cuff = wrist - 0.25 * body.hand * fore[:, 1]
-        solids.append(limb("top", elbow, cuff, fore, 0.5 * body.forearm_width, 0.58 * body.wrist_width))
+        solids.extend(
+            _bare_arm(body, shoulder, elbow, cuff, upper, fore)
+            if bare
+            else [
+                limb("top", shoulder, elbow, upper, 0.5 * body.upper_arm_width, 0.52 * body.forearm_width),
+                limb("top", elbow, cuff, fore, 0.5 * body.forearm_width, 0.58 * body.wrist_width),
+            ]
+        )
         solids.append(
             limb(f"{name} hand", cuff, wrist, fore, 0.45 * body.wrist_width, 0.42 * body.wrist_width)
         )
@@ -147,7 +159,21 @@ def surface(body: UpperBody, palette: Palette, pose: BodyPoses, hands: list[Hand
     return solids
 
 
-def _trunk(body: UpperBody, root: Array) -> list[Solid]:
+def _bare_arm(
+    body: UpperBody, shoulder: Array, elbow: Array, wrist: Array, upper: Array, fore: Array
+) -> list[Solid]:
+    """A short sleeve, and the skin of upper arm and forearm."""
+    thick, bent = 0.5 * body.upper_arm_width, 0.5 * BARE * body.forearm_width
+    hem = shoulder + SLEEVE * (elbow - shoulder)
+    return [
+        limb("top", shoulder, hem, upper, thick, thick + SLEEVE * (0.52 * body.forearm_width - thick)),
+        limb("skin", hem, elbow, upper, BARE * thick, bent),
+        limb("skin", elbow, wrist, fore, bent, 0.45 * body.wrist_width),
+    ]
+
+
+def _trunk(body: UpperBody, root: Array, torso: Array) -> list[Solid]:
+    """Torso, turned about the root by `torso` (3, 3), and legs, which do not turn."""
     h, half = body.head_height, body.shoulder_width / 2
     down = np.array([-0.35, -0.30, -0.25, -0.17, 0.04, 0.3, 0.7, 1.2, 1.7, 2.0, 2.3, 2.45]) * h
     down *= body.torso_height / (2.3 * h)
@@ -155,10 +181,10 @@ def _trunk(body: UpperBody, root: Array) -> list[Solid]:
     top = [0.23 * h, 0.36 * h, 0.62 * half, 0.86 * half, half, 0.98 * half, 0.93 * half]
     wide = np.array([*top, 0.5 * half + 0.42 * hips, 0.95 * hips, hips, 1.05 * hips, 0.9 * hips])
     deep = h * np.array([0.16, 0.18, 0.2, 0.24, 0.27, 0.3, 0.33, 0.33, 0.33, 0.33, 0.33, 0.3])
-    centres = root + down[:, None] * np.array([0.0, 1.0, 0.0]) + np.array([0.0, 0.0, 0.08 * h])
-    x, z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    x, y, z = torso.T
+    centres = root + down[:, None] * y + 0.08 * h * z
     solids = [tube("top", centres, x, z, wide, deep, around=2 * AROUND)]
-    seat = root + np.array([0.0, body.torso_height, 0.1 * h])
+    seat = root + body.torso_height * y + np.array([0.0, 0.0, 0.1 * h])
     for sign in (1.0, -1.0):
         hip = seat + np.array([0.45 * sign * hips, 0.1 * h, 0.0])
         knee = hip + h * np.array([0.75 * sign, 0.5, -1.5])
@@ -168,10 +194,10 @@ def _trunk(body: UpperBody, root: Array) -> list[Solid]:
     return solids
 
 
-def _neck(body: UpperBody, root: Array, head: Array) -> Solid:
+def _neck(body: UpperBody, root: Array, torso: Array, head: Array) -> Solid:
     height = body.head_height
     start = head + height * np.array([0.0, 0.22, 0.06])
-    along = root + height * np.array([0.0, -0.27, 0.06]) - start
+    along = root + height * (torso @ np.array([0.0, -0.27, 0.06])) - start
     frame = transport((along / np.linalg.norm(along))[None])[0]
     return limb("skin", start, start + along, frame, 0.22 * height, 0.22 * height)
 

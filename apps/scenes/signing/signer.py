@@ -6,6 +6,7 @@ Any frame is rendered on its own, from the seed and the frame's index only.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,9 @@ Pixels = NDArray[np.float32]
 SHUTTER = 0.5  # of the time between frames that light is gathered
 BLUR_STEP = 4.0  # px that a hand moves between two pictures of one exposure
 MOST_PICTURES = 4  # of one exposure
+MOST_LEAN = 0.3  # rad
+
+Sleeves = Literal["long", "short"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +45,8 @@ class SignerScene:
     clutter: float
     size: tuple[int, int]
     noise: float
+    lean: float = 0.0
+    sleeves: Sleeves = "long"
     dt: float = 1 / 25
 
     def __post_init__(self) -> None:
@@ -55,6 +61,10 @@ class SignerScene:
             raise ValueError(f"seed: got {self.seed}, expected 0 or more")
         if not 0 <= self.detector_dropout <= 1:
             raise ValueError(f"detector_dropout: got {self.detector_dropout}, expected 0 to 1")
+        if not 0 <= self.lean <= MOST_LEAN:
+            raise ValueError(f"lean: got {self.lean}, expected 0 to {MOST_LEAN}")
+        if self.sleeves not in get_args(Sleeves):
+            raise ValueError(f"sleeves: got {self.sleeves!r}, expected one of {', '.join(get_args(Sleeves))}")
         for name in ("clutter", "noise"):
             value = getattr(self, name)
             if not 0 <= value < np.inf:
@@ -119,7 +129,7 @@ class SignerScene:
         # room above the head and below the lap is shared out
         spare = max(0.0, height - top - lap)
         home = np.array([width * generator.uniform(0.38, 0.62), top + spare * generator.uniform(0.2, 0.9)])
-        return signing(self.body, home, self.size, self.n_frames + 1, self.dt, self.seed)
+        return signing(self.body, home, self.size, self.n_frames + 1, self.dt, self.seed, lean=self.lean)
 
     @cached_property
     def joints(self) -> Array:
@@ -190,7 +200,12 @@ class SignerScene:
 
         arms = mixed(before.arms, after.arms)
         arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-        pose = BodyPoses(mixed(before.roots, after.roots), mixed(before.necks, after.necks), arms)
+        pose = BodyPoses(
+            mixed(before.roots, after.roots),
+            mixed(before.torsos, after.torsos),
+            mixed(before.necks, after.necks),
+            arms,
+        )
         gestures = mixed(self._gestures[first], self._gestures[first + 1])
         return pose, [HandShape(float(row[0]), float(row[1]), row[2:]) for row in gestures]
 
@@ -213,7 +228,7 @@ class SignerScene:
         for part, name in ((1, "left hand"), (2, "right hand")):
             burst = int(self._bursts[index, part])
             shown[name] = "skin" if not burst else "glare" if (burst + self.seed) % 3 == 0 else "glove"
-        for solid in surface(self.body, self._appearance.palette, pose, hands):
+        for solid in surface(self.body, self._appearance.palette, pose, hands, self.sleeves == "short"):
             yield solid, shown.get(solid.material, solid.material)
         for thing in self.distractors:
             if thing.first <= index <= thing.last:
@@ -228,6 +243,8 @@ def signer(
     size: tuple[int, int] = (640, 360),
     *,
     noise: float = 2.5,
+    lean: float = 0.0,
+    sleeves: Sleeves = "long",
 ) -> SignerScene:
     """Somebody who sits and signs, in front of a cluttered room, and features that fail for a while.
 
@@ -251,6 +268,12 @@ def signer(
         `(width, height)` px.
     noise
         standard deviation of the sensor's noise, grey levels.
+    lean
+        rad, 0 to 0.3: how far the torso leans at most, forwards and sideways; it turns twice as far. At 0 it
+        is upright and faces the camera; 0.25 is somebody who moves a little.
+    sleeves
+        "long", or "short": lower halves of upper arms, and forearms, have the colour of skin. They keep it
+        where a hand's is missing.
 
     Raises
     ------
@@ -258,4 +281,4 @@ def signer(
         if the picture is less than 120 px high or higher than wide, there is no frame, or a parameter is out
         of its range.
     """
-    return SignerScene(n_frames, seed, detector_dropout, clutter, size, noise)
+    return SignerScene(n_frames, seed, detector_dropout, clutter, size, noise, lean, sleeves)

@@ -31,6 +31,31 @@ def least_squares_to_rows(points, rows, least):
 
 
 @compiled
+def _products_to_row(i, body, ancestors, nearest, arms, ancestor_arms, weights, concentrations, floors, row):
+    """For pose i, fill `row` `(k,)` with weight, Gaussian of the body's place and kernels of both arms."""
+    upper, fore = concentrations[0], concentrations[1]
+    a0, a1, a2 = arms[i, 0], arms[i, 1], arms[i, 2]
+    a3, a4, a5 = arms[i, 3], arms[i, 4], arms[i, 5]
+    b0, b1, b2 = arms[i, 6], arms[i, 7], arms[i, 8]
+    b3, b4, b5 = arms[i, 9], arms[i, 10], arms[i, 11]
+    floor, floor_2 = floors[i, 0], floors[i, 1]
+    _squares_to_rows(body[i], ancestors, row)
+    for j in range(len(row)):
+        place = exponential(_f4(-0.5) * (row[j] - nearest))
+        left = upper * (
+            a0 * ancestor_arms[0, j] + a1 * ancestor_arms[1, j] + a2 * ancestor_arms[2, j] - _f4(1.0)
+        ) + fore * (a3 * ancestor_arms[3, j] + a4 * ancestor_arms[4, j] + a5 * ancestor_arms[5, j] - _f4(1.0))
+        right = upper * (
+            b0 * ancestor_arms[6, j] + b1 * ancestor_arms[7, j] + b2 * ancestor_arms[8, j] - _f4(1.0)
+        ) + fore * (
+            b3 * ancestor_arms[9, j] + b4 * ancestor_arms[10, j] + b5 * ancestor_arms[11, j] - _f4(1.0)
+        )
+        one = exponential(min(left, _f4(0.0))) + floor
+        other = exponential(min(right, _f4(0.0))) + floor_2
+        row[j] = weights[j] * place * one * other
+
+
+@compiled
 def mixture_values(body, ancestors, least, arms, ancestor_arms, weights, concentrations, floors, values):
     """Sum over ancestors of weight, Gaussian of the body's place and the kernels of both arms.
 
@@ -52,43 +77,55 @@ def mixture_values(body, ancestors, least, arms, ancestor_arms, weights, concent
     values
         `(n,)` filled in.
     """
-    k = ancestors.shape[1]
-    upper, fore = concentrations[0], concentrations[1]
-    squares = np.empty(k, np.float32)
+    row = np.empty(ancestors.shape[1], np.float32)
     for i in range(len(body)):
-        _squares_to_rows(body[i], ancestors, squares)
+        _products_to_row(
+            i, body, ancestors, least[i], arms, ancestor_arms, weights, concentrations, floors, row
+        )
         total = _f4(0.0)
-        a0, a1, a2 = arms[i, 0], arms[i, 1], arms[i, 2]
-        a3, a4, a5 = arms[i, 3], arms[i, 4], arms[i, 5]
-        b0, b1, b2 = arms[i, 6], arms[i, 7], arms[i, 8]
-        b3, b4, b5 = arms[i, 9], arms[i, 10], arms[i, 11]
-        nearest, floor, floor_2 = least[i], floors[i, 0], floors[i, 1]
-        for j in range(k):
-            place = exponential(_f4(-0.5) * (squares[j] - nearest))
-            left = upper * (
-                a0 * ancestor_arms[0, j] + a1 * ancestor_arms[1, j] + a2 * ancestor_arms[2, j] - _f4(1.0)
-            ) + fore * (
-                a3 * ancestor_arms[3, j] + a4 * ancestor_arms[4, j] + a5 * ancestor_arms[5, j] - _f4(1.0)
-            )
-            right = upper * (
-                b0 * ancestor_arms[6, j] + b1 * ancestor_arms[7, j] + b2 * ancestor_arms[8, j] - _f4(1.0)
-            ) + fore * (
-                b3 * ancestor_arms[9, j] + b4 * ancestor_arms[10, j] + b5 * ancestor_arms[11, j] - _f4(1.0)
-            )
-            one = exponential(min(left, _f4(0.0))) + floor
-            other = exponential(min(right, _f4(0.0))) + floor_2
-            total += weights[j] * place * one * other
+        for j in range(len(row)):
+            total += row[j]
         values[i] = total
 
 
 @compiled
-def completion_values(necks, ancestor_necks, least, hidden, ancestor_hidden, weights, floors, values):
-    """Density with which neck and hidden coordinates of both arms were drawn around the ancestors.
+def draw_terms(body, ancestors, least, arms, ancestor_arms, weights, concentrations, floors, points, chosen):
+    """For each pose draw a term of the sum of `mixture_values` in proportion to its value.
 
     Parameters
     ----------
-    necks, ancestor_necks, least
-        `(n, 3)`, `(3, k)`, `(n,)`: as `body` of `mixture_values`.
+    points
+        `(n,)`, evenly drawn from 0 to 1.
+    chosen
+        `(n,)` indices, filled in; all others as of `mixture_values`.
+    """
+    row = np.empty(ancestors.shape[1], np.float32)
+    for i in range(len(body)):
+        _products_to_row(
+            i, body, ancestors, least[i], arms, ancestor_arms, weights, concentrations, floors, row
+        )
+        total = 0.0
+        for j in range(len(row)):
+            total += row[j]
+        rest = points[i] * total
+        last = 0
+        for j in range(len(row)):
+            if row[j] > _f4(0.0):
+                last = j
+                rest -= row[j]
+                if rest < 0.0:
+                    break
+        chosen[i] = last
+
+
+@compiled
+def completion_values(turns, ancestor_turns, least, hidden, ancestor_hidden, weights, floors, values):
+    """Density with which torso, neck and hidden coordinates of both arms were drawn around the ancestors.
+
+    Parameters
+    ----------
+    turns, ancestor_turns, least
+        `(n, d)`, `(d, k)`, `(n,)`: as `body` of `mixture_values`.
     hidden, ancestor_hidden
         `(n, 6)`, `(6, k)`: per arm the hand's depth in standard deviations, and cosine and sine of the
         swivel times the root of its concentration.
@@ -99,19 +136,17 @@ def completion_values(necks, ancestor_necks, least, hidden, ancestor_hidden, wei
     values
         `(n,)` filled in.
     """
-    n = len(necks)
+    n = len(turns)
     k = len(weights)
+    squares = np.empty(k, np.float32)
     for i in range(n):
+        _squares_to_rows(turns[i], ancestor_turns, squares)
         total = _f4(0.0)
         depth, cosine, sine = hidden[i, 0], hidden[i, 1], hidden[i, 2]
         depth_2, cosine_2, sine_2 = hidden[i, 3], hidden[i, 4], hidden[i, 5]
-        n0, n1, n2 = necks[i, 0], necks[i, 1], necks[i, 2]
         nearest, floor, floor_2 = least[i], floors[i, 0], floors[i, 1]
         for j in range(k):
-            s0 = n0 - ancestor_necks[0, j]
-            s1 = n1 - ancestor_necks[1, j]
-            s2 = n2 - ancestor_necks[2, j]
-            near = exponential(_f4(-0.5) * (s0 * s0 + s1 * s1 + s2 * s2 - nearest))
+            near = exponential(_f4(-0.5) * (squares[j] - nearest))
             # of two vectors of one length, half the squared distance is that length squared less the product
             x = depth - ancestor_hidden[0, j]
             y = cosine - ancestor_hidden[1, j]

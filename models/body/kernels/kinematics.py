@@ -32,35 +32,42 @@ def _sine_cosine(angle):
 
 
 @inlined
-def _down(x, y, z):
-    """Where (0, 1, 0) is turned by a rotation vector (Rodrigues)."""
+def rotation(x, y, z):
+    """Columns of the matrix of a rotation vector (Rodrigues): where the axes x, y and z are turned."""
     angle = np.sqrt(x * x + y * y + z * z)
     sine, cosine = _sine_cosine(0.5 * angle)
     share = sine / angle if angle > 1e-9 else 0.5
     versine = 2.0 * share * share  # (1 - cos) / angle^2 without its cancellation
     turn = 2.0 * share * cosine
-    return versine * y * x - turn * z, versine * y * y + (1.0 - 2.0 * sine * sine), versine * y * z + turn * x
+    rest = 1.0 - 2.0 * sine * sine
+    xy, xz, yz = versine * x * y, versine * x * z, versine * y * z
+    right = (versine * x * x + rest, xy + turn * z, xz - turn * y)
+    down = (xy - turn * z, versine * y * y + rest, yz + turn * x)
+    away = (xz + turn * y, yz - turn * x, versine * z * z + rest)
+    return right, down, away
 
 
 @compiled
-def place_joints(roots, necks, arms, neck, half, upper, fore, joints):
+def place_joints(roots, torsos, necks, arms, neck, half, upper, fore, joints):
     """Write the joints of each pose into `joints` `(n, 8, 3)`.
 
-    `roots` `(n, 2)`, `necks` `(n, 3)` and `arms` `(n, 2, 2, 3)` as in `BodyPoses`; `neck`, `half` of the
-    shoulders' width, `upper` and `fore` are lengths in px.
+    `roots` `(n, 2)`, `torsos` and `necks` `(n, 3)`, `arms` `(n, 2, 2, 3)` as in `BodyPoses`; `neck`, `half`
+    of the shoulders' width, `upper` and `fore` are lengths in px.
     """
     for k in range(len(roots)):
         x, y = roots[k, 0], roots[k, 1]
-        dx, dy, dz = _down(necks[k, 0], necks[k, 1], necks[k, 2])
+        right, _, _ = rotation(torsos[k, 0], torsos[k, 1], torsos[k, 2])
+        _, (dx, dy, dz), _ = rotation(necks[k, 0], necks[k, 1], necks[k, 2])
         joints[k, 0, 0], joints[k, 0, 1], joints[k, 0, 2] = x - neck * dx, y - neck * dy, -neck * dz
         joints[k, 1, 0], joints[k, 1, 1], joints[k, 1, 2] = x, y, 0.0
         for side in range(2):
             first = 2 + 3 * side
-            sx = x + (1 - 2 * side) * half
+            aside = (1 - 2 * side) * half
+            sx, sy, sz = x + aside * right[0], y + aside * right[1], aside * right[2]
             ex = sx + upper * arms[k, side, 0, 0]
-            ey = y + upper * arms[k, side, 0, 1]
-            ez = upper * arms[k, side, 0, 2]
-            joints[k, first, 0], joints[k, first, 1], joints[k, first, 2] = sx, y, 0.0
+            ey = sy + upper * arms[k, side, 0, 1]
+            ez = sz + upper * arms[k, side, 0, 2]
+            joints[k, first, 0], joints[k, first, 1], joints[k, first, 2] = sx, sy, sz
             joints[k, first + 1, 0], joints[k, first + 1, 1], joints[k, first + 1, 2] = ex, ey, ez
             joints[k, first + 2, 0] = ex + fore * arms[k, side, 1, 0]
             joints[k, first + 2, 1] = ey + fore * arms[k, side, 1, 1]
@@ -68,52 +75,86 @@ def place_joints(roots, necks, arms, neck, half, upper, fore, joints):
 
 
 @compiled
-def place_parts(roots, necks, arms, neck, half, upper, fore, parts):
+def place_parts(roots, torsos, necks, arms, neck, half, upper, fore, parts):
     """Write where head and hands are seen into `parts` `(n, 3, 2)`; otherwise as `place_joints`."""
     for k in range(len(roots)):
         x, y = roots[k, 0], roots[k, 1]
-        dx, dy, _ = _down(necks[k, 0], necks[k, 1], necks[k, 2])
+        right, _, _ = rotation(torsos[k, 0], torsos[k, 1], torsos[k, 2])
+        _, (dx, dy, _), _ = rotation(necks[k, 0], necks[k, 1], necks[k, 2])
         parts[k, 0, 0], parts[k, 0, 1] = x - neck * dx, y - neck * dy
         for side in range(2):
-            sx = x + (1 - 2 * side) * half
+            aside = (1 - 2 * side) * half
+            sx, sy = x + aside * right[0], y + aside * right[1]
             parts[k, 1 + side, 0] = sx + upper * arms[k, side, 0, 0] + fore * arms[k, side, 1, 0]
-            parts[k, 1 + side, 1] = y + upper * arms[k, side, 0, 1] + fore * arms[k, side, 1, 1]
+            parts[k, 1 + side, 1] = sy + upper * arms[k, side, 0, 1] + fore * arms[k, side, 1, 1]
+
+
+@compiled
+def place_shoulders(roots, torsos, half, shoulders):
+    """Write left and right shoulder into `shoulders` `(n, 2, 3)`; otherwise as `place_joints`."""
+    for k in range(len(roots)):
+        right, _, _ = rotation(torsos[k, 0], torsos[k, 1], torsos[k, 2])
+        for side in range(2):
+            aside = (1 - 2 * side) * half
+            shoulders[k, side, 0] = roots[k, 0] + aside * right[0]
+            shoulders[k, side, 1] = roots[k, 1] + aside * right[1]
+            shoulders[k, side, 2] = aside * right[2]
+
+
+@inlined
+def _along(axes, x, y, z):
+    """Coordinates of a vector along the axes that `rotation` gives."""
+    right, down, away = axes
+    return (
+        right[0] * x + right[1] * y + right[2] * z,
+        down[0] * x + down[1] * y + down[2] * z,
+        away[0] * x + away[1] * y + away[2] * z,
+    )
 
 
 @inlined
 def _in_torso(x, y, z, torso):
-    """Whether a point, from the root, is inside of the torso or behind it; see `within_limits`."""
+    """Whether a point, from the root along its axes, is in the torso or behind it; see `within_limits`."""
     # clothes are soft and bodies differ: what is near the border counts as outside
     width = torso[0] + min(max(y / torso[2], 0.0), 1.0) * (torso[1] - torso[0])
     return (abs(x) < 0.4 * width) & (y > 0.0) & (y < torso[2]) & (z > -torso[3])
 
 
 @compiled
-def within_limits(necks, arms, half, upper, fore, limits, torso, allowed):
+def within_limits(torsos, necks, arms, half, upper, fore, limits, torso, allowed):
     """Write into `allowed` `(n,)` whether every joint is within its limits and no arm is in the torso.
 
     Parameters
     ----------
-    necks, arms, half, upper, fore
+    torsos, necks, arms, half, upper, fore
         as for `place_joints`.
     limits
-        `(9,)`: greatest rotation of the neck; middle of the left upper arm's cone (a unit vector) and cosine
-        of its half angle; middle of the range of the inwards turn and half its length; cosines of the elbow's
-        greatest flexion and of the one below which the turn is not tested. Angles in rad.
+        `(10,)`: greatest rotation of the torso; cosine of that of the neck; middle of the left upper arm's
+        cone (a unit vector) and cosine of its half angle; middle of the range of the inwards turn and half
+        its length; cosines of the elbow's greatest flexion and of the one below which the turn is not tested.
+        Angles in rad.
     torso
         `(4,)` px: width at the shoulders and at the lower end, height, and how far it reaches to the viewer.
     """
-    cx, cy, cz, cone = limits[1], limits[2], limits[3], limits[4]
-    middle_sine, middle_cosine = np.sin(limits[5]), np.cos(limits[5])
-    edge, folded, straight = np.cos(limits[6]), limits[7], limits[8]
+    cx, cy, cz, cone = limits[2], limits[3], limits[4], limits[5]
+    middle_sine, middle_cosine = np.sin(limits[6]), np.cos(limits[6])
+    edge, folded, straight = np.cos(limits[7]), limits[8], limits[9]
     widest = limits[0] * limits[0]
     for k in range(len(necks)):
-        x, y, z = necks[k, 0], necks[k, 1], necks[k, 2]
-        good = x * x + y * y + z * z <= widest
+        x, y, z = torsos[k, 0], torsos[k, 1], torsos[k, 2]
+        axes = rotation(x, y, z)
+        right, down, away = rotation(necks[k, 0], necks[k, 1], necks[k, 2])
+        trace = (
+            axes[0][0] * right[0] + axes[0][1] * right[1] + axes[0][2] * right[2]
+            + axes[1][0] * down[0] + axes[1][1] * down[1] + axes[1][2] * down[2]
+            + axes[2][0] * away[0] + axes[2][1] * away[1] + axes[2][2] * away[2]
+        )  # fmt: skip
+        # of a rotation the trace is 1 and twice the cosine
+        good = (x * x + y * y + z * z <= widest) & (0.5 * (trace - 1.0) >= limits[1])
         for side in range(2):
             sign = 1.0 - 2.0 * side
-            ux, uy, uz = arms[k, side, 0, 0], arms[k, side, 0, 1], arms[k, side, 0, 2]
-            fx, fy, fz = arms[k, side, 1, 0], arms[k, side, 1, 1], arms[k, side, 1, 2]
+            ux, uy, uz = _along(axes, arms[k, side, 0, 0], arms[k, side, 0, 1], arms[k, side, 0, 2])
+            fx, fy, fz = _along(axes, arms[k, side, 1, 0], arms[k, side, 1, 1], arms[k, side, 1, 2])
             bend = ux * fx + uy * fy + uz * fz
             good &= (sign * ux * cx + uy * cy + uz * cz >= cone) & (bend >= folded)
             x, y, z = sign * half + upper * ux, upper * uy, upper * uz

@@ -12,6 +12,9 @@ _f4 = np.float32
 NECK = 0.62
 """Of the way from the head's centre to the root: middle of the neck's skin."""
 
+FOREARM_POINTS = 4
+"""Places between elbow and wrist at which skin is looked up."""
+
 
 @inlined
 def _at(picture, x, y):
@@ -34,6 +37,24 @@ def _inside(distance, radius, spread):
 
 
 @inlined
+def _before(edge, spread):
+    """Share of a Gaussian window that is on the near side of an edge `edge` px beyond its centre."""
+    steep = min(max(_f4(-1.7) * edge / spread, _f4(-60.0)), _f4(60.0))
+    return _f4(1.0) / (_f4(1.0) + exponential(steep))
+
+
+@inlined
+def _in_strip(right, below, arm, half, spread):
+    """Share of a Gaussian window that an arm covers, `half` px wide to each side.
+
+    `right` and `below`: the window's centre from the arm's beginning; `arm`: its direction and length.
+    """
+    along, off = right * arm[0] + below * arm[1], below * arm[0] - right * arm[1]
+    covered = _before(arm[2] - along, spread) - _before(-along, spread)
+    return covered * (_before(half - off, spread) - _before(-half - off, spread))
+
+
+@inlined
 def _seen_or_not(nats, hidden):
     """Log of a mixture: seen with a likelihood ratio of `nats`, or `hidden` and then of 1."""
     return logarithm((_f4(1.0) - hidden) * exponential(min(nats, _f4(60.0))) + hidden)
@@ -52,58 +73,89 @@ class HandModel(NamedTuple):
     """px."""
     scores: NDArray[np.float64]
     """`(3,)`: nats of all that a hand shows, and of nothing of it; probability of a hand without skin."""
+    forearm: NDArray[np.float64]
+    """`(2,)` px: its length from the elbow to the hand, and half its width."""
+    bare_scores: NDArray[np.float64]
+    """`(3,)`: the scores of a bare forearm that is seen in its full length."""
+
+
+@inlined
+def _explained(x, y, parts, roots, k, hand, spread):
+    """Share of a Gaussian window at x, y that head and neck of pose k cover."""
+    wide, high = _f4(hand.head[0]), _f4(hand.head[1])
+    radius = np.sqrt(wide * high)
+    neck_x = x - _f4(parts[k, 0, 0] + NECK * (roots[k, 0] - parts[k, 0, 0]))
+    neck_y = y - _f4(parts[k, 0, 1] + NECK * (roots[k, 1] - parts[k, 0, 1]))
+    off_x = (x - _f4(parts[k, 0, 0])) / wide
+    off_y = (y - _f4(parts[k, 0, 1])) / high
+    from_head = np.sqrt(off_x * off_x + off_y * off_y) * radius
+    from_neck = np.sqrt(neck_x * neck_x + neck_y * neck_y)
+    return max(_inside(from_head, radius, spread), _inside(from_neck, _f4(hand.neck_radius), spread))
+
+
+@inlined
+def _forearm(parts, elbows, k, side, radius, arm):
+    """Write direction and length (3,) of a forearm in the picture, from the elbow to the wrist."""
+    x = _f4(parts[k, 1 + side, 0] - elbows[k, side, 0])
+    y = _f4(parts[k, 1 + side, 1] - elbows[k, side, 1])
+    length = max(np.sqrt(x * x + y * y), _f4(1e-3))
+    arm[0], arm[1], arm[2] = x / length, y / length, max(length - radius, _f4(0.0))
 
 
 @compiled
-def hand_terms(parts, roots, centre, surround, scales, hand, out):
+def hand_terms(parts, roots, elbows, centre, surround, scales, hand, bare, out):
     """Log likelihood ratios of both hands' skin, added to `out` `(n,)`.
 
     A hand is a disc of skin amid none, as two Gaussian windows see it: much in the inner one, little in the
     outer one. What head, neck and the other hand explain counts for neither; two hands at one place see the
-    same skin, which counts once.
+    same skin, which counts once. Bare forearms explain skin as well.
 
     Parameters
     ----------
-    parts, roots
-        `(n, 3, 2)` and `(n, 2)` px.
+    parts, roots, elbows
+        `(n, 3, 2)`, `(n, 2)` and `(n, 2, 2)` px.
     centre, surround
         maps of skin, from 0 to 1, in the inner and the outer window; `scales` `(2,)` are their entries a px,
         along x and y.
     hand
         a `HandModel`.
+    bare
+        whether forearms are bare.
     """
     full, none, hidden = _f4(hand.scores[0]), _f4(hand.scores[1]), _f4(hand.scores[2])
     inner, outer = _f4(hand.windows[0]), _f4(hand.windows[1])
-    radius, neck = _f4(hand.radius), _f4(hand.neck_radius)
-    wide, high = _f4(hand.head[0]), _f4(hand.head[1])
+    radius, half = _f4(hand.radius), _f4(hand.forearm[1])
     across, down = _f4(scales[0]), _f4(scales[1])
-    head_radius = np.sqrt(wide * high)
     # a disc of skin of the hand's size, as the windows see it from its centre
     ideal = exponential(_f4(-0.5) * (radius / outer) ** 2) - exponential(_f4(-0.5) * (radius / inner) ** 2)
     width = outer * outer + _f4(0.25) * radius * radius
+    arms = np.zeros((2, 3), np.float32)
     for k in range(len(parts)):
         apart_x = _f4(parts[k, 1, 0] - parts[k, 2, 0])
         apart_y = _f4(parts[k, 1, 1] - parts[k, 2, 1])
         squared = apart_x * apart_x + apart_y * apart_y
         neighbour = _f4(0.5) * radius * radius / width * exponential(_f4(-0.5) * squared / width)
-        neck_x = _f4(parts[k, 0, 0] + NECK * (roots[k, 0] - parts[k, 0, 0]))
-        neck_y = _f4(parts[k, 0, 1] + NECK * (roots[k, 1] - parts[k, 0, 1]))
         least, total = _f4(1e9), _f4(0.0)
+        if bare:
+            for side in range(2):
+                _forearm(parts, elbows, k, side, radius, arms[side])
         for side in range(1, 3):
             x, y = _f4(parts[k, side, 0]), _f4(parts[k, side, 1])
-            off_x = (x - _f4(parts[k, 0, 0])) / wide
-            off_y = (y - _f4(parts[k, 0, 1])) / high
-            from_head = np.sqrt(off_x * off_x + off_y * off_y) * head_radius
-            from_neck = np.sqrt((x - neck_x) * (x - neck_x) + (y - neck_y) * (y - neck_y))
-            before_face = max(_inside(from_head, head_radius, inner), _inside(from_neck, neck, inner))
-            around = max(_inside(from_head, head_radius, outer), _inside(from_neck, neck, outer))
+            before = _explained(x, y, parts, roots, k, hand, inner)
+            around = _explained(x, y, parts, roots, k, hand, outer)
+            if bare:
+                for arm in range(2):
+                    right, below = x - _f4(elbows[k, arm, 0]), y - _f4(elbows[k, arm, 1])
+                    around += _in_strip(right, below, arms[arm], half, outer)
+                    if arm != side - 1:
+                        before = max(before, _in_strip(right, below, arms[arm], half, inner))
             column = (x + _f4(0.5)) * across - _f4(0.5)
             row = (y + _f4(0.5)) * down - _f4(0.5)
-            # what head and other hand explain tells nothing: it is there anyway; other skin around the hand
-            # speaks against it
+            # what head, arms and other hand explain tells nothing: it is there anyway; other skin around the
+            # hand speaks against it
             foreign = max(_at(surround, column, row) - neighbour - around, _f4(0.0))
-            response = (max(_at(centre, column, row) - before_face, _f4(0.0)) - foreign) / ideal
-            free = _f4(1.0) - before_face
+            response = (max(_at(centre, column, row) - before, _f4(0.0)) - foreign) / ideal
+            free = _f4(1.0) - before
             nats = free * none + (full - none) * min(max(response, _f4(0.0)), free)
             gain = _seen_or_not(nats, hidden)
             least = min(least, gain)
@@ -113,6 +165,44 @@ def hand_terms(parts, roots, centre, surround, scales, hand, out):
             shared = (np.arccos(apart) - apart * np.sqrt(_f4(1.0) - apart * apart)) * _f4(2.0 / np.pi)
             total -= min(_f4(2.0) * shared, _f4(1.0)) * max(least, _f4(0.0))
         out[k] += total
+
+
+@compiled
+def forearm_terms(parts, roots, elbows, centre, scales, hand, out):
+    """Log likelihood ratios of both forearms' skin, if they are bare, added to `out` `(n,)`.
+
+    They are looked up at points between elbow and wrist, and count as far as they are long in the picture.
+    What head, neck, hands and the other forearm explain tells nothing. Parameters as of `hand_terms`.
+    """
+    full, none, hidden = _f4(hand.bare_scores[0]), _f4(hand.bare_scores[1]), _f4(hand.bare_scores[2])
+    inner, radius, half = _f4(hand.windows[0]), _f4(hand.radius), _f4(hand.forearm[1])
+    across, down = _f4(scales[0]), _f4(scales[1])
+    ideal = _before(half, inner) - _before(-half, inner)
+    whole = _f4(hand.forearm[0]) - radius
+    arms = np.zeros((2, 3), np.float32)
+    for k in range(len(parts)):
+        for side in range(2):
+            _forearm(parts, elbows, k, side, radius, arms[side])
+        for side in range(2):
+            nats = _f4(0.0)
+            for step in range(FOREARM_POINTS):
+                share = (_f4(step) + _f4(0.5)) / _f4(FOREARM_POINTS) * arms[side, 2]
+                x = _f4(elbows[k, side, 0]) + share * arms[side, 0]
+                y = _f4(elbows[k, side, 1]) + share * arms[side, 1]
+                before = _explained(x, y, parts, roots, k, hand, inner)
+                for other in range(2):
+                    right, below = x - _f4(parts[k, 1 + other, 0]), y - _f4(parts[k, 1 + other, 1])
+                    before = max(before, _inside(np.sqrt(right * right + below * below), radius, inner))
+                if side == 1:
+                    right, below = x - _f4(elbows[k, 0, 0]), y - _f4(elbows[k, 0, 1])
+                    before = max(before, _in_strip(right, below, arms[0], half, inner))
+                column = (x + _f4(0.5)) * across - _f4(0.5)
+                row = (y + _f4(0.5)) * down - _f4(0.5)
+                free = _f4(1.0) - before
+                response = max(_at(centre, column, row) / ideal - before, _f4(0.0))
+                nats += free * none + (full - none) * min(response, free)
+            nats *= arms[side, 2] / (whole * _f4(FOREARM_POINTS))
+            out[k] += _seen_or_not(nats, hidden)
 
 
 @compiled
@@ -131,13 +221,17 @@ def head_terms(heads, contrast, scales, scores, out):
 
 
 @compiled
-def blob_terms(parts, blobs, costs, reach, out):
-    """Takes from `out` `(n,)` the `costs` `(m,)` nats of `blobs` `(m, 2)` px that no part explains.
+def blob_terms(parts, elbows, blobs, costs, reach, bare, out):
+    """Takes from `out` `(n,)` the `costs` `(m,)` nats of `blobs` `(m, 2)` px that nothing explains.
 
-    A part explains what is within about `reach` `(3,)` px of it.
+    A part explains what is within about `reach` `(4,)` px of it, and so do, if they are `bare`, forearms.
     """
+    arms = np.zeros((2, 3), np.float32)
     for k in range(len(parts)):
         total = _f4(0.0)
+        if bare:
+            for side in range(2):
+                _forearm(parts, elbows, k, side, _f4(0.0), arms[side])
         for j in range(len(blobs)):
             left = _f4(costs[j])
             for part in range(3):
@@ -145,6 +239,15 @@ def blob_terms(parts, blobs, costs, reach, out):
                 y = _f4(parts[k, part, 1] - blobs[j, 1])
                 scale = _f4(0.5) / _f4(reach[part] * reach[part])
                 left *= _f4(1.0) - exponential(-scale * (x * x + y * y))
+            if bare:
+                for side in range(2):
+                    x = _f4(blobs[j, 0] - elbows[k, side, 0])
+                    y = _f4(blobs[j, 1] - elbows[k, side, 1])
+                    along = min(max(x * arms[side, 0] + y * arms[side, 1], _f4(0.0)), arms[side, 2])
+                    x -= along * arms[side, 0]
+                    y -= along * arms[side, 1]
+                    scale = _f4(0.5) / _f4(reach[3] * reach[3])
+                    left *= _f4(1.0) - exponential(-scale * (x * x + y * y))
             total += left
         out[k] -= total
 

@@ -1,7 +1,8 @@
 """Loops over the contours of many upper bodies: where they are, and what hides them.
 
-A body is a head (ellipsoid), a torso (flat, with a neck), two hands (spheres) and four limbs (each the union
-of spheres between its ends), seen along z. All depths are exact for these solids.
+A body is a head (ellipsoid), a torso (flat, with a neck, in a plane that leans and turns), two hands
+(spheres) and four limbs (each the union of spheres between its ends), seen along z. All depths are exact for
+these solids.
 """
 
 from typing import NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled
+from .kinematics import rotation
 
 _f4 = np.float32
 
@@ -17,6 +19,12 @@ _f4 = np.float32
 _HEAD, _TORSO = 0, 1
 _ROUND = (0, 4, 7)
 _N_PARTS = 8
+
+NUMBERS = 13
+"""At most so many describe the place of a part."""
+
+_EDGE_ON = 0.1
+"""Cosine to which a torso is turned away at most as far as its picture goes, so that it has an inverse."""
 
 _FAR = _f4(1e9)
 """Depth where a part is not."""
@@ -30,7 +38,7 @@ class Solid(NamedTuple):
     torso: NDArray[np.float32]
     """`(4, 4)`, see `_torso_fronts`."""
     torso_points: NDArray[np.float32]
-    """`(c, 2)` px from the root: its contour."""
+    """`(c, 2)` px from the root, in its plane: its contour."""
     torso_normals: NDArray[np.float32]
     """`(c, 2)`: of its contour."""
     circles: NDArray[np.float32]
@@ -95,24 +103,30 @@ def _end_on_fronts(shape, rim, xs, ys, out):
 
 @compiled
 def _torso_fronts(torso, shape, xs, ys, out):
-    """Depths of a torso `(root 2, depth below and above it, lean of the neck, its upper end)`.
+    """Depths of a torso `(middle 2, depth below and above it, lean of the neck, its end, axes 6, scale)`.
 
-    `torso` `(4, 4)` has, from the top, pieces (beginning and length in px below the root, half width at the
-    beginning, its increase per px); the first is the neck, which leans as the head does.
+    The axes are those of its plane in space, across and down; the scale is the inverse of their determinant
+    in the picture. `torso` `(4, 4)` has, from the top, pieces (beginning and length in px below the root,
+    half width at the beginning, its increase per px); the first is the neck, which leans as the head does,
+    and not in depth as the torso.
     """
     cx, cy, low, high, lean, top = shape[0], shape[1], shape[2], shape[3], shape[4], shape[5]
+    across_x, across_y = shape[10] * shape[12], -shape[9] * shape[12]
+    down_x, down_y = -shape[7] * shape[12], shape[6] * shape[12]
+    aside, below = shape[8], shape[11]
     foot, narrow, end = torso[1, 0], torso[0, 2], torso[3, 0] + torso[3, 1]
     length1, steep1 = torso[1, 1], torso[1, 3]
     begin2, length2, steep2 = torso[2, 0], torso[2, 1], torso[2, 3]
     begin3, length3, steep3 = torso[3, 0], torso[3, 1], torso[3, 3]
     for k in range(len(xs)):
-        dy = ys[k] - cy
-        dx = abs(xs[k] - cx - lean * max(foot - dy, _f4(0)))
+        x, y = xs[k] - cx, ys[k] - cy
+        off, dy = across_x * x + across_y * y, down_x * x + down_y * y
+        dx = abs(off - lean * max(foot - dy, _f4(0)))
         half = narrow + steep1 * min(max(dy - foot, _f4(0)), length1)
         half += steep2 * min(max(dy - begin2, _f4(0)), length2)
         half += steep3 * min(max(dy - begin3, _f4(0)), length3)
         outside = max(dx - half, max(top - dy, dy - end))
-        front = low if dy > _f4(0) else high
+        front = aside * off + (low + below * dy if dy > _f4(0) else high)
         out[k] = front if outside < _f4(0) else _FAR
 
 
@@ -130,15 +144,8 @@ def _put_ellipsoid(shape, x, y, z, xx, xy, yy, xz, yz, zz):
 @compiled
 def _put_head(shape, vector, neck, axes, x, y):
     """The head of a body with root `(x, y)`: `vector` turns it about there."""
-    vx, vy, vz = vector[0], vector[1], vector[2]
-    angle = np.sqrt(vx * vx + vy * vy + vz * vz)
-    sine = np.sin(angle) / angle if angle > 1e-9 else 1.0
-    versine = 2 * (np.sin(angle / 2) / angle) ** 2 if angle > 1e-9 else 0.5
-    cosine = np.cos(angle)
-    # columns of the rotation: where the half axes across, down and through the head point
-    r00, r10, r20 = versine * vx * vx + cosine, versine * vx * vy + sine * vz, versine * vx * vz - sine * vy
-    r01, r11, r21 = versine * vx * vy - sine * vz, versine * vy * vy + cosine, versine * vy * vz + sine * vx
-    r02, r12, r22 = versine * vx * vz + sine * vy, versine * vy * vz - sine * vx, versine * vz * vz + cosine
+    # where the half axes across, down and through the head point
+    (r00, r10, r20), (r01, r11, r21), (r02, r12, r22) = rotation(vector[0], vector[1], vector[2])
     a, b, c = axes[0] * axes[0], axes[1] * axes[1], axes[2] * axes[2]
     _put_ellipsoid(
         shape, x - neck * r01, y - neck * r11, -neck * r21,
@@ -167,23 +174,43 @@ def _put_capsule(shape, x, y, z, ex, ey, ez, first, last):
 
 
 @compiled
-def _put_body(root, vector, arms, lengths, torso, shapes):
-    """Describe the parts of one pose in `shapes` `(8, 11)`, see the functions `_*_fronts`.
+def _put_torso(shape, vector, depth, x, y):
+    """The plane of a torso, `depth` behind the root `(x, y)`, about which `vector` turns it."""
+    right, down, away = rotation(vector[0], vector[1], vector[2])
+    shape[0], shape[1], shape[2] = x + depth * away[0], y + depth * away[1], depth * away[2]
+    shape[6], shape[7], shape[8] = right
+    shape[9], shape[10], shape[11] = down
+    shape[12] = 1 / max(right[0] * down[1] - right[1] * down[0], _EDGE_ON)
+
+
+@compiled
+def _put_neck(shape, head, chin, foot, least):
+    """The neck of a torso, which goes with the head; the chin, `chin` before its middle, is before it."""
+    x, y = head[0] - shape[0], head[1] - shape[1]
+    across = (shape[10] * x - shape[9] * y) * shape[12]
+    down = (shape[6] * y - shape[7] * x) * shape[12]
+    shape[3] = shape[2] + max(head[2] + chin, 0.0)
+    # its upper end is in the middle of the head
+    shape[5] = min(down, foot)
+    shape[4] = across / max(foot - shape[5], least)
+
+
+@compiled
+def _put_body(root, torso_vector, neck_vector, arms, lengths, torso, shapes):
+    """Describe the parts of one pose in `shapes` `(8, NUMBERS)`, see the functions `_*_fronts`.
 
     `lengths` `(12,)` px: neck, half axes of the head (3), shoulder width, upper arm, forearm, hand, radii of
     shoulder, elbow and wrist, depth of the torso's plane.
     """
     head, trunk = shapes[_HEAD], shapes[_TORSO]
-    _put_head(head, vector, lengths[0], lengths[1:4], root[0], root[1])
-    trunk[0], trunk[1], trunk[2] = root[0], root[1], lengths[11]
-    # the neck goes with the head, and the chin is always before it
-    trunk[3] = lengths[11] + max(head[2] + lengths[3], 0.0)
-    # its upper end is in the middle of the head
-    trunk[5] = min(head[1] - trunk[1], torso[1, 0])
-    trunk[4] = (head[0] - trunk[0]) / max(torso[1, 0] - trunk[5], 0.25 * lengths[0])
+    _put_head(head, neck_vector, lengths[0], lengths[1:4], root[0], root[1])
+    _put_torso(trunk, torso_vector, lengths[11], root[0], root[1])
+    _put_neck(trunk, head, lengths[3], torso[1, 0], 0.25 * lengths[0])
+    right, _, _ = rotation(torso_vector[0], torso_vector[1], torso_vector[2])
     for side in range(2):
         first = 2 + 3 * side
-        x, y, z = root[0] + (0.5 - side) * lengths[4], root[1], 0.0
+        aside = (0.5 - side) * lengths[4]
+        x, y, z = root[0] + aside * right[0], root[1] + aside * right[1], aside * right[2]
         ex, ey, ez = (
             lengths[5] * arms[side, 0, 0],
             lengths[5] * arms[side, 0, 1],
@@ -199,6 +226,21 @@ def _put_body(root, vector, arms, lengths, torso, shapes):
         _put_capsule(shapes[first + 1], x, y, z, ex, ey, ez, lengths[9], lengths[10])
         square = lengths[7] * lengths[7]
         _put_ellipsoid(shapes[first + 2], x + ex, y + ey, z + ez, square, 0.0, square, 0.0, 0.0, square)
+
+
+@compiled
+def _trace_torso(shape, contour, across, xs, ys, normals, depths):
+    """Points of a torso's outline from those in its plane, `(c, 2)`, and their normals `across` there."""
+    for k in range(len(contour)):
+        off, down = contour[k, 0], contour[k, 1]
+        xs[k] = shape[0] + shape[6] * off + shape[9] * down
+        ys[k] = shape[1] + shape[7] * off + shape[10] * down
+        depths[k] = shape[2] + shape[8] * off + shape[11] * max(down, _f4(0))
+        # normals turn by the inverse, the other way round
+        nx = shape[10] * across[k, 0] - shape[7] * across[k, 1]
+        ny = shape[6] * across[k, 1] - shape[9] * across[k, 0]
+        shrink = _f4(1) / np.sqrt(nx * nx + ny * ny)
+        normals[k, 0], normals[k, 1] = nx * shrink, ny * shrink
 
 
 @compiled
@@ -271,31 +313,28 @@ def _fronts(shape, kind, torso, rim, xs, ys, out):
 
 
 @compiled
-def outlines(roots, necks, arms, solid, points, normals, visible):
+def outlines(roots, torsos, necks, arms, solid, points, normals, visible):
     """Contours of the parts of each pose, and which of their points are seen.
 
-    `roots` `(n, 2)`, `necks` `(n, 3)`, `arms` `(n, 2, 2, 3)` as in `BodyPoses`. Writes `points`, `normals`
-    `(n, m, 2)` float32 and `visible` `(n, m)` bool.
+    `roots` `(n, 2)`, `torsos` and `necks` `(n, 3)`, `arms` `(n, 2, 2, 3)` as in `BodyPoses`. Writes `points`,
+    `normals` `(n, m, 2)` float32 and `visible` `(n, m)` bool.
     """
     torso, firsts = solid.torso, solid.firsts
     count = points.shape[1]
-    shapes = np.zeros((_N_PARTS, 11), np.float32)
+    shapes = np.zeros((_N_PARTS, NUMBERS), np.float32)
     xs, ys = np.zeros(count, np.float32), np.zeros(count, np.float32)
     depths, fronts = np.zeros(count, np.float32), np.zeros(count, np.float32)
     least = np.zeros(count, np.float32)
     for pose in range(len(roots)):
-        _put_body(roots[pose], necks[pose], arms[pose], solid.lengths, torso, shapes)
+        _put_body(roots[pose], torsos[pose], necks[pose], arms[pose], solid.lengths, torso, shapes)
         for part in range(_N_PARTS):
             run = slice(firsts[part], firsts[part + 1])
             shape = shapes[part]
             if part == _TORSO:
-                for k in range(len(solid.torso_points)):
-                    place = firsts[part] + k
-                    xs[place] = shape[0] + solid.torso_points[k, 0]
-                    ys[place] = shape[1] + solid.torso_points[k, 1]
-                    depths[place] = shape[2]
-                    normals[pose, place, 0] = solid.torso_normals[k, 0]
-                    normals[pose, place, 1] = solid.torso_normals[k, 1]
+                _trace_torso(
+                    shape, solid.torso_points, solid.torso_normals,
+                    xs[run], ys[run], normals[pose, run], depths[run],
+                )  # fmt: skip
             elif part in _ROUND:
                 _trace_ellipsoid(shape, solid.circles[run], xs[run], ys[run], normals[pose, run], depths[run])
             else:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rsmcm.apps.body import application
 from rsmcm.apps.body import report as body_report
 from rsmcm.apps.body import start as body_start
+from rsmcm.apps.body.hypotheses import HANDS, Hypotheses
 from rsmcm.apps.body.report import BodyRecord
 from rsmcm.apps.body.start import read_head, start_from_head
 from rsmcm.apps.body.writer import ANGLE_NAMES, N_DRAWN
@@ -152,9 +153,10 @@ def test_poses(finished: Path, scene: SignerScene) -> None:
     n = N_FRAMES
     shapes = {
         "frames": (n,), "times": (n,), "joints_2d": (n, 8, 2), "joints_2d_covariances": (n, 8, 2, 2),
-        "joints_3d": (n, 8, 3), "joints_3d_covariances": (n, 8, 3, 3), "angles": (n, 13),
-        "angle_covariances": (n, 13, 13), "samples": (n, N_DRAWN, 8, 3), "seen": (n, 3), "stationary": (n,),
-        "missing": (n,), "joint_names": (8,), "part_names": (3,), "angle_names": (13,),
+        "joints_3d": (n, 8, 3), "joints_3d_covariances": (n, 8, 3, 3), "angles": (n, 16),
+        "angle_covariances": (n, 16, 16), "samples": (n, N_DRAWN, 8, 3), "hypotheses": (n, 4),
+        "hypothesis_joints": (n, 4, 8, 3), "exchanged": (n,), "seen": (n, 3), "stationary": (n,),
+        "missing": (n,), "joint_names": (8,), "part_names": (3,), "angle_names": (16,),
         "length_names": (len(fields(UpperBody)),), "lengths": (len(fields(UpperBody)),),
     }  # fmt: skip
     assert {name: array.shape for name, array in poses.items()} == shapes
@@ -182,6 +184,20 @@ def test_samples_are_of_the_posterior(finished: Path) -> None:
     assert np.mean(np.abs(off) < 2 * error) > 0.9
 
 
+def test_answers_are_of_the_posterior(finished: Path) -> None:
+    """The best one comes first; together they are all there is, and their mean that of the posterior."""
+    poses = poses_of(finished)
+    weights, joints = poses["hypotheses"], poses["hypothesis_joints"]
+    assert (np.diff(weights, axis=1) <= 0).all()
+    assert ((weights > 0) == np.isfinite(joints).all(axis=(2, 3))).all()
+    assert ((weights > 0) == ~np.isnan(joints).all(axis=(2, 3))).all()
+    whole = weights.sum(axis=1) > 1 - 1e-9
+    assert whole.any()
+    mean = np.einsum("fh,fhjx->fjx", weights, np.nan_to_num(joints))
+    np.testing.assert_allclose(mean[whole], poses["joints_3d"][whole], atol=1e-6)
+    assert ((poses["exchanged"] >= 0) & (poses["exchanged"] <= 1 - weights[:, 0] + 1e-9)).all()
+
+
 def test_the_body_is_followed(finished: Path, scene: SignerScene) -> None:
     """Not how well, which is tested elsewhere, but that it is this film's body."""
     for name in ("head", "neck", "left_shoulder", "right_shoulder"):
@@ -198,11 +214,11 @@ def test_the_video(finished: Path) -> None:
 
 def test_report(finished: Path) -> None:
     page = (finished / "report.html").read_text()
-    for heading in ("Pictures over time", "Head and hands", "Tracker", "Body"):
+    for heading in ("Pictures over time", "Head and hands", "Doubt", "Tracker", "Body"):
         assert f"<h2>{heading}</h2>" in page
     assert "http" not in page.replace("http://www.w3.org", "")
     assert page.count('src="data:image') >= 4
-    assert page.count("<svg ") == 3
+    assert page.count("<svg ") == 4
 
 
 def test_the_page_shows_what_the_run_found(finished: Path) -> None:
@@ -241,6 +257,23 @@ def test_same_seed_same_run(film: Path, tmp_path: Path) -> None:
     for name, array in found[0].items():
         np.testing.assert_array_equal(array, found[1][name])
     assert (found[0]["samples"] != found[2]["samples"]).any()
+
+
+@pytest.mark.usefixtures("faces")
+def test_later_frames_change_what_is_said_of_earlier_ones(
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a lag; without, the frames behind a frame do not count."""
+    monkeypatch.setattr(application, "CALIBRATION_FRAMES", 1)
+    found = {}
+    for lag, stop in ((0, 8), (0, 16), (5, 8), (5, 16)):
+        out = tmp_path / f"{lag}-{stop}"
+        assert run(film, "--out", out, "--stop", stop, "--lag", lag, *FEW) == 0
+        assert summary_of(out)["parameters"]["lag"] == lag
+        found[lag, stop] = poses_of(out)["joints_3d"]
+    np.testing.assert_array_equal(found[0, 8], found[0, 16][:8])
+    assert (found[5, 8] != found[5, 16][:8]).any(axis=(1, 2)).all(), "none was known any better before"
+    assert (found[5, 8] != found[0, 8]).any(axis=(1, 2))[:-1].all()
 
 
 @pytest.mark.usefixtures("faces")
@@ -430,7 +463,6 @@ def test_wrong_arguments(
         ((film, *out), "no face detector along, expected a model file of YuNet as --detector, or the head"),
         ((film, *out, "--detector", bad), "bad.onnx: is no model"),
         ((film, *out, "--detector", tmp_path / "nowhere.onnx"), "nowhere.onnx: no such file"),
-        ((film, *out, *head, "--detector", bad), "--head: got --detector as well"),
         ((film, *out, "--head", "1,2,3"), "--head: got '1,2,3', expected x,y,width,height in px"),
         ((film, *out, "--head", "400,10,30,40"), "expected the head inside the picture of 320x180 px"),
         ((film, *out, "--head=-90,10,30,40"), "expected the head inside the picture of 320x180 px"),
@@ -440,6 +472,7 @@ def test_wrong_arguments(
         ((film, *out, *head, "--joints", lonely), "lonely.csv: tells of no length"),
         ((film, *out, *head, "--samples", 9), "--samples: got 9, expected 10 or more"),
         ((film, *out, *head, "--samples", "many"), "--samples"),
+        ((film, *out, *head, "--lag", -1), "--lag: got -1, expected 0 to 250 frames"),
         ((film, *out, *head, "--start", 99), "start: got 99"),
         ((tmp_path / "nowhere", *out, *head), "no such file or folder"),
         ((film, *head), "--out is needed"),
@@ -538,7 +571,13 @@ def test_a_record_of_any_length() -> None:
     picture = np.zeros((48, 64, 3), np.uint8)
     body = UpperBody.from_head(50.0)
     joints = body.joints(resting(np.array([[30.0, 20.0]])))[0]
-    found = BodyMoments(joints, np.tile(4 * np.eye(3), (8, 1, 1)), np.zeros(13), np.eye(13))
+    elsewhere = joints.copy()
+    elsewhere[HANDS[0], 0] += 30
+    certain, doubtful = (
+        Hypotheses(np.array([1 - second, second, 0, 0]), np.stack([joints, elsewhere, joints, joints]), 10.0)
+        for second in (0.02, 0.3)
+    )
+    found = BodyMoments(joints, np.tile(4 * np.eye(3), (8, 1, 1)), np.zeros(16), np.eye(16))
     for number in range(1, 101):
 
         class Samples:
@@ -548,17 +587,20 @@ def test_a_record_of_any_length() -> None:
 
         seen = np.array([True, number % 4 != 0, number % 4 == 0]) & (number != 9)
         frame = Frame(None if number == 9 else picture, number / 25, number)
-        record.add(frame, found, seen, Samples(), 0.1, overlay=lambda: picture)  # type: ignore[arg-type]
+        answers = doubtful if 40 <= number < 60 else certain
+        record.add(frame, found, seen, Samples(), answers, 0.1, overlay=lambda: picture)  # type: ignore[arg-type]
     assert record.stationary_periods == [(5, 7), (20, 20)]
     assert record.missing == [9]
     assert record.shares_seen == {"head": 1.0, "left_hand": 74 / 99, "right_hand": 25 / 99}
     notes = record.notes
     assert notes[0] == "Missing, unreadable or blank, and only predicted: frame 9."
-    assert notes[1].endswith("only predicted, in frames 5 to 7, 20.")
-    assert notes[2].startswith(
+    assert notes[2].endswith("only predicted, in frames 5 to 7, 20.")
+    assert notes[1] == "The left hand may be elsewhere in frames 40 to 59 (30 %)."
+    assert record.doubts == {"exchanged": [], "left_hand": [(40, 59, 0.3)], "right_hand": []}
+    assert notes[3].startswith(
         "The right hand was not seen, or not told from the face, in 75 % of the frames: "
     )
-    assert len(notes) == 3
+    assert len(notes) == 4
     assert np.flatnonzero(np.isnan(record.log_evidence)).tolist() == [4, 5, 6, 8, 19]
     np.testing.assert_allclose(record.places[0][0], joints[HEAD])
     np.testing.assert_allclose(record.spreads, 2.0)

@@ -23,10 +23,10 @@ def blank(height: int = SIZE[0], width: int = SIZE[1]) -> NDArray[np.uint8]:
 
 def joints_of(**angles: float) -> NDArray[np.float64]:
     """Of a body in the middle: its left arm reaches towards the viewer, the right one is stretched aside."""
-    vector = np.zeros((1, 13))
+    vector = np.zeros((1, 16))
     vector[0, :2] = 300, 140
-    vector[0, 5], vector[0, 7], vector[0, 8] = -0.6, -0.2, angles.get("elbow", 0.9)
-    vector[0, 11] = 1.2
+    vector[0, 8], vector[0, 10], vector[0, 11] = -0.6, -0.2, angles.get("elbow", 0.9)
+    vector[0, 14] = 1.2
     joints: NDArray[np.float64] = BODY.joints(from_angles(vector))[0]
     return joints
 

@@ -22,6 +22,8 @@ SIZE = (320, 180)
 DEVIATIONS = np.array([3.0, 4.0, 9.0])  # px
 LEFT_HAND = JOINTS.index("left_hand")
 HIDDEN = range(10, 18)  # indices of frames in which the left hand is not seen
+DOUBTFUL = range(3, 7)  # indices of frames with two answers
+ELSEWHERE = np.array([30.0, -20.0, 5.0])  # px, from the first to the second
 ARM = 60.0
 
 
@@ -41,6 +43,9 @@ def rows(joints: NDArray[np.float64]) -> list[dict[str, Any]]:
                 "joints_3d": places,
                 "joints_3d_covariances": np.tile(np.diag(DEVIATIONS**2), (len(places), 1, 1)),
                 "samples": (places + noise).astype(np.float32),
+                "hypotheses": np.array([0.7, 0.25, 0.05, 0] if index in DOUBTFUL else [0.95, 0.05, 0, 0]),
+                "hypothesis_joints": np.stack([places, places + ELSEWHERE, *np.full((2, 8, 3), np.nan)]),
+                "exchanged": np.float64(0.25 * (index in DOUBTFUL)),
                 "seen": np.array([True, index not in HIDDEN, True]),
                 "stationary": np.bool_(False),
                 "missing": np.bool_(index == 20),
@@ -129,6 +134,20 @@ def test_what_is_hidden_is_said(shown: ViewPage) -> None:
         assert shown.details["now"] == said
     shown.page.locator(f"#row-{JOINTS.index('neck')} .label").click()
     assert shown.details["now"] == "inferred"
+
+
+def test_a_second_answer_is_drawn_and_said(shown: ViewPage, joints: NDArray[np.float64]) -> None:
+    shown.page.locator(f"#row-{LEFT_HAND} .label").click()
+    for index, there in ((2, False), (3, True), (6, True), (7, False)):
+        shown.show(index)
+        before = shown.inked()
+        shown.page.keyboard.press("a")
+        assert (shown.inked() < before) == there
+        shown.page.keyboard.press("a")
+        assert ("or" in shown.details) == there
+        if there:
+            expected = [*(joints[index, LEFT_HAND] + ELSEWHERE)[:2], 25]
+            np.testing.assert_allclose(shown.numbers("or"), expected, atol=0.5 / PER_PX + 0.06)
 
 
 @pytest.mark.parametrize(

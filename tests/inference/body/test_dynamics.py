@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rsmcm.inference.body.dynamics import (
@@ -8,7 +10,6 @@ from rsmcm.inference.body.dynamics import (
     around,
     concentration,
 )
-from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import UpperBody
 from scipy.optimize import brentq
 
@@ -26,9 +27,11 @@ def plain_log_density(dynamics, poses, ancestors, weights, dt):
     place = dynamics.place * dynamics.body.head_height * np.sqrt(dt)
     kept = np.exp(-dt / dynamics.neck_time)
     neck = dynamics.neck * np.sqrt(1 - kept**2)
+    held = np.exp(-dt / dynamics.torso_time)
+    torso = np.array([dynamics.lean, dynamics.turn, dynamics.lean]) * np.sqrt(1 - held**2)
     jump = 1 - np.exp(-dynamics.jumps * dt)
     total = np.zeros((len(poses), len(ancestors)))
-    for name, spread, share in (("roots", place, 1.0), ("necks", neck, kept)):
+    for name, spread, share in (("roots", place, 1.0), ("torsos", torso, held), ("necks", neck, kept)):
         step = getattr(poses, name)[:, None] - share * getattr(ancestors, name)[None]
         total += (-0.5 * (step / spread) ** 2 - 0.5 * np.log(2 * np.pi * spread**2)).sum(axis=2)
     for side in (0, 1):
@@ -75,7 +78,9 @@ def test_draws_have_the_density_that_is_evaluated():
     """By importance: the mean of any other density over ours is 1."""
     random = np.random.default_rng(3)
     dynamics = BodyDynamics(BODY, jumps=4.0)
-    other = BodyDynamics(BODY, place=0.22, neck=0.2, upper_arm=0.5, forearm=0.8, jumps=2.0)
+    other = BodyDynamics(
+        BODY, place=0.22, lean=0.12, turn=0.25, neck=0.2, upper_arm=0.5, forearm=0.8, jumps=2.0
+    )
     start = some_poses(2, random)
     weights = np.array([0.3, 0.7])
     n = 40_000
@@ -115,13 +120,13 @@ def test_ten_steps_have_the_moments_of_one():
     random = np.random.default_rng(11)
     dynamics = BodyDynamics(BODY, jumps=0.0)
     n, start = 40_000, some_poses(1, random)
-    start.necks[0] = 0.2, -0.3, 0.1
+    start.torsos[0], start.necks[0] = (-0.1, 0.4, 0.2), (0.2, -0.3, 0.1)
     once = stepwise = start.take(np.zeros(n, np.int64))
     once = dynamics.draw(once, 0.4, random)
     for _ in range(10):
         stepwise = dynamics.draw(stepwise, DT, random)
     directions = start.arms[0] * np.exp(-0.4 * np.array([0.6, 1.0]) ** 2)[:, None]
-    for name, tolerance in (("roots", 0.03), ("necks", 0.03), ("arms", 0.06)):
+    for name, tolerance in (("roots", 0.03), ("torsos", 0.03), ("necks", 0.03), ("arms", 0.06)):
         one, ten = (getattr(each, name).reshape(n, -1) for each in (once, stepwise))
         bar = 5 * np.hypot(one.std(axis=0), ten.std(axis=0)) / np.sqrt(n)
         assert (np.abs(one.mean(axis=0) - ten.mean(axis=0)) < bar).all()
@@ -138,7 +143,7 @@ def test_anywhere_is_within_the_limits_and_the_picture():
     assert BODY.allowed(poses).all()
     assert ((poses.roots >= 0) & (poses.roots <= (640, 360))).all()
     density = dynamics.log_density_anywhere(poses, (360, 640))
-    rest = BodyPoses(poses.roots, np.zeros_like(poses.necks), poses.arms)
+    rest = replace(poses, torsos=np.zeros((200, 3)), necks=np.zeros((200, 3)))
     assert (dynamics.log_density_anywhere(rest, (360, 640)) >= density).all()
 
 
@@ -149,3 +154,33 @@ def test_anywhere_is_within_the_limits_and_the_picture():
 def test_impossible_dynamics_are_refused(settings, words):
     with pytest.raises(ValueError, match=words):
         BodyDynamics(BODY, **settings)
+
+
+def test_ancestors_are_drawn_in_proportion_to_their_terms():
+    random = np.random.default_rng(5)
+    dynamics = BodyDynamics(BODY)
+    ancestors = dynamics.draw(some_poses(1, random).take(np.zeros(8, np.int64)), DT, random)
+    weights = random.dirichlet(np.ones(8))
+    pose = dynamics.draw(ancestors.take([3]), DT, random)
+    terms = np.array(
+        [dynamics.log_density(pose, Ancestors(ancestors.take([k]), np.ones(1), DT))[0] for k in range(8)]
+    )
+    shares = weights * np.exp(terms - terms.max())
+    n = 20_000
+    drawn = dynamics.draw_ancestors(
+        pose.take(np.zeros(n, np.int64)), Ancestors(ancestors, weights, DT), random
+    )
+    counted = np.bincount(drawn, minlength=8) / n
+    np.testing.assert_allclose(counted, shares / shares.sum(), atol=4 * 0.5 / np.sqrt(n))
+
+
+def test_one_step_is_a_mixture_of_one_ancestor():
+    random = np.random.default_rng(6)
+    dynamics = BodyDynamics(BODY)
+    before = some_poses(30, random)
+    poses = dynamics.draw(before, DT, random)
+    each = [
+        dynamics.log_density(poses.take([k]), Ancestors(before.take([k]), np.ones(1), DT))[0]
+        for k in range(30)
+    ]
+    np.testing.assert_allclose(dynamics.log_step(poses, before, DT), each, atol=1e-3)

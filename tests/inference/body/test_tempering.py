@@ -166,7 +166,7 @@ def test_moves_leave_the_prior_as_it_is(seed: int, monkeypatch: pytest.MonkeyPat
     def features(some: BodyPoses) -> Array:
         flexions = (some.arms[:, :, 0] * some.arms[:, :, 1]).sum(axis=2)
         joints = BODY.joints(some).reshape(len(some), -1)
-        return np.concatenate([joints, some.necks, flexions], axis=1)
+        return np.concatenate([joints, some.turns, flexions], axis=1)
 
     after, fresh = features(found.poses), features(others)
     varies = fresh.std(axis=0) > 0

@@ -9,8 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.body.image_features import BodyImage, edge_distances
-from rsmcm.models.body.kernels.likelihood import NECK, blob_terms, edge_terms, hand_terms
+from rsmcm.models.body.kernels.likelihood import (
+    FOREARM_POINTS,
+    NECK,
+    blob_terms,
+    edge_terms,
+    forearm_terms,
+    hand_terms,
+)
 from rsmcm.models.body.likelihood import (
+    BARE_SCORES,
     BLOB_COST,
     EDGE_POINTS,
     EDGE_SHARPNESS,
@@ -45,7 +53,7 @@ def signing() -> BodyPoses:
     """One pose with both hands before the chest's sides, elbows out."""
     arms = np.array([[[[0.45, 0.85, -0.25], [0.1, -0.75, -0.6]], [[-0.5, 0.8, -0.3], [0.05, -0.3, -0.9]]]])
     arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    return BodyPoses(np.array([[310.0, 150.0]]), np.zeros((1, 3)), arms)
+    return BodyPoses(np.array([[310.0, 150.0]]), np.zeros((1, 3)), np.zeros((1, 3)), arms)
 
 
 def seen(poses: BodyPoses, *, without: tuple[int, ...] = (), discs: Array | None = None) -> BodyImage:
@@ -80,23 +88,51 @@ def scattered(n: int, random: np.random.Generator, spread: float = 0.3) -> BodyP
     arms = poses.arms + spread * random.normal(size=poses.arms.shape)
     arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
     roots = poses.roots + 30 * spread * random.normal(size=(n, 2))
-    return BodyPoses(roots, 0.5 * spread * random.normal(size=(n, 3)), arms)
+    return BodyPoses(roots, np.zeros((n, 3)), 0.5 * spread * random.normal(size=(n, 3)), arms)
 
 
-def hand_scores(image: BodyImage, parts: Array, roots: Array) -> Array:
-    """`(n,)` as the likelihood calls it."""
+def hand_scores(image: BodyImage, parts: Array, roots: Array, elbows: Array | None = None) -> Array:
+    """`(n,)` as the likelihood calls it; of bare forearms, if there are elbows `(n, 2, 2)`."""
     assert image.skin is not None
     skin = skin_maps(image.skin, BODY.hand)
     scales = np.array(skin[0].shape[::-1]) / SIZE[::-1]
     out = np.zeros(len(parts))
-    hand_terms(parts, roots, *skin, scales, hand_model(BODY), out)
+    bare = elbows is not None
+    elbows = np.zeros((len(parts), 2, 2)) if elbows is None else elbows
+    hand_terms(parts, roots, elbows, *skin, scales, hand_model(BODY), bare, out)
     return out
 
 
 # --- the kernels against plain numpy ------------------------------------------------------------------------
 
 
-def plain_hands(image: BodyImage, parts: Array, roots: Array) -> Array:
+def plain_strip(places: Array, start: Array, end: Array, spread: float) -> Array:
+    """Share of a window that a forearm covers, from the elbow to the wrist."""
+    along = end - start
+    length = np.linalg.norm(along, axis=1)
+    along = along / length[:, None]
+    half = 0.25 * (BODY.forearm_width + BODY.wrist_width)
+    off = places - start
+    t, across = (off * along).sum(1), off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1]
+
+    def before(edge: Array) -> Array:
+        share: Array = 1 / (1 + np.exp(-1.7 * edge / spread))
+        return share
+
+    wrist = np.maximum(length - BODY.hand, 0)
+    share: Array = (before(wrist - t) - before(-t)) * (before(half - across) - before(-half - across))
+    return share
+
+
+def looked_up(one: NDArray[np.float32], places: Array) -> Array:
+    where = (places + 0.5) * np.array(one.shape[::-1]) / SIZE[::-1] - 0.5
+    values = cv2.remap(
+        one, where[:, None].astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(values[:, 0], np.float64)
+
+
+def plain_hands(image: BodyImage, parts: Array, roots: Array, elbows: Array | None = None) -> Array:
     assert image.skin is not None
     maps = skin_maps(image.skin, BODY.hand)
     full, none, hidden = SKIN_SCORES
@@ -120,16 +156,15 @@ def plain_hands(image: BodyImage, parts: Array, roots: Array) -> Array:
             ]
             return np.maximum(*share)
 
-        where = (places + 0.5) * np.array(maps[0].shape[::-1]) / SIZE[::-1] - 0.5
-        places_there = where[:, None].astype(np.float32)
-        centre, surround = (
-            cv2.remap(one, places_there, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            for one in maps
-        )
-        centre, surround = centre[:, 0], surround[:, 0]
-        foreign = np.maximum(surround - neighbour - covered(outer), 0)
-        response = (np.maximum(centre - covered(inner), 0) - foreign) / ideal
-        free = 1 - covered(inner)
+        centre, surround = (looked_up(one, places) for one in maps)
+        before, around = covered(inner), covered(outer)
+        if elbows is not None:
+            around = around + sum(plain_strip(places, elbows[:, s], parts[:, 1 + s], outer) for s in (0, 1))
+            other = 2 - side
+            before = np.maximum(before, plain_strip(places, elbows[:, other], parts[:, 1 + other], inner))
+        foreign = np.maximum(surround - neighbour - around, 0)
+        response = (np.maximum(centre - before, 0) - foreign) / ideal
+        free = 1 - before
         nats = free * none + (full - none) * np.clip(response, 0, free)
         gains.append(np.log((1 - hidden) * np.exp(nats) + hidden))
     t = np.minimum(apart / (2 * r), 1)
@@ -147,9 +182,12 @@ def test_hands_equal_plain_numpy(seed: int) -> None:
     parts = BODY.parts(poses)
     parts[:5] = parts[:5, :1] + random.normal(0, 40, (5, 3, 2))  # hands at the face and at each other
     # cv2.remap interpolates with 1/32 px: 0.6 % of a map's range, times the nats of the whole range
-    np.testing.assert_allclose(
-        hand_scores(image, parts, poses.roots), plain_hands(image, parts, poses.roots), atol=0.25
-    )
+    for elbows in (None, BODY.joints(poses)[:, [3, 6], :2]):
+        np.testing.assert_allclose(
+            hand_scores(image, parts, poses.roots, elbows),
+            plain_hands(image, parts, poses.roots, elbows),
+            atol=0.25,
+        )
 
 
 @settings(deadline=None, max_examples=30)
@@ -157,12 +195,63 @@ def test_hands_equal_plain_numpy(seed: int) -> None:
 def test_blobs_equal_plain_numpy(seed: int, m: int) -> None:
     random = np.random.default_rng(seed)
     parts, blobs = random.uniform(0, 200, (9, 3, 2)), random.uniform(0, 200, (m, 2))
-    costs, reach = random.uniform(0, 2, m), np.array([50.0, 30.0, 30.0])
-    squares = ((parts[:, None] - blobs[None, :, None]) ** 2).sum(-1) / reach**2
-    expected = -(costs * (1 - np.exp(-0.5 * squares)).prod(-1)).sum(-1)
-    out = np.zeros(9)
-    blob_terms(parts, blobs, costs, reach, out)
-    np.testing.assert_allclose(out, expected, atol=1e-3)  # exponential() is exact to 2e-5, the rest to 1e-6
+    elbows = random.uniform(0, 200, (9, 2, 2))
+    costs, reach = random.uniform(0, 2, m), np.array([50.0, 30.0, 30.0, 20.0])
+    squares = ((parts[:, None] - blobs[None, :, None]) ** 2).sum(-1) / reach[:3] ** 2
+    # distances from forearms, by the nearest of many points on each
+    t = np.linspace(0, 1, 2001)[:, None, None, None]
+    points = (1 - t) * elbows + t * parts[:, 1:]
+    arms = ((points[:, :, None] - blobs[:, None]) ** 2).sum(-1).min(axis=0) / reach[3] ** 2
+    for bare, near in ((False, squares), (True, np.concatenate([squares, arms], axis=2))):
+        out = np.zeros(9)
+        blob_terms(parts, elbows, blobs, costs, reach, bare, out)
+        expected = -(costs * (1 - np.exp(-0.5 * near)).prod(-1)).sum(-1)
+        # exponential() is exact to 2e-5, the rest to 1e-6, points on an arm are 0.1 px apart
+        np.testing.assert_allclose(out, expected, atol=2e-3)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 10**6))
+def test_forearms_equal_plain_numpy(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    image = seen(signing(), discs=random.uniform(50, 300, (8, 2)))
+    poses = scattered(20, random, 0.5)
+    assert image.skin is not None
+    centre = skin_maps(image.skin, BODY.hand)[0]
+    joints = BODY.joints(poses)[..., :2]
+    parts, elbows = joints[:, [0, 4, 7]], joints[:, [3, 6]]
+    full, none, hidden = BARE_SCORES
+    inner, wide = BODY.hand * WINDOWS[0], 0.25 * (BODY.forearm_width + BODY.wrist_width)
+    ideal = 2 / (1 + np.exp(-1.7 * wide / inner)) - 1
+    half = 0.5 * np.array([BODY.head_width, BODY.head_height])
+    neck = parts[:, 0] + NECK * (poses.roots - parts[:, 0])
+    expected = np.zeros(20)
+    for side in (0, 1):
+        along = parts[:, 1 + side] - elbows[:, side]
+        projected = np.linalg.norm(along, axis=1)
+        wrist = np.maximum(projected - BODY.hand, 0)
+        nats = np.zeros(20)
+        for share in (np.arange(FOREARM_POINTS) + 0.5) / FOREARM_POINTS:
+            places = elbows[:, side] + (share * wrist / projected)[:, None] * along
+            discs = [
+                (
+                    np.linalg.norm((places - parts[:, 0]) / half, axis=1) * np.sqrt(half.prod()),
+                    half.prod() ** 0.5,
+                ),
+                (np.linalg.norm(places - neck, axis=1), NECK_RADIUS * BODY.head_height),
+                *((np.linalg.norm(places - parts[:, hand], axis=1), BODY.hand) for hand in (1, 2)),
+            ]
+            covered = np.max([1 / (1 + np.exp(1.7 * (d - radius) / inner)) for d, radius in discs], axis=0)
+            if side == 1:
+                covered = np.maximum(covered, plain_strip(places, elbows[:, 0], parts[:, 1], inner))
+            shown = np.clip(looked_up(centre, places) / ideal - covered, 0, 1 - covered)
+            nats += ((1 - covered) * none + (full - none) * shown) / FOREARM_POINTS
+        nats *= wrist / (BODY.forearm - BODY.hand)
+        expected += np.log((1 - hidden) * np.exp(nats) + hidden)
+    out = np.zeros(20)
+    scales = np.array(centre.shape[::-1]) / SIZE[::-1]
+    forearm_terms(parts, poses.roots, elbows, centre, scales, hand_model(BODY), out)
+    np.testing.assert_allclose(out, expected, atol=0.15)  # by cv2.remap's 1/32 px, as above
 
 
 @settings(deadline=None, max_examples=30)
@@ -213,9 +302,8 @@ def test_another_image_of_the_same_body_is_looked_at_anew() -> None:
 def test_the_true_pose_is_liked_best() -> None:
     random = np.random.default_rng(1)
     truth = signing()
-    for term in BodyLikelihood(BODY)(seen(truth)).terms(
-        BodyPoses.concatenated([truth, scattered(300, random)])
-    ):
+    terms = BodyLikelihood(BODY)(seen(truth)).terms(BodyPoses.concatenated([truth, scattered(300, random)]))
+    for term in terms[[HEAD, SKIN, EDGES]]:
         assert (term[0] > np.quantile(term[1:], 0.95)).all()
 
 

@@ -23,7 +23,10 @@ def units(shape: tuple[int, ...], seed: int) -> Array:
 def random_poses(n: int, seed: int) -> BodyPoses:
     random = np.random.default_rng(seed)
     return BodyPoses(
-        100 * random.normal(size=(n, 2)), 0.4 * random.normal(size=(n, 3)), units((n, 2, 2), seed)
+        100 * random.normal(size=(n, 2)),
+        0.2 * random.normal(size=(n, 3)),
+        0.4 * random.normal(size=(n, 3)),
+        units((n, 2, 2), seed),
     )
 
 
@@ -33,14 +36,15 @@ def test_angles_lead_back_to_the_same_arms(seed: int) -> None:
     again = from_angles(poses.angles)
     np.testing.assert_allclose(again.arms, poses.arms, atol=1e-9)
     np.testing.assert_array_equal(again.roots, poses.roots)
+    np.testing.assert_array_equal(again.torsos, poses.torsos)
     np.testing.assert_array_equal(again.necks, poses.necks)
 
 
 @given(seeds)
 def test_arms_lead_back_to_the_same_angles(seed: int) -> None:
     random = np.random.default_rng(seed)
-    angles = random.normal(size=(20, 13))
-    for first in (5, 9):
+    angles = random.normal(size=(20, 16))
+    for first in (8, 12):
         vectors = units((20,), seed + first) * random.uniform(0, np.pi - 1e-3, (20, 1))
         angles[:, first : first + 3], angles[:, first + 3] = vectors, random.uniform(0.01, np.pi - 0.01, 20)
     np.testing.assert_allclose(from_angles(angles).angles, angles, atol=1e-9)
@@ -49,9 +53,9 @@ def test_arms_lead_back_to_the_same_angles(seed: int) -> None:
 @given(seeds)
 def test_angles_are_a_ball_joint_and_a_hinge(seed: int) -> None:
     random = np.random.default_rng(seed)
-    angles = random.uniform(-1.5, 1.5, (1, 13))
+    angles = random.uniform(-1.5, 1.5, (1, 16))
     arms = from_angles(angles).arms[0]
-    for side, first in enumerate((5, 9)):
+    for side, first in enumerate((8, 12)):
         shoulder = Rotation.from_rotvec(angles[0, first : first + 3])
         # the forearm of a hanging arm turns about x, towards the viewer
         elbow = Rotation.from_rotvec([-angles[0, first + 3], 0, 0])
@@ -60,10 +64,10 @@ def test_angles_are_a_ball_joint_and_a_hinge(seed: int) -> None:
 
 
 def test_zero_angles_hang_and_flexion_moves_the_hand_to_the_viewer() -> None:
-    hanging = from_angles(np.zeros((1, 13)))
+    hanging = from_angles(np.zeros((1, 16)))
     np.testing.assert_array_equal(hanging.arms, resting(np.zeros((1, 2))).arms)
-    bent = np.zeros((1, 13))
-    bent[0, 8] = np.pi / 2
+    bent = np.zeros((1, 16))
+    bent[0, 11] = np.pi / 2
     np.testing.assert_allclose(from_angles(bent).arms[0, 0, 1], [0, 0, -1], atol=1e-15)
 
 
@@ -115,5 +119,5 @@ def test_poses_are_taken_and_joined() -> None:
     joined = BodyPoses.concatenated([poses.take(slice(0, 2)), poses.take(np.array([4, 5]))])
     assert len(joined) == 4
     np.testing.assert_array_equal(joined.arms, poses.arms[[0, 1, 4, 5]])
-    np.testing.assert_array_equal(joined.necks, poses.necks[[0, 1, 4, 5]])
+    np.testing.assert_array_equal(joined.turns, poses.turns[[0, 1, 4, 5]])
     assert len(poses.take(np.zeros(6, bool)).angles) == 0

@@ -1,5 +1,7 @@
 """Outlines and pictures of bodies against solids that are made of many spheres, pixel by pixel."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -27,8 +29,8 @@ def allowed_poses(n: int, seed: int) -> BodyPoses:
     random = np.random.default_rng(seed)
     arms = random.normal(size=(200 * n, 2, 2, 3))
     arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    necks = 0.25 * random.normal(size=(200 * n, 3))
-    poses = BodyPoses(np.tile([280.0, 200.0], (200 * n, 1)), necks, arms)
+    turns = random.normal(size=(2, 200 * n, 3)) * [[[0.15]], [[0.25]]]
+    poses = BodyPoses(np.tile([280.0, 200.0], (200 * n, 1)), turns[0], turns[1], arms)
     poses = poses.take(np.flatnonzero(BODY.allowed(poses))[:n])
     assert len(poses) == n
     return poses
@@ -247,9 +249,75 @@ def test_torso_has_shoulders_sides_and_a_neck_that_goes_with_the_head() -> None:
         assert (labels[np.arange(3), places[:, 1], places[:, 0]] > 0).all()
 
 
+@settings(max_examples=15, deadline=None)
+@given(seeds, st.floats(-0.6, 0.6))
+def test_bodies_that_turn_in_the_picture_have_outlines_that_turn(seed: int, angle: float) -> None:
+    poses = allowed_poses(4, seed)
+    turn = Rotation.from_rotvec([0.0, 0.0, angle])
+    flat = turn.as_matrix()[:2, :2]
+    torsos, necks = ((turn * Rotation.from_rotvec(each)).as_rotvec() for each in (poses.torsos, poses.necks))
+    arms = np.reshape(turn.apply(poses.arms.reshape(-1, 3)), poses.arms.shape)
+    here, there = silhouettes(BODY, poses), silhouettes(BODY, BodyPoses(poses.roots, torsos, necks, arms))
+    own = there.part == TORSO
+    own |= np.isin(there.part, LIMBS)  # circles begin at another of their points
+    for part, turned in (
+        (here.points - poses.roots[:, None], there.points - poses.roots[:, None]),
+        (here.normals, there.normals),
+    ):
+        np.testing.assert_allclose(turned[:, own], part[:, own] @ flat.T, atol=2e-3)
+    assert (there.visible == here.visible)[:, own].mean() > 0.98
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds)
+def test_mirror_images_have_mirrored_outlines(seed: int) -> None:
+    poses = allowed_poses(4, seed)
+    mirrored = BodyPoses(
+        poses.roots * [-1, 1],
+        poses.torsos * [1, -1, -1],
+        poses.necks * [1, -1, -1],
+        poses.arms[:, ::-1] * [-1, 1, 1],
+    )
+    here, there = silhouettes(BODY, poses), silhouettes(BODY, mirrored)
+    swapped = [*OUTLINE_PARTS[:2], *OUTLINE_PARTS[5:], *OUTLINE_PARTS[2:5]]
+    for part, name in enumerate(swapped):
+        mine, theirs = here.part == part, here.part == OUTLINE_PARTS.index(name)
+        points, images = here.points[:, mine], there.points[:, theirs] * np.array([-1, 1], np.float32)
+        away = np.linalg.norm(points[:, :, None] - images[:, None], axis=-1)
+        if part != HEAD and part not in HANDS:  # circles begin at another of their points
+            assert away.min(axis=2).max() < 0.01
+        shown = here.visible[:, mine].mean(), there.visible[:, theirs].mean()
+        assert shown[0] == pytest.approx(shown[1], abs=0.1)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds)
+def test_the_torso_is_a_plane_that_leans_and_turns(seed: int) -> None:
+    """Its outline is the upright one, behind the root, turned in space; normals are across what is seen."""
+    poses = allowed_poses(3, seed)
+    upright = resting(poses.roots)
+    flat, _ = of_part(silhouettes(BODY, upright), TORSO)
+    flat -= upright.roots[0]
+    turns = Rotation.from_rotvec(poses.torsos).as_matrix()
+    outline = silhouettes(BODY, poses)
+    mine = outline.part == TORSO
+    solid = np.column_stack([flat, np.full(len(flat), 0.1 * BODY.head_height)])
+    seen = poses.roots[:, None] + np.einsum("nxy,py->npx", turns, solid)[..., :2]
+    np.testing.assert_allclose(outline.points[:, mine], seen, atol=1e-3)
+    normals = outline.normals[:, mine]
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
+    # points of one side alternate with those of the other
+    along = seen[:, 2:] - seen[:, :-2]
+    same = np.linalg.norm(flat[2:] - flat[:-2], axis=1) < 0.4 * BODY.head_height
+    across = np.abs((along * normals[:, 2:]).sum(-1))[:, same]
+    assert (across < 1e-2 * np.linalg.norm(along, axis=-1)[:, same]).all()
+    outwards = (normals * (seen - seen.mean(axis=1, keepdims=True))).sum(-1)
+    assert (outwards > 0).mean() > 0.9
+
+
 def test_outlines_are_moved_with_the_body_and_alike_in_every_batch() -> None:
     poses = allowed_poses(20, 0)
-    moved = BodyPoses(poses.roots + np.array([13, -40]), poses.necks, poses.arms)
+    moved = replace(poses, roots=poses.roots + np.array([13, -40]))
     here, there = silhouettes(BODY, poses), silhouettes(BODY, moved)
     np.testing.assert_allclose(there.points, here.points + np.array([13, -40]), atol=1e-3)
     assert (there.visible == here.visible).mean() > 0.995
@@ -277,7 +345,8 @@ def test_outlines_do_not_depend_on_threads() -> None:
     random = np.random.default_rng(0)
     arms = random.normal(size=(601, 2, 2, 3))
     arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    poses = BodyPoses(random.normal(250, 50, (601, 2)), 0.25 * random.normal(size=(601, 3)), arms)
+    turns = 0.25 * random.normal(size=(2, 601, 3))
+    poses = BodyPoses(random.normal(250, 50, (601, 2)), turns[0], turns[1], arms)
     before, found = thread_count(), []
     try:
         for threads in (1, 2):

@@ -31,15 +31,16 @@ def posed(upper: Direction, forearm: Direction) -> BodyPoses:
 
 @given(seeds)
 def test_joints_are_where_a_chain_of_rotations_leads(seed: int) -> None:
-    angles = np.random.default_rng(seed).uniform(-1.5, 1.5, (1, 13))
+    angles = np.random.default_rng(seed).uniform(-1.5, 1.5, (1, 16))
     joints = BODY.joints(from_angles(angles))[0]
     root = np.array([*angles[0, :2], 0.0])
-    head = root + Rotation.from_rotvec(angles[0, 2:5]).apply([0, -BODY.neck, 0])
+    torso, neck = (Rotation.from_rotvec(angles[0, run]) for run in (slice(2, 5), slice(5, 8)))
+    head = root + neck.apply([0, -BODY.neck, 0])
     expected = [head, root]
-    for first, sign in ((5, 1), (9, -1)):
+    for first, sign in ((8, 1), (12, -1)):
         shoulder = Rotation.from_rotvec(angles[0, first : first + 3])
         elbow = shoulder * Rotation.from_rotvec([-angles[0, first + 3], 0, 0])
-        expected.append(root + np.array([sign * BODY.shoulder_width / 2, 0, 0]))
+        expected.append(root + torso.apply([sign * BODY.shoulder_width / 2, 0, 0]))
         expected.append(expected[-1] + shoulder.apply([0, BODY.upper_arm, 0]))
         expected.append(expected[-1] + elbow.apply([0, BODY.forearm, 0]))
     np.testing.assert_allclose(joints, expected, atol=1e-10)
@@ -60,7 +61,7 @@ def test_parts_are_head_and_hands_in_the_picture() -> None:
     poses = posed((0.3, 0.5, -0.8), (-0.5, -0.5, -0.2))
     joints = BODY.joints(poses)
     expected = joints[:, [JOINTS.index(part) for part in ("head", "left_hand", "right_hand")], :2]
-    np.testing.assert_array_equal(BODY.parts(poses), expected)
+    np.testing.assert_allclose(BODY.parts(poses), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -118,11 +119,48 @@ def test_limits_do_not_depend_on_side_nor_place_nor_size(seed: int) -> None:
     random = np.random.default_rng(seed)
     arms = random.normal(size=(50, 2, 2, 3))
     arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    poses = BodyPoses(np.zeros((50, 2)), 0.4 * random.normal(size=(50, 3)), arms)
-    mirrored = BodyPoses(poses.roots + 70, poses.necks * [1, -1, -1], arms[:, ::-1] * [-1, 1, 1])
+    turns = random.normal(size=(2, 50, 3)) * [[[0.2]], [[0.4]]]
+    poses = BodyPoses(np.zeros((50, 2)), turns[0], turns[1], arms)
+    mirrored = BodyPoses(poses.roots + 70, *(turns * [1, -1, -1]), arms[:, ::-1] * [-1, 1, 1])
     allowed = BODY.allowed(poses)
     np.testing.assert_array_equal(BODY.allowed(mirrored), allowed)
     np.testing.assert_array_equal(UpperBody.from_head(33).allowed(poses), allowed)
+
+
+@given(seeds)
+def test_what_is_allowed_leans_and_turns_with_the_torso(seed: int) -> None:
+    """Head and arms keep their places against it: the same limits, and joints turned about the root."""
+    random = np.random.default_rng(seed)
+    arms = random.normal(size=(100, 2, 2, 3))
+    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+    turn = Rotation.from_rotvec(random.uniform(-0.4, 0.4, 3))
+    upright = BodyPoses(np.zeros((100, 2)), np.zeros((100, 3)), 0.4 * random.normal(size=(100, 3)), arms)
+    leant = BodyPoses(
+        upright.roots,
+        np.tile(turn.as_rotvec(), (100, 1)),
+        (turn * Rotation.from_rotvec(upright.necks)).as_rotvec(),
+        np.reshape(turn.apply(arms.reshape(-1, 3)), arms.shape),
+    )
+    np.testing.assert_array_equal(BODY.allowed(leant), BODY.allowed(upright))
+    expected = turn.apply(BODY.joints(upright).reshape(-1, 3)).reshape(100, 8, 3)
+    np.testing.assert_allclose(BODY.joints(leant), expected, atol=1e-10)
+    np.testing.assert_allclose(BODY.shoulders(leant), expected[:, [2, 5]], atol=1e-10)
+
+
+def test_torsos_lean_half_way_to_the_side_and_heads_go_with_them() -> None:
+    poses = resting(np.zeros((4, 2)))
+    poses.torsos[:, 1] = np.radians([44, -44, 46, 44])
+    poses.necks[:, 1] = np.radians([44, -44, 46, -10])  # the last looks back over the shoulder
+    np.testing.assert_array_equal(BODY.allowed(poses), [True, True, False, False])
+
+
+def test_a_left_shoulder_turns_to_the_viewer_and_a_lean_takes_it_down() -> None:
+    poses = resting(np.zeros((2, 2)))
+    poses.torsos[0, 1], poses.torsos[1, 2] = 0.3, 0.2
+    left, right = BODY.shoulders(poses).swapaxes(0, 1)
+    assert left[0, 2] < -10 < 10 < right[0, 2]
+    assert left[1, 1] > 10 > -10 > right[1, 1]
+    np.testing.assert_allclose(left, -right, atol=1e-12)  # the root is between them
 
 
 @given(seeds)

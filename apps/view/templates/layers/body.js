@@ -1,6 +1,6 @@
 // A body: its skeleton over the film and in space, with how sure each joint is.
 
-addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, reach }) => {
+addLayers(({ joints, samples, second, secondWeight, worthSaying, perPx, bones, colours, parts, seen, arm, centre, reach }) => {
   const n = colours.length, perFrame = samples.length / 3 / view.count;
   const PATH_SECONDS = 1.5; // to both sides
   const NEAR = 15; // px of the screen: a click selects the joint that is not farther away
@@ -60,6 +60,25 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, r
     pen.globalAlpha = 1;
   };
 
+  const isDoubtful = (i) => secondWeight[i] >= worthSaying;
+  /** Arms of the second best answer, dashed and paler; `place(x, y, z)` gives where to draw. */
+  const otherArms = (pen, i, place, unit) => {
+    if (!isDoubtful(i)) return;
+    const at = (j) => place(...[0, 1, 2].map((axis) => second[3 * (n * i + j) + axis] / perPx));
+    for (const [a, b, colour] of bones) {
+      if (colour === colours[0]) continue; // not of the trunk
+      pen.beginPath();
+      pen.moveTo(...at(a).slice(0, 2));
+      pen.lineTo(...at(b).slice(0, 2));
+      for (const [ink, width] of [["rgb(0 0 0 / .55)", 4], [mixed(colour, "#ffffff", 0.5), 2]]) {
+        [pen.strokeStyle, pen.lineWidth] = [ink, width * unit];
+        pen.setLineDash([6 * unit, 6 * unit]);
+        pen.stroke();
+      }
+    }
+    pen.setLineDash([]);
+  };
+
   const onFilm = (i) => (j) => [joint(i, j)[0] + 0.5, joint(i, j)[1] + 0.5, joint(i, j)[2]];
 
   /** Where the selected joint is a little before and after; `place(joint)` gives where to draw. */
@@ -95,6 +114,10 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, r
       }
       pen.setLineDash([]);
     },
+  });
+  addSwitch({
+    name: "second", label: `second answer, from ${100 * worthSaying} % on`, key: "a",
+    draw: (pen, i) => otherArms(pen, i, (x, y) => [x + 0.5, y + 0.5], pen.thin),
   });
   addSwitch({
     name: "skeleton", key: "s",
@@ -135,6 +158,7 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, r
         pen.fill();
       }
       path(pen, i, ([x, y, z]) => space.place(x, y, z), 1.5);
+      otherArms(pen, i, (...place) => space.place(...place), 1);
       skeleton(pen, where, 1);
       knobs(pen, i, where, 1);
       space.axes();
@@ -142,6 +166,10 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, r
     pick: (x, y) => view.select(nearest(where, x, y, NEAR)),
   });
 
+  const elsewhere = (j, i) => {
+    const [x, y] = [0, 1].map((axis) => second[3 * (n * i + j) + axis] / perPx);
+    return `${x.toFixed(1)}, ${y.toFixed(1)} px (${(100 * secondWeight[i]).toFixed(0)} %)`;
+  };
   const speed = (j, i) => {
     const [a, b] = [Math.max(i - 1, 0), Math.min(i + 1, view.count - 1)], [p, q] = [joint(a, j), joint(b, j)];
     return a === b ? NaN : Math.hypot(q[0] - p[0], q[1] - p[1]) / (view.times[b] - view.times[a]);
@@ -152,6 +180,7 @@ addLayers(({ joints, samples, perPx, bones, colours, parts, seen, arm, centre, r
     return [
       ["now", isSeen(i, j) ? "seen" : parts.includes(j) ? "hidden, predicted" : "inferred"],
       ["place", `${x.toFixed(1)}, ${y.toFixed(1)} px`],
+      ...(isDoubtful(i) && colours[j] !== colours[0] ? [["or", elsewhere(j, i)]] : []),
       ["unsure by", `${Math.sqrt(xx).toFixed(1)}, ${Math.sqrt(yy).toFixed(1)} px`],
       ["depth", z < 0 ? `${px(-z)} nearer than the neck` : `${px(z)} farther than the neck`],
       ["depth unsure by", px(Math.sqrt(zz))],

@@ -49,6 +49,7 @@ def trial(text: str, *hidden: int) -> BodyTrial:
         np.full(n, 70.0),
         seconds,
         np.stack([hidden_in(n, *hidden), hidden_in(n)], axis=1),
+        np.zeros(n),
         50.0,
     )
 
@@ -173,5 +174,19 @@ def test_stages_of_the_benchmark_add_up(film: SignerFilm, monkeypatch: pytest.Mo
     assert (sum(stages.values()) <= whole).all()  # blobs and edges are worked out once more, apart
     rows = bench_body_tracker.stages_of(whole, within)
     assert rows[-1][0] == "total"
+    assert {name: ms for name, ms, _ in rows}["hindsight"] > 0
     assert sum(share for _, _, share in rows[:-1]) == pytest.approx(100)
     assert bench_body_tracker.rate_expectation(one, whole).measured == pytest.approx(1 / whole.mean())
+
+
+def test_answers_with_hindsight_are_measured_beside_the_filters(film: SignerFilm) -> None:
+    (one,) = in_turns(film, [replace(RSMCM, lag=2)], shown=[3])
+    (usual,) = in_turns(film, [RSMCM])
+    assert usual.later is None
+    assert one.later is not None
+    np.testing.assert_array_equal(one.errors, usual.errors)
+    assert one.later.errors.shape == (5, 4)
+    assert (one.later.errors[1:] != one.errors[1:]).any()
+    assert one.later.shown.keys() == {3}
+    assert (one.later.seconds > one.seconds).all()
+    np.testing.assert_array_equal(one.later.hidden, one.hidden)

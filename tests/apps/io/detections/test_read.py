@@ -224,8 +224,8 @@ HEADER = "frame,x,y,width,height,score\n"
         ),
         ('{"images": [{"id": 3}]}', "found, image 1: got no file_name"),
         ('{"shapes": "a labelled picture"}', "found: got an object without images"),
-        ("[" * 100_000, "found, line 1: got no value of a file of detections"),
-        (f"[{'9' * 10_000}]", "found, line 1: got no value of a file of detections"),
+        ("[" * 100_000, "found, line 1: got no value that such a file has"),
+        (f"[{'9' * 10_000}]", "found, line 1: got no value that such a file has"),
     ],
 )
 def test_what_is_wrong_is_said_with_its_place(text: str, complaint: str, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from rsmcm.models.body.inverse_kinematics import REFERENCE, arm_at, swivels
 from rsmcm.models.body.kernels.kinematics import lean
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import LIMITS, UpperBody
+from scipy.spatial.transform import Rotation
 
 from ....support.body_poses import resting, twists
 
@@ -31,7 +32,13 @@ def poses(seed: int, n: int = 200) -> BodyPoses:
     near = np.array([[0.3, 0.7, -0.4], [-0.1, 0.1, -0.7]]) * np.array([[[1, 1, 1]], [[-1, 1, 1]]])
     arms[::2] = near + 0.35 * arms[::2]
     arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    return BodyPoses(random.normal(300, 50, (n, 2)), 0.4 * random.normal(size=(n, 3)), arms)
+    necks = 0.4 * random.normal(size=(n, 3))
+    return BodyPoses(random.normal(300, 50, (n, 2)), 0.25 * random.normal(size=(n, 3)), necks, arms)
+
+
+def torsos_of(given_ones: BodyPoses) -> Array:
+    """`(n, 3, 3)`: columns are the axes of the torsos."""
+    return np.asarray(Rotation.from_rotvec(given_ones.torsos).as_matrix())
 
 
 def plain_joints(given_ones: BodyPoses) -> Array:
@@ -45,26 +52,30 @@ def plain_joints(given_ones: BodyPoses) -> Array:
     joints[:, 0] -= BODY.neck * down
     for side in (0, 1):
         shoulder = 2 + 3 * side
-        joints[:, shoulder, 0] += (0.5 - side) * BODY.shoulder_width
+        joints[:, shoulder] += (0.5 - side) * BODY.shoulder_width * torsos_of(given_ones)[:, :, 0]
         joints[:, shoulder + 1] = joints[:, shoulder] + BODY.upper_arm * given_ones.arms[:, side, 0]
         joints[:, shoulder + 2] = joints[:, shoulder + 1] + BODY.forearm * given_ones.arms[:, side, 1]
     return joints
 
 
 def plain_allowed(given_ones: BodyPoses) -> Mask:
-    allowed = (given_ones.necks**2).sum(-1) <= LIMITS.neck**2
-    upper, forearm = given_ones.arms[:, :, 0], given_ones.arms[:, :, 1]
+    torsos = torsos_of(given_ones)
+    heads = torsos.swapaxes(1, 2) @ Rotation.from_rotvec(given_ones.necks).as_matrix()
+    allowed = (given_ones.torsos**2).sum(-1) <= LIMITS.torso**2
+    allowed &= Rotation.from_matrix(heads).magnitude() <= LIMITS.neck
+    arms = np.einsum("nyx,nspy->nspx", torsos, given_ones.arms)
+    upper, forearm = arms[:, :, 0], arms[:, :, 1]
     bend = (upper * forearm).sum(-1)
     centre = np.array(LIMITS.swing_centre) / np.linalg.norm(LIMITS.swing_centre)
     centres = np.stack([centre, centre * [-1, 1, 1]])
     allowed &= ((upper * centres).sum(-1) >= np.cos(LIMITS.swing)).all(1)
     allowed &= (bend >= np.cos(LIMITS.elbow)).all(1)
-    inwards = twists(given_ones.arms) * [1, -1]
+    inwards = twists(arms) * [1, -1]
     within = (inwards >= LIMITS.outwards) & (inwards <= LIMITS.inwards)
     allowed &= (within | (bend > np.cos(LIMITS.straight))).all(1)
     joints = plain_joints(given_ones)[:, [3, 4, 6, 7]]
     joints[:, :, :2] -= given_ones.roots[:, None]
-    x, y, z = np.moveaxis(joints, -1, 0)
+    x, y, z = np.moveaxis(np.einsum("nyx,njy->njx", torsos, joints), -1, 0)
     share = np.clip(y / BODY.torso_height, 0, 1)
     half = 0.5 * (BODY.shoulder_width + share * (BODY.torso_width - BODY.shoulder_width))
     inside = (np.abs(x) < 0.8 * half) & (y > 0) & (y < BODY.torso_height)
@@ -88,6 +99,7 @@ def test_joints_and_parts_are_those_of_plain_arrays(seed: int) -> None:
     expected = plain_joints(given_ones)
     np.testing.assert_allclose(BODY.joints(given_ones), expected, atol=1e-11)
     np.testing.assert_allclose(BODY.parts(given_ones), expected[:, [0, 4, 7], :2], atol=1e-11)
+    np.testing.assert_allclose(BODY.shoulders(given_ones), expected[:, [2, 5]], atol=1e-11)
 
 
 @given(SEEDS)
@@ -95,12 +107,13 @@ def test_joints_and_parts_are_those_of_plain_arrays(seed: int) -> None:
 def test_the_same_poses_are_allowed_as_by_plain_arrays(seed: int) -> None:
     given_ones = poses(seed)
     expected = plain_allowed(given_ones)
-    assert 10 < expected.sum() < 190
+    assert 5 < expected.sum() < 190
     np.testing.assert_array_equal(BODY.allowed(given_ones), expected)
 
 
 def test_limits_hold_for_arms_that_point_straight_up() -> None:
     given_ones = poses(0, 8)
+    given_ones.torsos[:] = 0.0  # or else they do not point along the torso
     given_ones.arms[:, :, 0] = [0.0, -1.0, 0.0]
     given_ones.arms[:4, 0, 0] = [1e-15, -1.0, 1e-15]
     np.testing.assert_array_equal(BODY.allowed(given_ones), plain_allowed(given_ones))
@@ -140,7 +153,10 @@ def test_arrays_need_not_be_contiguous() -> None:
     copied = arm_at(BODY, 0, offsets.copy(), given_ones.necks[:, 0].copy())[0]
     np.testing.assert_array_equal(arm_at(BODY, 0, offsets, given_ones.necks[:, 0])[0], copied)
     turned = BodyPoses(
-        np.asfortranarray(given_ones.roots), given_ones.necks, np.asfortranarray(given_ones.arms)
+        np.asfortranarray(given_ones.roots),
+        np.asfortranarray(given_ones.torsos),
+        given_ones.necks,
+        np.asfortranarray(given_ones.arms),
     )
     np.testing.assert_allclose(BODY.joints(turned), BODY.joints(given_ones), rtol=1e-14)
     np.testing.assert_array_equal(BODY.allowed(turned), BODY.allowed(given_ones))

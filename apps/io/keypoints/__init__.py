@@ -1,0 +1,1 @@
+"""Points of persons that a detector has found: in files, in arrays of other libraries, by a callable."""
