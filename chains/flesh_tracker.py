@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ..inference.body.clutter import Clutter, ClutterMatch
-from ..inference.body.flesh_scores import log_joint_overlaps, log_overlaps, log_sides, ratios_beside
-from ..inference.body.flesh_tracks import HANDS, HEAD, FleshTracks
-from ..inference.body.part_assignment import VISIBLE, Answers, PartOptions, Things
-from ..inference.body.part_filter import MovingParts
-from ..inference.body.reach import anywhere
+from ..inference.body.flesh.assignment import VISIBLE, Answers, PartOptions, Things
+from ..inference.body.flesh.clutter import Clutter, ClutterMatch
+from ..inference.body.flesh.moving_parts import MovingParts
+from ..inference.body.flesh.reach import anywhere
+from ..inference.body.flesh.scores import log_joint_overlaps, log_overlaps, log_sides, ratios_beside
+from ..inference.body.flesh.tracks import HANDS, HEAD, FleshTracks
 from ..inference.core.protocols import Incoming, Port
 from ..models.body.part_message import PartMessage
 from ..models.body.parts import FALSE_HANDS, BodyParts

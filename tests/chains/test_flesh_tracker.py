@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from rsmcm.chains.flesh_tracker import FleshTracker
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
-from rsmcm.inference.body.flesh_tracks import HEAD, LEFT, RIGHT, FleshTracks
-from rsmcm.inference.body.part_filter import MovingParts
+from rsmcm.inference.body.flesh.moving_parts import MovingParts
+from rsmcm.inference.body.flesh.tracks import HEAD, LEFT, RIGHT, FleshTracks
 from rsmcm.models.body.image_features import BodyImage
 from rsmcm.models.body.part_message import PartMessage
 from rsmcm.models.body.parts import BodyParts

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ...models.body.part_message import PartMessage
-from .part_assignment import PartOptions
-from .part_filter import MovingParts
+from ....models.body.part_message import PartMessage
+from .assignment import PartOptions
+from .moving_parts import MovingParts
 
 Array = NDArray[np.float64]
 

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.upper_body import UpperBody
-from .flesh_tracks import HANDS, HEAD
-from .part_filter import MovingParts
+from ....models.body.upper_body import UpperBody
+from .moving_parts import MovingParts
+from .tracks import HANDS, HEAD
 
 Array = NDArray[np.float64]
 

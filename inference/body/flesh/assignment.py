@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
-from ...models.core.kernels.gaussian_mixtures import products
-from .part_filter import MovingParts
+from ....models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
+from ....models.core.kernels.gaussian_mixtures import products
+from .moving_parts import MovingParts
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ...models.core.short_repr import short_repr
+from ....models.core.short_repr import short_repr
 from .clutter import Clutter
 
 Array = NDArray[np.float64]
