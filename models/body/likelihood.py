@@ -20,7 +20,7 @@ from .kernels.likelihood import (
 )
 from .poses import BodyPoses
 from .silhouette import silhouettes
-from .skin_colour import HIGHEST
+from .skin.colour import HIGHEST
 from .upper_body import UpperBody
 
 Array = NDArray[np.float64]

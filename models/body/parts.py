@@ -18,9 +18,9 @@ from .keypoints import SeenKeypoints
 from .part_message import PartMessage
 from .person.bare_arms import bare_probability, hand_area
 from .person.faces import OtherFaces, face_at, largest_face, one_person
+from .skin.colour import HIGHEST, SkinColour
+from .skin.static import static_skin
 from .skin_blobs import SkinBlobs, skin_blobs
-from .skin_colour import HIGHEST, SkinColour
-from .static_skin import static_skin
 from .upper_body import PARTS
 
 Array = NDArray[np.float64]
