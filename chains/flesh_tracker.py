@@ -1,4 +1,4 @@
-"""Tracker of head and hands in the picture: a robust Kalman filter each (RSMCM §4.1).
+"""Tracker of head and hands in the picture, by several hypotheses of what is what (RSMCM §4.1).
 
 It knows nothing of bodies but that hands are within an arm's length of the shoulders. Alone it coasts where a
 hand is not seen, and tells left from right only by how they move; a chain of whole bodies over the same
@@ -7,19 +7,21 @@ feature knows better.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logit
+from scipy.special import logsumexp
 
-from ..inference.body.flesh_tracks import HANDS, HEAD, LEFT, RIGHT, FleshTracks
+from ..inference.body.flesh.assignment import VISIBLE, Answers, PartOptions, Things
+from ..inference.body.flesh.clutter import Clutter, ClutterMatch
+from ..inference.body.flesh.moving_parts import MovingParts
+from ..inference.body.flesh.reach import anywhere
+from ..inference.body.flesh.scores import log_joint_overlaps, log_overlaps, log_sides, ratios_beside
+from ..inference.body.flesh.tracks import HANDS, HEAD, FleshTracks
 from ..inference.body.hindsight.film import FleshTrajectory, filtered, predicted_messages
-from ..inference.body.part_assignment import Assignment, PartChoices
-from ..inference.body.part_filter import MovingParts, PartPosterior
 from ..inference.core.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ..models.body.part_message import PartMessage
-from ..models.body.parts import BodyParts
+from ..models.body.parts import FALSE_HANDS, BodyParts
 from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
 from ..models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
@@ -27,17 +29,45 @@ from ..models.core.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
-HANDS_BELOW = 0.25
-"""Of an arm's length: how far below the shoulder the middle of the places is where a hand may be."""
-
 EXCHANGE_TIME = 60.0
 """s, time constant with which it is forgotten which hand is which: they may be exchanged unnoticed."""
 
-LEAST_EXCHANGED, MOST_TRUST = 0.01, 0.8
-"""However long it goes well, the tracker may be wrong about a part, or about which hand is which."""
+MOST_TRUST = 0.8
+"""However long it goes well, the tracker may be wrong about a part, as others are told."""
 
 LEAST_PROBABILITY = 1e-6
 """That a part is where it should be, or that it is not."""
+
+HIDDEN_TIME = 0.28
+"""s for which a part is hidden on average."""
+
+NEW_CLUTTER = 0.5
+"""Of the false blobs in a picture: those that were not there before."""
+
+DRIFT = 0.15
+"""Head heights a root of a second, by which clutter moves."""
+
+JITTER = 0.5
+"""Hand radii: standard deviation with which clutter is found again. It is about that of a place at which a
+hand is expected, or else a hand that rests would be clutter."""
+
+BESIDE, ABOUT = 2.0, 0.6
+"""Other things that one hand or face shows as, and their standard deviation about it in hand radii."""
+
+TOUCHING = 0.8
+"""Hand radii: two places that are closer are one hand."""
+
+WITHIN = 0.5
+"""Hand radii: standard deviation, at least, of a part in a thing that it shares with another one."""
+
+FACE_RADIUS = 0.42
+"""Head heights: standard deviation of the window in which a face hides a hand."""
+
+OWN_SHARE = 0.5
+"""Of its own weights' logarithms, where another chain says how probable hypotheses are."""
+
+FLATTENED = 0.5
+"""Power of the weights that others are told."""
 
 
 @short_repr
@@ -45,15 +75,17 @@ LEAST_PROBABILITY = 1e-6
 class FleshTracker:
     """Low-level chain over head and hands.
 
-    Each part has a position x and a velocity v in the picture, z = (x, v), and may jump:
+    Each of up to 16 hypotheses says which thing in the picture was head, left and right hand all along. Given
+    that, each part has a position x and a velocity v, z = (x, v), and may jump:
 
         p(z_t | z_t-1) = c N(z_t; A z_t-1, Q) + (1 - c) N(z_t; m, S),    c = exp(-dt / patience)
-        p(F | X)       = prod_part delta(F_part - x_part)
+        p(F | X)       = sum_h w_h prod_part delta(F_part - x_h,part)
 
     A and Q are those of a velocity that is an Ornstein-Uhlenbeck process: hands stop. m and S are anywhere in
-    reach. Besides, the hands exchange their states at a slow rate. Detections in the picture are assigned to
-    parts, which follow what they are assigned; a part may be missing. The message to F is the prediction of
-    its parts' positions.
+    reach. Hands are hidden for a while, or behind something, and exchange their states at a slow rate. What
+    is no part is clutter, which stays where it is, or new. In every frame each hypothesis goes on in all
+    ways to assign the detections; weights add up what each of them makes of the pictures, and the best are
+    kept.
 
     Parameters
     ----------
@@ -65,16 +97,13 @@ class FleshTracker:
         s, time constant of velocities.
     patience
         s, time constant of the trust in a part that nothing confirms; after so long it is lost.
-    hiding
-        nats by which a part is more probably not seen where another one is than elsewhere.
     """
 
     body: UpperBody
     hand_speed: float = 2.5
     head_speed: float = 0.7
     velocity_time: float = 0.3
-    patience: float = 1.0
-    hiding: float = 1.5
+    patience: float = 2.0
     name: str = "flesh"
 
     ports = (Port(BodyParts),)
@@ -91,50 +120,53 @@ class FleshTracker:
         height, width = frame.image.shape[:2]
         nothing = FleshTracks(
             size=(height, width),
-            means=np.zeros((3, 4)),
-            covariances=np.zeros((3, 4, 4)),
-            trust=np.zeros(3),
-            exchanged=0.0,
-            unseen=np.full(3, np.inf),
-            labels=np.full(3, NO_LABEL, np.int64),
             patience=self.patience,
+            log_weights=np.zeros(1),
+            means=np.zeros((1, 3, 4)),
+            covariances=np.zeros((1, 3, 4, 4)),
+            visible=np.full((1, 3), VISIBLE),
+            since=np.full((1, 3), np.inf),
+            things=np.full((1, 3), NO_LABEL, np.int64),
+            clutter=Clutter.none(1),
         )
-        anywhere = self._anywhere(nothing)
-        return replace(nothing, means=anywhere.means, covariances=anywhere.covariances)
+        lost = self._anywhere(nothing)
+        return replace(nothing, means=lost.means, covariances=lost.covariances)
 
     def predict(self, state: FleshTracks, dt: float) -> FleshTracks:
-        """Parts move on, but for random pushes; trust fades."""
+        """Parts move on, but for random pushes; what was hidden may be visible again, and the other way."""
         parts = MovingParts(state.means, state.covariances).moved(dt, self._speeds, self.velocity_time)
+        forgotten = np.exp(-dt / (HIDDEN_TIME * VISIBLE))
         return replace(
             state,
             means=parts.means,
             covariances=parts.covariances,
-            trust=state.trust * np.exp(-dt / self.patience),
-            exchanged=0.5 + (state.exchanged - 0.5) * float(np.exp(-dt / EXCHANGE_TIME)),
-            unseen=state.unseen + dt,
+            visible=VISIBLE + (state.visible - VISIBLE) * forgotten,
+            since=state.since + dt,
+            clutter=state.clutter.moved(dt, DRIFT * self.body.head_height),
+            elapsed=state.elapsed + dt,
         )
 
     def message(self, state: FleshTracks, feature: BodyParts, incoming: Incoming) -> PartMessage:
-        """Where each part should be (mu_{X -> F}) or, as far as that is not trusted, anywhere in reach.
+        """Where each part should be under each hypothesis (mu_{X -> F}) or, as far as that is not trusted,
+        anywhere in reach. It integrates to 1.
 
-        Hands that may be exchanged are at both places. It integrates to 1.
+        Weights are flattened. Each of two chains that see the same pictures has gathered what all of them
+        say; multiplied with each other in every frame, it would count again and again.
         """
-        state = self._within_reach(state)
-        anywhere, other = self._anywhere(state), state.exchanged_hands
-        # of each hand on its own, so that the pair of them is exchanged with this probability
-        swapped = np.sqrt(max(state.exchanged, LEAST_EXCHANGED))
-        sure, other_sure = state.trust, other.trust
-        own_share, other_share = sure * (1 - swapped), other_sure * swapped
-        own_share[HEAD], other_share[HEAD] = sure[HEAD], 0.0
-        shares = np.stack([own_share, other_share, 1 - own_share - other_share], axis=1)
-        places = (state.means, other.means, anywhere.means)
-        spreads = (state.covariances, other.covariances, anywhere.covariances)
-        mixtures = GaussianMixtures.of_parts(
-            list(np.log(np.maximum(shares, LEAST_PROBABILITY**2))),
-            list(np.stack(places, axis=1)[..., :2]),
-            list(np.stack(spreads, axis=1)[..., :2, :2]),
+        state = self._within_reach(state).exchanged_now_and_then(EXCHANGE_TIME)
+        lost, trust = self._anywhere(state), MOST_TRUST * self._trust(state)
+        shares = np.log(np.maximum(np.stack([trust, 1 - trust], axis=2), LEAST_PROBABILITY)).reshape(-1, 2)
+        means, spreads = (
+            np.stack(both, axis=2).reshape(*shares.shape, *both[0].shape[2:])
+            for both in (
+                (state.means[..., :2], lost.means[..., :2]),
+                (state.covariances[..., :2, :2], lost.covariances[..., :2, :2]),
+            )
         )
-        return PartMessage(mixtures)
+        no_labels = np.full(shares.shape, NO_LABEL, np.int64)
+        mixtures = GaussianMixtures(shares, means, spreads, np.zeros(shares.shape, np.bool_), no_labels)
+        flat = FLATTENED * state.log_weights
+        return PartMessage(mixtures, None, flat - logsumexp(flat))
 
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: FleshTrajectory | None = None
@@ -154,115 +186,130 @@ class FleshTracker:
         return predicted_messages(self, trajectory.tracks, trajectory.times, feature)
 
     def update(self, state: FleshTracks, incoming: Incoming) -> FleshTracks:
-        """Parts that are assigned something in the picture follow it, others coast.
+        """Hypotheses go on in all ways in which they explain the picture, of which the best are kept.
 
-        Other chains decide what is assigned to which part, and whether the hands are exchanged. They are not
-        followed themselves, as the product of messages would have it: a chain of poses predicts from the same
-        pictures that the parts have been seen in, and a part that nothing confirms would grow ever surer.
+        Other chains are not followed themselves, as the product of messages would have it: a chain of poses
+        predicts from the same pictures that the parts have been seen in, and a part that nothing confirms
+        would grow ever surer. They decide between hypotheses: each weighs as much as it overlaps with what
+        they say, which holds what they know of the past; of its own weight, a root is left, since it is of
+        the same pictures.
         """
         message = incoming[BodyParts]
-        state = self._within_reach(state)
-        kept, swapped = (_Hypothesis.of(self, each, message) for each in (state, state.exchanged_hands))
-        log_odds = float(logit(max(state.exchanged, LEAST_PROBABILITY)))
-        log_odds += float((swapped.best.log_masses - kept.best.log_masses).sum())
-        better = swapped if log_odds > 0 else kept
-        return better.updated(float(expit(-abs(log_odds))))
+        things = Things.of(None if message.image is None else message.image.mixtures, 3)
+        heard = bool(message.stacked.informative.any())
+        if not len(things.labels) and not heard:
+            return replace(state, things=np.full_like(state.things, NO_LABEL))
+        state = self._within_reach(state).exchanged_now_and_then(EXCHANGE_TIME)
+        with_head = self._with_head_seen(state, things)
+        went_on, elsewhere = MovingParts(state.means, state.covariances), self._anywhere(with_head)
+        of_hands = np.asarray(np.isfinite(things.log_ratios[HANDS]).any(axis=0))
+        radii = np.where(of_hands, self.body.hand, FACE_RADIUS * self.body.head_height)
+        options = PartOptions.of(went_on, elsewhere, self._trust(state), state.visible, things, radii)
+        clutter, beside = self._clutter(state, things, of_hands)
 
-    def posterior(
-        self, state: FleshTracks, detections: GaussianMixtures, others: GaussianMixtures
-    ) -> PartPosterior:
-        """Where parts should be, or anywhere, times what is detected; other chains weigh it."""
-        own = MovingParts(state.means, state.covariances)
-        trust = np.clip(state.trust, LEAST_PROBABILITY, 1 - LEAST_PROBABILITY)
-        log_shares = np.log(trust), np.log1p(-trust)
-        return PartPosterior.of((own, self._anywhere(state)), log_shares, detections).weighed(others)
+        k = len(things.labels)
+        masses = options.log_masses.copy()
+        masses[:, HANDS, :k] -= np.log(NEW_CLUTTER)
+        right = things.means[:, 0] - with_head.means[:, HEAD, :1]
+        masses[:, HANDS, :k] += log_sides(right, state.since[:, HANDS], self.body.shoulder_width)
+        own = (OWN_SHARE if heard else 1.0) * state.log_weights + clutter.log_absent
+        fit = log_overlaps(options, message) if heard else np.zeros(masses.shape)
+        close = np.linalg.norm(things.means[:, None] - things.means, axis=2) < TOUCHING * self.body.hand
+        close &= of_hands & of_hands[:, None]
+        answers = Answers.best(own, masses + fit, clutter.log_known, clutter.gains, beside, close)
+        parts, log_weights = answers.parts(options, went_on, elsewhere), answers.log_masses
+        if heard:
+            chosen = answers.hypotheses[:, None], np.arange(3), answers.options
+            log_weights = log_weights - fit[chosen].sum(axis=1) + log_joint_overlaps(parts, message)
+        return self._after(state, things, answers, parts, clutter, log_weights).reduced(self.body.hand)
+
+    def _after(
+        self,
+        state: FleshTracks,
+        things: Things,
+        answers: Answers,
+        parts: MovingParts,
+        clutter: ClutterMatch,
+        log_weights: Array,
+    ) -> FleshTracks:
+        """The state with a hypothesis for every answer."""
+        k = len(things.labels)
+        seen, hidden = answers.options < k, answers.options > k
+        labels = answers.labels(things)
+        shared = ((labels[:, :, None] == labels[:, None]) & (labels != NO_LABEL)[:, None]).sum(axis=2) > 1
+        # Where in a thing a part is that shares it does not become clearer with more pictures.
+        narrower = (WITHIN * self.body.hand) ** 2 - 0.5 * np.trace(
+            parts.covariances[..., :2, :2], axis1=-2, axis2=-1
+        )
+        narrower = np.where(shared | hidden, np.maximum(narrower, 0.0), 0.0)
+        covariances = parts.covariances.copy()
+        covariances[..., :2, :2] += narrower[..., None, None] * np.eye(2)
+        before = state.take(answers.hypotheses)
+        missed = before.visible * (1 - things.chances) / (1 - before.visible * things.chances)
+        hands = np.where(seen[..., None], parts.means[..., :2], np.nan)[:, HANDS]
+        return replace(
+            before,
+            log_weights=log_weights,
+            means=parts.means,
+            covariances=covariances,
+            visible=np.where(seen, 1.0, np.where(hidden, before.visible, missed)),
+            since=np.where(seen | hidden, 0.0, before.since),
+            things=labels,
+            clutter=clutter.updated(answers.hypotheses, hands, self.body.hand),
+            elapsed=0.0,
+        )
+
+    def _with_head_seen(self, state: FleshTracks, things: Things) -> FleshTracks:
+        """The same with each hypothesis' most probable head after the picture, which hands are about."""
+        rows, k = np.arange(len(state.log_weights)), len(things.labels)
+        head, lost = slice(HEAD, HEAD + 1), self._anywhere(state)
+        options = PartOptions.of(
+            MovingParts(state.means[:, head], state.covariances[:, head]),
+            MovingParts(lost.means[:, head], lost.covariances[:, head]),
+            self._trust(state)[:, head],
+            state.visible[:, head],
+            things.take([HEAD]),
+            np.ones(k),
+        )
+        best = options.log_masses[:, 0, : k + 1].argmax(axis=1)
+        case = options.shares[rows, 0, :, best].argmax(axis=1)
+        means, covariances, since = state.means.copy(), state.covariances.copy(), state.since.copy()
+        means[:, HEAD, :2] = options.means[rows, 0, case, best]
+        covariances[:, HEAD, :2, :2] = options.covariances[rows, 0, case, best]
+        since[:, HEAD] = np.where(best < k, 0.0, since[:, HEAD])
+        return replace(state, means=means, covariances=covariances, since=since)
+
+    def _clutter(
+        self, state: FleshTracks, things: Things, of_hands: NDArray[np.bool_]
+    ) -> tuple[ClutterMatch, Array]:
+        """What things are if they are no part: clutter, or more of some part (`ratios_beside`)."""
+        hand, head = self.body.hand, self.body.head_height
+        densities = np.where(of_hands, NEW_CLUTTER * FALSE_HANDS / (state.size[0] * state.size[1]), np.inf)
+        variances = 0.5 * np.trace(things.covariances, axis1=1, axis2=2)
+        match = ClutterMatch.of(state.clutter, things.means, variances, densities, JITTER * hand)
+        radii = np.array([FACE_RADIUS * head, ABOUT * hand, ABOUT * hand])
+        return match, ratios_beside(things.means, radii, BESIDE, densities)
+
+    def _trust(self, state: FleshTracks) -> Array:
+        """`(H, 3)`: probability that a part has not jumped since it was last seen."""
+        return np.exp(-state.since / self.patience)
 
     @property
     def _speeds(self) -> Array:
-        """`(3,)` px/s."""
         return self.body.head_height * np.array([self.head_speed, self.hand_speed, self.hand_speed])
 
     def _within_reach(self, state: FleshTracks) -> FleshTracks:
         """The same, in which a part of which less is known than that it is in reach may be anywhere there."""
-        anywhere = self._anywhere(state)
-        own, reach = (np.linalg.det(each.covariances[:, :2, :2]) for each in (state, anywhere))
-        forgotten = own > reach
+        lost = self._anywhere(state)
+        own, reach = (np.linalg.det(each.covariances[..., :2, :2]) for each in (state, lost))
+        forgotten = (own > reach)[..., None]
         return replace(
             state,
-            means=np.where(forgotten[:, None], anywhere.means, state.means),
-            covariances=np.where(forgotten[:, None, None], anywhere.covariances, state.covariances),
+            means=np.where(forgotten, lost.means, state.means),
+            covariances=np.where(forgotten[..., None], lost.covariances, state.covariances),
         )
 
     def _anywhere(self, state: FleshTracks) -> MovingParts:
-        """Parts of which nothing is known: a head in the picture, hands in reach of their shoulders.
-
-        Positions have the moments of a uniform distribution over the picture, and over a disc.
-        """
-        body, (height, width) = self.body, state.size
-        means, covariances = np.zeros((3, 4)), np.zeros((3, 4, 4))
-        covariances[:, 2:, 2:] = (self._speeds**2)[:, None, None] * np.eye(2)
-        means[HEAD, :2] = 0.5 * width, 0.5 * height
-        covariances[HEAD, :2, :2] = np.diag([width**2, height**2]) / 12
-        trust, off = state.trust[HEAD], state.positions[HEAD] - means[HEAD, :2]
-        head = means[HEAD, :2] + trust * off
-        spread = trust * state.position_covariances[HEAD] + (1 - trust) * covariances[HEAD, :2, :2]
-        spread = spread + trust * (1 - trust) * np.outer(off, off)
-        reach = body.upper_arm + body.forearm
-        # The person's own left is on the right of the picture.
-        means[HANDS, 0] = head[0] + np.array([0.5, -0.5]) * body.shoulder_width
-        means[HANDS, 1] = head[1] + body.neck + HANDS_BELOW * reach
-        covariances[HANDS, :2, :2] = spread + 0.25 * reach**2 * np.eye(2)
-        return MovingParts(means, covariances)
-
-
-@dataclass(frozen=True, eq=False)
-class _Hypothesis:
-    """What a picture and other chains say of parts, if the hands are as in the state."""
-
-    tracker: FleshTracker
-    state: FleshTracks
-    detections: GaussianMixtures
-    others: GaussianMixtures
-    posterior: PartPosterior
-    best: Assignment
-
-    @classmethod
-    def of(cls, tracker: FleshTracker, state: FleshTracks, message: PartMessage) -> Self:
-        others, image = message.predicted, message.image
-        detections = GaussianMixtures.uniform(others.n_parts) if image is None else image.mixtures
-        posterior = tracker.posterior(state, detections, others)
-        choices = PartChoices.of(posterior, detections, tracker.body.hand, tracker.hiding)
-        return cls(tracker, state, detections, others, posterior, choices.best())
-
-    def updated(self, exchanged: float) -> FleshTracks:
-        """Parts follow what they are assigned; `exchanged`: probability that the hands are the other way."""
-        state, detections, posterior, best = self.state, self.detections, self.posterior, self.best
-        labels = best.labels
-        assigned = labels != NO_LABEL
-        shared = assigned & ((labels[:, None] == labels).sum(axis=1) > 1)
-        within = self.tracker.body.hand**2 * np.eye(2)
-        if shared.any():
-            # Parts that are one thing are somewhere in it, not all in its middle.
-            wider = detections.covariances + np.where(shared[:, None, None], within, 0.0)[:, None]
-            posterior = self.tracker.posterior(state, replace(detections, covariances=wider), self.others)
-        parts, located = posterior.assigned(labels)
-        covariances = parts.covariances.copy()
-        # Where in the thing a hidden part is does not become clearer with more pictures.
-        narrower = self.tracker.body.hand**2 - 0.5 * np.trace(covariances[:, :2, :2], axis1=1, axis2=2)
-        narrower = np.where(best.hidden, np.maximum(narrower, 0.0), 0.0)
-        covariances[:, :2, :2] += narrower[:, None, None] * np.eye(2)
-        # The other hand may have been mistaken for this one just now.
-        mistaken = 0.0
-        if labels[LEFT] != labels[RIGHT]:
-            mistaken = float(expit(-best.advantage(LEFT, RIGHT)))
-        exchanged = exchanged + mistaken - 2 * exchanged * mistaken
-        informed = detections.informative & np.isfinite(located)
-        return replace(
-            state,
-            means=np.where(informed[:, None], parts.means, state.means),
-            covariances=np.where(informed[:, None, None], covariances, state.covariances),
-            trust=np.where(informed, np.minimum(located * best.shares, MOST_TRUST), state.trust),
-            exchanged=min(exchanged, 0.5),
-            unseen=np.where(assigned, 0.0, state.unseen),
-            labels=labels,
-        )
+        """Parts of which nothing is known."""
+        heads = MovingParts(state.means[:, HEAD], state.covariances[:, HEAD])
+        return anywhere(self.body, state.size, self._speeds, heads, self._trust(state)[:, HEAD])

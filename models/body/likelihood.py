@@ -19,9 +19,9 @@ from .kernels.likelihood import (
     head_terms,
     over_density,
 )
-from .person.skin_colour import HIGHEST
 from .poses import BodyPoses
 from .silhouette import silhouettes
+from .skin.colour import HIGHEST
 from .upper_body import UpperBody
 
 Array = NDArray[np.float64]

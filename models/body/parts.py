@@ -19,9 +19,9 @@ from .person.bare_arms import bare_probability, hand_area
 from .person.clothes import ClothesColour
 from .person.faces import OtherFaces, face_at, largest_face, one_person
 from .person.keypoints import SeenKeypoints
-from .person.skin_colour import HIGHEST, SkinColour
+from .skin.colour import HIGHEST, SkinColour
+from .skin.static import static_skin
 from .skin_blobs import SkinBlobs, skin_blobs
-from .static_skin import static_skin
 from .upper_body import PARTS
 
 Array = NDArray[np.float64]

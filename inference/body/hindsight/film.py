@@ -19,7 +19,7 @@ from ....models.core.frame import Frame
 from ....models.core.short_repr import short_repr
 from ...core.protocols import BatchIncoming, Incoming
 from ..dynamics import Ancestors, BodyDynamics
-from ..flesh_tracks import FleshTracks
+from ..flesh.tracks import FleshTracks
 from ..samples import LONGEST, BodySamples
 from .fixed_lag import FixedLag
 from .labelling import Labelling

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.body.person.skin_colour import SkinColour, has_colour
+from rsmcm.models.body.skin.colour import SkinColour, has_colour
 
 Image = NDArray[np.uint8]
 

@@ -1,0 +1,1 @@
+"""Tracking of head and hands in the picture by several hypotheses."""

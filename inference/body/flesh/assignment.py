@@ -1,0 +1,280 @@
+"""Which thing in the picture each part of a body is, under each hypothesis: the best joint answers."""
+
+from dataclasses import dataclass, replace
+from typing import Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from ....models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
+from ....models.core.kernels.gaussian_mixtures import products
+from .moving_parts import MovingParts
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+T = TypeVar("T", bound=np.generic)
+
+VISIBLE = 0.85
+"""Share of the time in which a part is not hidden."""
+
+MOST_FOUND = 0.98
+"""Chance that a part which is not hidden is detected, at most."""
+
+COVERED = 0.9
+"""Chance that a part is not seen on its own where another thing is."""
+
+CHOICES = 8
+"""Answers for each part that are combined with those for the others."""
+
+CANDIDATES = 64
+"""Joint answers that are worked out."""
+
+NEVER = -1e9
+"""Nats: finite, so that sums of it are numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Things:
+    """What is detected in a picture.
+
+    Parameters
+    ----------
+    labels
+        `(k,)` int64.
+    means, covariances
+        `(k, 2)` px, `(k, 2, 2)` px^2.
+    log_ratios
+        `(n_parts, k)` nats: how much more probable a thing is if it is a part right there, than anything
+        else in the picture's area; minus infinity if it cannot be the part. Per px^-2.
+    found
+        `(n_parts,)`: chance that a part is detected.
+    """
+
+    labels: NDArray[np.int64]
+    means: Array
+    covariances: Array
+    log_ratios: Array
+    found: Array
+
+    @property
+    def chances(self) -> Array:
+        """`(n_parts,)`: that a part is detected which is not hidden."""
+        return np.asarray(np.minimum(self.found / VISIBLE, MOST_FOUND))
+
+    def take(self, parts: list[int]) -> Self:
+        """The same for some of the parts."""
+        return replace(self, log_ratios=self.log_ratios[parts], found=self.found[parts])
+
+    @classmethod
+    def of(cls, detections: GaussianMixtures | None, n_parts: int) -> Self:
+        """What mixtures over the parts' places tell, whose flat components are misses."""
+        if detections is None or not detections.informative.any():
+            return cls(
+                np.zeros(0, np.int64),
+                np.zeros((0, 2)),
+                np.zeros((0, 2, 2)),
+                np.zeros((n_parts, 0)),
+                np.zeros(n_parts),
+            )
+        weights = np.where(detections.flat, -np.inf, detections.log_weights)
+        missed = np.exp(logsumexp(np.where(detections.flat, detections.log_weights, -np.inf), axis=1))
+        found = np.where(detections.informative, np.clip(1 - missed, 0.0, 1.0), 0.0)
+        there = np.isfinite(weights)
+        labels, first = np.unique(detections.labels[there], return_index=True)
+        same = there[:, None] & (detections.labels[:, None] == labels[:, None])
+        ratios = logsumexp(np.where(same, weights[:, None], -np.inf), axis=2)
+        with np.errstate(divide="ignore"):
+            ratios -= np.log(found)[:, None]
+        return cls(
+            labels, detections.means[there][first], detections.covariances[there][first], ratios, found
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PartOptions:
+    """What each part may be under each of H hypotheses, and where it is then.
+
+    With k things, options are: each of them, not seen, hidden where each of them is.
+
+    Parameters
+    ----------
+    log_masses
+        `(H, n_parts, 2k + 1)` nats.
+    shares
+        `(H, n_parts, 2, 2k + 1)`: probability that a part went on, or is elsewhere in reach.
+    means, covariances
+        `(H, n_parts, 2, 2k + 1, 2)` px and `(..., 2, 2)` px^2 in these cases.
+    """
+
+    log_masses: Array
+    shares: Array
+    means: Array
+    covariances: Array
+
+    @classmethod
+    def of(
+        cls,
+        went_on: MovingParts,
+        elsewhere: MovingParts,
+        trust: Array,
+        visible: Array,
+        things: Things,
+        radii: Array,
+    ) -> Self:
+        """All of them.
+
+        Parameters
+        ----------
+        went_on, elsewhere
+            predictions `(H, n_parts)`.
+        trust, visible
+            `(H, n_parts)`: probabilities that the first holds, and that a part is not hidden.
+        radii
+            `(k,)` px: standard deviations of Gaussian windows in which a part is hidden by a thing.
+        """
+        n_hypotheses, n_parts = trust.shape
+        k = len(things.labels)
+        n_rows, n_options = n_hypotheses * n_parts, 2 * k + 1
+        prior_means = np.stack([each.means[..., :2] for each in (went_on, elsewhere)], axis=2)
+        prior_spreads = np.stack([each.covariances[..., :2, :2] for each in (went_on, elsewhere)], axis=2)
+        hides = radii[:, None, None] ** 2 * np.eye(2)
+        places = np.concatenate([things.means, np.zeros((1, 2)), things.means])
+        spreads = np.concatenate([things.covariances, np.eye(2)[None], hides])
+        flat = np.arange(n_options) == k
+        rows = (n_rows, n_options)
+        means, covariances = np.empty((n_rows, 2 * n_options, 2)), np.empty((n_rows, 2 * n_options, 2, 2))
+        overlaps = np.empty((n_rows, 2 * n_options))
+        products(
+            prior_means.reshape(n_rows, 2, 2), prior_spreads.reshape(n_rows, 2, 2, 2),
+            np.zeros((n_rows, 2), np.bool_),
+            np.broadcast_to(places, (*rows, 2)).copy(), np.broadcast_to(spreads, (*rows, 2, 2)).copy(),
+            np.broadcast_to(flat, rows).copy(), means, covariances, overlaps,
+        )  # fmt: skip
+        shape = (n_hypotheses, n_parts, 2, n_options)
+        with np.errstate(divide="ignore"):
+            cases = np.log(np.stack([trust, 1 - trust], axis=2))[..., None] + overlaps.reshape(shape)
+            seen = np.log(visible * things.chances)
+            missed = np.log1p(-visible * things.chances)
+        # somebody who is not seen goes on: elsewhere he would be anywhere
+        cases[..., 0, k], cases[..., 1, k] = 0.0, -np.inf
+        masses = logsumexp(cases, axis=2)
+        shares = np.exp(cases - np.where(np.isfinite(masses), masses, 0.0)[:, :, None])
+        masses[..., :k] += seen[..., None] + things.log_ratios
+        masses[..., k] += missed
+        masses[..., k + 1 :] += np.log(2 * np.pi * radii**2 * COVERED)
+        return cls(
+            np.maximum(masses, NEVER), shares, means.reshape(*shape, 2), covariances.reshape(*shape, 2, 2)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """Joint answers for all parts, each of a hypothesis.
+
+    Parameters
+    ----------
+    hypotheses
+        `(m,)`.
+    options
+        `(m, n_parts)`.
+    log_masses
+        `(m,)` nats.
+    """
+
+    hypotheses: Numbers
+    options: Numbers
+    log_masses: Array
+
+    @classmethod
+    def best(
+        cls,
+        log_hypotheses: Array,
+        log_masses: Array,
+        log_known: Array,
+        gains: Array,
+        beside: Array,
+        same: NDArray[np.bool_],
+    ) -> Self:
+        """The `CANDIDATES` most probable ones.
+
+        A thing is one part's image. Where a part is hidden by a thing, that is another part, or was there
+        before.
+
+        Parameters
+        ----------
+        log_hypotheses
+            `(H,)`.
+        log_masses
+            `(H, n_parts, 2k + 1)` as in `PartOptions`, three parts.
+        log_known
+            `(H, k)` nats: that a thing which is no part was there before.
+        gains
+            `(H, k)` nats: how much more probable it is as such than as something new.
+        beside
+            `(n_parts, k, k)`: of a part that is one thing, the same for another one as more of that part.
+        same
+            `(k, k)`: things that are too close to be two parts.
+        """
+        n_hypotheses, n_parts, n_options = log_masses.shape
+        k = n_options // 2
+        n = min(CHOICES, n_options)
+        options = np.argsort(-log_masses, axis=2, kind="stable")[..., :n]
+        thing = np.where(options <= k, options, options - k - 1)
+        which = np.where(options < k, options, k)  # a thing that the part itself is, k for none
+        known = np.pad(log_known, ((0, 0), (0, 1)))[np.arange(n_hypotheses)[:, None, None], thing]
+        alone = np.where(options > k, known, 0.0)
+        either = np.pad(same | np.eye(k, dtype=np.bool_), (0, 1))
+        beside = np.pad(beside, ((0, 0), (0, 1), (0, 0)))
+
+        def along(values: NDArray[T], part: int) -> NDArray[T]:
+            """Of one part, on its axis of `(H, n, n, n)`."""
+            return values[:, part].reshape(
+                n_hypotheses, *(n if axis == part else 1 for axis in range(n_parts))
+            )
+
+        total = log_hypotheses.reshape(-1, *n_parts * [1])
+        values = np.take_along_axis(log_masses, options, 2)
+        explained = 1 + np.where(gains > 0, np.exp(gains), 0.0).reshape(n_hypotheses, *n_parts * [1], k)
+        used = np.zeros(1, np.bool_)
+        for part in range(n_parts):
+            own = along(which, part)
+            behind = np.zeros(1, np.bool_)
+            for other in range(n_parts):
+                if other != part:
+                    behind = behind | ((along(thing, part) == along(which, other)) & (along(thing, part) < k))
+                if other > part:
+                    total = total + np.where(either[own, along(which, other)], NEVER, 0.0)
+            total = total + along(values, part) + np.where(behind, 0.0, along(alone, part))
+            explained = explained + beside[part][own]
+            used = used | (own[..., None] == np.arange(k))
+        total = (total + np.where(used, 0.0, np.log(explained)).sum(axis=-1)).ravel()
+        m = min(CANDIDATES, len(total))
+        top = np.argpartition(-total, m - 1)[:m]
+        top = top[np.argsort(-total[top], kind="stable")]
+        top = top[total[top] > 0.5 * NEVER]
+        hypotheses, *chosen = np.unravel_index(top, (n_hypotheses, *n_parts * [n]))
+        picked = np.stack([options[hypotheses, part, chosen[part]] for part in range(n_parts)], axis=1)
+        return cls(hypotheses, picked, total[top])
+
+    def parts(self, options: PartOptions, went_on: MovingParts, elsewhere: MovingParts) -> MovingParts:
+        """`(m, n_parts)`: where the parts are then, and how they move."""
+        rows, columns = self.hypotheses[:, None], np.arange(self.options.shape[1])
+        shares, means, covariances = [], [], []
+        for case, prior in enumerate((went_on, elsewhere)):
+            here = (rows, columns, case, self.options)
+            moved = prior.take(self.hypotheses).given(options.means[here], options.covariances[here])
+            shares.append(options.shares[here])
+            means.append(moved.means)
+            covariances.append(moved.covariances)
+        share = np.stack(shares)[..., None]
+        mean = (share * np.stack(means)).sum(axis=0)
+        apart = np.stack(means) - mean
+        scatter = np.stack(covariances) + apart[..., :, None] * apart[..., None, :]
+        return MovingParts(mean, (share[..., None] * scatter).sum(axis=0))
+
+    def labels(self, things: Things) -> NDArray[np.int64]:
+        """`(m, n_parts)`: labels of the things that parts are, or are hidden by; -1 for none."""
+        k = len(things.labels)
+        padded = np.append(things.labels, NO_LABEL)
+        return np.asarray(padded[np.where(self.options <= k, self.options, self.options - k - 1)])

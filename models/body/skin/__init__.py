@@ -1,0 +1,1 @@
+"""The colour of skin, and where it is all the time."""
