@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from rsmcm.chains.flesh_tracker import FleshTracker
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.inference.body.flesh.moving_parts import MovingParts
-from rsmcm.inference.body.flesh.tracks import HEAD, LEFT, RIGHT, FleshTracks
+from rsmcm.inference.body.flesh.tracks import HEAD, LEFT, MOST_HYPOTHESES, RIGHT, FleshTracks
 from rsmcm.models.body.image_features import BodyImage
 from rsmcm.models.body.part_message import PartMessage
 from rsmcm.models.body.parts import BodyParts
@@ -300,6 +300,21 @@ def test_hands_that_met_may_be_exchanged_until_somebody_knows() -> None:
         assert after.positions[upper, 1] < after.positions[lower, 1]
         assert exchanged(after, at(*truth)) < 0.05
         assert off(after, at(*truth)).max() < 0.15
+
+
+def test_a_hypothesis_of_one_percent_survives_and_wins_when_others_know_better() -> None:
+    """That the hands are exchanged, for 15 frames in which nothing tells but the sides they are on."""
+    state = standing().take(np.array([0]))
+    both = replace(state, log_weights=np.log([0.99])).joined(
+        replace(state.exchanged(), log_weights=np.log([0.01]))
+    )
+    states = followed([seen(REST, faces=[0])] * 15, both)
+    assert all(1e-4 < exchanged(each, REST) < 0.05 for each in states)
+    assert all(len(each.weights) <= MOST_HYPOTHESES for each in states)
+    other_way = REST[[HEAD, RIGHT, LEFT]]
+    knowing = told((0, 0), (-0.8, 1.6), (0.8, 1.6), spread=0.2)
+    after = followed([seen(REST, faces=[0]) * knowing] * 3, states[-1])[-1]
+    assert off(after, other_way).max() < 0.1
 
 
 def test_others_may_overrule_tracks_that_seemed_sure() -> None:
