@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from ..inference.body.flesh.assignment import VISIBLE, Answers, PartOptions, Things
 from ..inference.body.flesh.clutter import Clutter, ClutterMatch
 from ..inference.body.flesh.moving_parts import MovingParts
-from ..inference.body.flesh.reach import anywhere
+from ..inference.body.flesh.reach import anywhere, within_reach
 from ..inference.body.flesh.scores import log_joint_overlaps, log_overlaps, log_sides, ratios_beside
 from ..inference.body.flesh.tracks import HANDS, HEAD, FleshTracks
 from ..inference.body.hindsight.film import FleshTrajectory, filtered, predicted_messages
@@ -153,8 +153,8 @@ class FleshTracker:
         Weights are flattened. Each of two chains that see the same pictures has gathered what all of them
         say; multiplied with each other in every frame, it would count again and again.
         """
-        state = self._within_reach(state).exchanged_now_and_then(EXCHANGE_TIME)
-        lost, trust = self._anywhere(state), MOST_TRUST * self._trust(state)
+        state = within_reach(state, self._anywhere(state)).exchanged_now_and_then(EXCHANGE_TIME)
+        lost, trust = self._anywhere(state), MOST_TRUST * state.trust
         shares = np.log(np.maximum(np.stack([trust, 1 - trust], axis=2), LEAST_PROBABILITY)).reshape(-1, 2)
         means, spreads = (
             np.stack(both, axis=2).reshape(*shares.shape, *both[0].shape[2:])
@@ -199,12 +199,12 @@ class FleshTracker:
         heard = bool(message.stacked.informative.any())
         if not len(things.labels) and not heard:
             return replace(state, things=np.full_like(state.things, NO_LABEL))
-        state = self._within_reach(state).exchanged_now_and_then(EXCHANGE_TIME)
+        state = within_reach(state, self._anywhere(state)).exchanged_now_and_then(EXCHANGE_TIME)
         with_head = self._with_head_seen(state, things)
         went_on, elsewhere = MovingParts(state.means, state.covariances), self._anywhere(with_head)
         of_hands = np.asarray(np.isfinite(things.log_ratios[HANDS]).any(axis=0))
         radii = np.where(of_hands, self.body.hand, FACE_RADIUS * self.body.head_height)
-        options = PartOptions.of(went_on, elsewhere, self._trust(state), state.visible, things, radii)
+        options = PartOptions.of(went_on, elsewhere, state.trust, state.visible, things, radii)
         clutter, beside = self._clutter(state, things, of_hands)
 
         k = len(things.labels)
@@ -266,7 +266,7 @@ class FleshTracker:
         options = PartOptions.of(
             MovingParts(state.means[:, head], state.covariances[:, head]),
             MovingParts(lost.means[:, head], lost.covariances[:, head]),
-            self._trust(state)[:, head],
+            state.trust[:, head],
             state.visible[:, head],
             things.take([HEAD]),
             np.ones(k),
@@ -290,26 +290,11 @@ class FleshTracker:
         radii = np.array([FACE_RADIUS * head, ABOUT * hand, ABOUT * hand])
         return match, ratios_beside(things.means, radii, BESIDE, densities)
 
-    def _trust(self, state: FleshTracks) -> Array:
-        """`(H, 3)`: probability that a part has not jumped since it was last seen."""
-        return np.exp(-state.since / self.patience)
-
     @property
     def _speeds(self) -> Array:
         return self.body.head_height * np.array([self.head_speed, self.hand_speed, self.hand_speed])
 
-    def _within_reach(self, state: FleshTracks) -> FleshTracks:
-        """The same, in which a part of which less is known than that it is in reach may be anywhere there."""
-        lost = self._anywhere(state)
-        own, reach = (np.linalg.det(each.covariances[..., :2, :2]) for each in (state, lost))
-        forgotten = (own > reach)[..., None]
-        return replace(
-            state,
-            means=np.where(forgotten, lost.means, state.means),
-            covariances=np.where(forgotten[..., None], lost.covariances, state.covariances),
-        )
-
     def _anywhere(self, state: FleshTracks) -> MovingParts:
         """Parts of which nothing is known."""
         heads = MovingParts(state.means[:, HEAD], state.covariances[:, HEAD])
-        return anywhere(self.body, state.size, self._speeds, heads, self._trust(state)[:, HEAD])
+        return anywhere(self.body, state.size, self._speeds, heads, state.trust[:, HEAD])

@@ -1,11 +1,13 @@
 """Where head and hands may be of which nothing is known."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ....models.body.upper_body import UpperBody
 from .moving_parts import MovingParts
-from .tracks import HANDS, HEAD
+from .tracks import HANDS, HEAD, FleshTracks
 
 Array = NDArray[np.float64]
 
@@ -45,3 +47,14 @@ def anywhere(
     means[:, HANDS, 1] = head[:, 1:] + body.neck + HANDS_BELOW * reach
     covariances[:, HANDS, :2, :2] = (spread + 0.25 * reach**2 * np.eye(2))[:, None]
     return MovingParts(means, covariances)
+
+
+def within_reach(tracks: FleshTracks, lost: MovingParts) -> FleshTracks:
+    """The same, in which a part of which less is known than that it is in reach may be `lost` there."""
+    own, reach = (np.linalg.det(each.covariances[..., :2, :2]) for each in (tracks, lost))
+    forgotten = (own > reach)[..., None]
+    return replace(
+        tracks,
+        means=np.where(forgotten, lost.means, tracks.means),
+        covariances=np.where(forgotten[..., None], lost.covariances, tracks.covariances),
+    )

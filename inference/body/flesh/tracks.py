@@ -76,6 +76,11 @@ class FleshTracks:
         return np.exp(self.log_weights)
 
     @property
+    def trust(self) -> Array:
+        """`(H, 3)`: probability that a part has not jumped since it was last seen."""
+        return np.exp(-self.since / self.patience)
+
+    @property
     def positions(self) -> Array:
         """`(3, 2)` px, under the best hypothesis."""
         return np.asarray(self.means[0, :, :2])
