@@ -44,7 +44,7 @@ class Guided:
     Parameters
     ----------
     poses
-        n of them, all possible.
+        n of them, all possible; none, if no draw was.
     log_weights
         `(n,)` of the prediction p(x_t | past): what it says of a pose and its ancestor together, over the
         density of their draw; normalised.
@@ -138,7 +138,7 @@ class GuidedSampler:
         drawn = self._log_drawn(poses, chosen, targets, closeness, hidden, walks)
         log_weights = log_weights[chosen] - log_choice[chosen] + walks.sum(axis=1) - drawn
         log_weights += dynamics.log_posture(poses, elapsed)
-        return Guided(poses, normalised(log_weights), chosen)
+        return Guided(poses, normalised(log_weights) if len(poses) else log_weights, chosen)
 
     def _closeness(self, targets: _Targets, joints: Array, step: float, choice: Array) -> Array:
         """`(k_past, k_targets)`: how readily a pose is chosen for a target, over how it is chosen else."""
@@ -213,8 +213,8 @@ class GuidedSampler:
         values = np.empty(len(poses))
         guided_values(
             np.ascontiguousarray(joints[:, HANDS, :2]), chosen, walks, completions,
-            targets.sides, targets.means, precisions, heights, closeness,
-            1.0 - targets.shares.sum(), values,
+            targets.sides, targets.means, precisions, np.append(heights, 1.0 - targets.shares.sum()),
+            closeness, values,
         )  # fmt: skip
         return values
 

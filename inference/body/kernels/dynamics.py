@@ -119,9 +119,7 @@ def draw_terms(body, ancestors, least, arms, ancestor_arms, weights, concentrati
 
 
 @compiled
-def guided_values(
-    hands, chosen, walks, completions, sides, means, precisions, heights, closeness, free, values
-):
+def guided_values(hands, chosen, walks, completions, sides, means, precisions, heights, closeness, values):
     """Log densities of poses some of which were drawn with a hand at a target, given their ancestors.
 
     Parameters
@@ -133,19 +131,19 @@ def guided_values(
     walks, completions
         `(n, 2)` nats of each arm: its density if the dynamics moved it, and that of all but its hand's place
         if it was put in place.
-    sides, means, precisions, heights
-        `(k,)`, `(k, 2)`, `(k, 2, 2)`, `(k,)` of the targets: share of the draws times peak of the density.
+    sides, means, precisions
+        `(k,)`, `(k, 2)`, `(k, 2, 2)` of the targets.
+    heights
+        `(k + 1,)`: share of the draws times peak of the density; at last the share of those without target.
     closeness
         `(n_ancestors, k)`: by how much more readily an ancestor is chosen for a target.
-    free
-        share of the draws without target.
     values
         `(n,)` filled in.
     """
     for i in range(len(hands)):
         left, right = completions[i, 0] - walks[i, 0], completions[i, 1] - walks[i, 1]
         peak = max(max(left, right), 0.0)
-        total = free * np.exp(-peak)
+        total = heights[len(sides)] * np.exp(-peak)
         gains = (np.exp(left - peak), np.exp(right - peak))
         for k in range(len(sides)):
             side = sides[k]

@@ -7,7 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.inference.body import tempering
 from rsmcm.inference.body.dynamics import Ancestors, BodyDynamics
+from rsmcm.inference.body.strata import Strata
 from rsmcm.inference.body.tempering import Tempered, temper
+from rsmcm.inference.filters.resampling import normalised
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import JOINTS, UpperBody
 from scipy.stats import ks_2samp
@@ -43,10 +45,20 @@ class Past:
             found.append(poses.take(BODY.allowed(poses) & usual))
         return BodyPoses.concatenated(found).take(slice(n))
 
-    def log_density(self, poses: BodyPoses) -> Array:
-        """Minus infinity where joints forbid a pose."""
+    def log_density(self, poses: BodyPoses, owners: NDArray[np.int64] | None = None) -> Array:
+        """Minus infinity where joints forbid a pose; the same whatever samples it goes back to."""
         density = self.dynamics.log_density(poses, Ancestors(self.poses, self.weights, self.elapsed))
         return np.where(BODY.allowed(poses), density, -np.inf)
+
+    def log_steps(self, chosen: NDArray[np.int64]) -> Callable[[BodyPoses, NDArray[np.int64]], Array]:
+        """The prior of a pose whose sample was drawn from one of the poses, by its number in `chosen`."""
+
+        def log_prior(poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
+            before = self.poses.take(chosen[owners])
+            density = self.dynamics.log_step(poses, before, self.elapsed)
+            return np.where(BODY.allowed(poses), density, -np.inf)
+
+        return log_prior
 
 
 def looks(places: Array, spread: float) -> LogDensity:
@@ -77,14 +89,33 @@ def summary(poses: BodyPoses, weights: Array) -> Array:
     return np.concatenate([mean, covariance[np.triu_indices(6)]])
 
 
+def even(n: int) -> Array:
+    """Log weights of draws of the prior."""
+    return np.full(n, -np.log(n))
+
+
 def tempered(past: Past, likelihood: LogDensity, n: int, seed: int) -> Tempered:
     random = np.random.default_rng(seed)
     poses = past.drawn(n, random)
-    return temper(past.dynamics, poses, past.log_density(poses), past.log_density, likelihood, n, random)
+    return temper(past.dynamics, poses, even(n), past.log_density, likelihood, n, random)
 
 
+def tempered_with_ancestors(past: Past, likelihood: LogDensity, n: int, seed: int) -> Tempered:
+    """Each sample moves under the prior of its own ancestor; together they are of the same mixture."""
+    random = np.random.default_rng(seed)
+    chosen = random.choice(5, 3 * n, p=past.weights)
+    poses = past.dynamics.draw(past.poses.take(chosen), past.elapsed, random)
+    possible = BODY.allowed(poses)
+    poses, chosen = poses.take(possible), chosen[possible]
+    log_weights = normalised(past.dynamics.log_posture(poses, past.elapsed))
+    return temper(past.dynamics, poses, log_weights, past.log_steps(chosen), likelihood, n, random)
+
+
+@pytest.mark.parametrize("run", [tempered, tempered_with_ancestors])
 @pytest.mark.parametrize("seed", range(2))
-def test_posterior_and_evidence_are_those_of_importance_sampling(seed: int) -> None:
+def test_posterior_and_evidence_are_those_of_importance_sampling(
+    seed: int, run: Callable[[Past, LogDensity, int, int], Tempered]
+) -> None:
     """Hands' means and covariances over 12 runs, beside 300 000 weighted draws of the prior.
 
     The bar is five standard errors: of the runs by their differences, and of the weighted draws by those
@@ -104,8 +135,8 @@ def test_posterior_and_evidence_are_those_of_importance_sampling(seed: int) -> N
     expected = summary(draws, weights / weights.sum())
     error = np.std(parts, axis=0) / np.sqrt(len(parts))
 
-    runs = [tempered(past, likelihood, 2000, 1000 * seed + run) for run in range(RUNS)]
-    found = np.stack([summary(run.poses, np.exp(run.log_weights)) for run in runs])
+    runs = [run(past, likelihood, 2000, 1000 * seed + number) for number in range(RUNS)]
+    found = np.stack([summary(one.poses, np.exp(one.log_weights)) for one in runs])
     bar = 5 * np.hypot(found.std(axis=0, ddof=1) / np.sqrt(RUNS), error)
     spread = np.sqrt(expected[6:][np.cumsum([0, 6, 5, 4, 3, 2])])
     assert (np.abs(found.mean(axis=0) - expected) < bar + 1e-3).all()
@@ -113,7 +144,7 @@ def test_posterior_and_evidence_are_those_of_importance_sampling(seed: int) -> N
 
     evidence = np.log(weights.mean())
     relative = weights.std() / weights.mean() / np.sqrt(len(weights))
-    own = np.array([run.log_evidence for run in runs])
+    own = np.array([one.log_evidence for one in runs])
     assert abs(own.mean() - evidence) < 5 * np.hypot(own.std(ddof=1) / np.sqrt(RUNS), relative) + 0.02
 
 
@@ -125,7 +156,7 @@ def test_samples_are_many_where_weights_would_leave_a_few() -> None:
     draws = past.drawn(1000, random)
     weights = np.exp(likelihood(draws) - likelihood(draws).max())
     assert weights.sum() ** 2 / (weights**2).sum() < 30
-    found = temper(past.dynamics, draws, past.log_density(draws), past.log_density, likelihood, 1000, random)
+    found = temper(past.dynamics, draws, even(1000), past.log_density, likelihood, 1000, random)
     assert len(found.poses) == 1000
     assert 1 / np.exp(2 * found.log_weights).sum() > tempering.KEPT * 1000
     assert len(np.unique(found.poses.roots[:, 0])) > 200  # not only copies
@@ -133,35 +164,28 @@ def test_samples_are_many_where_weights_would_leave_a_few() -> None:
     assert BODY.allowed(found.poses).all()
 
 
-def test_without_a_likelihood_samples_stay_as_they_are() -> None:
-    past = Past(4)
-    random = np.random.default_rng(4)
-    poses = past.drawn(1000, random)
-    found = temper(
-        past.dynamics, poses, past.log_density(poses), past.log_density, nothing, len(poses), random
-    )
-    assert found.poses is poses
-    np.testing.assert_allclose(found.log_weights, -np.log(len(poses)))
+def test_without_a_likelihood_there_is_no_evidence() -> None:
+    found = tempered(Past(4), nothing, 1000, 4)
     assert found.log_evidence == pytest.approx(0.0, abs=1e-12)
+    assert np.exp(found.log_weights).sum() == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_moves_leave_the_prior_as_it_is(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """After 40 of them independent draws of the prior are still such draws: Kolmogorov and Smirnov.
 
-    Nothing is drawn again, since all weigh the same; hence they stay independent.
+    In one stratum each is drawn once, since all weigh the same; hence they stay independent.
     """
     monkeypatch.setattr(tempering, "MOVES", 40)
-    monkeypatch.setattr(tempering, "KEPT", 2.0)  # more than there are: moves are never left out
+    monkeypatch.setattr(Strata, "of", lambda body, poses: Strata(np.zeros(len(poses), np.int64)))
     past = Past(seed)
     random = np.random.default_rng(seed)
     poses, others = (past.drawn(2000, random) for _ in range(2))
-    found = temper(
-        past.dynamics, poses, past.log_density(poses), past.log_density, nothing, len(poses), random
-    )
+    found = temper(past.dynamics, poses, even(2000), past.log_density, nothing, 2000, random)
+    np.testing.assert_allclose(found.log_weights, even(2000))
     assert found.accepted > 0.1
-    moved = (found.poses.arms != poses.arms).any(axis=(1, 2, 3))
-    assert moved.mean() > 0.9
+    stayed = np.isin(found.poses.arms[:, 0, 0, 0], poses.arms[:, 0, 0, 0])
+    assert stayed.mean() < 0.1
 
     def features(some: BodyPoses) -> Array:
         flexions = (some.arms[:, :, 0] * some.arms[:, :, 1]).sum(axis=2)
@@ -184,7 +208,8 @@ def test_weights_that_come_in_count() -> None:
     for run in range(RUNS):
         random = np.random.default_rng(50 + run)
         poses = wide.drawn(3000, random)
-        after = temper(past.dynamics, poses, wide.log_density(poses), past.log_density, nothing, 3000, random)
+        log_weights = normalised(past.log_density(poses) - wide.log_density(poses))
+        after = temper(past.dynamics, poses, log_weights, past.log_density, nothing, 3000, random)
         found.append(np.exp(after.log_weights) @ hands(after.poses))
     bar = 5 * np.std(found, axis=0, ddof=1) / np.sqrt(RUNS)
     bar = np.hypot(bar, 5 * hands(direct).std(axis=0) / np.sqrt(len(direct)))
@@ -196,13 +221,11 @@ def test_of_many_candidates_as_many_are_left_as_are_wanted() -> None:
     random = np.random.default_rng(8)
     poses = past.drawn(900, random)
     for likelihood in (nothing, looks(BODY.parts(poses)[0, 1:], 8.0)):
-        found = temper(
-            past.dynamics, poses, past.log_density(poses), past.log_density, likelihood, 300, random
-        )
+        found = temper(past.dynamics, poses, even(900), past.log_density, likelihood, 300, random)
         assert len(found.poses) == 300
         assert np.exp(found.log_weights).sum() == pytest.approx(1.0)
     some = poses.take(slice(5))
-    few = temper(past.dynamics, some, past.log_density(some), past.log_density, nothing, 300, random)
+    few = temper(past.dynamics, some, even(5), past.log_density, nothing, 300, random)
     assert len(few.poses) == 300
 
 

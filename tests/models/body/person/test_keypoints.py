@@ -205,6 +205,6 @@ def test_evidence_of_an_image_holds_them() -> None:
     likelihood = BodyLikelihood(BODY)
     np.testing.assert_allclose(
         (likelihood(known).terms(POSES) - likelihood(plain).terms(POSES))[1:],
-        [np.zeros(12), np.zeros(12), known.keypoints.log_ratios(BODY, SCENE.joints)],
+        [np.zeros(12), np.zeros(12), known.keypoints.log_ratios(BODY, SCENE.joints), np.zeros(12)],
     )
     assert node.evidence(Frame(None, 0.0, 1, keypoints=given_of(POINTS[0])), node.uniform()).image is None
