@@ -64,7 +64,6 @@ def test_more_samples_of_a_bootstrap_filter_say_the_same(
     assert abs(few - brute[0]) < 4 * np.hypot(error, brute[1])
 
 
-@pytest.mark.xfail(reason="it holds densities of messages and constants of the proposal", strict=False)
 def test_it_is_that_of_a_bootstrap_filter_of_many_samples(
     film: SignerFilm, brute: tuple[float, float]
 ) -> None:

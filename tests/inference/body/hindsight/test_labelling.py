@@ -72,7 +72,9 @@ def test_where_hands_have_the_wrong_names_a_film_says_so(tmp_path):
             samples = BodySamples.even(exchanged, (360, 640), random)
             evidence, back = both_names(dynamics, samples, likelihood(image), random)
             hands = scene.body.parts(poses)[:, 1:].mean(axis=0)
-            np.testing.assert_allclose(scene.body.parts(back)[:, 1:].mean(axis=0), hands, atol=8)
+            # poses by what the image says of them, of draws that are within some px
+            off = np.linalg.norm(scene.body.parts(back)[:, 1:].mean(axis=0) - hands, axis=1)
+            assert (off < 0.6 * scene.body.hand).all()
         labelling.add(frame.number, frame.time, evidence)
     checkpoint.save(tmp_path / "labelling.npz", {"of": labelling}, {"of": Labelling})
     labels = checkpoint.load(tmp_path / "labelling.npz", {"of": Labelling})["of"].result()
