@@ -29,6 +29,9 @@ after which it does no more: hands change places seldom and not for long."""
 LEAST_FLOOR = 1e-15
 """Of an arm's density by its peak: the product of two is still a number of single precision."""
 
+LEAST_EXPONENT = -700.0
+"""Of which the exponential is still a number: without jumps, an arm's density has this floor."""
+
 LEAST_COSINE = 1e-3
 """Mean cosine to where a direction was, below which it is as good as anywhere."""
 
@@ -167,6 +170,7 @@ class BodyDynamics:
         _, concentrations, jump = self._rates(dt)
         peak = (1 - jump) * _peak(concentrations).prod()
         turned = (((poses.arms * before.arms).sum(axis=3) - 1) * concentrations).sum(axis=2)
+        turned = np.maximum(turned, LEAST_EXPONENT)
         return np.asarray(np.log(peak * np.exp(turned) + jump * np.exp(_log_usual(poses.arms))))
 
     def draw_ancestors(

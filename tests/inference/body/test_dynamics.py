@@ -184,3 +184,27 @@ def test_one_step_is_a_mixture_of_one_ancestor():
         for k in range(30)
     ]
     np.testing.assert_allclose(dynamics.log_step(poses, before, DT), each, atol=1e-3)
+
+
+def test_arms_are_factors_of_a_step():
+    """Each by itself, and all that depends on the arms."""
+    random = np.random.default_rng(7)
+    dynamics = BodyDynamics(BODY)
+    before = some_poses(30, random)
+    poses, others = dynamics.draw(before, DT, random), some_poses(30, random)
+    arms = dynamics.log_arm_steps(poses, before, DT)
+    for side in (0, 1):
+        mixed = replace(poses, arms=poses.arms.copy())
+        mixed.arms[:, side] = others.arms[:, side]
+        after = dynamics.log_arm_steps(mixed, before, DT)
+        np.testing.assert_array_equal(after[:, 1 - side], arms[:, 1 - side])
+        change = dynamics.log_step(mixed, before, DT) - dynamics.log_posture(mixed, DT)
+        change -= dynamics.log_step(poses, before, DT) - dynamics.log_posture(poses, DT)
+        np.testing.assert_allclose(change, (after - arms)[:, side], rtol=1e-9, atol=1e-9)
+
+
+def test_arms_that_do_not_jump_have_a_density_everywhere():
+    random = np.random.default_rng(8)
+    dynamics = BodyDynamics(BODY, jumps=0.0)
+    before, poses = some_poses(30, random), some_poses(30, random)
+    assert np.isfinite(dynamics.log_step(poses, before, 1e-4)).all()

@@ -207,6 +207,16 @@ def test_where_nothing_is_possible_there_are_no_draws() -> None:
     assert len(found.poses) == len(found.log_weights) == len(found.ancestors) == 0
 
 
+def test_arms_that_never_jump_are_guided_as_well() -> None:
+    """To places at which the prediction's density is next to nothing, after a very short time."""
+    past = replace(past_of(9), elapsed=1e-4)
+    said = targets_of("far away", past)
+    found = GuidedSampler(BodyDynamics(BODY, jumps=0.0)).draw(past, said, 500, np.random.default_rng(0))
+    weights = np.exp(found.log_weights)
+    assert weights.sum() == pytest.approx(1.0)
+    assert np.count_nonzero(weights > 1e-9) > 200
+
+
 def test_seeds_decide() -> None:
     past, sampler = past_of(7), GuidedSampler(BodyDynamics(BODY))
     said = targets_of("near", past)

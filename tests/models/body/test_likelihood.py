@@ -9,15 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.body.image_features import BodyImage, edge_distances
+from rsmcm.models.body.inverse_kinematics import arm_at, swivels
 from rsmcm.models.body.kernels.likelihood import (
     FOREARM_POINTS,
     NECK,
+    arm_terms,
     blob_terms,
     edge_terms,
     forearm_terms,
     hand_terms,
 )
 from rsmcm.models.body.likelihood import (
+    ARM_POINTS,
+    ARM_WEIGHTS,
     BARE_HAND_SCORES,
     BARE_SCORES,
     BLOB_COST,
@@ -28,7 +32,10 @@ from rsmcm.models.body.likelihood import (
     HEAD_SCORES,
     NECK_RADIUS,
     NO_EDGE,
+    NO_SLEEVE,
     SKIN_SCORES,
+    TRUNK,
+    TRUNK_BLUR,
     WINDOWS,
     BodyLikelihood,
     edge_ratios,
@@ -38,6 +45,7 @@ from rsmcm.models.body.likelihood import (
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
+from scipy.ndimage import map_coordinates
 
 from ...support.body_poses import masks
 
@@ -45,7 +53,7 @@ Array = NDArray[np.float64]
 
 SIZE = (360, 640)
 BODY = UpperBody.from_head(80)
-HEAD, SKIN, EDGES = 0, 1, 2
+HEAD, SKIN, EDGES, CLOTHES = 0, 1, 2, 4
 HANDS = (5, 8)
 """Labels of the hands in masks."""
 
@@ -279,6 +287,99 @@ def test_edges_equal_plain_numpy(seed: int) -> None:
 
 
 # --- what it says in pictures whose truth is known ----------------------------------------------------------
+
+
+def plain_arms(arms: NDArray[np.float32], joints: Array) -> Array:
+    """`(n,)` nats of colours along the arms, one place after the other."""
+    left, right, root = joints[:, 2], joints[:, 5], joints[:, 1]
+    broad = np.linalg.norm(left - right, axis=1)
+    across = (left - right) / broad[:, None]
+    up = np.stack([across[:, 1], -across[:, 0]], axis=1)
+    total = np.zeros(len(joints))
+    for shoulder in (2, 5):
+        for part in (0, 1):
+            start, end = joints[:, shoulder + part], joints[:, shoulder + part + 1]
+            for share in ARM_POINTS[part]:
+                place = start + share * (end - start)
+                beside = np.abs(((place - root) * across).sum(1)) - TRUNK[0] * broad
+                above = ((place - root) * up).sum(1) - TRUNK[1] * broad
+                outside = np.maximum(beside, above) / (TRUNK_BLUR * BODY.head_height)
+                rows_and_columns = (0.5 * place[:, ::-1] - 0.25).T
+                odds = map_coordinates(arms, rows_and_columns, order=1, mode="nearest")
+                odds /= 1 + np.exp(-np.clip(outside, -20, 20))
+                total += ARM_WEIGHTS[part] * np.log((1 - NO_SLEEVE) * np.exp(odds) + NO_SLEEVE)
+    return total
+
+
+def sleeved(arms: NDArray[np.float32]) -> BodyImage:
+    """An image whose only news is the map of the arms' colour."""
+    return replace(seen(signing()), arms=arms)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_arms_equal_plain_numpy(seed: int) -> None:
+    """At torsos that lean and turn as well, and at places out of the picture."""
+    random = np.random.default_rng(seed)
+    poses = scattered(40, random)
+    poses = replace(poses, torsos=0.4 * random.normal(size=(40, 3)))
+    poses.roots[:10] += random.normal(0, 300, (10, 2))
+    arms = cv2.GaussianBlur(random.normal(0, 8, (180, 320)).astype(np.float32), (0, 0), 3)
+    found = BodyLikelihood(BODY)(sleeved(arms)).terms(poses)[CLOTHES]
+    np.testing.assert_allclose(found, plain_arms(arms, BODY.joints(poses)[:, :, :2]), rtol=1e-4, atol=1e-4)
+    joints, out = BODY.joints(poses)[:, :, :2], np.full(40, 7.0)
+    torso = np.array([*TRUNK, TRUNK_BLUR * BODY.head_height])
+    arm_terms(joints, arms, np.array([0.5, 0.5]), ARM_POINTS, ARM_WEIGHTS, torso, NO_SLEEVE, out)
+    np.testing.assert_allclose(out, 7 + found, rtol=1e-5)
+
+
+def test_arms_before_the_trunk_say_nothing() -> None:
+    """The trunk has the colours of sleeves: hands held before it are neither better nor worse."""
+    arms = np.array([[[[0.05, 0.95, -0.3], [-0.6, -0.3, -0.7]], [[-0.05, 0.95, -0.3], [0.6, -0.3, -0.7]]]])
+    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+    arms[:, :, 0] = (0.0, 0.2, -np.sqrt(0.96))  # upper arms to the viewer
+    folded = replace(signing(), arms=arms)
+    joints = BODY.joints(folded)[0, :, :2]
+    inside = np.zeros((180, 320), np.float32)
+    middle, width = joints[1], np.linalg.norm(joints[2] - joints[5])
+    left, right = (round(0.5 * (middle[0] + sign * (TRUNK[0] - 0.1) * width)) for sign in (-1, 1))
+    inside[round(0.5 * middle[1]) :, left:right] = 4
+    likelihood = BodyLikelihood(BODY)
+    assert abs(likelihood(sleeved(inside)).terms(folded)[CLOTHES, 0]) < 0.5
+    wide = np.full((180, 320), 4, np.float32)
+    assert likelihood(sleeved(wide)).terms(signing())[CLOTHES, 0] > 3
+
+
+def test_arms_of_another_colour_lose_a_few_nats_and_no_more() -> None:
+    """Who wears a vest is found all the same."""
+    away = np.full((180, 320), -60, np.float32)
+    least = 2 * np.log(NO_SLEEVE) * (ARM_POINTS.shape[1] * ARM_WEIGHTS).sum()
+    found = BodyLikelihood(BODY)(sleeved(away)).terms(scattered(50, np.random.default_rng(0)))[CLOTHES]
+    assert (found > least - 1e-3).all()
+    assert (found < 0).all()
+
+
+def test_elbows_are_found_by_the_colour_of_sleeves() -> None:
+    """True arms are liked best of those that leave the hands where they are."""
+    poses = signing()
+    joints = BODY.joints(poses)[0]
+    sleeves = np.full(SIZE, -3, np.float32)
+    for shoulder in (2, 5):
+        for start, end in ((shoulder, shoulder + 1), (shoulder + 1, shoulder + 2)):
+            ends = [tuple(np.rint(joints[joint, :2]).astype(int).tolist()) for joint in (start, end)]
+            cv2.line(sleeves, ends[0], ends[1], 3.0, round(BODY.forearm_width))
+    half = cv2.GaussianBlur(cv2.resize(sleeves, (320, 180), interpolation=cv2.INTER_AREA), (0, 0), 2)
+    turned = poses.take(np.zeros(25, int))
+    turned = replace(turned, arms=turned.arms.copy())
+    angles = np.linspace(-np.pi, np.pi, 25)
+    for side in (0, 1):
+        offsets = np.tile(joints[4 + 3 * side] - joints[2 + 3 * side], (25, 1))
+        own = swivels(side, poses.arms[:, side], BODY)
+        turned.arms[:, side], _ = arm_at(BODY, side, offsets, own + angles)
+    found = BodyLikelihood(BODY)(sleeved(np.asarray(half, np.float32))).terms(turned)[CLOTHES]
+    off = np.linalg.norm(BODY.joints(turned)[:, [3, 6], :2] - joints[[3, 6], :2], axis=2).max(axis=1)
+    best = found > found.max() - 0.5
+    assert off[best].max() < 0.25 * BODY.head_height
+    assert found[12] > np.median(found) + 2
 
 
 def test_poses_do_not_know_of_each_other() -> None:

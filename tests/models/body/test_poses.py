@@ -121,3 +121,13 @@ def test_poses_are_taken_and_joined() -> None:
     np.testing.assert_array_equal(joined.arms, poses.arms[[0, 1, 4, 5]])
     np.testing.assert_array_equal(joined.turns, poses.turns[[0, 1, 4, 5]])
     assert len(poses.take(np.zeros(6, bool)).angles) == 0
+
+
+def test_some_poses_are_replaced_by_others() -> None:
+    poses, others = random_poses(6, 0), random_poses(6, 1)
+    where = np.array([True, False, False, True, False, True])
+    mixed = poses.replaced(where, others)
+    for name in ("roots", "torsos", "necks", "arms"):
+        own, new, found = (getattr(each, name) for each in (poses, others, mixed))
+        np.testing.assert_array_equal(found[where], new[where])
+        np.testing.assert_array_equal(found[~where], own[~where])

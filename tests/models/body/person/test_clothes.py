@@ -1,0 +1,176 @@
+"""Colours of clothes, learned from the trunk of made-up people."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.scenes import signer
+from rsmcm.apps.scenes.signing.signer import Sleeves
+from rsmcm.models.body.parts import BodyParts
+from rsmcm.models.body.person.clothes import SHRINK, ClothesColour
+from rsmcm.models.body.skin.colour import HIGHEST, SkinColour
+from rsmcm.models.core.frame import Frame
+
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+HEIGHT = 60.0
+HEAD = np.array([160.0, 60.0])
+BOX = np.array([[137.0, 42.0, 45.0, 45.0]])
+SKIN: Colour = (90, 130, 200)
+WALL: Colour = (170, 150, 120)
+SHIRT: Colour = (60, 120, 40)
+ELBOW, WRIST = (250, 140), (290, 60)
+
+
+def picture(
+    shirt: Colour = SHIRT, wall: Colour = WALL, forearm: Colour | None = None, seed: int = 0
+) -> Image:
+    """Head, trunk with a hand before it, and one arm held out from the shoulder to `WRIST`; noise."""
+    image = np.empty((240, 320, 3), np.uint8)
+    image[:] = wall
+    cv2.rectangle(image, (115, 105), (205, 239), shirt, cv2.FILLED)
+    cv2.line(image, (200, 115), ELBOW, shirt, 22)
+    cv2.line(image, ELBOW, WRIST, shirt if forearm is None else forearm, 20)
+    for x, y, across, down in ((160, 60, 22, 29), (150, 160, 15, 15), (*WRIST, 15, 15)):
+        cv2.ellipse(image, (x, y), (across, down), 0, 0, 360, SKIN, cv2.FILLED)
+    noisy = image + np.random.default_rng(seed).normal(0, 3, image.shape)
+    return noisy.clip(0, 255).astype(np.uint8)
+
+
+def skin_of(image: Image) -> SkinColour:
+    skin = SkinColour.learned([image], BOX)
+    assert skin is not None
+    return skin
+
+
+def learned(image: Image) -> ClothesColour:
+    clothes = ClothesColour.learned([image], HEAD[None], HEIGHT, skin_of(image))
+    assert clothes is not None
+    return clothes
+
+
+def at(arms: NDArray[np.float32], x: float, y: float) -> float:
+    """Value of a map at a pixel of the picture."""
+    return float(arms[round(SHRINK * y), round(SHRINK * x)])
+
+
+def arm_map(image: Image, bare: float = 0.0) -> NDArray[np.float32]:
+    return learned(image).arm_map(image, HEIGHT, skin_of(image).log_odds(image), bare)
+
+
+@pytest.mark.parametrize("shirt", [SHIRT, (40, 40, 40), (200, 200, 230), (150, 60, 160)])
+def test_sleeves_have_the_colour_of_the_trunk(shirt: Colour) -> None:
+    """Whatever it is; walls and skin have not."""
+    arms = arm_map(picture(shirt))
+    assert arms.shape == (120, 160)
+    assert arms.dtype == np.float32
+    for x, y in ((225, 128), (263, 114), (276, 90)):
+        assert at(arms, x, y) > 1.5
+    for x, y in ((40, 60), (300, 200), (60, 200)):
+        assert at(arms, x, y) < -2
+    assert at(arms, *HEAD) < 0
+    assert np.abs(arms).max() <= HIGHEST + 1e-5
+
+
+def test_bare_forearms_have_the_colour_of_skin() -> None:
+    """As far as they are expected; sleeves above the elbow are still of cloth."""
+    image = picture(forearm=SKIN)
+    covered, either, bare = (at(arm_map(image, share), 276, 90) for share in (0.0, 0.5, 1.0))
+    assert covered < -1
+    assert either == pytest.approx(bare - np.log(2), abs=0.1)
+    assert bare > 2
+    assert at(arm_map(image, 0.5), 225, 128) > 1
+    assert at(arm_map(image, 0.5), 40, 60) < -2
+
+
+@pytest.mark.parametrize("bare", [0.0, 0.3, 1.0])
+def test_the_map_is_the_log_of_a_mixture(bare: float) -> None:
+    """Of the odds of cloth and of skin, where both are the same in the whole picture."""
+    image = np.full((80, 100, 3), SHIRT, np.uint8)
+    clothes = learned(picture())
+    cloth = float(clothes.arm_map(image, HEIGHT, np.zeros((80, 100), np.float32), 0.0)[20, 20])
+    for skin in (-3.0, 2.0):
+        found = clothes.arm_map(image, HEIGHT, np.full((80, 100), skin, np.float32), bare)
+        share = min(bare, 0.999)
+        expected = np.log((1 - share) * np.exp(cloth) + bare * np.exp(skin))
+        np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_clothes_like_the_wall_say_nothing() -> None:
+    arms = arm_map(picture(WALL))
+    assert abs(at(arms, 263, 114)) < 0.5
+    assert abs(at(arms, 40, 60)) < 0.5
+
+
+def test_colours_that_nobody_has_seen_say_nothing() -> None:
+    image = np.full((80, 100, 3), (250, 10, 240), np.uint8)
+    arms = learned(picture()).arm_map(image, HEIGHT, np.zeros((80, 100), np.float32), 0.0)
+    assert np.abs(arms).max() < 0.1
+
+
+def test_of_several_frames_all_count() -> None:
+    """Half of the frames in another jacket: both are clothes, each in half of the places."""
+    jacket = (150, 60, 160)
+    images = [picture(), picture(jacket)]
+    skin = SkinColour.learned(images, np.repeat(BOX, 2, axis=0))
+    assert skin is not None
+    clothes = ClothesColour.learned(images, np.stack([HEAD, HEAD]), HEIGHT, skin)
+    assert clothes is not None
+    for image in images:
+        arms = clothes.arm_map(image, HEIGHT, skin.log_odds(image), 0.0)
+        assert at(arms, 263, 114) > 1
+        assert at(arms, 40, 60) < -2
+
+
+def test_of_grey_pictures_and_of_heads_without_a_trunk_nothing_is_learned() -> None:
+    image = picture()
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    skin = skin_of(image)
+    for one in (grey, np.repeat(grey[:, :, None], 3, axis=2)):
+        assert ClothesColour.learned([one], HEAD[None], HEIGHT, skin) is None
+    assert ClothesColour.learned([image], np.array([[160.0, 235.0]]), HEIGHT, skin) is None
+    assert ClothesColour.learned([], np.zeros((0, 2)), HEIGHT, skin) is None
+
+
+@pytest.mark.parametrize("sleeves", ["long", "short"])
+def test_arms_of_a_generated_signer(sleeves: Sleeves) -> None:
+    """Along true arms the map is higher than in most of the picture, on average by some nats."""
+    scene = signer(40, 3, sleeves=sleeves)
+    images = [scene.image(index) for index in range(0, 40, 8)]
+    boxes = scene.detector.boxes[::8]
+    node = BodyParts.learned(images, lambda frame: np.array(boxes[frame.number - 1]))
+    assert node.clothes is not None
+    assert node.skin is not None
+    along, rest = [], []
+    for image, joints in zip(images, scene.joints[::8, :, :2], strict=True):
+        arms = node.clothes.arm_map(image, node.head_height, node.skin.log_odds(image), node.bare)
+        along += [at(arms, *(0.5 * (joints[first] + joints[first + 1]))) for first in (2, 3, 5, 6)]
+        rest.append(np.median(arms))
+    assert np.mean(along) > np.mean(rest) + 2
+
+
+def test_the_evidence_of_an_image_holds_the_map() -> None:
+    """Not where clothes or skin are unknown."""
+    image = picture(forearm=SKIN)
+    boxes = np.array(BOX)
+    node = BodyParts.learned([image], lambda frame: boxes)
+    assert node.clothes is not None
+    assert node.skin is not None
+    for bare in (0.0, 1.0):
+        seen = replace(node, bare=bare).evidence(Frame(image, 0.0, 1), node.uniform()).image
+        assert seen is not None
+        expected = node.clothes.arm_map(image, node.head_height, node.skin.log_odds(image), bare)
+        np.testing.assert_array_equal(seen.arms, expected)
+    for less in (replace(node, clothes=None), replace(node, skin=None)):
+        seen = less.evidence(Frame(image, 0.0, 1), node.uniform()).image
+        assert seen is not None
+        assert seen.arms is None
+
+
+def test_nobody_is_dressed_in_grey() -> None:
+    grey = cv2.cvtColor(picture(), cv2.COLOR_BGR2GRAY)
+    node = BodyParts(HEIGHT)
+    assert node.dressed([grey], BOX) is node
