@@ -20,10 +20,10 @@ from ..inference.body.samples import (
     stationary,
     weighted_moments,
 )
-from ..inference.body.tempering import temper
+from ..inference.body.tempering import preselected, temper
 from ..inference.core.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ..inference.filters.resampling import normalised
-from ..models.body.likelihood import BodyLikelihood, PoseLikelihood
+from ..models.body.likelihood import BodyLikelihood, ImageLikelihood, PoseLikelihood
 from ..models.body.part_message import PartMessage
 from ..models.body.parts import BodyParts
 from ..models.body.poses import BodyPoses
@@ -34,8 +34,8 @@ from ..models.core.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
-CANDIDATES = 3
-"""Poses that are drawn at first, over those that are kept."""
+CANDIDATES, LOOKED_AT = 10, 4
+"""Poses that are drawn at first, and those of them that are compared with edges, over those that are kept."""
 
 FIRST = 10_000
 """Poses that are drawn in the first frame, at least: nothing is known of the arms."""
@@ -162,11 +162,18 @@ class ArticulatedPose:
             log_weights = guided.log_weights + message.log_values(self.body.parts(poses))
         if not np.isfinite(log_weights).any():
             return stationary(state, np.zeros(len(state.poses)))
+        log_weights = normalised(log_weights)
         likelihood = (self.likelihood or BodyLikelihood(self.body))(image)
+        if isinstance(likelihood, ImageLikelihood):
+            first_look = likelihood.inner_terms(poses).sum(axis=0)
+            chosen, log_weights = preselected(
+                self.body, poses, log_weights, first_look, LOOKED_AT * self.samples, random
+            )
+            poses, ancestors = poses.take(chosen), None if ancestors is None else ancestors.take(chosen)
         found = temper(
             dynamics,
             poses,
-            normalised(log_weights),
+            log_weights,
             lambda moved, owners: log_prior(moved, None if ancestors is None else ancestors.take(owners)),
             likelihood,
             self.samples,

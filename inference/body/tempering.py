@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ...models.body.inverse_kinematics import arm_at, log_volume, swivels
 from ...models.body.poses import BodyPoses
+from ...models.body.upper_body import UpperBody
 from ..filters.resampling import log_sum, normalised, systematic
 from .dynamics import BodyDynamics, around
 from .strata import Strata
@@ -27,7 +28,7 @@ KEPT = 0.3
 MOST_STEPS = 3
 """Of tempering; the last one goes all the way."""
 
-MOVES = 2
+MOVES = 4
 """Metropolis moves of every sample after each step."""
 
 SCALES = (0.1, 0.25, 0.6, 1.2)
@@ -53,7 +54,7 @@ class Tempered:
     log_weights
         `(n,)`, normalised.
     log_evidence
-        log of the mean of the likelihood under the prior, in units of the weights that came in.
+        log of the mean of the likelihood under the prior.
     accepted
         share of moves.
     """
@@ -82,7 +83,7 @@ def temper(
     Parameters
     ----------
     poses, log_weights
-        m samples of the prior, with weights of sum 1.
+        m samples of the prior, with weights of sum 1, or some of these (`preselected`).
     log_prior
         of poses and the numbers of the samples, 0 to m - 1, that they go back to: up to a constant of such a
         number, minus infinity where a pose is impossible.
@@ -94,7 +95,6 @@ def temper(
     likelihood = log_likelihood(poses)
     owners = np.arange(len(poses))
     power, moves, accepted = 0.0, 0, 0
-    evidence = -log_sum(log_weights)
     for step in range(MOST_STEPS):
         rest = 1 - power
         rise = rest if step == MOST_STEPS - 1 else _rise(log_weights, likelihood, rest)
@@ -126,7 +126,30 @@ def temper(
             moves, accepted = moves + n, accepted + int(np.count_nonzero(takes))
         if power >= 1:
             break
-    return Tempered(poses, normalised(log_weights), evidence + log_sum(log_weights), accepted / max(moves, 1))
+    return Tempered(poses, normalised(log_weights), log_sum(log_weights), accepted / max(moves, 1))
+
+
+def preselected(
+    body: UpperBody,
+    poses: BodyPoses,
+    log_weights: Array,
+    first_look: Array,
+    n: int,
+    random: np.random.Generator,
+) -> tuple[NDArray[np.int64], Array]:
+    """`(n,)` of the samples, drawn by their weights times a first look at the likelihood, and log weights.
+
+    Sums with the new weights have the expectation of those with the old ones, whatever the first look, so
+    that what is expensive in a likelihood is worked out only where the rest of it is good.
+
+    Parameters
+    ----------
+    first_look
+        `(m,)` nats.
+    """
+    choice = Strata.of(body, poses).balanced(log_weights + first_look)
+    chosen = systematic(choice, n, random)
+    return chosen, log_weights[chosen] - choice[chosen] - np.log(n)
 
 
 def _effective(log_weights: Array) -> float:

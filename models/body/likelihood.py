@@ -158,35 +158,40 @@ class ImageLikelihood:
         return total
 
     def terms(self, poses: BodyPoses) -> Array:
-        """`(5, n)` nats: what face, skin, edges, keypoints and clothes say, each up to a constant.
+        """`(5, n)` nats: what face, skin, edges, keypoints and clothes say, each up to a constant."""
+        terms = np.zeros((5, len(poses)))
+        terms[[0, 1, 3, 4]] = self.inner_terms(poses)
+        outlines = silhouettes(self.body, poses)
+        edge_terms(
+            outlines.points, outlines.normals, outlines.visible, self.edges, EDGE_POINTS,
+            np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)]), NO_EDGE, terms[2],
+        )  # fmt: skip
+        return terms
+
+    def inner_terms(self, poses: BodyPoses) -> Array:
+        """`(4, n)` nats: all of them but the outline's, which takes several times as long.
 
         The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of skin
         stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,
-        skin that looks like one more hand with `blob_terms`, bare forearms with `forearm_terms`, the outline
-        with `edge_terms`, points of a detector with `SeenKeypoints.log_ratios`, the
-        colours along the arms with `arm_terms`.
+        skin that looks like one more hand with `blob_terms`, bare forearms with `forearm_terms`, points of a
+        detector with `SeenKeypoints.log_ratios`, the colours along the arms with `arm_terms`.
         """
         body, image = self.body, self.image
         joints = body.joints(poses)[:, :, :2]
         parts = joints[:, [0, 4, 7]]
-        terms = np.zeros((5, len(poses)))
+        terms = np.zeros((4, len(poses)))
         terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
         if self.head is not None:
             head_terms(parts[:, 0], self.head, _scales(self.head, image), np.array(HEAD_SCORES), terms[0])
         if self.skin is not None:
             terms[1] = self._skin_terms(self.skin, parts, poses.roots, joints[:, [3, 6]])
-        outlines = silhouettes(body, poses)
-        edge_terms(
-            outlines.points, outlines.normals, outlines.visible, self.edges, EDGE_POINTS,
-            np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)]), NO_EDGE, terms[2],
-        )  # fmt: skip
         if image.keypoints is not None:
-            terms[3] = image.keypoints.log_ratios(body, joints)
+            terms[2] = image.keypoints.log_ratios(body, joints)
         if image.arms is not None:
             torso = np.array([*TRUNK, TRUNK_BLUR * body.head_height])
             arm_terms(
                 joints, image.arms, _scales(image.arms, image), ARM_POINTS, ARM_WEIGHTS, torso, NO_SLEEVE,
-                terms[4],
+                terms[3],
             )  # fmt: skip
         return terms
 
