@@ -319,5 +319,5 @@ def test_evidence_and_posterior_of_preselected_poses() -> None:
         )
         found.append([after.log_evidence, *(np.exp(after.log_weights) @ hands(after.poses))])
     bar = 5 * np.hypot(np.std(found, axis=0, ddof=1) / np.sqrt(RUNS), [relative, *error]) + 0.02
-    assert bar.max() < 8.0, "nats and px"
+    assert bar[[0, 1, 2, 4, 5]].max() < 2.0, "nats, and px in the picture; of depth less is known"
     assert (np.abs(np.mean(found, axis=0) - [evidence, *expected]) < bar).all()
