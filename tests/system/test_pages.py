@@ -32,6 +32,7 @@ WHOLE_SCENE = ("validity",)
 """Pages that show what is found in the demo's scene, so that it cannot be a shorter one."""
 
 NOT_RUN_BLOCKS = {
+    "bodies": 1,  # joints that somebody has noted
     "detectors": 1,  # networks of others
     "keypoints": 1,  # the same
     "running": 1,  # a camera

@@ -87,8 +87,7 @@ class Things:
         labels, first = np.unique(detections.labels[there], return_index=True)
         same = there[:, None] & (detections.labels[:, None] == labels[:, None])
         ratios = logsumexp(np.where(same, weights[:, None], -np.inf), axis=2)
-        with np.errstate(divide="ignore"):
-            ratios -= np.log(found)[:, None]
+        ratios -= np.log(np.maximum(found, LEAST_FOUND))[:, None]
         return cls(
             labels, detections.means[there][first], detections.covariances[there][first], ratios, found
         )

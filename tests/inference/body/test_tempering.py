@@ -1,6 +1,7 @@
 """Tempering and moving of poses, against plain importance sampling and against what must not change."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -227,6 +228,28 @@ def test_of_many_candidates_as_many_are_left_as_are_wanted() -> None:
     some = poses.take(slice(5))
     few = temper(past.dynamics, some, even(5), past.log_density, nothing, 300, random)
     assert len(few.poses) == 300
+
+
+def test_the_prior_is_asked_of_the_sample_that_a_pose_goes_back_to() -> None:
+    """Of five people far apart, however often they are drawn again; nobody moves from one to another."""
+    past, random = Past(9), np.random.default_rng(9)
+    apart = 400.0 * np.arange(5)
+    poses = past.drawn(600, random)
+    roots, start = poses.roots.copy(), random.integers(5, size=600)
+    roots[:, 0] += apart[start]
+    poses = replace(poses, roots=roots)
+    middles, asked = np.median(roots[start == 0], axis=0)[0] + apart, []
+
+    def log_prior(poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
+        asked.append(np.abs(poses.roots[:, 0] - middles[start[owners]]).max())
+        return np.zeros(len(poses))
+
+    def likelihood(poses: BodyPoses) -> Array:
+        return np.asarray(-0.01 * poses.roots[:, 0])
+
+    temper(past.dynamics, poses, even(600), log_prior, likelihood, 400, random)
+    assert len(asked) > 4
+    assert max(asked) < 150
 
 
 def test_impossible_poses_are_never_taken() -> None:

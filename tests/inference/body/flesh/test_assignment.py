@@ -74,3 +74,16 @@ def test_a_thing_of_which_a_mixture_says_that_the_part_was_missed_is_one_all_the
         assert np.isfinite(masses[-1]).all()
     np.testing.assert_allclose(masses[1][..., 0], masses[0][..., 0], atol=1e-6)
     np.testing.assert_allclose(masses[2][..., 0], masses[0][..., 0], atol=1e-6)
+
+
+def test_parts_of_which_nothing_is_said_are_no_thing() -> None:
+    """Only a face was found: hands are not seen."""
+    mixtures = GaussianMixtures.of_parts(
+        [[3.0], [], []],
+        [np.array([[10.0, 20.0]]), np.zeros((0, 2)), np.zeros((0, 2))],
+        [np.eye(2)[None], np.zeros((0, 2, 2)), np.zeros((0, 2, 2))],
+        np.log([0.1, 1.0, 1.0]),
+    )
+    things = Things.of(mixtures, 3)
+    np.testing.assert_array_equal(things.found, [0.9, 0.0, 0.0])
+    np.testing.assert_array_equal(things.log_ratios[1:], -np.inf)
