@@ -56,7 +56,7 @@ MOST_DOUBT = 0.3
 """Share of poses with exchanged names, at most, where that is not sure: the other answer is said, and the
 first one stays what it is."""
 
-APART, TOGETHER = 0.002, 0.3
+APART, TOGETHER = 0.01, 0.3
 """Exchanges in one second by mistake, of hands that are apart, and of hands that could be confused."""
 
 MISTAKEN = 0.05
@@ -222,7 +222,8 @@ def hand_labels(
         labels[index] = best[-1].argmax() if index == n - 1 else origins[index + 1, labels[index + 1]]
     odds = np.clip(both[:, 1] - both[:, 0], -700, 700)
     probabilities = 1 / (1 + np.exp(-odds))
-    return HandLabels(numbers, probabilities, _sure(labels == 1, probabilities), forward[:, 1] - forward[:, 0])
+    exchanged = _sure(labels == 1, probabilities)
+    return HandLabels(numbers, probabilities, exchanged, forward[:, 1] - forward[:, 0])
 
 
 def _sure(exchanged: Mask, probabilities: Array) -> Mask:
@@ -254,4 +255,4 @@ def _log_mean(poses: BodyPoses, n: int, log_likelihood: LogDensity) -> float:
     if not len(poses):
         return -np.inf
     few = poses.take(slice(n))
-    return log_sum(log_likelihood(few)) - np.log(len(few)) + np.log(len(poses) / (POSES * ARMS))
+    return log_sum(log_likelihood(few)) + float(np.log(len(poses) / (POSES * ARMS * len(few))))
