@@ -57,18 +57,19 @@ class ArticulatedPose:
 
         p(X_t | X_t-1) ~ sum_e p(e) K(X_t | e(X_t-1), dt) g(X_t)
         p(F | X)       = delta(F - parts(X))
-        p(I | X)       = face(I, X) skin(I, X) edges(I, X)
+        p(I | X)       = face(I, X) skin(I, X) clothes(I, X) edges(I, X)
 
     e leaves the hands or exchanges them, K are the `BodyDynamics`, g is small for unusual postures and 0 for
     impossible ones; the likelihood is `BodyLikelihood`'s. The message to F is the prediction of each part's
     place, a mixture of a few Gaussians.
 
-    In every frame head and hands are drawn from what reaches F - face and skin in the image, and the other
-    chains' predictions - and completed to poses by inverse kinematics (`LikelihoodSampler`).
+    In the first frame head and hands are drawn from what reaches F - face and skin in the image, and the
+    other chains' predictions - and completed to poses by inverse kinematics (`LikelihoodSampler`); then poses
+    are drawn from those of the frame before, some of them with a hand where it is seen (`GuidedSampler`).
 
     The paper weighs its samples once, with the posterior over the density from which they were drawn. Here
-    they are only made samples of the prior in this way; the likelihood then comes in by tempering, with
-    Metropolis moves after each step (`temper`).
+    they are only made samples of the prediction in this way; the likelihood then comes in by tempering, with
+    Metropolis moves after each step (`temper`). What is improbable keeps a share of the samples (`Strata`).
 
     It needs few samples, since they are where the image says that the parts are, and it finds a lost body
     again by itself; but it takes what the detectors say. Together with a tracker of the parts

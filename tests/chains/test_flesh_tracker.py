@@ -222,7 +222,7 @@ def test_clean_single_detections_are_filterpys_up_to_the_doubt() -> None:
     """What remains is a jump to anywhere, which hardly ever explains a detection better."""
     sure = FleshTracker(BODY, patience=1e9)
     state = standing().take(np.array([0]))
-    state = replace(state, log_weights=np.zeros(1))
+    state = replace(state, log_weights=np.zeros(1), patience=sure.patience)
     speeds = HEIGHT * np.array([sure.head_speed, sure.hand_speed, sure.hand_speed])
     oracles = []
     for part, speed in enumerate(speeds):

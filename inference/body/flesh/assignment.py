@@ -21,6 +21,9 @@ VISIBLE = 0.85
 MOST_FOUND = 0.98
 """Chance that a part which is not hidden is detected, at most."""
 
+LEAST_FOUND = 1e-9
+"""The same at least, where things may be the part: ratios are over it."""
+
 COVERED = 0.9
 """Chance that a part is not seen on its own where another thing is."""
 
@@ -79,7 +82,7 @@ class Things:
             )
         weights = np.where(detections.flat, -np.inf, detections.log_weights)
         missed = np.exp(logsumexp(np.where(detections.flat, detections.log_weights, -np.inf), axis=1))
-        found = np.where(detections.informative, np.clip(1 - missed, 0.0, 1.0), 0.0)
+        found = np.where(detections.informative, np.clip(1 - missed, LEAST_FOUND, 1.0), 0.0)
         there = np.isfinite(weights)
         labels, first = np.unique(detections.labels[there], return_index=True)
         same = there[:, None] & (detections.labels[:, None] == labels[:, None])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rsmcm.inference.body import tempering
 from rsmcm.inference.body.dynamics import Ancestors, BodyDynamics
 from rsmcm.inference.body.strata import Strata
-from rsmcm.inference.body.tempering import Tempered, temper
+from rsmcm.inference.body.tempering import Tempered, preselected, temper
 from rsmcm.inference.filters.resampling import normalised
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import JOINTS, UpperBody
@@ -248,3 +248,76 @@ def test_seeds_decide() -> None:
     np.testing.assert_array_equal(one.poses.angles, same.poses.angles)
     assert one.log_evidence == same.log_evidence
     assert not np.array_equal(one.poses.angles, other.poses.angles)
+
+
+# --- what is worth a second look ---
+
+
+def scene_of_hands(seed: int) -> tuple[BodyPoses, Array]:
+    """Weighted poses of a prior of several modes, unevenly."""
+    past = Past(seed, elapsed=10 * DT)
+    random = np.random.default_rng(seed)
+    poses = past.drawn(3000, random)
+    return poses, normalised(random.normal(0, 1, 3000))
+
+
+@pytest.mark.parametrize("kind", ["nothing", "right", "wrong"])
+def test_sums_over_preselected_poses_have_the_same_expectation(kind: str) -> None:
+    """Whatever the first look says: mass, means and evidence over many draws, five standard errors."""
+    poses, log_weights = scene_of_hands(11)
+    places = np.median(BODY.parts(poses)[:, 1:], axis=0)
+    log_likelihood = looks(places, 40.0)(poses)
+    first_look = {"nothing": nothing(poses), "right": log_likelihood, "wrong": -0.05 * log_likelihood}[kind]
+    values = np.column_stack([np.ones(3000), hands(poses), np.exp(log_likelihood)])
+    found = []
+    for run in range(60):
+        chosen, after = preselected(BODY, poses, log_weights, first_look, 500, np.random.default_rng(run))
+        assert chosen.shape == after.shape == (500,)
+        found.append(np.exp(after) @ values[chosen])
+    bar = 5 * np.std(found, axis=0, ddof=1) / np.sqrt(60)
+    expected = np.exp(log_weights) @ values
+    assert (np.abs(np.mean(found, axis=0) - expected) < bar + 1e-9).all()
+    assert bar[-1] < 0.5 * expected[-1]
+
+
+def test_a_good_first_look_saves_samples() -> None:
+    """The mean of the likelihood has less variance than over as many poses drawn by their weights."""
+    poses, log_weights = scene_of_hands(12)
+    likelihood = looks(BODY.parts(poses)[7, 1:], 15.0)(poses)
+    means: list[list[float]] = [[], []]
+    for run in range(40):
+        for kind, first_look in enumerate((nothing(poses), likelihood)):
+            chosen, after = preselected(BODY, poses, log_weights, first_look, 300, np.random.default_rng(run))
+            means[kind].append(np.exp(after) @ np.exp(likelihood[chosen]))
+    blind, good = np.std(means, axis=1)
+    assert good < 0.5 * blind
+
+
+def test_evidence_and_posterior_of_preselected_poses() -> None:
+    """The rest of the likelihood comes in as it does without a first look."""
+    past = Past(13, jumps=0.5)
+    random = np.random.default_rng(13)
+    target = np.median(BODY.parts(past.drawn(1000, random))[:, 1:], axis=0) + 10.0
+    likelihood = looks(target, 12.0)
+    draws = past.drawn(200_000, random)
+    weights = np.exp(likelihood(draws))
+    evidence, shares = np.log(weights.mean()), weights / weights.sum()
+    expected = shares @ hands(draws)
+    error = np.sqrt(shares**2 @ (hands(draws) - expected) ** 2)
+    relative = weights.std() / weights.mean() / np.sqrt(len(weights))
+
+    def first_look(poses: BodyPoses) -> Array:
+        return np.asarray(-0.5 * ((BODY.parts(poses)[:, 1] - target[0]) ** 2).sum(axis=1) / 20.0**2)
+
+    found = []
+    for run in range(RUNS):
+        random = np.random.default_rng(run)
+        poses = past.drawn(6000, random)
+        chosen, log_weights = preselected(BODY, poses, even(6000), first_look(poses), 2000, random)
+        after = temper(
+            past.dynamics, poses.take(chosen), log_weights, past.log_density, likelihood, 1000, random
+        )
+        found.append([after.log_evidence, *(np.exp(after.log_weights) @ hands(after.poses))])
+    bar = 5 * np.hypot(np.std(found, axis=0, ddof=1) / np.sqrt(RUNS), [relative, *error]) + 0.02
+    assert bar[[0, 1, 2, 4, 5]].max() < 2.0, "nats, and px in the picture; of depth less is known"
+    assert (np.abs(np.mean(found, axis=0) - [evidence, *expected]) < bar).all()

@@ -382,6 +382,17 @@ def test_elbows_are_found_by_the_colour_of_sleeves() -> None:
     assert found[12] > np.median(found) + 2
 
 
+def test_a_first_look_is_all_but_edges() -> None:
+    """In an image that has something to say of each of the others."""
+    poses = scattered(20, np.random.default_rng(4))
+    arms = np.random.default_rng(5).normal(0, 3, (180, 320)).astype(np.float32)
+    likelihood = BodyLikelihood(BODY)(sleeved(arms))
+    terms, inner = likelihood.terms(poses), likelihood.inner_terms(poses)
+    np.testing.assert_array_equal(inner, np.delete(terms, EDGES, axis=0))
+    assert np.ptp(terms, axis=1)[[HEAD, SKIN, EDGES, CLOTHES]].min() > 1
+    np.testing.assert_allclose(likelihood(poses), inner.sum(axis=0) + terms[EDGES])
+
+
 def test_poses_do_not_know_of_each_other() -> None:
     random = np.random.default_rng(0)
     likelihood, image, poses = BodyLikelihood(BODY), seen(signing()), scattered(30, random)

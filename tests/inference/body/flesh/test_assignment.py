@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rsmcm.inference.body.flesh.assignment import Answers, Things
+from rsmcm.inference.body.flesh.assignment import Answers, PartOptions, Things
+from rsmcm.inference.body.flesh.moving_parts import MovingParts
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 
 
@@ -58,3 +59,18 @@ def test_things_are_what_mixtures_say() -> None:
     np.testing.assert_allclose(things.log_ratios[1], [1 - np.log(0.8), 2 - np.log(0.8), -np.inf])
     np.testing.assert_allclose(things.log_ratios[0], [-np.inf, -np.inf, 3 - np.log(0.9)])
     assert not len(Things.of(None, 3).labels)
+
+
+def test_a_thing_of_which_a_mixture_says_that_the_part_was_missed_is_one_all_the_same() -> None:
+    """The flat share of a product of mixtures may be more than 1: all masses are numbers."""
+    blob, one = np.array([[10.0, 20.0]]), np.eye(2)[None]
+    parts = MovingParts(np.tile([12.0, 20.0, 0.0, 0.0], (1, 3, 1)), np.tile(4 * np.eye(4), (1, 3, 1, 1)))
+    masses = []
+    for flat in (0.999, 1.0, 1.5):
+        mixtures = GaussianMixtures.of_parts([[3.0]] * 3, [blob] * 3, [one] * 3, [np.log(flat)] * 3)
+        things = Things.of(mixtures, 3)
+        sure = np.full((1, 3), 0.9)
+        masses.append(PartOptions.of(parts, parts, sure, sure, things, np.ones(1)).log_masses)
+        assert np.isfinite(masses[-1]).all()
+    np.testing.assert_allclose(masses[1][..., 0], masses[0][..., 0], atol=1e-6)
+    np.testing.assert_allclose(masses[2][..., 0], masses[0][..., 0], atol=1e-6)
