@@ -6,10 +6,9 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..inference.body.candidates import Candidates
 from ..inference.body.dynamics import BodyDynamics
-from ..inference.body.guided_sampling import GuidedSampler
 from ..inference.body.hindsight.film import PoseTrajectory, predicted_messages, smoothed_poses
-from ..inference.body.likelihood_sampling import LikelihoodSampler
 from ..inference.body.samples import (
     LEAST_SPREAD,
     BodySamples,
@@ -22,7 +21,6 @@ from ..inference.body.samples import (
 )
 from ..inference.body.tempering import preselected, temper
 from ..inference.core.protocols import BatchIncoming, Incoming, Port, Smoothed
-from ..inference.filters.resampling import normalised
 from ..models.body.likelihood import BodyLikelihood, ImageLikelihood, PoseLikelihood
 from ..models.body.part_message import PartMessage
 from ..models.body.parts import BodyParts
@@ -140,42 +138,32 @@ class ArticulatedPose:
         image = message.image
         if image is None or not image.mixtures.informative.any():
             return stationary(state, message.log_values(self.body.parts(state.poses)))
-        dynamics, past, random = self._dynamics, state.ancestors, copied(state.random)
-
-        def log_prior(poses: BodyPoses, ancestors: BodyPoses | None) -> Array:
-            if past is None or ancestors is None:
-                prior = dynamics.log_density_anywhere(poses, state.size)
-            else:
-                prior = dynamics.log_step(poses, ancestors, past.elapsed)
-            prior += message.log_values(self.body.parts(poses))
-            return np.where(self.body.allowed(poses), prior, -np.inf)
-
-        ancestors = None
-        if past is None:
-            proposal = LikelihoodSampler(dynamics).draw(
-                self._mixtures(message, image.mixtures, state), max(FIRST, CANDIDATES * self.samples), random
-            )
-            poses, log_weights = proposal.poses, log_prior(proposal.poses, None) - proposal.log_density
-        else:
-            said = ((image.mixtures, 1 - PREDICTED), (message.predicted, PREDICTED))
-            guided = GuidedSampler(dynamics).draw(past, said, CANDIDATES * self.samples, random)
-            poses, ancestors = guided.poses, past.poses.take(guided.ancestors)
-            log_weights = guided.log_weights + message.log_values(self.body.parts(poses))
-        if not np.isfinite(log_weights).any():
+        random = copied(state.random)
+        candidates = self._candidates(state, message, random)
+        if not np.isfinite(candidates.log_weights).any():
             return stationary(state, np.zeros(len(state.poses)))
-        log_weights = normalised(log_weights)
         likelihood = (self.likelihood or BodyLikelihood(self.body))(image)
         if isinstance(likelihood, ImageLikelihood):
-            first_look = likelihood.inner_terms(poses).sum(axis=0)
-            chosen, log_weights = preselected(
-                self.body, poses, log_weights, first_look, LOOKED_AT * self.samples, random
+            first_look = likelihood.inner_terms(candidates.poses).sum(axis=0)
+            candidates = candidates.take(
+                *preselected(
+                    self.body,
+                    candidates.poses,
+                    candidates.log_weights,
+                    first_look,
+                    LOOKED_AT * self.samples,
+                    random,
+                )
             )
-            poses, ancestors = poses.take(chosen), None if ancestors is None else ancestors.take(chosen)
+
+        def log_prior(poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
+            return candidates.log_prior(poses, owners) + message.log_values(self.body.parts(poses))
+
         found = temper(
-            dynamics,
-            poses,
-            log_weights,
-            lambda moved, owners: log_prior(moved, None if ancestors is None else ancestors.take(owners)),
+            self._dynamics,
+            candidates.poses,
+            candidates.log_weights,
+            log_prior,
             likelihood,
             self.samples,
             random,
@@ -183,6 +171,20 @@ class ArticulatedPose:
         return BodySamples(
             found.poses, found.log_weights, state.size, random, log_evidence=found.log_evidence
         )
+
+    def _candidates(
+        self, state: BodySamples, message: PartMessage, random: np.random.Generator
+    ) -> Candidates:
+        """Poses that are tried, weighed by what other chains say."""
+        assert message.image is not None
+        seen, past, n = message.image.mixtures, state.ancestors, CANDIDATES * self.samples
+        said = self._mixtures(message, seen, state)
+        if past is None:
+            found = Candidates.at_first(self._dynamics, state.size, said, max(FIRST, n), random)
+        else:
+            guides = ((seen, 1 - PREDICTED), (message.predicted, PREDICTED))
+            found = Candidates.after(self._dynamics, state.size, past, guides, said, n, random)
+        return found.weighed(message.log_values(self.body.parts(found.poses)))
 
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: PoseTrajectory | None = None

@@ -102,6 +102,8 @@ class BodyDynamics:
         of an arm, in one second.
     exchanges
         in one second, of left and right hand: how often they turn out to have been taken for each other.
+    returns
+        in one second, of the whole body to another place: how often somebody turns out to be elsewhere.
     """
 
     body: UpperBody
@@ -115,13 +117,14 @@ class BodyDynamics:
     forearm: float = 1.0
     jumps: float = 2.0
     exchanges: float = 0.05
+    returns: float = 0.02
 
     def __post_init__(self) -> None:
         for name in ("place", "lean", "turn", "torso_time", "neck", "neck_time", "upper_arm", "forearm"):
             value = getattr(self, name)
             if not 0 < value < np.inf:
                 raise ValueError(f"{name}: got {value}, expected more than 0")
-        for name in ("jumps", "exchanges"):
+        for name in ("jumps", "exchanges", "returns"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name}: got {getattr(self, name)} a second, expected 0 or more")
 
@@ -172,6 +175,11 @@ class BodyDynamics:
         turned = (((poses.arms * before.arms).sum(axis=3) - 1) * concentrations).sum(axis=2)
         turned = np.maximum(turned, LEAST_EXPONENT)
         return np.asarray(np.log(peak * np.exp(turned) + jump * np.exp(_log_usual(poses.arms))))
+
+    def log_returns(self, dt: float) -> tuple[float, float]:
+        """Logs of the probabilities that after `dt` s a body is anywhere, and that it went on from before."""
+        stays = max(-self.returns * dt, np.log1p(-MOST_JUMPS))
+        return float(np.log(-np.expm1(stays))) if stays else -np.inf, float(stays)
 
     def draw_ancestors(
         self, poses: BodyPoses, ancestors: Ancestors, random: np.random.Generator

@@ -36,11 +36,14 @@ class Proposal:
     poses
         all within reach and limits.
     log_density
-        `(n,)` nats, in the measure of `BodyDynamics.log_density_anywhere`, up to a constant.
+        `(n,)` nats, in the measure of `BodyDynamics.log_density_anywhere`.
+    tried
+        how many were drawn, those that are impossible among them.
     """
 
     poses: BodyPoses
     log_density: Array
+    tried: float
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,10 @@ class LikelihoodSampler:
         """Whose poses are drawn."""
         return self.dynamics.body
 
-    def draw(self, mixtures: GaussianMixtures, n: int, random: np.random.Generator) -> Proposal:
-        """Draw `n` poses, or as many as turn out to be possible.
+    def draw(
+        self, mixtures: GaussianMixtures, n: int, random: np.random.Generator, rounds: int = MOST_ROUNDS
+    ) -> Proposal:
+        """Draw `n` poses, or as many as turn out to be possible in so many rounds of `n`.
 
         Parameters
         ----------
@@ -72,14 +77,12 @@ class LikelihoodSampler:
             of head, left and right hand; proper, without flat components.
         """
         found: list[BodyPoses] = []
-        missing = n
-        for _ in range(MOST_ROUNDS):
-            found.append(self._possible(mixtures, n, random).take(slice(missing)))
-            missing -= len(found[-1])
-            if not missing:
-                break
-        poses = BodyPoses.concatenated(found)
-        return Proposal(poses, self._log_density(poses, mixtures))
+        while sum(map(len, found)) < n and len(found) < rounds:
+            found.append(self._possible(mixtures, n, random))
+        every = BodyPoses.concatenated(found)
+        poses = every.take(slice(n))
+        tried = len(found) * n * len(poses) / max(len(every), 1)
+        return Proposal(poses, self._log_density(poses, mixtures), tried)
 
     def _possible(self, mixtures: GaussianMixtures, n: int, random: np.random.Generator) -> BodyPoses:
         """At most `n` poses within reach and limits, of as many draws."""
@@ -104,11 +107,14 @@ class LikelihoodSampler:
     def _log_density(self, poses: BodyPoses, mixtures: GaussianMixtures) -> Array:
         body = self.body
         joints = body.joints(poses)
-        total = mixtures.log_values(joints[:, [0, 4, 7], :2]).sum(axis=1)
-        total -= 0.5 * ((poses.turns / self.dynamics.turn_spreads) ** 2).sum(axis=1)
+        spreads = self.dynamics.turn_spreads
+        total = mixtures.log_values(joints[:, [0, 4, 7], :2]).sum(axis=1) - mixtures.log_masses.sum()
+        total -= (
+            0.5 * ((poses.turns / spreads) ** 2).sum(axis=1) + np.log(spreads).sum() + 3 * np.log(2 * np.pi)
+        )
         for side in (0, 1):
             offsets = joints[:, 4 + 3 * side] - joints[:, 2 + 3 * side]
-            total += log_volume(body, offsets) - np.log(half_range(body, offsets))
+            total += log_volume(body, offsets) - np.log(4 * np.pi * half_range(body, offsets))
         return np.asarray(total)
 
 

@@ -51,7 +51,7 @@ SHOWN = tuple(range(19, N_FRAMES, 20))
 PICTURE_WIDTH = 520  # px
 
 SAMPLES = 1000
-MULTIPLES = (1, 2, 3.2)
+MULTIPLES = (1, 3)
 """Of RSMCM's time a frame, hindsight included, that CONDENSATION is given."""
 NEAR = 1.25
 """Ratio of errors below which a tracker comes near to another."""
@@ -74,7 +74,7 @@ LATER = f"{{}}, {LAG} frames later"
 """A tracker with hindsight."""
 IN_FIGURE = (RSMCM.name, LATER.format(RSMCM.name), SAMPLER, CLOUDS[0])
 
-CLOUD_COLOURS = ("#e0a050", "#c0504d", "#803030")
+CLOUD_COLOURS = ("#e0a050", "#803030")
 COLOURS = {
     RSMCM.name: "#1f5fa8",
     LATER.format(RSMCM.name): "#6aa8e0",

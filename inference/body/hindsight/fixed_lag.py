@@ -93,12 +93,12 @@ class WaitingFrame:
     image: BodyImage | None = None
     log_odds: float | None = None
 
-    def named(self, probability: float) -> BodySamples:
-        """The samples, with names exchanged with some probability."""
+    def named(self, share: float) -> BodySamples:
+        """The samples, with names exchanged in a share of them."""
         extra = len(self.exchanged)
         if not extra:
             return self.samples
-        share = np.clip(probability, LEAST_EXCHANGED, 1 - LEAST_EXCHANGED)
+        share = np.clip(share, LEAST_EXCHANGED, 1 - LEAST_EXCHANGED)
         log_weights = [self.samples.log_weights + np.log1p(-share), np.full(extra, np.log(share / extra))]
         return replace(
             self.samples,
@@ -224,8 +224,8 @@ class FixedLag:
             np.array([frame.evidence.confusable for frame in frames]),
             known=frames[0].log_odds,
         )
-        pairs = zip(frames, labels.probabilities, strict=True)
-        clouds = [TimedSamples(each.number, each.time, each.named(p)) for each, p in pairs]
+        pairs = zip(frames, labels.shares, strict=True)
+        clouds = [TimedSamples(each.number, each.time, each.named(share)) for each, share in pairs]
         smoothed = self._trajectories(clouds, before, before + count, random)
         last = before + count - 1
         past = replace(frames[last], image=None, log_odds=float(labels.so_far[last]))

@@ -5,10 +5,13 @@ names: hands never exchange in the world. Whether they are exchanged in a frame,
 states,
 
     p(z_t != z_t-1) = (1 - exp(-2 r dt)) / 2,    r = APART + c_t TOGETHER,
-    p(I_t | z_t) ~ mean over arms of p(I_t | hands where they are, by the names of z_t; arms)
+    p(I_t | z_t) ~ mean over arms of p(I_t | hands where they are in the picture, by the names of z_t; arms)
 
-with c_t the chance that the hands could be confused. Forward-backward gives the probability of each frame,
-Viterbi's algorithm the best sequence (Rabiner, "A tutorial on hidden Markov models", 1989).
+with c_t the chance that the hands could be confused. Arms are any that joints allow and that bring the hands
+there: both names are treated alike, as a filter's own arms have been chosen for its own names by this very
+image. How usual a posture is does not count: the dynamics have weighed it, and a hand that stays on the other
+side would say it anew in every frame. Forward-backward gives the probability of each frame, Viterbi's
+algorithm the best sequence (Rabiner, "A tutorial on hidden Markov models", 1989).
 """
 
 from dataclasses import dataclass, field, replace
@@ -22,25 +25,38 @@ from ....models.body.upper_body import UpperBody
 from ....models.core.short_repr import short_repr
 from ...filters.resampling import log_sum, systematic
 from ..dynamics import BodyDynamics
+from ..likelihood_sampling import half_range
 from ..samples import BodySamples
 from ..tempering import LogDensity
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-POSES, ELBOWS = 24, 8
-"""Poses of a frame whose hands are given both names, and elbows that are tried for each."""
+POSES, ARMS, LOOKED_AT = 32, 128, 256
+"""Poses of a frame whose hands are given both names, pairs of arms that are tried for each, and how many of
+those that are possible are compared with the image, at most: as many for either names, since the logarithm of
+a mean over few is too small on average."""
 
 PAIRS = 50
 """Of left and right hands that are compared; so many poses with exchanged names are kept, too."""
 
-MOST = 10.0
-"""Nats: one frame says no more than this; the likelihood is not right to that degree."""
+MOST = 3.0
+"""Nats: one look at the picture says no more than this, odds of 20; the likelihood is not right to a greater
+degree, as arms and clothes are not quite what it takes them for."""
 
-MEMORY = 0.1
-"""s: frames of so short a time say the same again, as an arm hardly moves by its own width."""
+LOOK = 0.2
+"""s: frames of so short a time count as one look. Signing hands go from one place to the next in about so
+long; until then an arm is as it was, and where the likelihood errs it errs again."""
 
-APART, TOGETHER = 0.002, 1.0
+SURE = 0.99
+"""Probability that has to be reached somewhere in a stretch before its names are exchanged: what a filter
+says is the better answer until then, since it has weighed more than arms."""
+
+MOST_DOUBT = 0.3
+"""Share of poses with exchanged names, at most, where that is not sure: the other answer is said, and the
+first one stays what it is."""
+
+APART, TOGETHER = 0.01, 0.3
 """Exchanges in one second by mistake, of hands that are apart, and of hands that could be confused."""
 
 MISTAKEN = 0.05
@@ -62,7 +78,7 @@ class HandLabels:
     probabilities
         `(n,)`, of an exchange: given the whole film.
     exchanged
-        `(n,)`: the most probable sequence.
+        `(n,)`: the most probable sequence, without stretches that are not sure.
     so_far
         `(n,)` nats: log odds of an exchange given the film up to the frame.
     """
@@ -71,6 +87,11 @@ class HandLabels:
     probabilities: Array
     exchanged: Mask
     so_far: Array
+
+    @property
+    def shares(self) -> Array:
+        """`(n,)`: of an exchange, as probabilities; no more than a doubt where it is not sure."""
+        return np.where(self.exchanged, self.probabilities, np.minimum(self.probabilities, MOST_DOUBT))
 
 
 @short_repr
@@ -133,28 +154,26 @@ def both_names(
 ) -> tuple[ExchangeEvidence, BodyPoses]:
     """What a frame says of the names of the hands, and poses with exchanged ones, evenly weighted.
 
-    In both cases hands stay where they are in space and elbows are drawn anew. There are no poses where
-    that is impossible. Without a likelihood, the frame says nothing.
+    Hands stay where they are in the picture; their depths and the elbows are drawn anew, for both names in
+    the same way. There are no poses where that is impossible. Without a likelihood, the frame says nothing.
     """
     body = dynamics.body
     some = samples.drawn(2 * PAIRS, random)
     hands = body.parts(some)[random.permutation(2 * PAIRS), 1:]  # far from each other if nobody knows where
     squares = np.square(hands[:PAIRS, 0] - hands[PAIRS:, 1]).sum(axis=1)
     near = float((squares < (NEAR * body.hand) ** 2).mean())
-    few = some.take(random.permutation(2 * PAIRS)[:POSES].repeat(ELBOWS))
-    values, drawn = [], few
-    for swap in (False, True):
-        drawn, possible = _with_any_elbows(body, few, swap, random)
-        value = np.full(len(few), -np.inf)
-        if possible.any():
-            tried = drawn.take(possible)
-            value[possible] = dynamics.log_posture(tried)
-            if log_likelihood is not None:
-                value[possible] += log_likelihood(tried)
-        values.append(value)
-    kept, exchanged = map(log_sum, values)
-    poses = drawn.take(systematic(values[1], PAIRS, random) if np.isfinite(exchanged) else slice(0))
-    if log_likelihood is None or np.isneginf([kept, exchanged]).all():
+    few = some.take(random.permutation(2 * PAIRS)[:POSES].repeat(ARMS))
+    own, other = (_with_any_arms(body, few, swap, random) for swap in (False, True))
+    # as trajectories go through these, hands stay where they are in space if they can
+    poses = _with_any_arms(body, few, True, random, deep=True) or other
+    if log_likelihood is None or not (len(own) or len(other)):
+        return ExchangeEvidence(0.0, near), poses.take(slice(PAIRS))
+    compared = min(len(own), len(other), LOOKED_AT) or LOOKED_AT
+    kept, exchanged = (_log_mean(each, compared, log_likelihood) for each in (own, other))
+    if len(poses):
+        poses = poses.take(slice(LOOKED_AT))
+        poses = poses.take(systematic(log_likelihood(poses), PAIRS, random))
+    if np.isneginf([kept, exchanged]).all():
         return ExchangeEvidence(0.0, near), poses
     return ExchangeEvidence(float(np.clip(exchanged - kept, -MOST, MOST)), near), poses
 
@@ -178,9 +197,9 @@ def hand_labels(
     n = len(times)
     if not n:
         return HandLabels(numbers, np.zeros(0), np.zeros(0, np.bool_), np.zeros(0))
-    steps = np.diff(times, prepend=times[0] - MEMORY)
+    steps = np.diff(times, prepend=times[0] - LOOK)
     evidence = np.zeros((n, 2))
-    evidence[:, 1] = log_odds * np.minimum(steps / MEMORY, 1.0)
+    evidence[:, 1] = log_odds * np.minimum(steps / LOOK, 1.0)
     evidence[0, 1] = evidence[0, 1] + np.log(MISTAKEN / (1 - MISTAKEN)) if known is None else known
     # a frame in which they could be confused lasts from the one before to the one after
     rates = APART + TOGETHER * np.maximum(confusable[1:], confusable[:-1])
@@ -202,19 +221,38 @@ def hand_labels(
     for index in range(n - 1, -1, -1):
         labels[index] = best[-1].argmax() if index == n - 1 else origins[index + 1, labels[index + 1]]
     odds = np.clip(both[:, 1] - both[:, 0], -700, 700)
-    return HandLabels(numbers, 1 / (1 + np.exp(-odds)), labels == 1, forward[:, 1] - forward[:, 0])
+    probabilities = 1 / (1 + np.exp(-odds))
+    exchanged = _sure(labels == 1, probabilities)
+    return HandLabels(numbers, probabilities, exchanged, forward[:, 1] - forward[:, 0])
 
 
-def _with_any_elbows(
-    body: UpperBody, poses: BodyPoses, swap: bool, random: np.random.Generator
-) -> tuple[BodyPoses, Mask]:
-    """Poses whose hands are where they are, or where the other one is, and which of them are possible."""
+def _sure(exchanged: Mask, probabilities: Array) -> Mask:
+    """Without the stretches in which an exchange is sure nowhere."""
+    stretches = np.cumsum(np.diff(exchanged, prepend=exchanged[:1]))
+    certain = np.unique(stretches[exchanged & (probabilities > SURE)])
+    return np.asarray(exchanged & np.isin(stretches, certain))
+
+
+def _with_any_arms(
+    body: UpperBody, poses: BodyPoses, swap: bool, random: np.random.Generator, *, deep: bool = False
+) -> BodyPoses:
+    """Those of the poses that are possible, in random order, when hands are where they are in the picture, or
+    where the other one is, with elbows anywhere, and as deep as they are or anywhere as well."""
     n, joints = len(poses), body.joints(poses)
     arms, within = np.empty_like(poses.arms), np.ones(n, np.bool_)
     for side in (0, 1):
-        hand = joints[:, 4 + 3 * (1 - side if swap else side)]
-        swivels = random.uniform(-np.pi, np.pi, n)
-        arms[:, side], reached = arm_at(body, side, hand - joints[:, 2 + 3 * side], swivels)
+        offsets = joints[:, 4 + 3 * (1 - side if swap else side)] - joints[:, 2 + 3 * side]
+        if not deep:
+            offsets[:, 2] = half_range(body, offsets) * random.uniform(-1, 1, n)
+        arms[:, side], reached = arm_at(body, side, offsets, random.uniform(-np.pi, np.pi, n))
         within &= reached
     posed = replace(poses, arms=arms)
-    return posed, within & body.allowed(posed)
+    return posed.take(random.permutation(np.flatnonzero(within & body.allowed(posed))))
+
+
+def _log_mean(poses: BodyPoses, n: int, log_likelihood: LogDensity) -> float:
+    """Log of the mean likelihood of all that were tried, from `n` of those that are possible."""
+    if not len(poses):
+        return -np.inf
+    few = poses.take(slice(n))
+    return log_sum(log_likelihood(few)) + float(np.log(len(poses) / (POSES * ARMS * len(few))))
