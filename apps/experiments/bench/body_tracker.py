@@ -94,11 +94,12 @@ def seconds_a_frame(film: BodyFilm, samples: int) -> tuple[Numbers, dict[str, Nu
     spent, steps = _Spent(), ("predict", "message", "update")
     detector: Any = _Timed(film.parts.detector, spent, {"__call__": "detector"})
     colour: Any = _Timed(film.parts.skin, spent, {"log_odds": "colour"})
-    dynamics: Any = _Timed(BodyDynamics(film.body), spent, {"log_density": "prior"})
+    dynamics: Any = _Timed(BodyDynamics(film.body), spent, {"log_step": "prior"})
     likelihood = BodyLikelihood(film.body)
 
     def timed_likelihood(image: BodyImage) -> Callable[[BodyPoses], Numbers]:
-        return partial(spent.timed, "likelihood", spent.timed("likelihood", likelihood, image))
+        of_image = spent.timed("likelihood", likelihood, image)
+        return _Timed(of_image, spent, {"__call__": "likelihood", "inner_terms": "likelihood"})
 
     parts = _Timed(replace(film.parts, detector=detector, skin=colour), spent, {"evidence": "features"})
     pose = ArticulatedPose(film.body, samples, dynamics=dynamics, likelihood=timed_likelihood)
