@@ -138,7 +138,7 @@ class GuidedSampler:
         drawn = self._log_drawn(poses, chosen, targets, closeness, hidden, walks)
         log_weights = log_weights[chosen] - log_choice[chosen] + walks.sum(axis=1) - drawn
         log_weights += dynamics.log_posture(poses, elapsed)
-        return Guided(poses, normalised(log_weights) if len(poses) else log_weights, chosen)
+        return Guided(poses, normalised(log_weights), chosen)
 
     def _closeness(self, targets: _Targets, joints: Array, step: float, choice: Array) -> Array:
         """`(k_past, k_targets)`: how readily a pose is chosen for a target, over how it is chosen else."""

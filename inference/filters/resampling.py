@@ -8,7 +8,7 @@ Array = NDArray[np.float64]
 
 def log_sum(values: Array) -> float:
     """log sum exp of `values`; minus infinity where all are. (scipy's takes five times as long.)"""
-    peak = float(values.max())
+    peak = float(values.max(initial=-np.inf))
     return peak + float(np.log(np.exp(values - peak).sum())) if np.isfinite(peak) else -np.inf
 
 
@@ -16,7 +16,7 @@ def normalised(log_weights: Array) -> Array:
     """`log_weights` shifted so that weights sum to one; equal ones where none is above zero."""
     total = log_sum(log_weights)
     if not np.isfinite(total):
-        return np.full(log_weights.shape, -np.log(log_weights.size))
+        return np.full(log_weights.shape, -np.log(max(log_weights.size, 1)))
     return log_weights - total
 
 

@@ -96,6 +96,8 @@ def test_priors_are_those_of_what_a_pose_goes_back_to() -> None:
     nothing = [(GaussianMixtures.uniform(3), 1.0)]
     found = Candidates.after(dynamics, SIZE, past, nothing, broad(poses, 1.0), 6000, np.random.default_rng(6))
     rows = np.random.default_rng(7).integers(len(found.poses), size=300)
+    begun = np.flatnonzero(found.anew)[:50]
+    rows[: len(begun)] = begun
     some = found.take(rows, found.log_weights[rows])
     moved = dynamics.draw(some.poses, DT, np.random.default_rng(8))
     steps = dynamics.log_step(moved, found.ancestors.take(rows), DT)
@@ -105,3 +107,11 @@ def test_priors_are_those_of_what_a_pose_goes_back_to() -> None:
     np.testing.assert_array_equal(some.log_prior(moved, np.arange(300)), found.log_prior(moved, rows))
     assert found.anew[rows].any()
     assert np.isneginf(expected).any()
+
+
+def test_where_nothing_is_possible_there_are_no_candidates() -> None:
+    """Detections that no body reaches, of somebody of whom nothing is known."""
+    places = np.array([[20.0, 20.0], [20.0, 340.0], [620.0, 20.0]])
+    far = GaussianMixtures.of_parts([[0.0]] * 3, list(places[:, None]), [np.eye(2)[None]] * 3)
+    found = Candidates.at_first(BodyDynamics(BODY), SIZE, far, 200, np.random.default_rng(0))
+    assert len(found.weighed(np.zeros(0)).log_weights) == len(found.poses) == 0

@@ -44,3 +44,8 @@ def test_frequencies_are_the_weights() -> None:
     # a count of one draw is off by less than one, so its variance is at most 1/4
     bar = 5 * 0.5 / np.sqrt(repeats)
     np.testing.assert_allclose(counts / repeats, n * weights, atol=bar)
+
+
+def test_of_no_samples_there_is_no_weight() -> None:
+    assert log_sum(np.zeros(0)) == -np.inf
+    assert normalised(np.zeros(0)).shape == (0,)
