@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.person.keypoints import head_places, joints_of, largest
+from ...models.body.keypoints import head_places, joints_of, largest
 from ...models.body.upper_body import PROPORTIONS, UpperBody
 from ...models.core.frame import Frame
 from ...models.core.keypoints import GivenKeypoints

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.grey import grey_of
 from ..core.short_repr import short_repr
-from .person.keypoints import SeenKeypoints
+from .keypoints import SeenKeypoints
 
 BLUR = 1.2
 """px: of the picture in which edges are looked for."""

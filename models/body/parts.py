@@ -14,11 +14,11 @@ from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from .image_features import BodyImage, edge_distances
+from .keypoints import SeenKeypoints
 from .part_message import PartMessage
 from .person.bare_arms import bare_probability, hand_area
 from .person.clothes import ClothesColour
 from .person.faces import OtherFaces, face_at, largest_face, one_person
-from .person.keypoints import SeenKeypoints
 from .skin.colour import HIGHEST, SkinColour
 from .skin.static import static_skin
 from .skin_blobs import SkinBlobs, skin_blobs

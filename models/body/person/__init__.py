@@ -1,1 +1,1 @@
-"""What is known of a person: whose face it is, colours of skin and clothes, which points were found."""
+"""What is known of a person: whose face it is, colours of the clothes, whether arms are bare."""

@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import signer
 from rsmcm.models import BodyParts, Frame, GivenKeypoints
-from rsmcm.models.body.likelihood import BodyLikelihood
-from rsmcm.models.body.person.keypoints import (
+from rsmcm.models.body.keypoints import (
     AROUND,
     BEYOND,
     DEVIATIONS,
@@ -19,6 +18,7 @@ from rsmcm.models.body.person.keypoints import (
     head_places,
     joints_of,
 )
+from rsmcm.models.body.likelihood import BodyLikelihood
 from rsmcm.models.core.keypoints import KEYPOINTS
 
 from ....support.keypoints import ELBOWS, HANDS, MIRRORED, WRISTS, points_of

@@ -7,11 +7,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.gaussian_mixtures import GaussianMixtures
-from ...core.keypoints import KEYPOINTS, GivenKeypoints
-from ...core.short_repr import short_repr
-from ..kernels.keypoints import keypoint_terms
-from ..upper_body import JOINTS, PARTS, PROPORTIONS, UpperBody
+from ..core.gaussian_mixtures import GaussianMixtures
+from ..core.keypoints import KEYPOINTS, GivenKeypoints
+from ..core.short_repr import short_repr
+from .kernels.keypoints import keypoint_terms
+from .upper_body import JOINTS, PARTS, PROPORTIONS, UpperBody
 
 Array = NDArray[np.float64]
 
