@@ -21,7 +21,7 @@ from rsmcm.models.body.keypoints import (
 from rsmcm.models.body.likelihood import BodyLikelihood
 from rsmcm.models.core.keypoints import KEYPOINTS
 
-from ....support.keypoints import ELBOWS, HANDS, MIRRORED, WRISTS, points_of
+from ...support.keypoints import ELBOWS, HANDS, MIRRORED, WRISTS, points_of
 
 Array = NDArray[np.float64]
 
