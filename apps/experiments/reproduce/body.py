@@ -51,7 +51,7 @@ SHOWN = tuple(range(19, N_FRAMES, 20))
 PICTURE_WIDTH = 520  # px
 
 SAMPLES = 1000
-MULTIPLES = (1, 3)
+MULTIPLES = (1, 3.2)
 """Of RSMCM's time a frame, hindsight included, that CONDENSATION is given."""
 NEAR = 1.25
 """Ratio of errors below which a tracker comes near to another."""
