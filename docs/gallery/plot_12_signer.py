@@ -25,7 +25,7 @@ from rsmcm.models import BodyParts, UpperBody
 # Where the yellow lines fan out, the model knows that it does not know. Right: mean error of elbows and
 # hands. Try other seeds, and more ``samples``.
 
-scene = signer(60, seed=3, size=(480, 270))
+scene = signer(60, seed=0, size=(480, 270))
 parts = BodyParts.learned(list(scene.images()), scene.detector)
 body = UpperBody.from_head(parts.head_height)
 figure, axes = plt.subplots(1, 3, figsize=(12, 2.8), width_ratios=(4, 4, 3), layout="constrained")

@@ -17,7 +17,7 @@ from .likelihood_sampling import MOST_ROUNDS, LikelihoodSampler
 Array = NDArray[np.float64]
 
 ANEW = 0.1
-"""Share of the candidates that do not ask the past: who comes back elsewhere must be drawn to be found."""
+"""Least share of candidates that do not ask the past: who comes back elsewhere must be drawn to be found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +77,10 @@ class Candidates:
         random: np.random.Generator,
     ) -> Self:
         """Of somebody who was seen before: most go on, guided (`GuidedSampler.draw`), some begin anew."""
-        begun = cls.at_first(dynamics, size, said, round(ANEW * n), random, rounds=1)
-        went_on = GuidedSampler(dynamics).draw(past, guides, n - round(ANEW * n), random)
         log_elsewhere, log_stays = dynamics.log_returns(past.elapsed)
+        anew = round(max(ANEW, np.exp(log_elsewhere)) * n)
+        begun = cls.at_first(dynamics, size, said, anew, random, rounds=1)
+        went_on = GuidedSampler(dynamics).draw(past, guides, max(n - anew, 1), random)
         return cls(
             dynamics,
             size,
