@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 TILT = 25.0
 """Degrees by which the camera looks down on the upright axis."""
 
-DISTANCE, FOCAL = 8.0, 2.4
+DISTANCE, FOCAL = 16.0, 4.8
 """Of the camera from the axis, in radii of the body; focal length in heights of the picture."""
 
 BUMPS = 0.1
