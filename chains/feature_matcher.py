@@ -9,64 +9,19 @@ node; which of their points are one is for a chain of the shape to find out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.core.protocols import BatchIncoming, Port, Smoothed
-from ..inference.points.film_matches import FilmMatches
-from ..models.core.gaussian_message import GaussianMessage
+from ..inference.points.feature_tracks import FeatureTracks
 from ..models.core.grey import grey_of
 from ..models.core.short_repr import short_repr
+from ..models.points.alignment import sample_patches
 from ..models.points.features import Features, find_features
 from ..models.points.point_tracks import PointMessage, PointTracks
-
-FIRST_IDENTITY = 1 << 32
-"""Of the points: trackers number theirs from 0."""
-
-
-@short_repr
-@dataclass(frozen=True, eq=False)
-class FeatureTracks:
-    """Which features of all pictures show one point.
-
-    Parameters
-    ----------
-    identities
-        `(n,)` int64, increasing.
-    frame, point
-        `(k,)` int64, of each observation: index of the frame and of the point among `identities`.
-    positions
-        `(k, 2)` px.
-    deviations
-        `(k,)` px, standard deviation of each coordinate.
-    areas
-        `(n_frames,)` px^2 of the pictures, 1 where there is none.
-    """
-
-    identities: NDArray[np.int64]
-    frame: NDArray[np.int64]
-    point: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    deviations: NDArray[np.float64]
-    areas: NDArray[np.float64]
-
-    @property
-    def log_prior(self) -> float:
-        """Log probability of the observations: each is as likely anywhere in the picture."""
-        return -float(np.log(self.areas)[self.frame].sum())
-
-    def evidence(self) -> list[PointMessage]:
-        """What each frame shows of the points."""
-        messages = []
-        for frame, area in enumerate(self.areas):
-            here = np.flatnonzero(self.frame == frame)
-            covariances = self.deviations[here, None, None] ** 2 * np.eye(2)
-            names = self.identities[self.point[here]]
-            positions = GaussianMessage.from_moments(names, self.positions[here], covariances)
-            messages.append(PointMessage(replace(positions, log_scale=positions.log_scale + np.log(area))))
-        return messages
 
 
 @short_repr
@@ -98,9 +53,13 @@ class FeatureMatcher:
     ) -> Smoothed[FeatureTracks]:
         """Features of all pictures that show the same points.
 
-        Frames with points that are given have no others.
+        In later rounds matches have to be where other chains say that their points are, and points are
+        searched for wherever others expect them. Frames with points that are given have no others.
         """
-        tracks = current or self._matched(incoming_over_time)
+        if current is None:
+            tracks = self._matched(incoming_over_time)
+        else:
+            tracks = current.searched_again(incoming_over_time)
         node = incoming_over_time[0].node(PointTracks)
         return Smoothed(tracks, {node: tracks.evidence()} if len(tracks.identities) else {})
 
@@ -115,23 +74,16 @@ class FeatureMatcher:
 
     def _matched(self, incoming_over_time: Sequence[BatchIncoming]) -> FeatureTracks:
         pictures: list[Features] = []
-        areas: list[float] = []
-        for incoming in incoming_over_time:
-            frame = incoming.frame
+        patches: list[NDArray[np.float32]] = []
+        areas = np.ones(len(incoming_over_time))
+        for time, incoming in enumerate(incoming_over_time):
+            frame, side = incoming.frame, cast(PointTracks, incoming.node(PointTracks)).patch
             if frame.image is None or frame.points is not None:
                 pictures.append(Features.none())
-                areas.append(1.0)
+                patches.append(np.zeros((0, side, side), np.float32))
             else:
                 grey = grey_of(frame.image)
                 pictures.append(find_features(grey, self.n_features))
-                areas.append(float(grey.size))
-        matches = FilmMatches.of(pictures)
-        features, track = matches.tracks(self.n_points)
-        return FeatureTracks(
-            FIRST_IDENTITY + np.arange(track.max(initial=-1) + 1),
-            matches.frame[features],
-            track,
-            np.concatenate([each.positions for each in pictures])[features],
-            np.concatenate([each.deviations for each in pictures])[features],
-            np.array(areas),
-        )
+                patches.append(sample_patches(grey, pictures[-1].positions, side))
+                areas[time] = grey.size
+        return FeatureTracks.of(pictures, patches, areas, self.n_points)

@@ -140,7 +140,10 @@ def _verified(one: Features, other: Features) -> tuple[Indices, Numbers]:
     pairs, doubt = match_features(one, other)
     if len(pairs) >= LEAST_MATCHES:
         left, right = one.positions[pairs[:, 0]], other.positions[pairs[:, 1]]
-        _, mask = cv2.findFundamentalMat(left, right, cv2.USAC_MAGSAC, EPIPOLAR, 0.999, 5000)
+        try:
+            _, mask = cv2.findFundamentalMat(left, right, cv2.USAC_MAGSAC, EPIPOLAR, 0.999, 5000)
+        except cv2.error:  # as it happens where no sample of seven matches determines the geometry
+            _, mask = cv2.findFundamentalMat(left, right, cv2.FM_RANSAC, EPIPOLAR, 0.999, 5000)
         if mask is not None and np.count_nonzero(mask) >= LEAST_MATCHES:
             obeys = mask[:, 0] > 0
             return pairs[obeys], doubt[obeys]

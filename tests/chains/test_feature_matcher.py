@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from rsmcm.apps.scenes import turntable
 from rsmcm.chains import FactorStructure, FeatureMatcher, PointTracker
-from rsmcm.chains.feature_matcher import FIRST_IDENTITY
 from rsmcm.inference import CoordinateAscent, MultiChain
+from rsmcm.inference.points.feature_tracks import FIRST_IDENTITY
 from rsmcm.models.core.frame import Frame, GivenPoints
 from rsmcm.models.points.point_tracks import PointTracks
 
