@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
-from ...models.points.features import Features, match_features
+from ...models.points.features import Features, match_along_lines, match_features
 from ...models.points.kernels.descriptors import join_matches
 
 Numbers = NDArray[np.float64]
@@ -136,17 +136,20 @@ def _longest(track: Indices, frame: Indices, most: int) -> Mask:
 
 
 def _verified(one: Features, other: Features) -> tuple[Indices, Numbers]:
-    """Matches of two pictures that obey one epipolar geometry, if there are enough."""
+    """Matches of two pictures that obey one epipolar geometry, if there are enough.
+
+    With that geometry they are matched again: there are fewer rivals along a line.
+    """
     pairs, doubt = match_features(one, other)
     if len(pairs) >= LEAST_MATCHES:
         left, right = one.positions[pairs[:, 0]], other.positions[pairs[:, 1]]
         try:
-            _, mask = cv2.findFundamentalMat(left, right, cv2.USAC_MAGSAC, EPIPOLAR, 0.999, 5000)
+            geometry, obeys = cv2.findFundamentalMat(left, right, cv2.USAC_MAGSAC, EPIPOLAR, 0.999, 5000)
         except cv2.error:  # as it happens where no sample of seven matches determines the geometry
-            _, mask = cv2.findFundamentalMat(left, right, cv2.FM_RANSAC, EPIPOLAR, 0.999, 5000)
-        if mask is not None and np.count_nonzero(mask) >= LEAST_MATCHES:
-            obeys = mask[:, 0] > 0
-            return pairs[obeys], doubt[obeys]
+            geometry, obeys = cv2.findFundamentalMat(left, right, cv2.FM_RANSAC, EPIPOLAR, 0.999, 5000)
+        if geometry is not None and np.count_nonzero(obeys) >= LEAST_MATCHES:
+            fundamental = np.asarray(geometry[:3], np.float64)
+            return match_along_lines(one, other, pairs[obeys[:, 0] > 0], fundamental, EPIPOLAR)
     return pairs[:0], doubt[:0]
 
 

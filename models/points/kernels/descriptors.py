@@ -26,6 +26,23 @@ def best_and_second(likeness):
 
 
 @compiled
+def keep_near(likeness, lines, middle, reach, positions, tolerance):
+    """Set `likeness` (n, m) to 0 but where `positions` (m, 2) are near.
+
+    That is within `tolerance` from the line (n, 3), of which the normal has length 1, and within `reach` (n,)
+    from `middle` (n, 2).
+    """
+    for i in range(likeness.shape[0]):
+        a, b, c = lines[i, 0], lines[i, 1], lines[i, 2]
+        for j in range(likeness.shape[1]):
+            x, y = positions[j, 0], positions[j, 1]
+            off = abs(a * x + b * y + c)
+            square = (x - middle[i, 0]) ** 2 + (y - middle[i, 1]) ** 2
+            if off > tolerance or square > reach[i] ** 2:
+                likeness[i, j] = np.float32(0)
+
+
+@compiled
 def join_matches(matches, frame, n_frames):
     """Track of each of the features, of which `frame` (n,) tells in which of the pictures they are.
 

@@ -2,7 +2,15 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.scenes.random_fields import mottle
-from rsmcm.models.points.features import LARGEST, LOCALISATION, Features, find_features, match_features
+from rsmcm.models.points.features import (
+    LARGEST,
+    LEAST_LIKENESS,
+    LOCALISATION,
+    Features,
+    find_features,
+    match_along_lines,
+    match_features,
+)
 
 SIZE = 300, 400
 
@@ -99,3 +107,29 @@ def test_a_picture_of_one_colour_has_none() -> None:
     pairs, doubt = match_features(empty, find_features(picture(8), 100))
     assert pairs.shape == (0, 2)
     assert doubt.shape == (0,)
+
+
+def test_repeated_things_are_told_apart_by_where_they_must_be() -> None:
+    """Tiles that are all the same but for their noise, and some that are not: a camera moves to the right."""
+    generator = np.random.default_rng(9)
+    tiles = np.tile(picture(9)[:60, :80].astype(float), (5, 5))
+    tiles[:, 160:240] = picture(10)[:, 160:240]
+    shift = np.array([12.0, 0.0])
+    views = [
+        np.clip(cv2.warpAffine(tiles, np.array([[1, 0, x], [0, 1, 0.0]]), SIZE[::-1]) + noise, 0, 255)
+        for x, noise in zip((0.0, shift[0]), generator.normal(0, 3, (2, *SIZE)), strict=True)
+    ]
+    one, other = (find_features(view.astype(np.uint8), 2000) for view in views)
+    sideways = np.array([[0, 0, 0], [0, 0, -1], [0, 1, 0.0]])  # epipolar lines are rows
+    pairs, _ = match_features(one, other)
+    motion = other.positions[pairs[:, 1]] - one.positions[pairs[:, 0]]
+    known = pairs[np.linalg.norm(motion - shift, axis=1) < 1]
+    assert len(known) > 30
+    again, doubt = match_along_lines(one, other, known, sideways, 1.5)
+    motion = other.positions[again[:, 1]] - one.positions[again[:, 0]]
+    assert len(again) > 1.5 * len(known)
+    assert np.mean(np.linalg.norm(motion - shift, axis=1) < 2) > 0.97
+    assert np.abs(motion[:, 1]).max() <= 1.5
+    likeness = (one.descriptors[again[:, 0]].astype(float) * other.descriptors[again[:, 1]]).sum(axis=1)
+    assert likeness.min() >= LEAST_LIKENESS * 255**2 - 1
+    assert doubt.max() < 0.8
