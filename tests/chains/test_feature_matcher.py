@@ -1,13 +1,15 @@
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import turntable
 from rsmcm.chains import FactorStructure, FeatureMatcher, PointTracker
 from rsmcm.inference import CoordinateAscent, MultiChain
+from rsmcm.inference.core.protocols import Cavity, Port, Smoothed
 from rsmcm.inference.points.feature_tracks import FIRST_IDENTITY
 from rsmcm.models.core.frame import Frame, GivenPoints
-from rsmcm.models.points.point_tracks import PointTracks
+from rsmcm.models.core.gaussian_message import GaussianMessage
+from rsmcm.models.points.point_tracks import PointMessage, PointTracks
 
 FILM = turntable(8, (288, 360), 5.0, seed=1)
 POINTS, MATCHER = PointTracks(), FeatureMatcher(n_points=100, n_features=1000)
@@ -102,3 +104,73 @@ def test_a_saved_ascent_goes_on_as_if_never_left(side_by_side, tmp_path) -> None
 def test_parameters_are_positive(name: str) -> None:
     with pytest.raises(ValueError, match=f"{name}: got 0, expected more than 0"):
         FeatureMatcher(**{name: 0})
+
+
+@dataclass(frozen=True)
+class GeometryKnown:
+    """A chain that knows where every point is in every frame, but for some that it has wrong."""
+
+    wrong: frozenset[int] = frozenset()
+    name: str = "geometry"
+
+    ports = (Port(PointTracks, Cavity.OTHERS),)
+
+    def smooth(self, incoming_over_time, current=None) -> Smoothed["Places"]:
+        if current is not None:
+            return Smoothed(current)
+        seen = [incoming[PointTracks].positions.moments for incoming in incoming_over_time]
+        places = []
+        for frame in range(len(seen)):
+            here: dict[int, np.ndarray] = {}
+            for other in sorted(range(len(seen)), key=lambda other: -abs(other - frame)):
+                there = FILM.transferred(seen[other][1], other, frame)
+                here |= dict(zip(seen[other][0].tolist(), there, strict=True))  # from the nearest one
+            known = {name: place for name, place in here.items() if np.isfinite(place).all()}
+            moved = [place + 30 * (name in self.wrong) for name, place in known.items()]
+            places.append((np.array(list(known)), np.array(moved)))
+        return Smoothed(Places(places))
+
+    def messages(self, trajectory, feature: PointTracks, incoming_over_time=()) -> list[PointMessage]:
+        spread = np.eye(2)
+        return [
+            PointMessage(GaussianMessage.from_moments(names, places, np.tile(spread, (len(names), 1, 1))))
+            for names, places in trajectory.places
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    places: list[tuple[np.ndarray, np.ndarray]]
+    log_prior: float = 0.0
+
+
+def test_points_are_searched_for_where_others_expect_them() -> None:
+    frames = FILM.frames()
+    model = MultiChain().connect(MATCHER, POINTS, feedback=False).connect(GeometryKnown(), POINTS)
+    first, second = CoordinateAscent(model, 2, tolerance=None).rounds(frames)
+    matched, seen = (solution["matcher"].seen for solution in (first, second))
+    assert len(seen.frame) > 1.2 * len(matched.frame)
+    places = np.stack([seen.frame, seen.point], axis=1)
+    assert len(np.unique(places, axis=0)) == len(places)
+    off = np.full(len(places), np.inf)
+    for number, (frame, point, place) in enumerate(zip(seen.frame, seen.point, seen.positions, strict=True)):
+        nearest = min(np.flatnonzero(matched.point == point), key=lambda k: abs(matched.frame[k] - frame))
+        there = FILM.transferred(matched.positions[[nearest]], int(matched.frame[nearest]), int(frame))
+        off[number] = np.linalg.norm(there - place)
+    found = ~np.isin(places @ [1000, 1], np.stack([matched.frame, matched.point], axis=1) @ [1000, 1])
+    assert np.mean(off[found & np.isfinite(off)] < 1.5) > 0.95
+    assert np.median(off[found & np.isfinite(off)]) < 0.5
+
+
+def test_matches_that_others_contradict_do_not_count() -> None:
+    wrong = frozenset(range(FIRST_IDENTITY, FIRST_IDENTITY + 10))
+    model = MultiChain().connect(MATCHER, POINTS, feedback=False).connect(GeometryKnown(wrong), POINTS)
+    *_, last = CoordinateAscent(model, 2, tolerance=None).rounds(FILM.frames())
+    tracks = last["matcher"]
+    before = np.isin(tracks.identities[tracks.matched.point], list(wrong))
+    kept = np.isin(
+        tracks.matched.frame * 1000 + tracks.matched.point, tracks.seen.frame * 1000 + tracks.seen.point
+    )
+    assert before.sum() >= 30
+    assert kept[before].mean() < 0.1  # at the rim nothing is said of them
+    assert kept[~before].mean() > 0.97
