@@ -31,8 +31,9 @@ RATIO = 0.8
 """Distance of a feature's nearest neighbour over that of the second nearest, from which on nobody knows which
 of them it is (Lowe 2004)."""
 
-NEIGHBOURS, SPREADS = 8, 3.0
-"""Pairs nearest to a feature, and standard deviations of their motion within which it moves."""
+NEIGHBOURS, SPREADS = 8, 1.0
+"""Pairs nearest to a feature, and standard deviations of their motion within which it moves: where it moves
+otherwise, something else is like it more often than not."""
 
 LEAST_LIKENESS = 0.9
 """Of two features that are matched among few, where the second nearest says little: of pairs that are a pixel
