@@ -189,7 +189,7 @@ class Texture:
         return self.variance + self._noises(noise)[0]
 
     def predicted(self, noise: TexelNoise, elapsed: float) -> Self:
-        """The texture `elapsed` s later, eq. (12); it returns to the lasting one if anything changes at all."""
+        """The texture `elapsed` s later, eq. (12), on its way to the lasting one if anything changes."""
         process = self._noises(noise)[1]
         variance = self.variance + process * np.float32(max(elapsed, SHORTEST))
         mean = self.mean
