@@ -34,12 +34,12 @@ def frame_covariances(bases: Numbers, poses: Poses, seen: NDArray[np.bool_], noi
     """
     rows = frame_changes(bases, poses)[:, :, :2] * seen[..., None, None] / noise
     flat = rows.reshape(len(rows), -1, rows.shape[-1])
-    information: Numbers = flat.transpose(0, 2, 1) @ flat
+    information = flat.transpose(0, 2, 1) @ flat
     every = np.arange(information.shape[1])
     # before, a pose is known to a radian, a factor of e and its size: the turn of a line about itself, which
     # nothing shows, stays finite
     information[:, every, every] += np.where((every == 4) | (every == 5), 1 / poses.sizes[:, None] ** 2, 1.0)
-    covariances: Numbers = np.linalg.inv(information)
+    covariances: Numbers = np.linalg.inv(information).astype(np.float64)
     return covariances
 
 
