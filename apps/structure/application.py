@@ -37,7 +37,7 @@ from .track_overlay import write_overlay
 from .view import EDGE, film_of_tracks, structure_view, write_film
 
 FEWEST_FRAMES = 3
-TRACK_FILES = (".npy", ".npz")
+TRACK_FILES = (".npy", ".npz", ".mat")
 
 
 @dataclass(frozen=True, eq=False)
