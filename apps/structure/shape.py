@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...inference.structure.nonrigid import NonrigidShape, learn_shape
+from ...inference.nonrigid.learning import learn_shape
+from ...inference.nonrigid.shape import NonrigidShape
 from ...models.face.model_files import write_model
 from ..io.point_files import read_points
 from ..runs.progress import Progress

@@ -7,11 +7,11 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.experiments.reproduce import run_experiment, shapes
 from rsmcm.apps.io.datasets import data_folder
-from rsmcm.inference.structure.nonrigid import learn_shape
+from rsmcm.inference.nonrigid.learning import learn_shape
 from rsmcm.models.face.model_files import read_model
 
 from ...conftest import Command
-from ...inference.structure.test_nonrigid import N_BASES, N_POINTS, deforming, holes
+from ...support.deforming import N_BASES, N_POINTS, deforming, holes
 
 run = Command("shape")
 complaint = run.complaint

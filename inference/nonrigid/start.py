@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...models.points.affine_camera import euclidean, scaled_rotations
 from ..factor_analysis.factorisation import factorise
-from .nonrigid_em import (
+from .em import (
     FIRST_DAMPING,
     LEAST_NOISE,
     Numbers,

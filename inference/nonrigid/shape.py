@@ -1,0 +1,108 @@
+"""A deforming shape, its poses and its uncertainty, as they were learned from tracks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.short_repr import short_repr
+from ...models.face.morphable_model import MorphableModel
+from ...models.face.pose import Poses
+
+Numbers = NDArray[np.float64]
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class NonrigidShape:
+    """Mean shape and modes of deformation, and in each frame the pose and the weights of modes.
+
+    Point j of frame t is seen at scale_t * (rotation_t @ (bases[0, j] + sum_k weights[t, k - 1] bases[k, j]))
+    + translation_t, of which x and y are seen, z points away from the viewer. The first basis has root mean
+    square distance 1 from its centroid, the origin, over x and y; weights are standard normal. The mean of
+    all rotations is the identity. Which of the two mirror images in depth it is, orthography cannot tell: it
+    is the one that is convex towards the viewer, as a face is.
+
+    Parameters
+    ----------
+    bases
+        `(n_bases, n_points, 3)`: mean shape, and modes in the order of their size.
+    weights
+        `(n_frames, n_bases - 1)`: posterior means.
+    rotations, scales, translations
+        `(n_frames, 3, 3)`, `(n_frames,)` px, `(n_frames, 2)` px.
+    noise
+        px: standard deviation of a coordinate.
+    rmse
+        px: root mean square, over coordinates of all that was seen, of what the shapes leave.
+    log_likelihood
+        nats, of the tracks in px, weights integrated out.
+    history
+        log likelihood with the prior of the bases, before each iteration of the last climb; never falls.
+    frame_determined
+        `(n_frames,)` bool: the frame shows four points or more. Poses and weights of others are NaN.
+    """
+
+    bases: Numbers
+    weights: Numbers
+    rotations: Numbers
+    scales: Numbers
+    translations: Numbers
+    noise: float
+    rmse: float
+    log_likelihood: float
+    history: tuple[float, ...]
+    frame_determined: NDArray[np.bool_]
+
+    @property
+    def poses(self) -> Poses:
+        """Every frame's pose of `model()`."""
+        ones = np.ones((len(self.scales), 1))
+        morphs = self.scales[:, None] * np.concatenate([ones, self.weights], axis=1)
+        return Poses(self.rotations, self.translations, morphs)
+
+    @property
+    def relative_error(self) -> float:
+        """Root mean square distance between points and where they were seen, in parts of the object's size.
+
+        The size is their root mean square distance from the centroid, as they are seen.
+        """
+        return float(np.sqrt(2) * self.rmse / np.nanmean(self.scales))
+
+    def shapes(self) -> Numbers:
+        """`(n_frames, n_points, 3)` px: where points are seen, and how far behind the object's origin."""
+        positions: Numbers = self.model().positions(self.poses)
+        return positions
+
+    def model(self) -> MorphableModel:
+        """The object's model, with triangles between neighbours as they are seen from the front."""
+        return MorphableModel(self.bases, triangles_in_front(self.bases[0]))
+
+
+def convex(shape: Numbers) -> bool:
+    """Whether a shape `(n_points, 3)` is nearer to the viewer in its middle than at its margin."""
+    centred = shape - shape.mean(axis=0)
+    outwards = np.sum(centred[:, :2] ** 2, axis=1)
+    return bool(np.sum(centred[:, 2] * (outwards - outwards.mean())) >= 0)
+
+
+def triangles_in_front(shape: Numbers) -> NDArray[np.int64]:
+    """Delaunay triangles `(n_triangles, 3)` of a shape `(n_points, 3)` as seen from the front.
+
+    Their normals (cross products of edges) have z < 0. Of points in the very same place one has triangles.
+
+    Raises
+    ------
+    ValueError
+        if all points lie on a line, as seen from the front.
+    """
+    from scipy.spatial import Delaunay, QhullError
+
+    try:
+        triangles = Delaunay(shape[:, :2]).simplices.astype(np.int64)
+    except QhullError:
+        raise ValueError("shape: got points on a line, expected some with triangles between them") from None
+    first, second, third = (shape[triangles[:, corner]] for corner in range(3))
+    away = np.cross(second - first, third - first)[:, 2] > 0
+    triangles[away] = triangles[away][:, ::-1]
+    return triangles
