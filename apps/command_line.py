@@ -24,6 +24,7 @@ from .options.job import Flag, Job
 from .options.opencv_packages import opencv_hint
 from .options.settings import options_from_file
 from .runs.interruption import SIGNALLED, Outcome
+from .shape.job import ShapeJob
 from .structure.job import StructureJob
 
 STREAM_LOST = 1
@@ -109,28 +110,16 @@ def body(job: Fields[BodyJob]) -> int:
 
 
 @app.command
-def shape(tracks: Path, *, bases: int, out: Path, overwrite: Flag = False) -> int:
-    """Learn a deformable 3-D model of an object from tracks of its points.
+def shape(job: Fields[ShapeJob]) -> int:
+    """Learn the 3-D shape of a thing that deforms from tracks of its points, and its motion.
 
-    By EM for probabilistic PCA of the shape, seen by a scaled orthographic camera. `rsmcm face` and
-    rsmcm.models.face.model_files read the model that it writes.
-
-    Parameters
-    ----------
-    tracks
-        .npy, or .npz with an array tracks or a single one: (n_frames, n_points, 2) px, NaN where missing; or
-        .npz as CoTracker or TAP-Vid have them.
-    bases
-        Number of morph bases, the mean shape among them: 2 or more.
-    out
-        The .npz file to write.
-    overwrite
-        Replace the file if it is there.
+    By EM for probabilistic PCA of the shape, seen by a scaled orthographic camera. Writes shapes.npz (the
+    points in space in every frame, poses, weights), model.npz (for rsmcm face), summary.json, report.html and
+    view.html.
     """
-    from .structure.shape import in_words, run_shape
+    from .shape.application import run_shape
 
-    print(*in_words(run_shape(tracks, bases, out, overwrite=overwrite)), f"model: {out}", sep="\n")
-    return 0
+    return _ended(_reported(job, run_shape(job)))
 
 
 @app.command

@@ -17,8 +17,8 @@ SHAPES = "shapes"
 EXPECTED_SHAPES = "expected (n_frames, n_points, 3)"
 
 AXES_FIRST, AXES_BELOW = "X", "P3_gt"
-"""Arrays of motion capture in MATLAB's files: (3, n_points, n_frames), and (3 n_frames, n_points) with all x before
-all y before all z."""
+"""Arrays of motion capture in MATLAB's files: (3, n_points, n_frames), and (3 n_frames, n_points) with all x
+before all y before all z."""
 
 VISIBLE = 0.5
 """Probability of being visible, or occluded, above which a point is taken to be so."""
