@@ -18,12 +18,11 @@ def shape_view(found: LearnedShape) -> tuple[Film, View]:
     followed = FollowedPoints(positions, found.covariances[..., :2, :2], found.residuals, "shape and pose")
     film, corner = film_of_points(followed.places, found.numbers, found.times.tolist())
     shown = np.ones(len(film.numbers), np.bool_)
-    n_bases, n_points, _ = learned.bases.shape
     mean = learned.bases[0]
     layer: dict[str, Any] = {
         "bases": learned.bases.astype(np.float32),
         "triangles": learned.model().triangles.astype(np.int32),
-        "inks": packed(np.array([identity_colour(point) for point in range(n_points)])),
+        "inks": packed(np.array([identity_colour(point) for point in range(len(mean))])),
         "rotations": learned.rotations.astype(np.float32),
         "scales": learned.scales.astype(np.float32),
         "weights": learned.weights.astype(np.float32),

@@ -1,4 +1,4 @@
-"""Files of arrays, `.npy`, `.npz` and MATLAB's, from anybody: headers are judged first, nothing is unpickled."""
+"""Files of arrays, `.npy`, `.npz`, `.mat`, from anybody: headers are judged first, nothing is unpickled."""
 
 import math
 import os
