@@ -27,8 +27,10 @@ from .runs.interruption import SIGNALLED, Outcome
 from .shape.job import ShapeJob
 from .structure.job import StructureJob
 
-STREAM_LOST = 1
+STREAM_LOST = NOTHING_FOUND = 1
 USAGE_ERROR = 2
+
+PAGES = ("report.html", "view.html")
 
 app = App(
     name="rsmcm",
@@ -249,18 +251,21 @@ app.command(batch)
 
 def _reported(job: Job, outcome: Outcome) -> Outcome:
     """Print what is to be said of a run."""
-    pages = ", ".join(str(job.out / name) for name in ("report.html", "view.html"))
+    pages = ", ".join(str(job.out / name) for name in PAGES if (job.out / name).exists())
     print(*outcome.words, *outcome.summary["notes"], f"results: {pages}", sep="\n")
     return outcome
 
 
 def _ended(outcome: Outcome) -> int:
-    """The exit code of a run; a line says when its source was lost."""
+    """The exit code of a run; a line says when its source was lost, or nothing was found."""
     if outcome.signal is not None:
         return SIGNALLED + outcome.signal
     if outcome.lost is not None:
         print(f"rsmcm: {outcome.summary['source']}: lost for good: {outcome.lost}", file=sys.stderr)
         return STREAM_LOST
+    if outcome.nothing is not None:
+        print(f"rsmcm: {outcome.summary['source']}: {outcome.nothing}", file=sys.stderr)
+        return NOTHING_FOUND
     return 0
 
 
