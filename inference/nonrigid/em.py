@@ -287,10 +287,15 @@ def basis_covariance(state: State) -> Numbers:
     basis is about as deep as it is wide; it is taken to the power `ALIKE`, since successive frames err alike
     and their likelihood is that much surer than it should be. The mean is independent of the modes.
     """
-    seen = np.matmul(state.seen_axes.transpose(0, 2, 1), state.seen_axes).mean(axis=0)
+    return basis_covariance_of_axes(state.bases, state.seen_axes)
+
+
+def basis_covariance_of_axes(bases: Numbers, axes: Numbers) -> Numbers:
+    """The same for bases that are seen by `axes` `(n_frames, 2, 3)`."""
+    seen = np.matmul(axes.transpose(0, 2, 1), axes).mean(axis=0)
     scale = np.trace(seen) / 2
-    n_points = state.bases.shape[1]
-    product = np.einsum("kja,ab,ljb->kl", state.bases, seen / scale, state.bases, optimize=True)
+    n_points = bases.shape[1]
+    product = np.einsum("kja,ab,ljb->kl", bases, seen / scale, bases, optimize=True)
     covariance: Numbers = product / (2 * n_points)
     covariance[0, 1:] = covariance[1:, 0] = 0
     return covariance + np.eye(len(covariance)) * LEAST_NOISE**2

@@ -5,11 +5,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...models.face.pose import Poses
 from ...models.numerics.rotations import nearest_rotation
 from ...models.points.point_arrays import check_points
 from .em import Numbers, State, Tracks, WeightPosterior, e_step, point_sums, run_em
 from .shape import NonrigidShape, convex
 from .start import start
+from .uncertainty import basis_covariances, frame_covariances
 
 LEAST_FRAMES = 3
 """That a point is seen in, and that there are; two views leave depth open."""
@@ -80,12 +82,18 @@ def _check(positions: Numbers, bases: int) -> NDArray[np.bool_]:
         raise ValueError(
             f"tracks: got point {views.argmin()} in {views.min()} frames, expected {LEAST_FRAMES} at least"
         )
-    most = min(2 * n_frames, n_points - 1) // 3
+    most = most_bases(positions[determined])
     if most < 2:
         raise ValueError(f"tracks: got {n_points} points, expected 7 at least")
     if not 2 <= bases <= most:
         raise ValueError(f"bases: got {bases}, expected 2 to {most} for {n_frames} frames, {n_points} points")
     return determined
+
+
+def most_bases(positions: Numbers) -> int:
+    """How many bases positions `(n_frames, n_points, 2)` can tell apart: each adds three to their rank."""
+    n_frames, n_points = positions.shape[:2]
+    return int(min(2 * n_frames, n_points - 1)) // 3
 
 
 def _in_pixels(
@@ -112,6 +120,15 @@ def _in_pixels(
     bases[1:] = np.tensordot(order.T, bases[1:], 1)
     size = float(np.sqrt(np.mean(np.sum(bases[0, :, :2] ** 2, axis=1))))
 
+    noise = unit * float(np.sqrt(state.noise))
+    weights = found.mean @ order
+    spread = order.T @ found.covariance @ order
+    scales = state.scales * size * unit
+    translations = translations * unit + middles
+    seen = tracks.seen > 0
+    extended = np.pad(weights, ((0, 0), (1, 0)), constant_values=1)
+    poses = Poses(rotations, translations, scales[:, None] * extended)
+
     def everywhere(values: Numbers) -> Numbers:
         whole = np.full((len(determined), *values.shape[1:]), np.nan)
         whole[determined] = values
@@ -119,15 +136,17 @@ def _in_pixels(
 
     return NonrigidShape(
         bases=bases / size,
-        weights=everywhere(found.mean @ order),
+        weights=everywhere(weights),
         rotations=everywhere(rotations),
-        scales=everywhere(state.scales * size * unit),
-        translations=everywhere(translations * unit + middles),
-        noise=unit * float(np.sqrt(state.noise)),
+        scales=everywhere(scales),
+        translations=everywhere(translations),
+        noise=noise,
         rmse=unit * float(np.sqrt(_squared_error(tracks, state, found) / tracks.count)),
         log_likelihood=float(found.log_likelihood.sum()) - tracks.count * float(np.log(unit)),
         history=tuple(value - tracks.count * float(np.log(unit)) for value in history),
         frame_determined=determined,
+        frame_covariances=everywhere(frame_covariances(bases / size, poses, seen, noise)),
+        basis_covariances=basis_covariances(bases / size, poses, weights, spread, seen, noise),
     )
 
 

@@ -8,8 +8,25 @@ from numpy.typing import NDArray
 from ...models.core.short_repr import short_repr
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
+from .uncertainty import frame_changes
 
 Numbers = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another optimum, from another start, that explains the tracks nearly as well.
+
+    Parameters
+    ----------
+    log_likelihood_gap
+        nats, 0 or more: by how much it is less likely.
+    disagreement
+        how far its shapes are from those of the best one, as `comparison.shape_error` measures it.
+    """
+
+    log_likelihood_gap: float
+    disagreement: float
 
 
 @short_repr
@@ -41,6 +58,14 @@ class NonrigidShape:
         log likelihood with the prior of the bases, before each iteration of the last climb; never falls.
     frame_determined
         `(n_frames,)` bool: the frame shows four points or more. Poses and weights of others are NaN.
+    frame_covariances
+        `(n_frames, 6 + n_bases - 1, 6 + n_bases - 1)`: of a frame's turn (rad, about the camera's axes), the
+        logarithm of its scale, its translation (px) and its weights, given the bases.
+    basis_covariances
+        `(n_points, 3 n_bases, 3 n_bases)`: of a point's places in all bases, x, y, z of the first in front,
+        given poses and weights.
+    rivals
+        other optima of nearly equal likelihood, the likeliest first.
     """
 
     bases: Numbers
@@ -53,6 +78,9 @@ class NonrigidShape:
     log_likelihood: float
     history: tuple[float, ...]
     frame_determined: NDArray[np.bool_]
+    frame_covariances: Numbers
+    basis_covariances: Numbers
+    rivals: tuple[Rival, ...] = ()
 
     @property
     def poses(self) -> Poses:
@@ -73,6 +101,21 @@ class NonrigidShape:
         """`(n_frames, n_points, 3)` px: where points are seen, and how far behind the object's origin."""
         positions: Numbers = self.model().positions(self.poses)
         return positions
+
+    def shape_covariances(self) -> Numbers:
+        """`(n_frames, n_points, 3, 3)` px^2: what the tracks leave open of `shapes()`.
+
+        Frames given bases, and bases given frames, to first order; without the noise of observations.
+        """
+        poses = self.poses
+        rows = frame_changes(self.bases, poses)
+        covariances: Numbers = rows @ self.frame_covariances[:, None] @ rows.transpose(0, 1, 3, 2)
+        n_bases, n_points, _ = self.bases.shape
+        by_basis = self.basis_covariances.reshape(n_points, n_bases, 3, n_bases, 3)
+        inner = np.einsum("nk,vkalb,nl->nvab", poses.morphs, by_basis, poses.morphs, optimize=True)
+        turned = self.rotations[:, None]
+        covariances += turned @ inner @ turned.transpose(0, 1, 3, 2)
+        return covariances
 
     def model(self) -> MorphableModel:
         """The object's model, with triangles between neighbours as they are seen from the front."""
