@@ -2,11 +2,14 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...inference.nonrigid.choice import choose_bases
+from ...inference.nonrigid.comparison import shape_error
 from ...inference.nonrigid.learning import learn_shape
 from ...models.face.model_files import write_model
 from ..io.files import write_json
@@ -23,7 +26,8 @@ from .report import write_shape_report
 from .result import LearnedShape, Numbers
 from .view import shape_view
 
-ITERATIONS = 300
+MOST_LISTED = 20
+"""Frames, in a note."""
 
 
 def run_shape(job: ShapeJob) -> Outcome:
@@ -59,10 +63,10 @@ class ShapeRun(Run[ShapeJob]):
         job = self.job
         with Progress(self.application, None, unit="iterations") as progress:
             try:
-                bases = job.bases
-                assert bases != AUTO
-                learned = learn_shape(tracks, bases, iterations=ITERATIONS, on_iteration=progress.update)
-                yield LearnedShape(tracks, numbers, learned)
+                choice = choose_bases(tracks, on_iteration=progress.update) if job.bases == AUTO else None
+                bases = choice.bases if choice is not None else int(job.bases)
+                learned = learn_shape(tracks, bases, on_iteration=progress.update)
+                yield LearnedShape(tracks, numbers, learned, choice)
             except ValueError as error:
                 raise ValueError(f"{job.source}: {error}") from error
 
@@ -72,16 +76,25 @@ class ShapeRun(Run[ShapeJob]):
         self.notes += _notes(found)
         write_shapes(folder / SHAPES, found)
         write_model(learned.model(), folder / MODEL)
+        choice = found.choice
         facts = {
             "points": found.tracks.shape[1],
             "bases": len(learned.bases),
             "observations": int(np.count_nonzero(found.observed)),
-            "reprojection_rmse_px": math.sqrt(2) * learned.rmse,
+            "reprojection_rmse_px_per_point": math.sqrt(2) * learned.rmse,
             "reprojection_rmse_px_per_coordinate": learned.rmse,
             "reprojection_of_size": learned.relative_error,
             "noise_px_per_coordinate": learned.noise,
             "log_likelihood": learned.log_likelihood,
             "iterations": len(learned.history),
+            "e3d": None if truth is None else shape_error(found.shapes, truth),
+            "rivals": [asdict(rival) for rival in learned.rivals],
+            "held_out": None
+            if choice is None
+            else [
+                {"bases": bases, "error_px_per_coordinate": error}
+                for bases, error in zip(choice.candidates, choice.errors.tolist(), strict=True)
+            ],
             "notes": self.notes,
             "seconds": self.seconds(),
         }
@@ -97,11 +110,12 @@ class ShapeRun(Run[ShapeJob]):
         """Points, and how well they fit."""
         return [
             f"{summary['frames']} frames, {summary['points']} points, {summary['bases']} bases",
-            f"reprojection error {summary['reprojection_rmse_px']:.3g} px per point, "
+            f"reprojection error {summary['reprojection_rmse_px_per_point']:.3g} px per point, "
             f"{summary['reprojection_rmse_px_per_coordinate']:.3g} px per coordinate, "
             f"{summary['reprojection_of_size']:.2%} of the object's size; "
             f"noise {summary['noise_px_per_coordinate']:.3g} px per coordinate",
             f"log likelihood {summary['log_likelihood']:.6g} nats",
+            *([] if summary["e3d"] is None else [f"error in 3-D (e3D) {summary['e3d']:.4f}"]),
         ]
 
 
@@ -131,8 +145,21 @@ def _notes(found: LearnedShape) -> list[str]:
         number for number, known in zip(found.numbers, learned.frame_determined, strict=True) if not known
     ]
     if unknown:
-        notes.append(f"{len(unknown)} frames show too few points for a pose, and were left out.")
-    if len(learned.history) == ITERATIONS:
-        gain = learned.history[-1] - learned.history[-2]
-        notes.append(f"After {ITERATIONS} iterations the last one still gained {gain:.2g} nats.")
+        frames = "1 frame shows" if len(unknown) == 1 else f"{len(unknown)} frames show"
+        listed = ", ".join(map(str, unknown[:MOST_LISTED])) + (", …" if len(unknown) > MOST_LISTED else "")
+        notes.append(f"{frames} too few points for a pose: {listed}.")
+    if learned.rivals:
+        most = max(rival.disagreement for rival in learned.rivals)
+        gap = min(rival.log_likelihood_gap for rival in learned.rivals)
+        notes.append(
+            f"{len(learned.rivals)} other shapes explain the tracks nearly as well ({gap:.3g} nats less) "
+            f"and disagree in depth: points lie up to {most:.0%} of the shape's standard deviation away "
+            "(e3D). "
+            "The reprojection error does not see that."
+        )
+    if found.choice is not None:
+        notes.append(
+            f"{found.choice.bases} bases: the fewest that predict held-out positions as well as any, by one "
+            "standard error."
+        )
     return notes

@@ -7,9 +7,12 @@ from typing import Any
 import cv2
 import numpy as np
 from markupsafe import Markup
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from ...inference.nonrigid.choice import BasesChoice
 from ..drawing.boxes import identity_colour
 from ..reports.evenly_spaced import evenly_spread
 from ..reports.page import Section, cards, moving_picture, write_run_page
@@ -59,6 +62,8 @@ def write_shape_report(path: Path, found: LearnedShape, summary: Mapping[str, An
         ("Modes", [modes(found)]),
         ("Over time", [curves(found)]),
     ]
+    if found.choice is not None:
+        sections.append(("Number of bases", [held_out(found.choice)]))
     write_run_page(path, title, _figures(summary), summary["notes"], sections, summary["parameters"])
 
 
@@ -73,10 +78,12 @@ def _figures(summary: Mapping[str, Any]) -> Markup:
         "frames": f"{summary['frames']}",
         "points": f"{summary['points']}",
         "bases": f"{summary['bases']}",
-        "reprojection error per point": f"{summary['reprojection_rmse_px']:.3g} px",
+        "reprojection error per point": f"{summary['reprojection_rmse_px_per_point']:.3g} px",
         "reprojection error per coordinate": f"{summary['reprojection_rmse_px_per_coordinate']:.3g} px",
         "noise of a coordinate": f"{summary['noise_px_per_coordinate']:.3g} px",
     }
+    if summary["e3d"] is not None:
+        shown["error in 3-D, e3D"] = f"{summary['e3d']:.4f}"
     return cards(shown)
 
 
@@ -90,7 +97,7 @@ def turning(found: LearnedShape) -> list[Image]:
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
     across = cosine * shapes[..., 0] - sine * shapes[..., 2]
     away = sine * shapes[..., 0] + cosine * shapes[..., 2]
-    reach = 1.1 * float(np.quantile(np.linalg.norm(shapes, axis=2), 0.99))
+    reach = 1.05 * float(np.quantile(np.linalg.norm(shapes, axis=2), 0.99))
     places = SIDE / 2 * (1 + np.stack([across, shapes[..., 1]], axis=2) / reach)
     return [_dots(one, depth / reach) for one, depth in zip(places, away, strict=True)]
 
@@ -100,7 +107,7 @@ def _dots(places: Numbers, depth: Numbers) -> Image:
     sheet: NDArray[Any] = np.full((SIDE, SIDE, 3), PAPER, np.uint8)
     radius = 5 if len(places) <= 100 else 3
     for point in np.argsort(-depth):
-        pale = 0.35 * (1 + np.clip(depth[point], -1, 1))
+        pale = 0.3 * (1 + np.clip(depth[point], -1, 1))
         ink = [round((1 - pale) * channel + pale * PAPER) for channel in identity_colour(int(point))]
         x, y = np.rint(16 * places[point]).astype(int).tolist()
         cv2.circle(sheet, (x, y), radius * 16, ink, cv2.FILLED, cv2.LINE_AA, 4)
@@ -111,7 +118,6 @@ def modes(found: LearnedShape) -> Markup:
     """The mean shape from three sides, and how each mode moves its points."""
     bases = found.learned.bases
     shown = min(len(bases) - 1, MOST_MODES)
-    reach = 1.2 * float(np.abs(bases[0]).max())
 
     def draw(canvas: Figure) -> None:
         grid = canvas.subplots(shown, len(SIDES), squeeze=False)
@@ -121,9 +127,10 @@ def modes(found: LearnedShape) -> Markup:
                 axis.plot(ends[..., across], ends[..., along], color="#808080", linewidth=0.8, zorder=1)
                 for end, ink in zip(ends, (BLUE, RED), strict=True):
                     axis.scatter(end[:, across], end[:, along], s=7, color=ink, linewidths=0)
-                axis.set_xlim(-reach, reach)
-                axis.set_ylim(*((reach, -reach) if along == DOWN else (-reach, reach)))
                 axis.set_aspect("equal")
+                axis.margins(0.08)
+                if along == DOWN:
+                    axis.invert_yaxis()
                 axis.tick_params(labelsize=7)
                 if k == 1:
                     axis.set_title(side, fontsize=10)
@@ -133,6 +140,25 @@ def modes(found: LearnedShape) -> Markup:
     caption = f"From {SWING:g} standard deviations below the mean (blue) to as many above it (red)."
     caption += f" {left_out} smaller modes are not shown." if left_out else ""
     return figure(draw, (11, 3.6 * shown), caption)
+
+
+def held_out(choice: BasesChoice) -> Markup:
+    """Errors at positions that were withheld, over the number of bases."""
+
+    def draw(canvas: Figure) -> None:
+        axis: Axes = canvas.subplots()
+        axis.plot(choice.candidates, choice.errors, color=BLUE, marker="o", markersize=4)
+        at = choice.candidates.index(choice.bases)
+        axis.plot(choice.bases, choice.errors[at], color=RED, marker="o", markersize=8, fillstyle="none")
+        axis.set_xlabel("bases")
+        axis.set_ylabel("error of a coordinate, px")
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+    caption = (
+        "Root mean square error per coordinate at positions that were withheld. Chosen (red): the fewest "
+        "bases that are no worse than the best by one standard error."
+    )
+    return figure(draw, (7, 3), caption)
 
 
 def curves(found: LearnedShape) -> Markup:
@@ -151,4 +177,4 @@ def curves(found: LearnedShape) -> Markup:
         "Weights in standard deviations. Error: root mean square distance (per point, not per coordinate) "
         "between where points were seen in a frame and where the shape has them."
     )
-    return over_time(found.times.tolist(), plots, caption)
+    return over_time(list(found.numbers), plots, caption, axis="frame")

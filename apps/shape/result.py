@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ...inference.nonrigid.choice import BasesChoice
 from ...inference.nonrigid.shape import NonrigidShape
 from ..io.sources.open_source import DEFAULT_RATE
 
@@ -25,11 +26,14 @@ class LearnedShape:
         of the frames, from 1.
     learned
         the shape, its poses and its modes.
+    choice
+        how the number of bases was chosen; `None` where it was given.
     """
 
     tracks: Numbers
     numbers: Sequence[int]
     learned: NonrigidShape
+    choice: BasesChoice | None = None
 
     @property
     def times(self) -> Numbers:
@@ -56,4 +60,4 @@ class LearnedShape:
     @cached_property
     def covariances(self) -> Numbers:
         """`(n_frames, n_points, 3, 3)` px^2 of `shapes`."""
-        return np.full((*self.shapes.shape, 3), np.nan)
+        return self.learned.shape_covariances()
