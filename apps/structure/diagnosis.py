@@ -212,7 +212,7 @@ def picture_motion(pictures: Sequence[NDArray[np.uint8]]) -> float:
     again."""
     pairs = list(pairwise(pictures))
     chosen = np.linspace(0, len(pairs) - 1, min(MOST_LOOKED_AT, len(pairs))).round().astype(int)
-    detector, matcher = cv2.ORB_create(FEATURES), cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
+    detector, matcher = cv2.ORB.create(FEATURES), cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
     moved: list[float] = []
     for one, other in (pairs[k] for k in chosen):
         (places, words), (others, theirs) = (detector.detectAndCompute(image, None) for image in (one, other))

@@ -104,12 +104,12 @@ def _of_matlab(file: IO[bytes], size: int, most: int) -> Arrays:
     if file.read(8).startswith(b"MATLAB 7"):
         raise _WrongError("a file of MATLAB 7.3 (HDF5), which save(..., '-v7') writes so that it can be read")
     file.seek(0)
-    wanted = [(name, shape) for name, shape, kind in whosmat(file) if kind in MATLAB_KINDS]
+    wanted = [(name, shape) for name, shape, kind in whosmat(file) if kind in MATLAB_KINDS]  # type: ignore[arg-type]
     numbers = sum(math.prod(shape) for _, shape in wanted)
     if numbers > most or size > NUMBER * most + LONGEST_HEADER:
         raise _WrongError(f"{numbers} numbers in {size} bytes, more than are taken")
     file.seek(0)
-    content = loadmat(file, variable_names=[name for name, _ in wanted])
+    content = loadmat(file, variable_names=[name for name, _ in wanted])  # type: ignore[arg-type]
     return {name: np.asarray(content[name]) for name, _ in wanted}
 
 
