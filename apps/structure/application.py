@@ -23,12 +23,17 @@ from ..runs.progress import Progress
 from ..runs.run import Run
 from ..runs.saved_run import STATE, about_of, check_source
 from ..view.page import VIEW, write_view
+from .camera import lens_of
+from .colmap import FILES as COLMAP_FILES
+from .colmap import FOLDER as COLMAP
+from .colmap import write_colmap
 from .files import point_colours, write_cameras, write_ply, write_tracks
 from .job import StructureJob
 from .reconstruction import (
     FEWEST_POINTS,
     MOST_ROUNDS,
     Reconstruction,
+    camera_in_words,
     engine_for,
     reconstruction_of,
 )
@@ -58,6 +63,8 @@ class Film:
         by which the source is known again.
     notes
         what is out of the ordinary, a sentence each.
+    pictures
+        files of the frames, where it consists of such.
     stream
         what became of a camera or stream, as of `Source`.
     """
@@ -68,6 +75,7 @@ class Film:
     n_tracks: int | None
     fingerprint: dict[str, Any]
     notes: tuple[str, ...]
+    pictures: tuple[Path, ...] = ()
     stream: dict[str, Any] | None = None
 
 
@@ -83,7 +91,13 @@ class StructureRun(Run[StructureJob]):
     """One run: the film, and how far the ascent has come."""
 
     application = "structure"
-    files = ("structure.ply", "cameras.json", "tracks.npz", "predictions.npz")
+    files = (
+        "structure.ply",
+        "cameras.json",
+        "tracks.npz",
+        "predictions.npz",
+        *(f"{COLMAP}/{name}" for name in COLMAP_FILES),
+    )
 
     def __init__(self, job: StructureJob) -> None:
         super().__init__(job)
@@ -108,7 +122,8 @@ class StructureRun(Run[StructureJob]):
         self._engine = engine_for(film.frames, job.coherence, job.association)
         after = None if saved is None else self._engine.load(saved, film.frames)[0]
         solution = self._ascended(after)
-        found = reconstruction_of(solution, film.n_tracks)
+        lens, about_lens = lens_of(film.frames, job.focal, next(iter(film.pictures), None))
+        found = reconstruction_of(solution, film.n_tracks, job.camera, lens)
         try:
             _check_found(film.name, found)
         except ValueError:
@@ -116,7 +131,7 @@ class StructureRun(Run[StructureJob]):
             raise
         lost = film.stream is not None and film.stream["lost"] is not None
         self._ended_early = lost or self.interruption.signal is not None
-        summary = self._written(found)
+        summary = self._written(found, about_lens)
         if not self._ended_early:
             self._save(solution, finished=summary)
         return self.outcome(summary, signalled=self._ended_early)
@@ -153,18 +168,24 @@ class StructureRun(Run[StructureJob]):
         self._engine.save(self._state, solution, self.about(finished))
         self._is_saved = True
 
-    def _written(self, found: Reconstruction) -> dict[str, Any]:
+    def _written(self, found: Reconstruction, about_lens: str) -> dict[str, Any]:
         """Write all results; return the content of `summary.json`."""
         folder, film, frames = self.job.out, self._film, self._film.frames
         notes = [*film.notes, *_notes(found, film.n_tracks is not None)]
+        if found.perspective is not None and about_lens:
+            notes.append(about_lens)
         colours: NDArray[np.uint8] = point_colours(frames, found)
         if found.geometry != "none":
             write_ply(folder / "structure.ply", found, colours)
         write_cameras(folder / "cameras.json", found, frames)
+        if found.perspective is not None:
+            names = [each.name for each in film.pictures] or [f"{frame.number:06d}.png" for frame in frames]
+            write_colmap(folder / COLMAP, found, frames, colours, names)
         write_tracks(folder / "tracks.npz", found, frames)
         write_predictions(folder, found.predictions)
         if film.n_tracks is None:
             write_overlay(folder / "overlay.mp4", frames, found, film.rate)
+        lens = found.perspective
         facts = {
             "tracks": len(found.point_of_track),
             "rejected_tracks": int(np.count_nonzero(found.point_of_track < 0)),
@@ -173,6 +194,10 @@ class StructureRun(Run[StructureJob]):
             "reprojection_rmse_px": found.reprojection_error,
             "reprojection_rmse_px_per_coordinate": found.reprojection_error / math.sqrt(2),
             "noise_px": float(np.sqrt(found.noise_variance)),
+            "camera": "affine" if found.perspective is None else "perspective",
+            "camera_in_words": camera_in_words(found),
+            "focal_length_px": None if lens is None else lens.cameras.focal,
+            "focal_length_deviation_px": None if lens is None else lens.focal_deviation,
             "shape": found.geometry,
             "shape_reason": found.reason or None,
             "rounds": len(found.objective),
@@ -203,7 +228,8 @@ class StructureRun(Run[StructureJob]):
         """Points, and how well they fit."""
         return [
             f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks, "
-            f"reprojection error {summary['reprojection_rmse_px']:.3g} px, shape: {summary['shape']}"
+            f"reprojection error {summary['reprojection_rmse_px']:.3g} px, shape: {summary['shape']}",
+            f"camera: {summary['camera_in_words']}",
         ]
 
 
@@ -263,7 +289,10 @@ def _images(job: StructureJob) -> Film:
         if source.truncated:
             notes.append("The source ends before its announced end.")
         rate, fingerprint = source.rate / job.step, source.fingerprint()
-        return Film(source.name, frames, rate, None, fingerprint, tuple(notes), source.stream)
+        where = Path(job.source)
+        where = where if where.is_dir() else where.parent
+        pictures = tuple(where / source.pictures[frame.number - 1] for frame in frames if source.pictures)
+        return Film(source.name, frames, rate, None, fingerprint, tuple(notes), pictures, source.stream)
 
 
 def _check_found(name: str, found: Reconstruction) -> None:
