@@ -14,6 +14,8 @@ from ...inference import Solution
 from ...inference.core import checkpoint
 from ...models.core.frame import Frame
 from ..evaluation.predictions import write_predictions
+from ..exports.colmap import FILES as COLMAP_FILES
+from ..exports.colmap import write_colmap
 from ..io.files import write_json
 from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
 from ..io.track_files import frames_of_tracks, read_track_file
@@ -23,17 +25,13 @@ from ..runs.progress import Progress
 from ..runs.run import Run
 from ..runs.saved_run import STATE, about_of, check_source
 from ..view.page import VIEW, write_view
-from .camera import lens_of
-from .colmap import FILES as COLMAP_FILES
-from .colmap import FOLDER as COLMAP
-from .colmap import write_colmap
+from .camera import camera_in_words, in_perspective, lens_of
 from .files import point_colours, write_cameras, write_ply, write_tracks
 from .job import StructureJob
 from .reconstruction import (
     FEWEST_POINTS,
     MOST_ROUNDS,
     Reconstruction,
-    camera_in_words,
     engine_for,
     reconstruction_of,
 )
@@ -42,6 +40,8 @@ from .track_overlay import write_overlay
 from .view import EDGE, film_of_tracks, structure_view, write_film
 
 FEWEST_FRAMES = 3
+COLMAP = "colmap"
+"""Folder for the perspective structure as COLMAP has it."""
 TRACK_FILES = (".npy", ".npz")
 
 
@@ -123,7 +123,7 @@ class StructureRun(Run[StructureJob]):
         after = None if saved is None else self._engine.load(saved, film.frames)[0]
         solution = self._ascended(after)
         lens, about_lens = lens_of(film.frames, job.focal, next(iter(film.pictures), None))
-        found = reconstruction_of(solution, film.n_tracks, job.camera, lens)
+        found = in_perspective(reconstruction_of(solution, film.n_tracks), job.camera, lens)
         try:
             _check_found(film.name, found)
         except ValueError:
@@ -179,8 +179,8 @@ class StructureRun(Run[StructureJob]):
             write_ply(folder / "structure.ply", found, colours)
         write_cameras(folder / "cameras.json", found, frames)
         if found.perspective is not None:
-            names = [each.name for each in film.pictures] or [f"{frame.number:06d}.png" for frame in frames]
-            write_colmap(folder / COLMAP, found, frames, colours, names)
+            images = [(frame.number, self._picture_of(index)) for index, frame in enumerate(frames)]
+            write_colmap(folder / COLMAP, found.perspective, found.places, found.observed, colours, images)
         write_tracks(folder / "tracks.npz", found, frames)
         write_predictions(folder, found.predictions)
         if film.n_tracks is None:
@@ -214,6 +214,11 @@ class StructureRun(Run[StructureJob]):
         write_structure_report(folder / "report.html", frames, found, colours, notes, self.settings, title)
         write_json(folder / "summary.json", summary)
         return summary
+
+    def _picture_of(self, index: int) -> str:
+        """Name of a frame's picture; of a video's as if it was written out."""
+        film = self._film
+        return film.pictures[index].name if film.pictures else f"{film.frames[index].number:06d}.png"
 
     def _write_view(self, found: Reconstruction, colours: NDArray[np.uint8], title: str) -> None:
         folder, frames = self.job.out, self._film.frames

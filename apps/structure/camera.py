@@ -2,19 +2,20 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...inference.factor_analysis.factorisation import Factorisation
 from ...inference.factor_analysis.robust import robust_fit
 from ...inference.perspective.structure import Lens, PerspectiveStructure, perspective_structure
 from ...models.core.frame import Frame
 from ..io.sources.focal_length import focal_of_picture
 from .job import Camera
+from .reconstruction import FEWEST_POINTS, Reconstruction
 
-Numbers = NDArray[np.float64]
+FEWEST_VIEWS = 2
+"""That agree about a point before a perspective camera."""
 
 
 def lens_of(frames: Sequence[Frame], focal: float | None, picture: Path | None) -> tuple[Lens, str]:
@@ -43,34 +44,62 @@ def lens_of(frames: Sequence[Frame], focal: float | None, picture: Path | None) 
     return Lens((max(height, 1), max(width, 1)), focal), note
 
 
-def perspective_of(
-    observations: Numbers, observed: NDArray[np.bool_], affine: Factorisation, camera: Camera, lens: Lens
-) -> tuple[PerspectiveStructure | None, str]:
-    """The perspective structure of what was observed, if it is wanted; and why there is none.
+def in_perspective(found: Reconstruction, camera: Camera, lens: Lens) -> Reconstruction:
+    """The same before a perspective camera, if that is wanted.
+
+    Observations that do not agree with it are taken for outliers, and a point is one if `FEWEST_VIEWS` are
+    left.
 
     Parameters
     ----------
-    observations, observed
-        `(n_frames, n_points, 2)` px, NaN where not observed, and `(n_frames, n_points)`.
-    affine
-        the shape as affine cameras have it.
+    found
+        before affine cameras.
     camera
-        `"auto"`: the perspective one if that explains the observations better than affine ones do.
+        `"auto"`: perspective if that explains the observations better than affine cameras do.
     lens
         what is known of it.
     """
-    if camera == "affine":
-        return None, ""
-    weights = observed.astype(np.float64)
-    robust = robust_fit(observations, weights, affine.cameras, affine.shape)
-    found = perspective_structure(observations, weights, robust, lens)
-    if found is None:
-        return None, "no perspective camera was found"
-    if camera == "perspective" or found.better_than(robust):
-        return found, ""
-    if not found.focal_determined:
-        return None, "affine cameras explain the tracks as well: the film shows no perspective"
-    return None, "affine cameras explain the tracks better than perspective ones with square pixels do"
+    if camera == "affine" or found.n_points < FEWEST_POINTS:
+        return found
+    places, weights = found.places, found.observed.astype(np.float64)
+    robust = robust_fit(places, weights, found.cameras, found.shape)
+    perspective = perspective_structure(places, weights, robust, lens)
+    if perspective is None:
+        return replace(found, affine_reason="no perspective camera was found")
+    if camera == "auto" and not perspective.better_than(robust):
+        reason = (
+            "it explains the tracks better than a perspective one with square pixels does"
+            if perspective.focal_determined
+            else "the tracks show no perspective"
+        )
+        return replace(found, affine_reason=reason)
+    agreeing = perspective.agrees(places, weights)
+    kept = np.count_nonzero(agreeing, axis=0) >= FEWEST_VIEWS
+    perspective, observed = perspective.of_points(kept), agreeing[:, kept]
+    residuals = np.where(observed[..., None], places[:, kept] - perspective.positions, np.nan)
+    numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # the last one is that of no point
+    return replace(
+        found,
+        positions=perspective.positions,
+        covariances=perspective.covariances,
+        observed=observed,
+        residuals=residuals,
+        point_of_track=numbers[found.point_of_track],
+        cameras=perspective.cameras.affine,
+        shape=perspective.shape,
+        shape_covariances=perspective.shape_covariance,
+        noise_variance=perspective.noise.variance,
+        geometry="euclidean",
+        reason="",
+        perspective=perspective,
+    )
+
+
+def camera_in_words(found: Reconstruction) -> str:
+    """For instance "perspective, focal length 660 ± 4 px"; of an affine one why it is that."""
+    if found.perspective is not None:
+        return f"perspective, {focal_in_words(found.perspective)}"
+    return f"affine: {found.affine_reason}" if found.affine_reason else "affine"
 
 
 def focal_in_words(found: PerspectiveStructure) -> str:

@@ -12,15 +12,14 @@ from ...chains import FactorStructure, PointTracker
 from ...chains.factor_structure import StructureTrajectory
 from ...inference import CoordinateAscent, MultiChain, Solution
 from ...inference.factor_analysis.factorisation import Factorisation, predicted
-from ...inference.perspective.structure import Lens, PerspectiveStructure
+from ...inference.perspective.structure import PerspectiveStructure
 from ...inference.points.trajectory import PointTrajectory
 from ...inference.structure.depth_test import depth
 from ...models.core.frame import Frame
 from ...models.points.affine_camera import euclidean
 from ...models.points.point_tracks import PointTracks, noise_of_tracks
 from ..evaluation.predictions import PairRecord
-from .camera import focal_in_words, perspective_of
-from .job import Association, Camera, Coherence
+from .job import Association, Coherence
 from .predictions import recorded_predictions
 
 Numbers = NDArray[np.float64]
@@ -145,9 +144,7 @@ def engine_for(frames: Sequence[Frame], coherence: Coherence, association: Assoc
     return CoordinateAscent(model, MOST_ROUNDS)
 
 
-def reconstruction_of(
-    solution: Solution, n_tracks: int | None, camera: Camera = "affine", lens: Lens | None = None
-) -> Reconstruction:
+def reconstruction_of(solution: Solution, n_tracks: int | None) -> Reconstruction:
     """Read points, cameras and tracks from the engine's solution.
 
     Parameters
@@ -157,8 +154,6 @@ def reconstruction_of(
     n_tracks
         how many tracks were given, by whose columns points are called; `None` where they were made from
         images.
-    camera, lens
-        as of `perspective_of`; without a lens the camera is affine.
     """
     found: StructureTrajectory = solution["structure"]
     tracks: PointTrajectory = solution["tracker"]
@@ -175,14 +170,6 @@ def reconstruction_of(
     point_of = dict(zip(found.identities.tolist(), found.point_of_track.tolist(), strict=True))
     for absorbed, by in tracks.absorbed.tolist():
         point_of[absorbed] = point_of.get(by, -1)
-    perspective, affine_reason, noise = None, "", found.noise
-    if lens is not None and len(shape) >= FEWEST_POINTS:
-        perspective, affine_reason = perspective_of(observations, observed, fit, camera, lens)
-    if perspective is not None:
-        geometry, reason = "euclidean", ""
-        positions, covariances = perspective.positions, perspective.covariances
-        cameras, noise = perspective.cameras.affine, perspective.noise.variance
-        shape, shape_covariances = perspective.shape, perspective.shape_covariance
     everybody = sorted(point_of) if n_tracks is None else range(n_tracks)
     return Reconstruction(
         positions=positions,
@@ -193,22 +180,13 @@ def reconstruction_of(
         cameras=cameras,
         shape=shape,
         shape_covariances=shape_covariances,
-        noise_variance=noise,
+        noise_variance=found.noise,
         objective=tuple(report.objective for report in solution.rounds),
         converged=solution.converged,
         geometry=geometry,
         reason=reason,
-        perspective=perspective,
-        affine_reason=affine_reason,
         predictions=recorded_predictions(solution),
     )
-
-
-def camera_in_words(found: Reconstruction) -> str:
-    """For instance "perspective, focal length 660 ± 4 px"; of an affine one why it is that."""
-    if found.perspective is not None:
-        return f"perspective, {focal_in_words(found.perspective)}"
-    return f"affine ({found.affine_reason})" if found.affine_reason else "affine"
 
 
 def _geometry(observations: Numbers, fit: Factorisation) -> tuple[Geometry, str]:

@@ -16,7 +16,8 @@ from ..reports.evenly_spaced import evenly_spread
 from ..reports.page import Section, cards, paragraph, picture_grid, write_run_page
 from ..reports.plots import figure
 from ..reports.snapshots import MOST_SNAPSHOTS, small
-from .reconstruction import Numbers, Reconstruction, camera_in_words
+from .camera import camera_in_words
+from .reconstruction import Numbers, Reconstruction
 from .surface_views import surface_views
 from .track_overlay import draw_points
 

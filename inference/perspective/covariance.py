@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
 from ...models.points.perspective_camera import PerspectiveCameras
@@ -14,6 +13,8 @@ from .kernels.prediction import prediction_covariances
 
 HELD = 1e6
 """Information on the gauge, in that on a number of a camera: so much that it does not vary."""
+OPEN = 1e-10
+"""Information, in that on a number of a camera if all points were known, below which it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,10 +95,12 @@ def _of_cameras(
     """Covariance of all cameras and 1 / focal length, and of points given those."""
     matrix, _, inverses = reduced(listed, sums, 0.0, focal_known=focal_known)
     matrix = np.tril(matrix) + np.tril(matrix, -1).T
-    size = np.sqrt(np.diag(matrix))
+    of_points_known = np.append(np.einsum("tjj->tj", sums.cameras), 1.0 if focal_known else sums.corner)
+    size = np.sqrt(of_points_known)
     gauge, _ = np.linalg.qr(size[:, None] * gauge_of(cameras))
-    scaled = matrix / size[:, None] / size + HELD * gauge @ gauge.T
-    whole: Numbers = cho_solve(cho_factor(scaled), np.eye(len(size))) / size[:, None] / size
+    values, axes = np.linalg.eigh(matrix / size[:, None] / size + HELD * gauge @ gauge.T)
+    axes /= size[:, None]
+    whole: Numbers = (axes / np.maximum(values, OPEN)) @ axes.T
     if focal_known:
         whole[-1, :] = whole[:, -1] = 0
     return whole, inverses

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from .covariance import BundleCovariance, covariance_of, predicted
 from .search import affine_starts, best_bundle, grown_starts
 
 Mask = NDArray[np.bool_]
+
+HARDLY = 0.1
+"""Share of the weight of an observation that fits; with the heaviest tails it is reached at 5 deviations."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +104,27 @@ class PerspectiveStructure:
         if self.curvature_deviation == 0:
             return True
         return (self.cameras.curvature / self.curvature_deviation) ** 2 > math.log(self.observations)
+
+    def agrees(self, positions: Numbers, weights: Numbers) -> Mask:
+        """Whether an observation `(n_frames, n_points)` is none of those that hardly count.
+
+        Arguments as of `perspective_structure`. Of an outlier Student's noise leaves less than `HARDLY` of
+        the weight of an observation that fits.
+        """
+        squares = np.sum((positions - self.positions) ** 2, axis=2)
+        ratios = weights * np.nan_to_num(squares) / (self.noise.freedom * self.noise.variance)
+        agreeing: Mask = (weights > 0) & (1 / (1 + ratios) >= HARDLY)
+        return agreeing
+
+    def of_points(self, points: Mask) -> Self:
+        """The same with some points only."""
+        return replace(
+            self,
+            shape=self.shape[points],
+            shape_covariance=self.shape_covariance[points],
+            positions=self.positions[:, points],
+            covariances=self.covariances[:, points],
+        )
 
     def better_than(self, affine: RobustFit) -> bool:
         """Whether it explains the positions better than affine cameras do, by Schwarz's criterion (BIC).

@@ -12,13 +12,23 @@ OPEN = 1e-9
 
 
 @compiled
-def triangulate(by_point, rotations, scales, shifts, curvature, shape, variance, freedom, nearest, behind):
+def triangulate(by_point, cameras, shape, noise):
     """Move each point to where Student's noise makes its observations likeliest, if that is anywhere better.
 
     From where it is, from all its observations alike, and from its first and its last one alone: an outlier
-    spoils one of the starts. Equations are linear in the point once its depths are divided out; `shape`
-    `(n_points, 3)` is changed in place.
+    spoils one of the starts. Equations are linear in the point once its depths are divided out.
+
+    Parameters
+    ----------
+    cameras
+        rotations, scales, shifts and curvature of `PerspectiveCameras`.
+    shape
+        `(n_points, 3)`, changed in place.
+    noise
+        variance and degrees of freedom; the least depth before a camera, and the squared distance that stands
+        for less than that.
     """
+    rotations, scales, shifts, curvature = cameras
     edges, _, other, x, y, weight = by_point
     most = 1
     for i in range(edges.size - 1):
@@ -30,10 +40,7 @@ def triangulate(by_point, rotations, scales, shifts, curvature, shape, variance,
         low, high = edges[i], edges[i + 1]
         if high == low:
             continue
-        best = _cost(
-            low, high, other, x, y, weight, rotations, scales, shifts, curvature, shape[i], variance, freedom,
-            nearest, behind, counts,
-        )  # fmt: skip
+        best = _cost(by_point, low, high, cameras, shape[i], noise, counts)
         for start in range(3):
             tried[:] = shape[i]
             if start > 0:
@@ -55,21 +62,18 @@ def triangulate(by_point, rotations, scales, shifts, curvature, shape, variance,
                             for n in range(3):
                                 information[m, n] += counts[k - low] * row[m] * row[n]
                 _solve(information, vector, tried)
-                cost = _cost(
-                    low, high, other, x, y, weight, rotations, scales, shifts, curvature, tried, variance,
-                    freedom, nearest, behind, counts,
-                )  # fmt: skip
+                cost = _cost(by_point, low, high, cameras, tried, noise, counts)
                 if cost < best:
                     best = cost
                     shape[i] = tried
 
 
 @inlined
-def _cost(
-    low, high, other, x, y, weight, rotations, scales, shifts, curvature, place, variance, freedom, nearest,
-    behind, counts,
-):  # fmt: skip
+def _cost(by_point, low, high, cameras, place, noise, counts):
     """Minus the log likelihood of a point's observations; and what each counts in the next solution."""
+    _, _, other, x, y, weight = by_point
+    rotations, scales, shifts, curvature = cameras
+    variance, freedom, nearest, behind = noise
     cost = 0.0
     for k in range(low, high):
         t = other[k]
