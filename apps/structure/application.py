@@ -14,6 +14,8 @@ from ...inference import Solution
 from ...inference.core import checkpoint
 from ...models.core.frame import Frame
 from ..evaluation.predictions import write_predictions
+from ..exports.colmap import FILES as COLMAP_FILES
+from ..exports.colmap import write_colmap
 from ..io.files import write_json
 from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
 from ..io.track_files import frames_of_tracks, read_track_file
@@ -23,6 +25,7 @@ from ..runs.progress import Progress
 from ..runs.run import Run
 from ..runs.saved_run import STATE, about_of, check_source
 from ..view.page import VIEW, write_view
+from .camera import camera_in_words, in_perspective, lens_of
 from .diagnosis import (
     Diagnosis,
     followed,
@@ -44,6 +47,8 @@ from .report import write_nothing_report, write_structure_report
 from .track_overlay import write_overlay
 from .view import EDGE, film_of_tracks, structure_view, write_film
 
+COLMAP = "colmap"
+"""Folder for the perspective structure as COLMAP has it."""
 TRACK_FILES = (".npy", ".npz", ".mat")
 
 
@@ -65,6 +70,8 @@ class Film:
         by which the source is known again.
     notes
         what is out of the ordinary, a sentence each.
+    pictures
+        files of the frames, where it consists of such.
     stream
         what became of a camera or stream, as of `Source`.
     """
@@ -75,6 +82,7 @@ class Film:
     n_tracks: int | None
     fingerprint: dict[str, Any]
     notes: tuple[str, ...]
+    pictures: tuple[Path, ...] = ()
     stream: dict[str, Any] | None = None
 
 
@@ -90,7 +98,13 @@ class StructureRun(Run[StructureJob]):
     """One run: the film, and how far the ascent has come."""
 
     application = "structure"
-    files = ("structure.ply", "cameras.json", "tracks.npz", "predictions.npz")
+    files = (
+        "structure.ply",
+        "cameras.json",
+        "tracks.npz",
+        "predictions.npz",
+        *(f"{COLMAP}/{name}" for name in COLMAP_FILES),
+    )
 
     def __init__(self, job: StructureJob) -> None:
         super().__init__(job)
@@ -124,10 +138,13 @@ class StructureRun(Run[StructureJob]):
         found = reconstruction_of(solution, film.n_tracks)
         if not found.n_points:
             return self._nothing(no_points(film.frames, observations_of(solution), ""))
-        found = without_false_depth(found, from_images=film.n_tracks is None)
+        lens, about_lens = lens_of(film.frames, job.focal, next(iter(film.pictures), None))
+        found = without_false_depth(
+            in_perspective(found, job.camera, lens), from_images=film.n_tracks is None
+        )
         lost = film.stream is not None and film.stream["lost"] is not None
         self._ended_early = lost or self.interruption.signal is not None
-        summary = self._written(found)
+        summary = self._written(found, about_lens)
         if not self._ended_early:
             self._save(solution, finished=summary)
         return self.outcome(summary, signalled=self._ended_early)
@@ -161,19 +178,25 @@ class StructureRun(Run[StructureJob]):
         self._engine.save(self._state, solution, self.about(finished))
         self._is_saved = True
 
-    def _written(self, found: Reconstruction) -> dict[str, Any]:
+    def _written(self, found: Reconstruction, about_lens: str) -> dict[str, Any]:
         """Write all results; return the content of `summary.json`."""
         folder, film, frames = self.job.out, self._film, self._film.frames
         diagnosis = no_depth(found) if found.geometry == "none" else None
         notes = [*film.notes, *_notes(found, diagnosis, film.n_tracks is not None)]
+        if found.perspective is not None and about_lens:
+            notes.append(about_lens)
         colours: NDArray[np.uint8] = point_colours(frames, found)
         if found.geometry != "none":
             write_ply(folder / "structure.ply", found, colours)
         write_cameras(folder / "cameras.json", found, frames)
+        if found.perspective is not None:
+            images = [(frame.number, self._picture_of(index)) for index, frame in enumerate(frames)]
+            write_colmap(folder / COLMAP, found.perspective, found.places, found.observed, colours, images)
         write_tracks(folder / "tracks.npz", found, frames)
         write_predictions(folder, found.predictions)
         if film.n_tracks is None:
             write_overlay(folder / "overlay.mp4", frames, found, film.rate)
+        lens = found.perspective
         facts = {
             "tracks": len(found.point_of_track),
             "rejected_tracks": int(np.count_nonzero(found.point_of_track < 0)),
@@ -182,6 +205,10 @@ class StructureRun(Run[StructureJob]):
             "reprojection_rmse_px_per_point": found.reprojection_error,
             "reprojection_rmse_px_per_coordinate": found.reprojection_error / math.sqrt(2),
             "noise_px_per_coordinate": float(np.sqrt(found.noise_variance)),
+            "camera": "affine" if found.perspective is None else "perspective",
+            "camera_in_words": camera_in_words(found),
+            "focal_length_px": None if lens is None else lens.cameras.focal,
+            "focal_length_deviation_px": None if lens is None else lens.focal_deviation,
             "shape": found.geometry,
             "shape_reason": found.reason or None,
             "diagnosis": None if diagnosis is None else diagnosis.plain(),
@@ -197,6 +224,11 @@ class StructureRun(Run[StructureJob]):
         write_structure_report(folder / "report.html", frames, found, colours, notes, self.settings, title)
         write_json(folder / "summary.json", summary)
         return summary
+
+    def _picture_of(self, index: int) -> str:
+        """Name of a frame's picture; of a video's as if it was written out."""
+        film = self._film
+        return film.pictures[index].name if film.pictures else f"{film.frames[index].number:06d}.png"
 
     def _nothing(self, diagnosis: Diagnosis) -> Outcome:
         """Say why there is no structure, in `summary.json` and a report."""
@@ -247,7 +279,8 @@ class StructureRun(Run[StructureJob]):
         return [
             f"{words}, reprojection error {summary['reprojection_rmse_px_per_point']:.3g} px per point "
             f"({summary['reprojection_rmse_px_per_coordinate']:.3g} px per coordinate), shape: "
-            f"{summary['shape']}"
+            f"{summary['shape']}",
+            f"camera: {summary['camera_in_words']}",
         ]
 
 
@@ -296,7 +329,10 @@ def _images(job: StructureJob) -> Film:
         if source.truncated:
             notes.append("The source ends before its announced end.")
         rate, fingerprint = source.rate / job.step, source.fingerprint()
-        return Film(source.name, frames, rate, None, fingerprint, tuple(notes), source.stream)
+        where = Path(job.source)
+        where = where if where.is_dir() else where.parent
+        pictures = tuple(where / source.pictures[frame.number - 1] for frame in frames if source.pictures)
+        return Film(source.name, frames, rate, None, fingerprint, tuple(notes), pictures, source.stream)
 
 
 class NoShapeError(Exception):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...chains import PointTracker
 from ...inference import CoordinateAscent, MultiChain, Solution
-from ...inference.structure.parallax import Kind, Motion, flatter, motion_of
+from ...inference.structure.parallax import AS_WELL, MOST, Kind, Motion, motion_of, variance_over_shape
 from ...models.core.frame import Frame
 from ...models.core.grey import grey_of
 from ...models.points.point_tracks import PointTracks
@@ -174,20 +174,28 @@ def no_depth(found: Reconstruction) -> Diagnosis:
 def without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruction:
     """The reconstruction, without its shape if what was taken for depth is none.
 
-    Homographies may explain more, see `flatter`. Or, where tracks are `from_images` and the shape is known up
-    to an affine map only, there is less parallax than a tracker makes by itself.
+    Before affine cameras, perspective may have been: then homographies explain clearly more than the shape. A
+    perspective camera explains them too, with any depth if it stays where it is, or with any focal length if
+    it sees a plane: then homographies explain as much. Or, where tracks are `from_images` and the shape is
+    known up to an affine map only, there is less parallax than a tracker makes by itself.
     """
     if found.geometry == "none":
         return found
     places = np.where(found.observed[..., None], found.places, np.nan)
-    if flatter(places, found.residuals):
+    lens = found.perspective
+    ratio = variance_over_shape(places, found.residuals, MOST if lens is None else 1.0)
+    reason = ""
+    if lens is None and ratio * AS_WELL <= 1:
         reason = "homographies, which know no depth, explain the tracks better than a shape does"
-        return replace(found, geometry="none", reason=reason)
-    if from_images and found.geometry == "affine" and motion_of(places).parallax < LASTING:
-        return replace(
-            found, geometry="none", reason="points move against each other by less than a tracker errs"
-        )
-    return found
+    elif lens is not None and ratio <= AS_WELL:
+        known = lens.curvature_deviation == 0  # the focal length is given
+        if not (known and motion_of(places).kind == "plane"):
+            reason = "homographies, which know no depth, explain the tracks as well as a shape does"
+    elif from_images and found.geometry == "affine" and motion_of(places).parallax < LASTING:
+        reason = "points move against each other by less than a tracker errs"
+    if not reason:
+        return found
+    return replace(found, geometry="none", reason=reason, perspective=None, affine_reason="")
 
 
 def followed(frames: Sequence[Frame]) -> Numbers:

@@ -17,6 +17,7 @@ from ..reports.evenly_spaced import evenly_spread
 from ..reports.page import Section, cards, paragraph, picture_grid, write_run_page
 from ..reports.plots import figure
 from ..reports.snapshots import MOST_SNAPSHOTS, small
+from .camera import camera_in_words
 from .reconstruction import Numbers, Reconstruction
 from .surface_views import surface_views
 from .track_overlay import draw_points
@@ -115,6 +116,7 @@ def _summary(frames: Sequence[Frame], found: Reconstruction) -> Markup:
             "reprojection error per coordinate": f"{found.reprojection_error / math.sqrt(2):.3g} px",
             "noise of a coordinate": f"{np.sqrt(found.noise_variance):.3g} px",
             "shape": "undetermined" if found.geometry == "none" else found.geometry,
+            "camera": camera_in_words(found),
             "rounds": f"{len(found.objective)}",
         }
     )

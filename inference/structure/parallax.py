@@ -111,11 +111,11 @@ def far_pairs(seen: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return []
 
 
-def flatter(places: Numbers, residuals: Numbers) -> bool:
-    """Whether homographies between pictures explain points clearly better than the shape in depth does.
+def variance_over_shape(places: Numbers, residuals: Numbers, most: float = MOST) -> float:
+    """Variance about homographies between pictures, in that about a shape in depth; NaN if it is not known.
 
-    They have a number fewer for each point, and as many for each picture; where they do better, what was
-    taken for depth is something else: of a plane, or a camera that turns, the perspective.
+    Homographies have a number fewer for each point, and as many for each picture. Where they do as well, what
+    was taken for depth is something else: of a plane, or a camera that turns, the perspective.
 
     Parameters
     ----------
@@ -123,16 +123,18 @@ def flatter(places: Numbers, residuals: Numbers) -> bool:
         `(n_frames, n_points, 2)` px where points were seen, NaN where not.
     residuals
         `(n_frames, n_points, 2)` px that the shape in depth leaves.
+    most
+        share of the points of a pair of pictures that counts, those that are explained best.
     """
     seen = ~np.isnan(places[..., 0])
     left = in_depth = 0.0
     for one, other in far_pairs(seen):
         both = seen[one] & seen[other]
-        most, off = _homography(places[one, both], places[other, both])
-        left += float(np.sum(off**2)) * off.size / (off.size - 8)
+        chosen, off = _homography(places[one, both], places[other, both], most)
+        left += float(np.sum(off**2)) * off.size / max(off.size - 8, 1)
         squares = np.sum(residuals[[one, other]][:, both] ** 2, axis=(0, 2))
-        in_depth += float(np.sum(np.sort(squares)[: len(most)]))
-    return 0 < AS_WELL * left <= in_depth
+        in_depth += float(np.sum(np.sort(squares)[: len(chosen)]))
+    return left / in_depth if in_depth > 0 else float("nan")
 
 
 def _kind(tracks: Numbers, seen: NDArray[np.bool_], pairs: list[tuple[int, int]]) -> tuple[Kind, float]:
@@ -147,8 +149,8 @@ def _kind(tracks: Numbers, seen: NDArray[np.bool_], pairs: list[tuple[int, int]]
     for one, other in pairs:
         both = seen[one] & seen[other]
         before, after = tracks[one, both] - middle, tracks[other, both] - middle
-        most, off = _homography(before, after)
-        before, after = before[most], after[most]
+        chosen, off = _homography(before, after)
+        before, after = before[chosen], after[chosen]
         parallax.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
         sums += [
             np.sum(squares) / (off.size - freedom)
@@ -169,13 +171,13 @@ def _kind(tracks: Numbers, seen: NDArray[np.bool_], pairs: list[tuple[int, int]]
     return "plane", amount
 
 
-def _homography(before: Numbers, after: Numbers) -> tuple[NDArray[np.intp], Numbers]:
+def _homography(before: Numbers, after: Numbers, most: float = MOST) -> tuple[NDArray[np.intp], Numbers]:
     """Most of the points, those that a homography explains best, and what it leaves of their second places.
 
     Least trimmed squares (Rousseeuw 1984): beginning with the least median of squares, the homography of the
     points that fitted best is fitted to those that fit best.
     """
-    count = max(int(np.ceil(MOST * len(before))), min(len(before), LEAST_SHARED))
+    count = max(int(np.ceil(most * len(before))), min(len(before), LEAST_SHARED))
     found, _ = cv2.findHomography(before, after, cv2.LMEDS)
     chosen, off = np.arange(len(before)), np.zeros_like(after)
     for _ in range(TRIMMED_STEPS):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.inference.structure.parallax import far_pairs, flatter, motion_of
+from rsmcm.inference.structure.parallax import far_pairs, motion_of, variance_over_shape
 
 from ...support.fruitless import tracks_in_depth, tracks_on_wall
 
@@ -53,6 +53,7 @@ def test_pairs_share_tracks(n_frames: int, n_tracks: int, seed: int) -> None:
 def test_a_shape_that_is_no_better_than_homographies() -> None:
     wall, deep = tracks_on_wall("rotation"), tracks_in_depth()
     noise = 0.2 * np.random.default_rng(1).standard_normal(wall.shape)
-    assert flatter(wall, 5 * noise), "of an affine camera, which knows no perspective"
-    assert not flatter(wall, noise)
-    assert not flatter(deep, 5 * noise)
+    assert variance_over_shape(wall, 5 * noise) == pytest.approx(1 / 25, rel=0.2)
+    assert variance_over_shape(wall, noise, 1.0) == pytest.approx(1, rel=0.2)
+    assert variance_over_shape(deep, 5 * noise) > 3
+    assert np.isnan(variance_over_shape(wall[:, :5], noise[:, :5]))
