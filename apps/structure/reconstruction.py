@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains import FactorStructure, PointTracker
+from ...chains import FactorStructure, FeatureMatcher, PointTracker
 from ...chains.factor_structure import StructureTrajectory
 from ...inference import CoordinateAscent, MultiChain, Solution
 from ...inference.factor_analysis.factorisation import Factorisation, predicted
@@ -140,7 +140,10 @@ def engine_for(frames: Sequence[Frame], coherence: Coherence, association: Assoc
     points = PointTracks(noise=noise_of_tracks(frames)) if given else PointTracks()
     shape = FactorStructure(coherence=coherence == "second-order", associate=dual)
     # what a tracker predicts comes from observations that the shape has as well, and would count twice over
-    model = MultiChain().connect(PointTracker(), points, feedback=False).connect(shape, points, feedback=dual)
+    model = MultiChain().connect(PointTracker(), points, feedback=False)
+    if not given:
+        model.connect(FeatureMatcher(), points, feedback=False)
+    model.connect(shape, points, feedback=dual)
     return CoordinateAscent(model, MOST_ROUNDS)
 
 
