@@ -287,7 +287,7 @@ def test_evidence_is_asked_once_a_frame_with_what_all_chains_predict() -> None:
 
 
 def test_what_is_predicted_for_the_search_is_heard_by_nobody_else() -> None:
-    """Chains that listen are asked twice; what they hear of each other is what is said when it was searched."""
+    """Chains that listen are asked twice; they hear of each other what is said afterwards."""
     kinds = {"b": CavityListener, "c": CavityListener}
     tables = random_model(rng(), [("a", "f"), ("b", "f"), ("c", "f")], kinds)
     node = tables.features["f"]
