@@ -207,7 +207,7 @@ def _observations(
 ) -> tuple[Numbers, NDArray[np.bool_]]:
     """What frames show of each point: `(n_frames, n_points, 2)` px, NaN where nothing, and where something.
 
-    Where several tracks show a point at once, their mean counts.
+    Where several tracks show a point at once, their mean counts; what was taken for an outlier does not.
     """
     sums = np.zeros((len(solution.frames), n_points, 2))
     counts = np.zeros((len(solution.frames), n_points))
@@ -217,7 +217,7 @@ def _observations(
         known = place < len(found.identities)
         known[known] = found.identities[place[known]] == identities[known]
         points = np.full(len(identities), -1)
-        points[known] = found.point_of_track[place[known]]
+        points[known] = np.where(found.trusted[time, place[known]], found.point_of_track[place[known]], -1)
         taken = points >= 0
         np.add.at(sums[time], points[taken], means[taken])
         np.add.at(counts[time], points[taken], 1)
