@@ -128,6 +128,11 @@ class Texture:
             LearnedGain.first(n_experts, n_texels) if learn else None,
         )
 
+    def forgotten(self) -> Self:
+        """As before anything was seen."""
+        n_experts, n_levels, n_texels = self.mean.shape
+        return self.unknown(n_experts, n_levels, n_texels, learn=self.learned is not None)
+
     def of(self, parents: NDArray[np.int64]) -> Self:
         """Textures of the children of `parents`."""
         return replace(
