@@ -32,14 +32,19 @@ def _is_numeric(value: object) -> bool:
     return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
-_templates = jinja2.Environment(
-    loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
-    autoescape=True,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    keep_trailing_newline=True,
-    undefined=jinja2.StrictUndefined,
-)
+def templates_in(folder: Path) -> jinja2.Environment:
+    """Templates of HTML: what is not `Markup` is escaped, and names that are not given are errors."""
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folder),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+    )
+
+
+_templates = templates_in(Path(__file__).parent / "templates")
 _templates.filters["rounded"] = _rounded
 _templates.tests["numeric"] = _is_numeric
 _parts: Any = _templates.get_template("parts.html").module
