@@ -174,6 +174,11 @@ class Texture:
             LastingTexture(*np.zeros((2, n_experts, n_texels), np.float32)),
         )
 
+    def forgotten(self) -> Self:
+        """As before anything was seen."""
+        n_experts, n_levels, n_texels = self.mean.shape
+        return self.unknown(n_experts, n_levels, n_texels, learn=self.learned is not None)
+
     def of(self, parents: NDArray[np.int64]) -> Self:
         """Textures of the children of `parents`."""
         return replace(
