@@ -116,8 +116,12 @@ class FeatureTracks:
 
     @property
     def log_prior(self) -> float:
-        """Log probability of what is seen: each point is as likely anywhere in the picture."""
-        return -float(np.log(self.areas)[self.seen.frame].sum())
+        """Log probability of the features that were matched: they are as likely anywhere in the picture.
+
+        The same in all rounds: the features are there in any case, and evidence says how much likelier they
+        are where points are expected.
+        """
+        return -float(np.log(self.areas)[self.matched.frame].sum())
 
     def evidence(self) -> list[PointMessage]:
         """What each frame shows of the points."""
