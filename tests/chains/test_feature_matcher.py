@@ -9,6 +9,7 @@ from rsmcm.inference.core.protocols import Cavity, Port, Smoothed
 from rsmcm.inference.points.feature_tracks import FIRST_IDENTITY
 from rsmcm.models.core.frame import Frame, GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage
+from rsmcm.models.points.affine_camera import euclidean
 from rsmcm.models.points.point_tracks import PointMessage, PointTracks
 
 FILM = turntable(8, (288, 360), 5.0, seed=1)
@@ -176,3 +177,19 @@ def test_matches_that_others_contradict_do_not_count() -> None:
     assert before.sum() >= 30
     assert kept[before].mean() < 0.1  # at the rim nothing is said of them
     assert kept[~before].mean() > 0.97
+
+
+@pytest.mark.slow
+def test_a_turntable_at_ten_degrees_a_picture() -> None:
+    film = turntable()
+    matcher, shape = FeatureMatcher(), FactorStructure(coherence=False, associate=False)
+    model = MultiChain().connect(matcher, POINTS, feedback=False).connect(shape, POINTS)
+    *_, last = CoordinateAscent(model, 2).rounds(film.frames())
+    assert len(last[matcher].identities) > 2000
+    fit = last[shape].factorisation
+    rotations = euclidean(fit.cameras, fit.shape, fit.camera_covariance).rotations
+    turns = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
+    degrees = np.degrees(np.arccos((np.trace(turns, axis1=1, axis2=2) - 1) / 2))
+    # an affine camera before a body that is 16 radii away
+    assert abs(np.median(degrees) - 10) < 0.7
+    assert 9 < degrees.min() < degrees.max() < 11.2
