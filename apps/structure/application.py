@@ -34,6 +34,7 @@ from .diagnosis import (
     observations_of,
     too_little,
     without_false_depth,
+    without_tracks,
 )
 from .files import point_colours, write_cameras, write_ply, write_tracks
 from .job import StructureJob
@@ -136,7 +137,7 @@ class StructureRun(Run[StructureJob]):
         except NoShapeError as error:
             return self._nothing(no_points(film.frames, followed(film.frames), str(error)))
         found = reconstruction_of(solution, film.n_tracks)
-        if not found.n_points:
+        if without_tracks(found, from_images=film.n_tracks is None):
             return self._nothing(no_points(film.frames, observations_of(solution), ""))
         lens, about_lens = lens_of(film.frames, job.focal, next(iter(film.pictures), None))
         found = without_false_depth(

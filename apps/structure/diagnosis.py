@@ -171,27 +171,35 @@ def no_depth(found: Reconstruction) -> Diagnosis:
     )
 
 
+def without_tracks(found: Reconstruction, from_images: bool) -> bool:
+    """Whether there is no point, or half of those that pictures show are in too few views to be any."""
+    lives = found.observed.sum(axis=0)
+    return not len(lives) or (from_images and bool(np.median(lives) < FEWEST_FRAMES))
+
+
 def without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruction:
     """The reconstruction, without its shape if what was taken for depth is none.
 
     Before affine cameras, perspective may have been: then homographies explain clearly more than the shape. A
     perspective camera explains them too, with any depth if it stays where it is, or with any focal length if
     it sees a plane: then homographies explain as much. Or, where tracks are `from_images` and the shape is
-    known up to an affine map only, there is less parallax than a tracker makes by itself.
+    known up to an affine map or before a perspective camera, there is less parallax than a tracker makes by
+    itself.
     """
     if found.geometry == "none":
         return found
     places = np.where(found.observed[..., None], found.places, np.nan)
-    lens = found.perspective
+    motion, lens = motion_of(places), found.perspective
+    still = from_images and motion.parallax < LASTING
     ratio = variance_over_shape(places, found.residuals, MOST if lens is None else 1.0)
     reason = ""
     if lens is None and ratio * AS_WELL <= 1:
         reason = "homographies, which know no depth, explain the tracks better than a shape does"
-    elif lens is not None and ratio <= AS_WELL:
+    elif lens is not None and (ratio <= AS_WELL or still):
         known = lens.curvature_deviation == 0  # the focal length is given
-        if not (known and motion_of(places).kind == "plane"):
+        if not (known and motion.kind == "plane"):
             reason = "homographies, which know no depth, explain the tracks as well as a shape does"
-    elif from_images and found.geometry == "affine" and motion_of(places).parallax < LASTING:
+    elif still and found.geometry == "affine":
         reason = "points move against each other by less than a tracker errs"
     if not reason:
         return found

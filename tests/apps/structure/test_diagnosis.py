@@ -113,7 +113,7 @@ def pictures(kind: str) -> list[Image]:
         ("one", "1 frame to look at, and 3 are needed", "several sides"),
         ("grey", "0 points can be followed, and 4 are needed", "grey levels deviate by 0 of 255"),
         ("dot", "points can be followed, and 4 are needed", "Only corners can be followed"),
-        ("noise", "tracks became a point of a shape", "Half of the tracks live 1 frames or fewer"),
+        ("noise", "0 points can be followed, and 4 are needed", "must stay in view"),
     ],
 )
 def test_pictures(
