@@ -25,7 +25,7 @@ from ..runs.progress import Progress
 from ..runs.run import Run
 from ..runs.saved_run import STATE, about_of, check_source
 from ..view.page import VIEW, write_view
-from .camera import camera_in_words, in_perspective, lens_of
+from .camera import camera_in_words, in_its_camera, lens_of
 from .files import point_colours, write_cameras, write_ply, write_tracks
 from .job import StructureJob
 from .reconstruction import (
@@ -123,7 +123,9 @@ class StructureRun(Run[StructureJob]):
         after = None if saved is None else self._engine.load(saved, film.frames)[0]
         solution = self._ascended(after)
         lens, about_lens = lens_of(film.frames, job.focal, next(iter(film.pictures), None))
-        found = in_perspective(reconstruction_of(solution, film.n_tracks), job.camera, lens)
+        by_squares = reconstruction_of(solution, film.n_tracks)
+        coherent = job.coherence == "second-order"
+        found = in_its_camera(by_squares, job.camera, lens, coherent=coherent)
         try:
             _check_found(film.name, found)
         except ValueError:
@@ -131,7 +133,7 @@ class StructureRun(Run[StructureJob]):
             raise
         lost = film.stream is not None and film.stream["lost"] is not None
         self._ended_early = lost or self.interruption.signal is not None
-        summary = self._written(found, about_lens)
+        summary = self._written(found, by_squares, about_lens)
         if not self._ended_early:
             self._save(solution, finished=summary)
         return self.outcome(summary, signalled=self._ended_early)
@@ -168,8 +170,11 @@ class StructureRun(Run[StructureJob]):
         self._engine.save(self._state, solution, self.about(finished))
         self._is_saved = True
 
-    def _written(self, found: Reconstruction, about_lens: str) -> dict[str, Any]:
-        """Write all results; return the content of `summary.json`."""
+    def _written(self, found: Reconstruction, by_squares: Reconstruction, about_lens: str) -> dict[str, Any]:
+        """Write all results; return the content of `summary.json`.
+
+        `by_squares` is what the chains found: affine cameras by least squares, outliers and all.
+        """
         folder, film, frames = self.job.out, self._film, self._film.frames
         notes = [*film.notes, *_notes(found, film.n_tracks is not None)]
         if found.perspective is not None and about_lens:
@@ -193,6 +198,8 @@ class StructureRun(Run[StructureJob]):
             "observations": found.n_observations,
             "reprojection_rmse_px": found.reprojection_error,
             "reprojection_rmse_px_per_coordinate": found.reprojection_error / math.sqrt(2),
+            "outliers": by_squares.n_observations - found.n_observations,
+            "affine_least_squares_rmse_px_per_coordinate": by_squares.reprojection_error / math.sqrt(2),
             "noise_px": float(np.sqrt(found.noise_variance)),
             "camera": "affine" if found.perspective is None else "perspective",
             "camera_in_words": camera_in_words(found),

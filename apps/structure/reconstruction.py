@@ -158,8 +158,27 @@ def reconstruction_of(solution: Solution, n_tracks: int | None) -> Reconstructio
     found: StructureTrajectory = solution["structure"]
     tracks: PointTrajectory = solution["tracker"]
     fit = found.factorisation
-    positions, covariances = predicted(fit)
     observations, observed = _observations(solution, found, len(fit.shape))
+    affine = before_affine_cameras(observations, fit)
+    point_of = dict(zip(found.identities.tolist(), found.point_of_track.tolist(), strict=True))
+    for absorbed, by in tracks.absorbed.tolist():
+        point_of[absorbed] = point_of.get(by, -1)
+    everybody = sorted(point_of) if n_tracks is None else range(n_tracks)
+    return Reconstruction(
+        observed=observed,
+        residuals=observations - affine["positions"],
+        point_of_track=np.array([point_of.get(identity, -1) for identity in everybody], np.int64),
+        noise_variance=found.noise,
+        objective=tuple(report.objective for report in solution.rounds),
+        converged=solution.converged,
+        predictions=recorded_predictions(solution),
+        **affine,
+    )
+
+
+def before_affine_cameras(observations: Numbers, fit: Factorisation) -> dict[str, Any]:
+    """Positions, cameras and shape of a reconstruction, and how far these are determined."""
+    positions, covariances = predicted(fit)
     geometry, reason = _geometry(observations, fit)
     cameras, shape, shape_covariances = fit.cameras, fit.shape, fit.shape_covariance
     if geometry != "none":
@@ -167,26 +186,15 @@ def reconstruction_of(solution: Solution, n_tracks: int | None) -> Reconstructio
         geometry, reason = ("euclidean", "") if metric.determined else ("affine", metric.reason)
         cameras, shape = metric.cameras, metric.shape
         shape_covariances = metric.transform @ shape_covariances @ metric.transform.T
-    point_of = dict(zip(found.identities.tolist(), found.point_of_track.tolist(), strict=True))
-    for absorbed, by in tracks.absorbed.tolist():
-        point_of[absorbed] = point_of.get(by, -1)
-    everybody = sorted(point_of) if n_tracks is None else range(n_tracks)
-    return Reconstruction(
-        positions=positions,
-        covariances=covariances,
-        observed=observed,
-        residuals=observations - positions,
-        point_of_track=np.array([point_of.get(identity, -1) for identity in everybody], np.int64),
-        cameras=cameras,
-        shape=shape,
-        shape_covariances=shape_covariances,
-        noise_variance=found.noise,
-        objective=tuple(report.objective for report in solution.rounds),
-        converged=solution.converged,
-        geometry=geometry,
-        reason=reason,
-        predictions=recorded_predictions(solution),
-    )
+    return {
+        "positions": positions,
+        "covariances": covariances,
+        "cameras": cameras,
+        "shape": shape,
+        "shape_covariances": shape_covariances,
+        "geometry": geometry,
+        "reason": reason,
+    }
 
 
 def _geometry(observations: Numbers, fit: Factorisation) -> tuple[Geometry, str]:

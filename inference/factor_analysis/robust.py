@@ -46,6 +46,16 @@ class RobustFit:
     noise: StudentNoise
     log_likelihood: float
 
+    def agrees(self, positions: Numbers, weights: Numbers) -> NDArray[np.bool_]:
+        """Whether there is an observation `(n_frames, n_points)`, and no outlier.
+
+        Arguments as of `robust_fit`. Frames and points that are not fitted have no outliers.
+        """
+        seen = weights > 0
+        squares = np.where(seen, np.sum((positions - projected(self.cameras, self.shape)) ** 2, axis=2), 0)
+        fitted = self.frames[:, None] & self.points
+        return seen & (self.noise.agrees(squares, weights) | ~fitted)
+
 
 def robust_fit(positions: ArrayLike, weights: ArrayLike, cameras: Numbers, shape: Numbers) -> RobustFit:
     """Make observations likelier, by weighted least squares whose weights follow from the round before.

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 from rsmcm.apps.io.sources.focal_length import DETAILS, focal_of_picture
 from rsmcm.apps.structure.camera import lens_of
+from rsmcm.inference.factor_analysis.factorisation import factorise, projected
 from rsmcm.models.core.frame import Frame, GivenPoints
 from scipy.spatial.transform import Rotation
 
@@ -106,6 +107,27 @@ def test_an_affine_camera_on_demand(source: Path, tmp_path: Path) -> None:
     cameras = json.loads((tmp_path / "out" / "cameras.json").read_text())
     assert cameras["camera"] == "affine"
     assert np.shape(cameras["frames"][0]["matrix"]) == (2, 4)
+
+
+def test_outliers_of_an_affine_film(tmp_path: Path) -> None:
+    """Positions are nearly as good as the noise allows, and far better than those by least squares."""
+    film = turning(5, widths=1000, distance=2000, n_points=60, n_frames=20, missing=0.4, outliers=0.05)
+    np.savez(tmp_path / "tracks.npz", tracks=film.tracks)
+    assert run(tmp_path / "tracks.npz", "--out", tmp_path / "out", *ALONE) == 0
+    summary = summary_of(tmp_path / "out")
+    assert "affine" in summary["camera_in_words"]
+    truth, _ = film.cameras.seen(film.shape)
+    n_wrong = np.count_nonzero(np.nan_to_num(np.abs(film.tracks - truth)).max(axis=2) > 3)
+    assert abs(summary["outliers"] - n_wrong) <= 0.2 * n_wrong
+    with np.load(tmp_path / "out" / "tracks.npz") as tracks:
+        errors = np.linalg.norm(tracks["position"] - truth, axis=2)
+    seen = film.weights > 0
+    assert np.sqrt(np.mean(errors[seen] ** 2)) < 0.5
+    by_squares = factorise(film.tracks)
+    errors = np.linalg.norm(projected(by_squares.cameras, by_squares.shape) - truth, axis=2)
+    assert np.sqrt(np.mean(errors[seen] ** 2)) > 2
+    wanted = pytest.approx(by_squares.rmse, rel=1e-6)
+    assert summary["affine_least_squares_rmse_px_per_coordinate"] == wanted
 
 
 def test_a_given_focal_length(source: Path, tmp_path: Path, film: PerspectiveFilm) -> None:
