@@ -7,14 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ...inference.factor_analysis.factorisation import factorise
-from ...inference.factor_analysis.observations import Numbers
-from ...inference.factor_analysis.robust import robust_fit
+from ...inference.perspective.affine_fit import affine_fit
 from ...inference.perspective.structure import Lens, PerspectiveStructure, perspective_structure
 from ...models.core.frame import Frame
 from ..io.sources.focal_length import focal_of_picture
 from .job import Camera
-from .reconstruction import FEWEST_POINTS, Reconstruction, before_affine_cameras
+from .reconstruction import FEWEST_POINTS, Reconstruction
 
 FEWEST_VIEWS = 2
 """That agree about a point before a perspective camera."""
@@ -46,60 +44,35 @@ def lens_of(frames: Sequence[Frame], focal: float | None, picture: Path | None) 
     return Lens((max(height, 1), max(width, 1)), focal), note
 
 
-def in_its_camera(found: Reconstruction, camera: Camera, lens: Lens, *, coherent: bool) -> Reconstruction:
-    """The same before the camera that is wanted, and without outliers.
+def in_perspective(found: Reconstruction, camera: Camera, lens: Lens) -> Reconstruction:
+    """The same before a perspective camera, if that is wanted.
 
-    Observations that hardly count under Student's noise are taken for such. Before a perspective camera a
-    point is one if `FEWEST_VIEWS` agree about it.
+    Observations that do not agree with it are taken for outliers, and a point is one if `FEWEST_VIEWS` are
+    left.
 
     Parameters
     ----------
     found
-        before affine cameras, by least squares.
+        before affine cameras.
     camera
         `"auto"`: perspective if that explains the observations better than affine cameras do.
     lens
         what is known of it.
-    coherent
-        whether affine cameras move smoothly.
     """
-    if found.n_points < FEWEST_POINTS:
+    if camera == "affine" or found.n_points < FEWEST_POINTS:
         return found
     places, weights = found.places, found.observed.astype(np.float64)
-    robust = robust_fit(places, weights, found.cameras, found.shape)
-    perspective = None if camera == "affine" else perspective_structure(places, weights, robust, lens)
-    if perspective is not None and (camera == "perspective" or perspective.better_than(robust)):
-        return _in_perspective(found, perspective, places, weights)
-    if camera == "affine":
-        reason = ""
-    elif perspective is None:
-        reason = "no perspective camera was found"
-    elif perspective.focal_determined:
-        reason = "it explains the tracks better than a perspective one with square pixels does"
-    else:
-        reason = "the tracks show no perspective"
-    found = replace(found, affine_reason=reason)
-    agreeing = robust.agrees(places, weights)
-    if np.array_equal(agreeing, found.observed):
-        return found
-    observations = np.where(agreeing[..., None], places, np.nan)
-    try:
-        fit = factorise(places, robust.weights, coherence=coherent, start=robust.cameras)
-        affine = before_affine_cameras(observations, fit)
-    except ValueError:  # what is left does not hang together any more
-        return found
-    return replace(
-        found,
-        observed=agreeing,
-        residuals=observations - affine["positions"],
-        noise_variance=robust.noise.variance,
-        **affine,
-    )
-
-
-def _in_perspective(
-    found: Reconstruction, perspective: PerspectiveStructure, places: Numbers, weights: Numbers
-) -> Reconstruction:
+    robust = affine_fit(places, weights, found.cameras, found.shape)
+    perspective = perspective_structure(places, weights, robust, lens)
+    if perspective is None:
+        return replace(found, affine_reason="no perspective camera was found")
+    if camera == "auto" and not perspective.better_than(robust):
+        reason = (
+            "it explains the tracks better than a perspective one with square pixels does"
+            if perspective.focal_determined
+            else "the tracks show no perspective"
+        )
+        return replace(found, affine_reason=reason)
     agreeing = perspective.agrees(places, weights)
     kept = np.count_nonzero(agreeing, axis=0) >= FEWEST_VIEWS
     perspective, observed = perspective.of_points(kept), agreeing[:, kept]

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains import FactorStructure, PointTracker
+from ...chains import FactorStructure, FeatureMatcher, PointTracker
 from ...chains.factor_structure import StructureTrajectory
 from ...inference import CoordinateAscent, MultiChain, Solution
 from ...inference.factor_analysis.factorisation import Factorisation, predicted
@@ -140,7 +140,10 @@ def engine_for(frames: Sequence[Frame], coherence: Coherence, association: Assoc
     points = PointTracks(noise=noise_of_tracks(frames)) if given else PointTracks()
     shape = FactorStructure(coherence=coherence == "second-order", associate=dual)
     # what a tracker predicts comes from observations that the shape has as well, and would count twice over
-    model = MultiChain().connect(PointTracker(), points, feedback=False).connect(shape, points, feedback=dual)
+    model = MultiChain().connect(PointTracker(), points, feedback=False)
+    if not given:
+        model.connect(FeatureMatcher(), points, feedback=False)
+    model.connect(shape, points, feedback=dual)
     return CoordinateAscent(model, MOST_ROUNDS)
 
 
@@ -158,27 +161,8 @@ def reconstruction_of(solution: Solution, n_tracks: int | None) -> Reconstructio
     found: StructureTrajectory = solution["structure"]
     tracks: PointTrajectory = solution["tracker"]
     fit = found.factorisation
-    observations, observed = _observations(solution, found, len(fit.shape))
-    affine = before_affine_cameras(observations, fit)
-    point_of = dict(zip(found.identities.tolist(), found.point_of_track.tolist(), strict=True))
-    for absorbed, by in tracks.absorbed.tolist():
-        point_of[absorbed] = point_of.get(by, -1)
-    everybody = sorted(point_of) if n_tracks is None else range(n_tracks)
-    return Reconstruction(
-        observed=observed,
-        residuals=observations - affine["positions"],
-        point_of_track=np.array([point_of.get(identity, -1) for identity in everybody], np.int64),
-        noise_variance=found.noise,
-        objective=tuple(report.objective for report in solution.rounds),
-        converged=solution.converged,
-        predictions=recorded_predictions(solution),
-        **affine,
-    )
-
-
-def before_affine_cameras(observations: Numbers, fit: Factorisation) -> dict[str, Any]:
-    """Positions, cameras and shape of a reconstruction, and how far these are determined."""
     positions, covariances = predicted(fit)
+    observations, observed = _observations(solution, found, len(fit.shape))
     geometry, reason = _geometry(observations, fit)
     cameras, shape, shape_covariances = fit.cameras, fit.shape, fit.shape_covariance
     if geometry != "none":
@@ -186,15 +170,26 @@ def before_affine_cameras(observations: Numbers, fit: Factorisation) -> dict[str
         geometry, reason = ("euclidean", "") if metric.determined else ("affine", metric.reason)
         cameras, shape = metric.cameras, metric.shape
         shape_covariances = metric.transform @ shape_covariances @ metric.transform.T
-    return {
-        "positions": positions,
-        "covariances": covariances,
-        "cameras": cameras,
-        "shape": shape,
-        "shape_covariances": shape_covariances,
-        "geometry": geometry,
-        "reason": reason,
-    }
+    point_of = dict(zip(found.identities.tolist(), found.point_of_track.tolist(), strict=True))
+    for absorbed, by in tracks.absorbed.tolist():
+        point_of[absorbed] = point_of.get(by, -1)
+    everybody = sorted(point_of) if n_tracks is None else range(n_tracks)
+    return Reconstruction(
+        positions=positions,
+        covariances=covariances,
+        observed=observed,
+        residuals=observations - positions,
+        point_of_track=np.array([point_of.get(identity, -1) for identity in everybody], np.int64),
+        cameras=cameras,
+        shape=shape,
+        shape_covariances=shape_covariances,
+        noise_variance=found.noise,
+        objective=tuple(report.objective for report in solution.rounds),
+        converged=solution.converged,
+        geometry=geometry,
+        reason=reason,
+        predictions=recorded_predictions(solution),
+    )
 
 
 def _geometry(observations: Numbers, fit: Factorisation) -> tuple[Geometry, str]:
@@ -212,7 +207,7 @@ def _observations(
 ) -> tuple[Numbers, NDArray[np.bool_]]:
     """What frames show of each point: `(n_frames, n_points, 2)` px, NaN where nothing, and where something.
 
-    Where several tracks show a point at once, their mean counts.
+    Where several tracks show a point at once, their mean counts; what was taken for an outlier does not.
     """
     sums = np.zeros((len(solution.frames), n_points, 2))
     counts = np.zeros((len(solution.frames), n_points))
@@ -222,7 +217,7 @@ def _observations(
         known = place < len(found.identities)
         known[known] = found.identities[place[known]] == identities[known]
         points = np.full(len(identities), -1)
-        points[known] = found.point_of_track[place[known]]
+        points[known] = np.where(found.trusted[time, place[known]], found.point_of_track[place[known]], -1)
         taken = points >= 0
         np.add.at(sums[time], points[taken], means[taken])
         np.add.at(counts[time], points[taken], 1)
