@@ -51,9 +51,9 @@ def in_perspective(
 ) -> Reconstruction:
     """The same before a perspective camera, if that is wanted.
 
-    What does not fit affine cameras has another chance: outliers count again, and a track that showed no point
-    is one of its own. What does not agree with the perspective camera either is an outlier, and a point is one
-    if `FEWEST_VIEWS` agree about it.
+    What does not fit affine cameras has another chance: outliers count again, and a track that showed no
+    point is one of its own. What does not agree with the perspective camera either is an outlier, and a point
+    is one if `FEWEST_VIEWS` agree about it.
 
     Parameters
     ----------
