@@ -140,9 +140,8 @@ class StructureRun(Run[StructureJob]):
         if without_tracks(found, from_images=film.n_tracks is None):
             return self._nothing(no_points(film.frames, observations_of(solution), ""))
         lens, about_lens = lens_of(film.frames, job.focal, next(iter(film.pictures), None))
-        found = without_false_depth(
-            in_perspective(found, job.camera, lens), from_images=film.n_tracks is None
-        )
+        found = in_perspective(found, solution, film.n_tracks, job.camera, lens)
+        found = without_false_depth(found, from_images=film.n_tracks is None)
         lost = film.stream is not None and film.stream["lost"] is not None
         self._ended_early = lost or self.interruption.signal is not None
         summary = self._written(found, about_lens)

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ...chains.factor_structure import StructureTrajectory
+from ...inference import Solution
 from ...inference.perspective.affine_fit import affine_fit
 from ...inference.perspective.structure import Lens, PerspectiveStructure, perspective_structure
 from ...models.core.frame import Frame
 from ..io.sources.focal_length import focal_of_picture
 from .job import Camera
-from .reconstruction import FEWEST_POINTS, Reconstruction
+from .reconstruction import FEWEST_POINTS, Reconstruction, observations_of_points, points_of_tracks
 
 FEWEST_VIEWS = 2
 """That agree about a point before a perspective camera."""
@@ -44,16 +46,21 @@ def lens_of(frames: Sequence[Frame], focal: float | None, picture: Path | None) 
     return Lens((max(height, 1), max(width, 1)), focal), note
 
 
-def in_perspective(found: Reconstruction, camera: Camera, lens: Lens) -> Reconstruction:
+def in_perspective(
+    found: Reconstruction, solution: Solution, n_tracks: int | None, camera: Camera, lens: Lens
+) -> Reconstruction:
     """The same before a perspective camera, if that is wanted.
 
-    Observations that do not agree with it are taken for outliers, and a point is one if `FEWEST_VIEWS` are
-    left.
+    What does not fit affine cameras has another chance: outliers count again, and a track that showed no
+    point is one of its own. What does not agree with the perspective camera either is an outlier, and a point
+    is one if `FEWEST_VIEWS` agree about it.
 
     Parameters
     ----------
     found
         before affine cameras.
+    solution, n_tracks
+        what it was read from, by `reconstruction_of`.
     camera
         `"auto"`: perspective if that explains the observations better than affine cameras do.
     lens
@@ -61,8 +68,15 @@ def in_perspective(found: Reconstruction, camera: Camera, lens: Lens) -> Reconst
     """
     if camera == "affine" or found.n_points < FEWEST_POINTS:
         return found
-    places, weights = found.places, found.observed.astype(np.float64)
-    robust = affine_fit(places, weights, found.cameras, found.shape)
+    chain: StructureTrajectory = solution["structure"]
+    point_of_track, alone = chain.point_of_track.copy(), chain.point_of_track < 0
+    n_alone = int(np.count_nonzero(alone))
+    point_of_track[alone] = found.n_points + np.arange(n_alone)
+    chain = replace(chain, point_of_track=point_of_track, trusted=np.ones_like(chain.trusted))
+    places, observed = observations_of_points(solution, chain, found.n_points + n_alone)
+    weights = observed.astype(np.float64)
+    shape = np.concatenate([found.shape, np.zeros((n_alone, 3))])
+    robust = affine_fit(places, weights, found.cameras, shape)
     perspective = perspective_structure(places, weights, robust, lens)
     if perspective is None:
         return replace(found, affine_reason="no perspective camera was found")
@@ -77,14 +91,14 @@ def in_perspective(found: Reconstruction, camera: Camera, lens: Lens) -> Reconst
     kept = np.count_nonzero(agreeing, axis=0) >= FEWEST_VIEWS
     perspective, observed = perspective.of_points(kept), agreeing[:, kept]
     residuals = np.where(observed[..., None], places[:, kept] - perspective.positions, np.nan)
-    numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # the last one is that of no point
+    chain = replace(chain, point_of_track=np.where(kept, np.cumsum(kept) - 1, -1)[chain.point_of_track])
     return replace(
         found,
         positions=perspective.positions,
         covariances=perspective.covariances,
         observed=observed,
         residuals=residuals,
-        point_of_track=numbers[found.point_of_track],
+        point_of_track=points_of_tracks(solution, chain, n_tracks),
         cameras=perspective.cameras.affine,
         shape=perspective.shape,
         shape_covariances=perspective.shape_covariance,

@@ -159,10 +159,9 @@ def reconstruction_of(solution: Solution, n_tracks: int | None) -> Reconstructio
         images.
     """
     found: StructureTrajectory = solution["structure"]
-    tracks: PointTrajectory = solution["tracker"]
     fit = found.factorisation
     positions, covariances = predicted(fit)
-    observations, observed = _observations(solution, found, len(fit.shape))
+    observations, observed = observations_of_points(solution, found, len(fit.shape))
     geometry, reason = _geometry(observations, fit)
     cameras, shape, shape_covariances = fit.cameras, fit.shape, fit.shape_covariance
     if geometry != "none":
@@ -170,16 +169,12 @@ def reconstruction_of(solution: Solution, n_tracks: int | None) -> Reconstructio
         geometry, reason = ("euclidean", "") if metric.determined else ("affine", metric.reason)
         cameras, shape = metric.cameras, metric.shape
         shape_covariances = metric.transform @ shape_covariances @ metric.transform.T
-    point_of = dict(zip(found.identities.tolist(), found.point_of_track.tolist(), strict=True))
-    for absorbed, by in tracks.absorbed.tolist():
-        point_of[absorbed] = point_of.get(by, -1)
-    everybody = sorted(point_of) if n_tracks is None else range(n_tracks)
     return Reconstruction(
         positions=positions,
         covariances=covariances,
         observed=observed,
         residuals=observations - positions,
-        point_of_track=np.array([point_of.get(identity, -1) for identity in everybody], np.int64),
+        point_of_track=points_of_tracks(solution, found, n_tracks),
         cameras=cameras,
         shape=shape,
         shape_covariances=shape_covariances,
@@ -202,7 +197,19 @@ def _geometry(observations: Numbers, fit: Factorisation) -> tuple[Geometry, str]
     return "affine", ""
 
 
-def _observations(
+def points_of_tracks(
+    solution: Solution, found: StructureTrajectory, n_tracks: int | None
+) -> NDArray[np.int64]:
+    """The point of each track `(n_tracks,)`, -1 for none; also of those that the tracker took for another."""
+    tracks: PointTrajectory = solution["tracker"]
+    point_of = dict(zip(found.identities.tolist(), found.point_of_track.tolist(), strict=True))
+    for absorbed, by in tracks.absorbed.tolist():
+        point_of[absorbed] = point_of.get(by, -1)
+    everybody = sorted(point_of) if n_tracks is None else range(n_tracks)
+    return np.array([point_of.get(identity, -1) for identity in everybody], np.int64)
+
+
+def observations_of_points(
     solution: Solution, found: StructureTrajectory, n_points: int
 ) -> tuple[Numbers, NDArray[np.bool_]]:
     """What frames show of each point: `(n_frames, n_points, 2)` px, NaN where nothing, and where something.

@@ -12,6 +12,9 @@ Numbers = NDArray[np.float64]
 HEAVIEST, LIGHTEST = 3.0, 100.0
 """Degrees of freedom that are considered: Cauchy's distribution, and one that is as good as normal."""
 
+HARDLY = 0.1
+"""Share of its weight that is left to an outlier; with the heaviest tails it is reached at 5 deviations."""
+
 MOST_ROUNDS = 50
 ACCURACY = 1e-4
 """Of the logarithm of the variance."""
@@ -80,6 +83,11 @@ class StudentNoise:
         """What each observation counts in least squares `(n,)`: `weight` less what makes it an outlier."""
         result: Numbers = weight * (self.freedom + 2) / (self.freedom + weight * squares / self.variance)
         return result
+
+    def agrees(self, squares: Numbers, weight: Numbers) -> NDArray[np.bool_]:
+        """Whether an observation is no outlier: it counts for `HARDLY` or more of one that fits."""
+        agreeing: NDArray[np.bool_] = weight * squares <= (1 / HARDLY - 1) * self.freedom * self.variance
+        return agreeing
 
     def log_likelihood(self, squares: Numbers, weight: Numbers) -> float:
         """Log density of errors `(n,)` px^2."""

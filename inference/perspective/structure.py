@@ -20,9 +20,6 @@ from .search import affine_starts, best_bundle, grown_starts
 
 Mask = NDArray[np.bool_]
 
-HARDLY = 0.1
-"""Share of the weight of an observation that fits; with the heaviest tails it is reached at 5 deviations."""
-
 
 @dataclass(frozen=True)
 class Lens:
@@ -106,14 +103,12 @@ class PerspectiveStructure:
         return (self.cameras.curvature / self.curvature_deviation) ** 2 > math.log(self.observations)
 
     def agrees(self, positions: Numbers, weights: Numbers) -> Mask:
-        """Whether an observation `(n_frames, n_points)` is none of those that hardly count.
+        """Whether there is an observation `(n_frames, n_points)`, and no outlier.
 
-        Arguments as of `perspective_structure`. Of an outlier Student's noise leaves less than `HARDLY` of
-        the weight of an observation that fits.
+        Arguments as of `perspective_structure`.
         """
         squares = np.sum((positions - self.positions) ** 2, axis=2)
-        ratios = weights * np.nan_to_num(squares) / (self.noise.freedom * self.noise.variance)
-        agreeing: Mask = (weights > 0) & (1 / (1 + ratios) >= HARDLY)
+        agreeing: Mask = (weights > 0) & self.noise.agrees(np.where(weights > 0, squares, 0), weights)
         return agreeing
 
     def of_points(self, points: Mask) -> Self:

@@ -1,6 +1,7 @@
 """The camera of a film, as a user asks for it and is told of it."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
@@ -80,8 +81,7 @@ def test_colmap_reads_back_as_the_format_says(finished: Path) -> None:
     images = {}
     rows = lines("images.txt")
     for pose, points in zip(rows[::2], rows[1::2], strict=True):
-        w, x, y, z = map(float, pose[1:5])
-        rotation = Rotation.from_quat([x, y, z, w]).as_matrix()
+        rotation = Rotation.from_quat(np.array(pose[1:5], float)[[1, 2, 3, 0]]).as_matrix()
         assert pose[8] == "1"
         images[int(pose[0])] = rotation, np.array(pose[5:8], float), np.array(points, float).reshape(-1, 3)
     assert list(images) == list(range(1, 21))
@@ -134,7 +134,7 @@ def test_focal_lengths_that_cannot_be(
     assert not (tmp_path / "out").exists()
 
 
-def picture_with(path: Path, details: dict[int, object]) -> Path:
+def picture_with(path: Path, details: Mapping[int, object]) -> Path:
     exif = Image.Exif()
     exif.get_ifd(DETAILS).update(details)
     Image.fromarray(np.zeros((300, 400), np.uint8)).save(path, exif=exif)
