@@ -177,13 +177,16 @@ def without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruct
     Before affine cameras, perspective may have been: then homographies explain clearly more than the shape. A
     perspective camera explains them too, with any depth if it stays where it is, or with any focal length if
     it sees a plane: then homographies explain as much. Or, where tracks are `from_images` and the shape is
-    known up to an affine map only, there is less parallax than a tracker makes by itself.
+    known up to an affine map only, or with the focal length, there is less parallax than a tracker makes by
+    itself.
     """
     if found.geometry == "none":
         return found
     places = np.where(found.observed[..., None], found.places, np.nan)
     lens = found.perspective
-    ratio = variance_over_shape(places, found.residuals, MOST if lens is None else 1.0)
+    most = MOST if lens is None else 1.0  # outliers are left out already
+    ratio = variance_over_shape(places, found.residuals, most)
+    uncertain = found.geometry == "affine" or (lens is not None and lens.curvature_deviation > 0)
     reason = ""
     if lens is None and ratio * AS_WELL <= 1:
         reason = "homographies, which know no depth, explain the tracks better than a shape does"
@@ -191,7 +194,7 @@ def without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruct
         known = lens.curvature_deviation == 0  # the focal length is given
         if not (known and motion_of(places).kind == "plane"):
             reason = "homographies, which know no depth, explain the tracks as well as a shape does"
-    elif from_images and found.geometry == "affine" and motion_of(places).parallax < LASTING:
+    if not reason and from_images and uncertain and motion_of(places, most).parallax < LASTING:
         reason = "points move against each other by less than a tracker errs"
     if not reason:
         return found
