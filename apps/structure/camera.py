@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...inference.factor_analysis.robust import robust_fit
+from ...inference.perspective.affine_fit import affine_fit
 from ...inference.perspective.structure import Lens, PerspectiveStructure, perspective_structure
 from ...models.core.frame import Frame
 from ..io.sources.focal_length import focal_of_picture
@@ -62,7 +62,7 @@ def in_perspective(found: Reconstruction, camera: Camera, lens: Lens) -> Reconst
     if camera == "affine" or found.n_points < FEWEST_POINTS:
         return found
     places, weights = found.places, found.observed.astype(np.float64)
-    robust = robust_fit(places, weights, found.cameras, found.shape)
+    robust = affine_fit(places, weights, found.cameras, found.shape)
     perspective = perspective_structure(places, weights, robust, lens)
     if perspective is None:
         return replace(found, affine_reason="no perspective camera was found")

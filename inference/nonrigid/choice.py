@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .learning import learn_shape, most_bases
+from .uncertainty import without_triangles
 
 Numbers = NDArray[np.float64]
 
@@ -81,8 +82,9 @@ def choose_bases(
         candidates = range(2, min(MOST_BASES, most_bases(partial)) + 1)
     squares = []
     for bases in candidates:
-        shapes = learn_shape(partial, bases, on_iteration=on_iteration).shapes()
-        squares.append(np.where(hidden, np.sum((shapes[..., :2] - positions) ** 2, axis=2) / 2, 0.0))
+        learned = learn_shape(partial, bases, on_iteration=on_iteration)
+        predicted = without_triangles(learned.bases).project(learned.poses)
+        squares.append(np.where(hidden, np.sum((predicted - positions) ** 2, axis=2) / 2, 0.0))
     blocks = np.array_split(np.arange(len(positions)), min(BLOCKS, len(positions)))
     sums = np.array([[each[block].sum() for block in blocks] for each in squares])
     total = hidden.sum()

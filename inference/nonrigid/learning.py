@@ -5,12 +5,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...models.face.pose import Poses
 from ...models.numerics.rotations import nearest_rotation
 from ...models.points.point_arrays import check_points
-from .em import Numbers, State, Tracks, WeightPosterior, e_step, point_sums, run_em
-from .shape import NonrigidShape, convex
-from .start import start
+from .comparison import MIRRORED, shape_error
+from .em import Numbers, State, Tracks, WeightPosterior, e_step, point_sums
+from .search import Found, search, whole_shapes
+from .shape import NonrigidShape, Rival, convex, posed
 from .uncertainty import basis_covariances, frame_covariances
 
 LEAST_FRAMES = 3
@@ -29,8 +29,9 @@ def learn_shape(
 ) -> NonrigidShape:
     """Learn a deformable shape by EM for probabilistic PCA (Torresani, Hertzmann and Bregler 2008).
 
-    See `em` for the model and the steps, `start` for where they start. The frames' order
-    matters only where a flat object's turns are doubtful. There are no random numbers in it.
+    See `em` for the model and the steps, `search` for where they start, and for modes beyond those that are
+    asked for. The frames' order matters only where a flat object's turns are doubtful. Equal tracks give
+    equal bytes.
 
     Parameters
     ----------
@@ -59,9 +60,8 @@ def learn_shape(
         raise ValueError("tracks: got points that all lie in one place, expected a shape")
     centred /= unit
     observed = Tracks.of(centred)
-    beginning = start(observed, centred, bases, on_iteration)
-    state, history = run_em(observed, beginning, iterations, tolerance, on_iteration)
-    return _in_pixels(observed, state, history, unit, middles, determined)
+    found = search(observed, centred, bases, most_bases(centred), iterations, tolerance, on_iteration)
+    return _in_pixels(observed, found, bases, unit, middles, determined)
 
 
 def _check(positions: Numbers, bases: int) -> NDArray[np.bool_]:
@@ -97,14 +97,10 @@ def most_bases(positions: Numbers) -> int:
 
 
 def _in_pixels(
-    tracks: Tracks,
-    state: State,
-    history: list[float],
-    unit: float,
-    middles: Numbers,
-    determined: NDArray[np.bool_],
+    tracks: Tracks, search: Found, n_bases: int, unit: float, middles: Numbers, determined: NDArray[np.bool_]
 ) -> NonrigidShape:
     """The result in px and in the axes and order that `NonrigidShape` promises."""
+    state = search.state
     found = e_step(state, point_sums(tracks, state.bases))
     turn = nearest_rotation(state.rotations.mean(axis=0))
     bases, rotations = state.bases @ turn.T, state.rotations @ turn.T
@@ -113,21 +109,21 @@ def _in_pixels(
     translations = state.translations + np.einsum("nca,nk,ka->nc", axes, found.extended, centroids)
     bases = bases - centroids[:, None]
     if not convex(bases[0]):
-        mirror = np.array([1.0, 1.0, -1.0])
-        bases, rotations = bases * mirror, mirror[:, None] * rotations * mirror
+        bases, rotations = bases * MIRRORED, MIRRORED[:, None] * rotations * MIRRORED
     flat = bases[1:, :, :2].reshape(len(bases) - 1, -1)
     order = np.linalg.eigh(flat @ flat.T)[1][:, ::-1]
     bases[1:] = np.tensordot(order.T, bases[1:], 1)
     size = float(np.sqrt(np.mean(np.sum(bases[0, :, :2] ** 2, axis=1))))
 
+    bases = bases / size
     noise = unit * float(np.sqrt(state.noise))
     weights = found.mean @ order
     spread = order.T @ found.covariance @ order
     scales = state.scales * size * unit
     translations = translations * unit + middles
     seen = tracks.seen > 0
-    extended = np.pad(weights, ((0, 0), (1, 0)), constant_values=1)
-    poses = Poses(rotations, translations, scales[:, None] * extended)
+    poses = posed(rotations, translations, scales, weights)
+    shapes = whole_shapes(tracks, state)
 
     def everywhere(values: Numbers) -> Numbers:
         whole = np.full((len(determined), *values.shape[1:]), np.nan)
@@ -135,18 +131,23 @@ def _in_pixels(
         return whole
 
     return NonrigidShape(
-        bases=bases / size,
-        weights=everywhere(weights),
+        bases=bases[:n_bases],
+        weights=everywhere(weights[:, : n_bases - 1]),
+        details=bases[n_bases:],
+        detail_weights=everywhere(weights[:, n_bases - 1 :]),
         rotations=everywhere(rotations),
         scales=everywhere(scales),
         translations=everywhere(translations),
         noise=noise,
         rmse=unit * float(np.sqrt(_squared_error(tracks, state, found) / tracks.count)),
         log_likelihood=float(found.log_likelihood.sum()) - tracks.count * float(np.log(unit)),
-        history=tuple(value - tracks.count * float(np.log(unit)) for value in history),
+        history=tuple(value - tracks.count * float(np.log(unit)) for value in search.history),
         frame_determined=determined,
-        frame_covariances=everywhere(frame_covariances(bases / size, poses, seen, noise)),
-        basis_covariances=basis_covariances(bases / size, poses, weights, spread, seen, noise),
+        frame_covariances=everywhere(frame_covariances(bases, poses, seen, noise)),
+        basis_covariances=basis_covariances(bases, poses, weights, spread, seen, noise),
+        rivals=tuple(
+            Rival(gap, shape_error(whole_shapes(tracks, other), shapes)) for gap, other in search.others
+        ),
     )
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ...models.core.short_repr import short_repr
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
-from .uncertainty import frame_changes
+from .uncertainty import frame_changes, without_triangles
 
 Numbers = NDArray[np.float64]
 
@@ -35,10 +35,11 @@ class NonrigidShape:
     """Mean shape and modes of deformation, and in each frame the pose and the weights of modes.
 
     Point j of frame t is seen at scale_t * (rotation_t @ (bases[0, j] + sum_k weights[t, k - 1] bases[k, j]))
-    + translation_t, of which x and y are seen, z points away from the viewer. The first basis has root mean
-    square distance 1 from its centroid, the origin, over x and y; weights are standard normal. The mean of
-    all rotations is the identity. Which of the two mirror images in depth it is, orthography cannot tell: it
-    is the one that is convex towards the viewer, as a face is.
+    + translation_t, of which x and y are seen, z points away from the viewer. Finer modes, `details`, are
+    added in the same way; they belong to the shape, though not to the bases that were asked for. The first
+    basis has root mean square distance 1 from its centroid, the origin, over x and y; weights are standard
+    normal. The mean of all rotations is the identity. Which of the two mirror images in depth it is,
+    orthography cannot tell: it is the one that is convex towards the viewer, as a face is.
 
     Parameters
     ----------
@@ -46,12 +47,15 @@ class NonrigidShape:
         `(n_bases, n_points, 3)`: mean shape, and modes in the order of their size.
     weights
         `(n_frames, n_bases - 1)`: posterior means.
+    details, detail_weights
+        `(n_details, n_points, 3)` and `(n_frames, n_details)`: the same for modes that are finer than those
+        of the bases, as many as the tracks tell; there may be none.
     rotations, scales, translations
         `(n_frames, 3, 3)`, `(n_frames,)` px, `(n_frames, 2)` px.
     noise
         px: standard deviation of a coordinate.
     rmse
-        px: root mean square, over coordinates of all that was seen, of what the shapes leave.
+        px: root mean square, over coordinates of all that was seen, of what `shapes()` leaves.
     log_likelihood
         nats, of the tracks in px, weights integrated out.
     history
@@ -59,17 +63,19 @@ class NonrigidShape:
     frame_determined
         `(n_frames,)` bool: the frame shows four points or more. Poses and weights of others are NaN.
     frame_covariances
-        `(n_frames, 6 + n_bases - 1, 6 + n_bases - 1)`: of a frame's turn (rad, about the camera's axes), the
-        logarithm of its scale, its translation (px) and its weights, given the bases.
+        `(n_frames, 6 + n_modes, 6 + n_modes)`: of a frame's turn (rad, about the camera's axes), the
+        logarithm of its scale, its translation (px), its weights and those of details, given the bases.
     basis_covariances
-        `(n_points, 3 n_bases, 3 n_bases)`: of a point's places in all bases, x, y, z of the first in front,
-        given poses and weights.
+        `(n_points, 3 (1 + n_modes), 3 (1 + n_modes))`: of a point's places in all bases and details, x, y, z
+        of the first in front, given poses and weights.
     rivals
         other optima of nearly equal likelihood, the likeliest first.
     """
 
     bases: Numbers
     weights: Numbers
+    details: Numbers
+    detail_weights: Numbers
     rotations: Numbers
     scales: Numbers
     translations: Numbers
@@ -85,9 +91,14 @@ class NonrigidShape:
     @property
     def poses(self) -> Poses:
         """Every frame's pose of `model()`."""
-        ones = np.ones((len(self.scales), 1))
-        morphs = self.scales[:, None] * np.concatenate([ones, self.weights], axis=1)
-        return Poses(self.rotations, self.translations, morphs)
+        return posed(self.rotations, self.translations, self.scales, self.weights)
+
+    @property
+    def _whole(self) -> tuple[Numbers, Poses]:
+        """Bases with details, and poses of them."""
+        weights = np.concatenate([self.weights, self.detail_weights], axis=1)
+        poses = posed(self.rotations, self.translations, self.scales, weights)
+        return np.concatenate([self.bases, self.details]), poses
 
     @property
     def relative_error(self) -> float:
@@ -98,19 +109,22 @@ class NonrigidShape:
         return float(np.sqrt(2) * self.rmse / np.nanmean(self.scales))
 
     def shapes(self) -> Numbers:
-        """`(n_frames, n_points, 3)` px: where points are seen, and how far behind the object's origin."""
-        positions: Numbers = self.model().positions(self.poses)
-        return positions
+        """`(n_frames, n_points, 3)` px: where points are seen, and how far behind the object's origin.
+
+        With all details: the best that is known of the points. `model().positions(poses)` are without.
+        """
+        bases, poses = self._whole
+        return without_triangles(bases).positions(poses)
 
     def shape_covariances(self) -> Numbers:
         """`(n_frames, n_points, 3, 3)` px^2: what the tracks leave open of `shapes()`.
 
         Frames given bases, and bases given frames, to first order; without the noise of observations.
         """
-        poses = self.poses
-        rows = frame_changes(self.bases, poses)
+        bases, poses = self._whole
+        rows = frame_changes(bases, poses)
         covariances: Numbers = rows @ self.frame_covariances[:, None] @ rows.transpose(0, 1, 3, 2)
-        n_bases, n_points, _ = self.bases.shape
+        n_bases, n_points, _ = bases.shape
         by_basis = self.basis_covariances.reshape(n_points, n_bases, 3, n_bases, 3)
         inner = np.einsum("nk,vkalb,nl->nvab", poses.morphs, by_basis, poses.morphs, optimize=True)
         turned = self.rotations[:, None]
@@ -120,6 +134,12 @@ class NonrigidShape:
     def model(self) -> MorphableModel:
         """The object's model, with triangles between neighbours as they are seen from the front."""
         return MorphableModel(self.bases, triangles_in_front(self.bases[0]))
+
+
+def posed(rotations: Numbers, translations: Numbers, scales: Numbers, weights: Numbers) -> Poses:
+    """Poses with weights `(n_frames, n_modes)` of modes in units of the scale."""
+    extended = np.pad(weights, ((0, 0), (1, 0)), constant_values=1)
+    return Poses(rotations, translations, scales[:, None] * extended)
 
 
 def convex(shape: Numbers) -> bool:

@@ -13,9 +13,14 @@ POSE = 6
 """Numbers of a frame before its weights: turn (rad), logarithm of scale, translation (px)."""
 
 
+def without_triangles(bases: Numbers) -> MorphableModel:
+    """Points of which only places are of interest."""
+    return MorphableModel(bases, np.zeros((0, 3), np.int64))
+
+
 def frame_changes(bases: Numbers, poses: Poses) -> Numbers:
     """d shape / d (turn, log scale, translation, weights): `(n_frames, n_points, 3, 6 + n_modes)` px."""
-    model = MorphableModel(bases, np.zeros((0, 3), np.int64))
+    model = without_triangles(bases)
     by_morph = model.jacobian_with_depth(poses)
     growth = model.turned(poses)[..., None]
     along_weights = poses.sizes[:, None, None, None] * by_morph[..., RIGID + 1 :]

@@ -97,7 +97,7 @@ def adjust(
     *,
     focal_known: bool,
     most_steps: int = 100,
-    tolerance: float = 0.01,
+    tolerance: float = 0.1,
 ) -> Bundle:
     """Go to the optimum from a start.
 

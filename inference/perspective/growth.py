@@ -36,6 +36,8 @@ NARROW = np.radians(1.5)
 
 LEAST_SHARED = 12
 """Points from which a camera is found: twice what it needs."""
+LEVELS = ((1, 1.0), (2 / 3, 0.5), (0.5, 0.2))
+"""Shares of `LEAST_SHARED` and of `NARROW` that are enough: less, when no other frame can be added."""
 SAMPLES = 200
 """Of points from which a camera is found, at most."""
 LEAST_AGREEING = 0.5
@@ -96,6 +98,7 @@ class _Growth:
         self._shape = np.zeros((n_points, 3))
         self._frames, self._points = np.zeros(n_frames, bool), np.zeros(n_points, bool)
         self._adjusted = 2
+        self._level = 0
 
     def result(self) -> tuple[PerspectiveCameras, Numbers, Mask]:
         """What has grown; see `grown`."""
@@ -181,7 +184,8 @@ class _Growth:
         shared[self._frames] = 0
         wanted = np.argsort(-shared, kind="stable")
         # those that show nearly as much as the best one do not have to wait for it
-        wanted = wanted[shared[wanted] >= max(LEAST_SHARED, MOSTLY * shared.max())]
+        least = LEVELS[self._level][0] * LEAST_SHARED
+        wanted = wanted[shared[wanted] >= max(least, MOSTLY * shared.max())]
         most = max(1, int((GROWTH - 1) * self._frames.sum()))
         added = 0
         for frame in wanted:
@@ -189,10 +193,12 @@ class _Growth:
             if added >= most:
                 break
         if not added:
-            return False
-        self._add_points()
-        if self._frames.sum() >= GROWTH * self._adjusted or self._frames.all():
+            if self._frames.all() or self._level + 1 == len(LEVELS):
+                return False
+            self._level += 1
+        if not added or self._frames.all() or self._frames.sum() >= GROWTH * self._adjusted:
             self._adjust()
+        self._add_points()
         return True
 
     def _resected(self, frame: int) -> bool:
@@ -227,7 +233,7 @@ class _Growth:
         good = near.sum(axis=1) >= 2
         first, last = near.argmax(axis=1), near.shape[1] - 1 - near[:, ::-1].argmax(axis=1)
         places = self._shape[points]
-        good &= _angles(places - centres[first], places - centres[last]) > NARROW
+        good &= _angles(places - centres[first], places - centres[last]) > LEVELS[self._level][1] * NARROW
         self._points[:] = False
         self._points[points[good]] = True
 

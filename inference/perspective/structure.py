@@ -12,8 +12,8 @@ from ...models.core.short_repr import short_repr
 from ...models.points.affine_camera import euclidean
 from ...models.points.perspective_camera import PerspectiveCameras
 from ..factor_analysis.observations import Listed, Numbers
-from ..factor_analysis.robust import RobustFit
 from ..factor_analysis.student_noise import StudentNoise
+from .affine_fit import AffineFit
 from .bundle_adjustment import Bundle, about, freedom, retriangulated
 from .covariance import BundleCovariance, covariance_of, predicted
 from .search import affine_starts, best_bundle, grown_starts
@@ -126,7 +126,7 @@ class PerspectiveStructure:
             covariances=self.covariances[:, points],
         )
 
-    def better_than(self, affine: RobustFit) -> bool:
+    def better_than(self, affine: AffineFit) -> bool:
         """Whether it explains the positions better than affine cameras do, by Schwarz's criterion (BIC).
 
         An affine camera has 8 numbers, and 12 of a film's are the choice of the shape's axes; a perspective
@@ -140,7 +140,7 @@ class PerspectiveStructure:
 
 
 def perspective_structure(
-    positions: Numbers, weights: Numbers, affine: RobustFit, lens: Lens
+    positions: Numbers, weights: Numbers, affine: AffineFit, lens: Lens
 ) -> PerspectiveStructure | None:
     """Find cameras, focal length and shape; `None` if no start is found.
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from rsmcm.inference.factor_analysis.factorisation import factorise
-from rsmcm.inference.factor_analysis.robust import robust_fit
+from rsmcm.inference.perspective.affine_fit import affine_fit
 from rsmcm.inference.perspective.structure import Lens, PerspectiveStructure, perspective_structure
 from rsmcm.models.numerics.rotations import logarithm
 from scipy.spatial.transform import Rotation
@@ -14,7 +14,7 @@ from ...support.perspective_films import PerspectiveFilm, table_top, turning
 def found_in(film: PerspectiveFilm, focal: float | None = None) -> tuple[PerspectiveStructure, bool]:
     """The structure, and whether it explains the film better than affine cameras."""
     fit = factorise(film.tracks, film.weights, coherence=True)
-    affine = robust_fit(film.tracks, film.weights, fit.cameras, fit.shape)
+    affine = affine_fit(film.tracks, film.weights, fit.cameras, fit.shape)
     found = perspective_structure(film.tracks, film.weights, affine, Lens(film.size, focal))
     assert found is not None
     return found, found.better_than(affine)
