@@ -10,13 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains import PointTracker
-from ...inference import CoordinateAscent, MultiChain, Solution
+from ...inference import CoordinateAscent, Solution
 from ...inference.structure.parallax import AS_WELL, MOST, Kind, Motion, motion_of, variance_over_shape
 from ...models.core.frame import Frame
 from ...models.core.grey import grey_of
-from ...models.points.point_tracks import PointTracks
-from .reconstruction import FEWEST_POINTS, Numbers, Reconstruction
+from .reconstruction import FEWEST_POINTS, Numbers, Reconstruction, following
 
 FEWEST_FRAMES = 3
 """Two views of a rigid thing leave its depth open."""
@@ -204,8 +202,7 @@ def without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruct
 def followed(frames: Sequence[Frame]) -> Numbers:
     """Tracks `(n_frames, n_tracks, 2)` px as they are followed without a shape, NaN where they are not
     seen."""
-    model = MultiChain().connect(PointTracker(), PointTracks())
-    return observations_of(CoordinateAscent(model, 1).run(frames))
+    return observations_of(CoordinateAscent(following(frames)[0], 1).run(frames))
 
 
 def observations_of(solution: Solution) -> Numbers:
