@@ -126,7 +126,10 @@ def no_points(frames: Sequence[Frame], tracks: Numbers, reason: str) -> Diagnosi
         if not speed > FAST:
             advice = "Give a film in which the same things stay in view, in focus and lit alike."
         return Diagnosis(
-            missing, f"Half of the tracks live {motion.life:.3g} frames or fewer{fast}.", advice, figures
+            missing,
+            f"Half of the tracks live {motion.life:.3g} frame{'s' * (motion.life != 1)} or fewer{fast}.",
+            advice,
+            figures,
         )
     why = f"Half of them live {motion.life:.3g} frames or more, and move by {motion.per_frame:.3g} px a frame"
     return Diagnosis(
@@ -154,9 +157,9 @@ ADVICE: dict[Kind, str] = {
 }
 
 
-def no_depth(found: Reconstruction) -> Diagnosis:
-    """Why a reconstruction has no depth."""
-    motion = motion_of(np.where(found.observed[..., None], found.places, np.nan))
+def no_depth(found: Reconstruction, tracks: Numbers) -> Diagnosis:
+    """Why a reconstruction has no depth, of tracks `(n_frames, n_tracks, 2)` px, NaN where not seen."""
+    motion = motion_of(tracks)
     parallax = ""
     if math.isfinite(motion.parallax):
         parallax = f" Homographies between pictures far apart leave {motion.parallax:.2g} px per point over"
