@@ -20,12 +20,13 @@ def shape_view(found: LearnedShape) -> tuple[Film, View]:
     shown = np.ones(len(film.numbers), np.bool_)
     mean = learned.bases[0]
     layer: dict[str, Any] = {
-        "bases": learned.bases.astype(np.float32),
+        "modes": len(learned.bases) - 1,
+        "bases": np.concatenate([learned.bases, learned.details]).astype(np.float32),
         "triangles": learned.model().triangles.astype(np.int32),
         "inks": packed(np.array([identity_colour(point) for point in range(len(mean))])),
         "rotations": learned.rotations.astype(np.float32),
         "scales": learned.scales.astype(np.float32),
-        "weights": learned.weights.astype(np.float32),
+        "weights": np.hstack([learned.weights, learned.detail_weights]).astype(np.float32),
         "size": float(np.nanmean(learned.scales)),
         # a shape that leans out of the mean one still fits
         "reach": 1.25 * float(np.linalg.norm(mean - mean.mean(axis=0), axis=1).max()),

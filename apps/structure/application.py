@@ -144,7 +144,8 @@ class StructureRun(Run[StructureJob]):
         found = without_false_depth(found, from_images=film.n_tracks is None)
         lost = film.stream is not None and film.stream["lost"] is not None
         self._ended_early = lost or self.interruption.signal is not None
-        summary = self._written(found, about_lens)
+        diagnosis = no_depth(found, observations_of(solution)) if found.geometry == "none" else None
+        summary = self._written(found, about_lens, diagnosis)
         if not self._ended_early:
             self._save(solution, finished=summary)
         return self.outcome(summary, signalled=self._ended_early)
@@ -178,10 +179,9 @@ class StructureRun(Run[StructureJob]):
         self._engine.save(self._state, solution, self.about(finished))
         self._is_saved = True
 
-    def _written(self, found: Reconstruction, about_lens: str) -> dict[str, Any]:
+    def _written(self, found: Reconstruction, about_lens: str, diagnosis: Diagnosis | None) -> dict[str, Any]:
         """Write all results; return the content of `summary.json`."""
         folder, film, frames = self.job.out, self._film, self._film.frames
-        diagnosis = no_depth(found) if found.geometry == "none" else None
         notes = [*film.notes, *_notes(found, diagnosis, film.n_tracks is not None)]
         if found.perspective is not None and about_lens:
             notes.append(about_lens)

@@ -10,13 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains import PointTracker
-from ...inference import CoordinateAscent, MultiChain, Solution
+from ...inference import CoordinateAscent, Solution
 from ...inference.structure.parallax import AS_WELL, MOST, Kind, Motion, motion_of, variance_over_shape
 from ...models.core.frame import Frame
 from ...models.core.grey import grey_of
-from ...models.points.point_tracks import PointTracks
-from .reconstruction import FEWEST_POINTS, Numbers, Reconstruction
+from .reconstruction import FEWEST_POINTS, Numbers, Reconstruction, following
 
 FEWEST_FRAMES = 3
 """Two views of a rigid thing leave its depth open."""
@@ -128,7 +126,10 @@ def no_points(frames: Sequence[Frame], tracks: Numbers, reason: str) -> Diagnosi
         if not speed > FAST:
             advice = "Give a film in which the same things stay in view, in focus and lit alike."
         return Diagnosis(
-            missing, f"Half of the tracks live {motion.life:.3g} frames or fewer{fast}.", advice, figures
+            missing,
+            f"Half of the tracks live {motion.life:.3g} frame{'s' * (motion.life != 1)} or fewer{fast}.",
+            advice,
+            figures,
         )
     why = f"Half of them live {motion.life:.3g} frames or more, and move by {motion.per_frame:.3g} px a frame"
     return Diagnosis(
@@ -156,9 +157,9 @@ ADVICE: dict[Kind, str] = {
 }
 
 
-def no_depth(found: Reconstruction) -> Diagnosis:
-    """Why a reconstruction has no depth."""
-    motion = motion_of(np.where(found.observed[..., None], found.places, np.nan))
+def no_depth(found: Reconstruction, tracks: Numbers) -> Diagnosis:
+    """Why a reconstruction has no depth, of tracks `(n_frames, n_tracks, 2)` px, NaN where not seen."""
+    motion = motion_of(tracks)
     parallax = ""
     if math.isfinite(motion.parallax):
         parallax = f" Homographies between pictures far apart leave {motion.parallax:.2g} px per point over"
@@ -183,23 +184,24 @@ def without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruct
     Before affine cameras, perspective may have been: then homographies explain clearly more than the shape. A
     perspective camera explains them too, with any depth if it stays where it is, or with any focal length if
     it sees a plane: then homographies explain as much. Or, where tracks are `from_images` and the shape is
-    known up to an affine map or before a perspective camera, there is less parallax than a tracker makes by
+    known up to an affine map only, or with the focal length, there is less parallax than a tracker makes by
     itself.
     """
     if found.geometry == "none":
         return found
     places = np.where(found.observed[..., None], found.places, np.nan)
-    motion, lens = motion_of(places), found.perspective
-    still = from_images and motion.parallax < LASTING
-    ratio = variance_over_shape(places, found.residuals, MOST if lens is None else 1.0)
+    lens = found.perspective
+    most = MOST if lens is None else 1.0  # outliers are left out already
+    ratio = variance_over_shape(places, found.residuals, most)
+    uncertain = found.geometry == "affine" or (lens is not None and lens.curvature_deviation > 0)
     reason = ""
     if lens is None and ratio * AS_WELL <= 1:
         reason = "homographies, which know no depth, explain the tracks better than a shape does"
-    elif lens is not None and (ratio <= AS_WELL or still):
+    elif lens is not None and ratio <= AS_WELL:
         known = lens.curvature_deviation == 0  # the focal length is given
-        if not (known and motion.kind == "plane"):
+        if not (known and motion_of(places).kind == "plane"):
             reason = "homographies, which know no depth, explain the tracks as well as a shape does"
-    elif still and found.geometry == "affine":
+    if not reason and from_images and uncertain and motion_of(places, most).parallax < LASTING:
         reason = "points move against each other by less than a tracker errs"
     if not reason:
         return found
@@ -209,8 +211,7 @@ def without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruct
 def followed(frames: Sequence[Frame]) -> Numbers:
     """Tracks `(n_frames, n_tracks, 2)` px as they are followed without a shape, NaN where they are not
     seen."""
-    model = MultiChain().connect(PointTracker(), PointTracks())
-    return observations_of(CoordinateAscent(model, 1).run(frames))
+    return observations_of(CoordinateAscent(following(frames)[0], 1).run(frames))
 
 
 def observations_of(solution: Solution) -> Numbers:

@@ -136,15 +136,21 @@ def engine_for(frames: Sequence[Frame], coherence: Coherence, association: Assoc
         `"none"`: it does not, and every track is a point.
     """
     dual = association == "dual-chain"
+    model, points = following(frames)
+    shape = FactorStructure(coherence=coherence == "second-order", associate=dual)
+    model.connect(shape, points, feedback=dual)
+    return CoordinateAscent(model, MOST_ROUNDS)
+
+
+def following(frames: Sequence[Frame]) -> tuple[MultiChain, PointTracks]:
+    """The chains that follow points of frames, with images or with given points, and the points."""
     given = any(frame.points is not None for frame in frames)
     points = PointTracks(noise=noise_of_tracks(frames)) if given else PointTracks()
-    shape = FactorStructure(coherence=coherence == "second-order", associate=dual)
     # what a tracker predicts comes from observations that the shape has as well, and would count twice over
     model = MultiChain().connect(PointTracker(), points, feedback=False)
     if not given:
         model.connect(FeatureMatcher(), points, feedback=False)
-    model.connect(shape, points, feedback=dual)
-    return CoordinateAscent(model, MOST_ROUNDS)
+    return model, points
 
 
 def reconstruction_of(solution: Solution, n_tracks: int | None) -> Reconstruction:

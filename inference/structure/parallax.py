@@ -74,15 +74,23 @@ class Motion:
     parallax: float
 
 
-def motion_of(tracks: Numbers) -> Motion:
-    """Say what tracks `(n_frames, n_tracks, 2)` px show, NaN where they are not seen."""
+def motion_of(tracks: Numbers, most: float = MOST) -> Motion:
+    """Say what tracks show.
+
+    Parameters
+    ----------
+    tracks
+        `(n_frames, n_tracks, 2)` px, NaN where they are not seen.
+    most
+        share of those of a pair of pictures that counts, those that are explained best.
+    """
     seen = ~np.isnan(tracks[..., 0])
     lives = seen.sum(axis=0)
     lives = lives[lives > 0]
     steps = np.linalg.norm(np.diff(tracks, axis=0), axis=2)
     steps = steps[np.isfinite(steps)]
     pairs = far_pairs(seen)
-    kind, parallax = _kind(tracks, seen, pairs)
+    kind, parallax = _kind(tracks, seen, pairs, most)
     return Motion(
         kind,
         len(lives),
@@ -137,7 +145,9 @@ def variance_over_shape(places: Numbers, residuals: Numbers, most: float = MOST)
     return left / in_depth if in_depth > 0 else float("nan")
 
 
-def _kind(tracks: Numbers, seen: NDArray[np.bool_], pairs: list[tuple[int, int]]) -> tuple[Kind, float]:
+def _kind(
+    tracks: Numbers, seen: NDArray[np.bool_], pairs: list[tuple[int, int]], most: float
+) -> tuple[Kind, float]:
     """The plainest explanation, and the parallax."""
     if not pairs:
         return "unknown", float("nan")
@@ -149,7 +159,7 @@ def _kind(tracks: Numbers, seen: NDArray[np.bool_], pairs: list[tuple[int, int]]
     for one, other in pairs:
         both = seen[one] & seen[other]
         before, after = tracks[one, both] - middle, tracks[other, both] - middle
-        chosen, off = _homography(before, after)
+        chosen, off = _homography(before, after, most)
         before, after = before[chosen], after[chosen]
         parallax.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
         sums += [

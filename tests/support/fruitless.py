@@ -19,7 +19,7 @@ def homographies(kind: str, n_frames: int = N_FRAMES) -> Numbers:
     """`(n_frames, 3, 3)`: from places on a wall, px about its middle, to pictures.
 
     `still`: nothing moves. `zoom`: the camera zooms. `rotation`: it turns where it stands. `plane`: it goes
-    round the wall. `jumps`: it looks elsewhere in every picture.
+    round the wall.
     """
     times = np.linspace(-1, 1, n_frames)
     camera = np.array([[FOCAL, 0, SIZE[0] / 2], [0, FOCAL, SIZE[1] / 2], [0, 0, 1]])
@@ -32,10 +32,6 @@ def homographies(kind: str, n_frames: int = N_FRAMES) -> Numbers:
         if kind == "plane":  # it turns about the wall's middle
             seen = np.column_stack([rotation[:, 0], rotation[:, 1], [0, 0, FOCAL]])
         maps.append(camera @ zoom @ seen)
-    if kind == "jumps":
-        shifts = np.random.default_rng(3).uniform(-200, 200, (n_frames, 2))
-        for each, shift in zip(maps, shifts, strict=True):
-            each[:2, 2] += FOCAL * shift
     return np.array(maps)
 
 

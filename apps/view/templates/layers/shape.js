@@ -1,11 +1,11 @@
 // A shape that deforms, in space: as it is in the frame, or one of its modes, which is moved by hand.
 
-addLayers(({ bases, triangles, inks, rotations, scales, weights, depths, tracked, size, reach }) => {
-  const [nBases, nPoints] = bases.shape, nModes = nBases - 1;
+addLayers(({ modes, bases, triangles, inks, rotations, scales, weights, size, reach }) => {
+  const [nBases, nPoints] = bases.shape, nWeights = nBases - 1; // those of details after those of modes
   const MOST = 3; // standard deviations of a mode
   const BODY = 0xc8b8a8;
   const panel = addPanel("In space");
-  const names = ["as in the film", "mean shape", ...Array.from({ length: nModes }, (_, k) => `mode ${k + 1}`)];
+  const names = ["as in the film", "mean shape", ...Array.from({ length: modes }, (_, k) => `mode ${k + 1}`)];
   const which = element("select", { "aria-label": "Which shape" }, ...names.map((name, k) => new Option(name, k)));
   const withFilm = element("input", { type: "checkbox", checked: true });
   const asSurface = element("input", { type: "checkbox" });
@@ -29,7 +29,7 @@ addLayers(({ bases, triangles, inks, rotations, scales, weights, depths, tracked
     for (let v = 0; v < 3 * nPoints; v += 3) {
       let [x, y, z] = bases.subarray(v, v + 3);
       for (let m = 1; m < nBases; m++) {
-        const weight = mode < 0 ? weights[nModes * i + m - 1] : m === mode ? Number(amount.value) : 0;
+        const weight = mode < 0 ? weights[nWeights * i + m - 1] : m === mode ? Number(amount.value) : 0;
         if (!weight) continue;
         const at = 3 * nPoints * m + v;
         x += weight * bases[at];
