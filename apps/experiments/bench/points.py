@@ -231,10 +231,15 @@ def _searches(
         return expected
 
     def optical_flow(side: int, levels: int) -> Numbers:
-        of = {"winSize": (side, side), "maxLevel": levels}
-        found, there, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, np.empty_like(corners), **of)
-        again, back, _ = cv2.calcOpticalFlowPyrLK(second, first, found, np.empty_like(corners), **of)
-        right = (there & back)[:, 0].astype(np.bool_) & (np.abs(again - corners).max(axis=1) <= NEAR + WHOLE)
+        found, there, _ = cv2.calcOpticalFlowPyrLK(
+            first, second, corners, np.empty_like(corners), winSize=(side, side), maxLevel=levels
+        )
+        again, back, _ = cv2.calcOpticalFlowPyrLK(
+            second, first, found, np.empty_like(corners), winSize=(side, side), maxLevel=levels
+        )
+        right = (there.astype(np.bool_) & back.astype(np.bool_))[:, 0] & (
+            np.abs(again - corners).max(axis=1) <= NEAR + WHOLE
+        )
         return np.where(right[:, None], found.astype(np.float64), np.nan)
 
     return {
