@@ -50,7 +50,7 @@ WHOLE = 0.5
 
 LEAST_SPREAD, MOST_SPREAD = 0.05, 0.7
 """px, standard deviation of a found position: the least there is, and from which on it is as good as not
-found."""
+found. Of a lost point it is that given what is expected of it, too."""
 
 SHARPNESS, NCC_NOISE = 3.5, 0.02
 """How -log(1 - correlation^2) grows into a log likelihood, and the noise that limits it."""
@@ -179,7 +179,11 @@ def find_points(
     area = np.minimum(np.pi * REACH**2 * np.sqrt(_determinants(around)), (2 * farthest + 1) ** 2)
     seen = (weight > LEAST_WEIGHT) & (second < weight - np.log(ODDS))
     seen &= ncc >= least_ncc(false_alarms, area, side)
-    seen &= 0.5 * (spread[:, 0, 0] + spread[:, 1, 1]) <= MOST_SPREAD**2
+    known = spread
+    if before is not None:  # where a lost point is along an edge, only what is expected can say
+        both = _inverses(_inverses(spread) + _inverses(around))
+        known = np.where(before.shown[:, None, None], spread, both)
+    seen &= 0.5 * (known[:, 0, 0] + known[:, 1, 1]) <= MOST_SPREAD**2
     if before is not None:
         lost = np.flatnonzero(seen & ~before.shown)
         where = around[lost] + spread[lost]
