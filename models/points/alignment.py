@@ -74,14 +74,10 @@ def align_patches(
     """
     position = np.array(start, np.float64)
     expected = expected or Expected(position.copy(), np.zeros((len(position), 2, 2)))
-    information = np.empty((len(position), 2, 2))
-    residual, ncc = np.empty(len(position)), np.empty(len(position))
+    covariance, ncc = np.empty((len(position), 2, 2)), np.empty(len(position))
     deviations = np.array([LIGHTER, STRONGER, *[WARPED] * 4])
     light = Light((PIXEL_NOISE / deviations) ** 2, SMOOTHED, ROUNDING)
-    alignment_kernels.align_all(
-        grey, patches, position, expected, light, farthest, information, residual, ncc
-    )
-    covariance = (SMOOTHED * residual + ROUNDING)[:, None, None] * np.linalg.inv(information)
+    alignment_kernels.align_all(grey, patches, position, expected, light, farthest, covariance, ncc)
     return Aligned(position, covariance, ncc)
 
 

@@ -19,7 +19,7 @@ from ..core.short_repr import short_repr
 from .alignment import sample_patches
 from .corners import find_corners
 from .patches import Patches
-from .search import find_points, forward_backward_check
+from .search import Before, find_points
 
 Numbers = NDArray[np.float64]
 
@@ -211,22 +211,11 @@ class PointTracks:
             return GaussianMessage.uniform(PLANE), NOWHERE
         identities, mean, covariance = identities[known], mean[known], covariance[known]
         patches = prior.patches.pixels[np.searchsorted(prior.patches.identities, identities)]
-        before = prior.view
-        lost = (
-            None if before is None or before.grey is None else ~np.isin(identities, before.found.identities)
+        found = find_points(
+            grey, patches, mean, covariance, self.false_alarms, self.farthest, _before(prior.view, identities)
         )
-        found = find_points(grey, patches, mean, covariance, self.false_alarms, self.farthest, lost)
-        seen, position, spread = identities[found.seen], found.position, found.covariance
-        if before is not None and before.grey is not None:
-            again = np.isin(seen, before.found.identities)
-            origin = before.found.positions[np.searchsorted(before.found.identities, seen[again])]
-            kept = np.ones(len(seen), bool)
-            kept[again] = forward_backward_check(
-                grey, position[again], before.grey, origin, covariance[found.seen][again], self.patch,
-                self.farthest,
-            )  # fmt: skip
-            seen, position, spread = seen[kept], position[kept], spread[kept]
-        positions = GaussianMessage.from_moments(seen, position, spread)
+        seen, position = identities[found.seen], found.position
+        positions = GaussianMessage.from_moments(seen, position, found.covariance)
         positions = replace(positions, log_scale=positions.log_scale + np.log(grey.size))
         return positions, GivenPoints(position, seen)
 
@@ -240,6 +229,16 @@ class PointTracks:
         covariance = np.broadcast_to(self.noise**2 * np.eye(PLANE), (len(points.identities), PLANE, PLANE))
         positions = GaussianMessage.from_moments(points.identities, points.positions, covariance)
         return PointMessage(positions, view=View(time, points, None, self.noise, self.patch))
+
+
+def _before(view: View | None, identities: NDArray[np.int64]) -> Before | None:
+    """Where a picture showed points of these numbers; `None` if there is no picture."""
+    if view is None or view.grey is None:
+        return None
+    shown = np.isin(identities, view.found.identities)
+    position = np.zeros((len(identities), PLANE))
+    position[shown] = view.found.positions[np.searchsorted(view.found.identities, identities[shown])]
+    return Before(view.grey, shown, position)
 
 
 def noise_of_tracks(frames: Iterable[Frame]) -> float:

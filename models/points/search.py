@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.mahalanobis import squared_distances
 from .alignment import Aligned, align_patches, sample_patches
 from .kernels.alignment import Expected
 from .kernels.correlation import Candidates, Windows, best_places
@@ -36,6 +35,12 @@ hand that holds a camera soon moves it by half a pixel more than expected."""
 ODDS = 10.0
 """By which a place must be likelier than its rival."""
 
+LEAST_WEIGHT = -1e30
+"""Log weight of where a patch cannot be."""
+
+DOUBT = 1.0
+"""By which the log weight of a place may be off before it is known to fractions of a pixel."""
+
 NEAR = 1.0
 """px: places that are nearer to each other are one. So far may fractions of a pixel lead, and the way
 back."""
@@ -45,11 +50,14 @@ WHOLE = 0.5
 
 LEAST_SPREAD, MOST_SPREAD = 0.05, 0.7
 """px, standard deviation of a found position: the least there is, and from which on it is as good as not
-found."""
+found. Of a lost point it is that given what is expected of it, too."""
 
 SHARPNESS, NCC_NOISE = 3.5, 0.02
 """How -log(1 - correlation^2) grows into a log likelihood, and the noise that limits it."""
 
+
+LEAST_NCC = 0.5
+"""Normalised correlation from which on anything counts as like a patch."""
 
 UNLIKE = 0.045
 """Mean of 1 - correlation of a point that is seen again after it was hidden, with its patch of before. Of
@@ -65,11 +73,11 @@ def least_ncc(false_alarms: float, area: ArrayLike, side: int) -> Numbers:
     asked of a place leaves a third of these false alarms.
     """
     unlike = 0.1 * (-np.log(1 - false_alarms) / _at_ten_percent(area, side)) ** 0.4
-    least: Numbers = np.maximum(1 - unlike, 0.5)
+    least: Numbers = np.maximum(1 - unlike, LEAST_NCC)
     return least
 
 
-def odds_over_chance(ncc: Numbers, square: Numbers, wide: Numbers, area: Numbers, side: int) -> Numbers:
+def odds_over_chance(ncc: Numbers, square: Numbers, wide: Numbers, area: ArrayLike, side: int) -> Numbers:
     """Log odds, `(n,)`, that a place shows the point, as against another one that is as like it by chance.
 
     Of the point, 1 - ncc is exponential with mean `UNLIKE`, and the place is normal about where it should
@@ -91,7 +99,7 @@ def odds_over_chance(ncc: Numbers, square: Numbers, wide: Numbers, area: Numbers
     """
     unlike = np.clip(1 - ncc, 1e-3, 1.0)
     by_chance = 2.5 / unlike * _at_ten_percent(area, side) * (unlike / 0.1) ** 2.5
-    log_density = -0.5 * square - 0.5 * np.log(np.linalg.det(wide)) - np.log(2 * np.pi)
+    log_density = -0.5 * square - 0.5 * np.log(_determinants(wide)) - np.log(2 * np.pi)
     odds: Numbers = -unlike / UNLIKE - np.log(UNLIKE * by_chance) + log_density + np.log(np.maximum(area, 1))
     return odds
 
@@ -101,28 +109,23 @@ def _at_ten_percent(area: ArrayLike, side: int) -> Numbers:
     return expected
 
 
-def likeliest_places(
-    grey: Grey, patches: Pixels, mean: Numbers, covariance: Numbers, farthest: float, *, prior: bool = True
-) -> Candidates:
-    """Search for patches `(n, side, side)` around `mean (n, 2)` px, known to `covariance (n, 2, 2)` px^2.
+@dataclass(frozen=True, eq=False)
+class Before:
+    """Where the picture before showed points that are searched for.
 
-    No farther than `farthest` px, and only where the whole patch is in the picture. Without the `prior` all
-    places of the window count alike.
+    Parameters
+    ----------
+    grey
+        `(height, width)`.
+    shown
+        `(n,)` bool: which ones it showed.
+    position
+        `(n, 2)` px, of those.
     """
-    count, side = len(patches), patches.shape[1]
-    found = Candidates(np.zeros((count, 2, 2)), np.full((count, 2), -1.0), np.zeros(count))
-    flat = patches.reshape(count, side * side)
-    centred = flat - flat.mean(axis=1, keepdims=True)
-    length = np.sqrt(np.square(centred).sum(axis=1, keepdims=True))
-    templates = (centred / np.maximum(length, 1e-6)).astype(np.float32)
-    wide = covariance + GRID**2 * np.eye(2)
-    deviation = np.sqrt(wide[:, [0, 1], [0, 1]].max(axis=1))
-    radius = np.minimum(np.ceil(REACH * deviation + 0.5), farthest).astype(np.int64)
-    precision = np.asarray(np.linalg.inv(wide) if prior else np.zeros_like(wide), np.float64)
-    if count:
-        windows = Windows(np.ascontiguousarray(mean), precision, radius)
-        best_places(grey, windows, templates, side, REACH, SHARPNESS, NCC_NOISE, found)
-    return found
+
+    grey: Grey
+    shown: Mask
+    position: Numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,9 +152,9 @@ def find_points(
     covariance: Numbers,
     false_alarms: float,
     farthest: float,
-    lost: Mask | None = None,
+    before: Before | None = None,
 ) -> Found:
-    """Search for points in a picture.
+    """Search for points in a picture, and from there back in the one before.
 
     Parameters
     ----------
@@ -165,49 +168,32 @@ def find_points(
         share of windows without the point in which something is as like it as is asked for.
     farthest
         px from the mean beyond which nothing is searched.
-    lost
-        `(n,)`: points that the picture before did not show, and that may be hidden. For these, that something
-        is as like them by chance counts as one more rival. None if not given.
+    before
+        the picture before. A point that it showed has to lead back there, any other one may be hidden: what
+        is there by chance is one more rival of it. Without it neither is asked.
     """
+    side = patches.shape[1]
+    around = covariance + GRID**2 * np.eye(2)
     places = likeliest_places(grey, patches, mean, covariance, farthest)
-    wide = np.linalg.inv(covariance + GRID**2 * np.eye(2))
-    way = align_patches(grey, patches, places.position[:, 0], NEAR, Expected(mean, wide))
-    weight = _weights(way, mean, covariance)
-    weight[places.ncc[:, 0] <= 0] = -np.inf
-    position, spread, ncc = way.position, way.covariance, way.ncc
-
-    # Fractions of a pixel can make the second place the likelier one.
-    second = np.flatnonzero(places.ncc[:, 1] > 0)
-    there = Expected(mean[second], wide[second])
-    other = align_patches(grey, patches[second], places.position[second, 1], NEAR, there)
-    rival = np.full(len(mean), -np.inf)
-    rival[second] = _weights(other, mean[second], covariance[second])
-    rival[second[np.abs(other.position - position[second]).max(axis=1) < NEAR]] = -np.inf
-    better = rival > weight
-    taken = better[second]
-    position[better], spread[better] = other.position[taken], other.covariance[taken]
-    ncc[better] = other.ncc[taken]
-
-    best, least = np.maximum(weight, rival), np.minimum(weight, rival)
-    seen = np.isfinite(best) & (least < best - np.log(ODDS))
-    seen &= ncc >= least_ncc(false_alarms, places.area, patches.shape[1])
-    seen &= 0.5 * np.trace(spread, axis1=1, axis2=2) <= MOST_SPREAD**2
-    if lost is not None and lost.any():
-        where = covariance[lost] + spread[lost] + GRID**2 * np.eye(2)
-        square = squared_distances(position[lost] - mean[lost], where)
-        odds = odds_over_chance(ncc[lost], square, where, places.area[lost], patches.shape[1])
-        seen[lost] &= odds > np.log(ODDS)
+    position, spread, ncc, weight, second = _aligned(grey, patches, mean, around, places)
+    area = np.minimum(np.pi * REACH**2 * np.sqrt(_determinants(around)), (2 * farthest + 1) ** 2)
+    seen = (weight > LEAST_WEIGHT) & (second < weight - np.log(ODDS))
+    seen &= ncc >= least_ncc(false_alarms, area, side)
+    known = spread
+    if before is not None:  # where a lost point is along an edge, only what is expected can say
+        both = _inverses(_inverses(spread) + _inverses(around))
+        known = np.where(before.shown[:, None, None], spread, both)
+    seen &= 0.5 * (known[:, 0, 0] + known[:, 1, 1]) <= MOST_SPREAD**2
+    if before is not None:
+        lost = np.flatnonzero(seen & ~before.shown)
+        where = around[lost] + spread[lost]
+        square = _squares(position[lost] - mean[lost], where)
+        seen[lost] = odds_over_chance(ncc[lost], square, where, area[lost], side) > np.log(ODDS)
+        again = np.flatnonzero(seen & before.shown)
+        seen[again] = forward_backward_check(
+            grey, position[again], before.grey, before.position[again], covariance[again], side, farthest
+        )
     return Found(seen, position[seen], spread[seen] + LEAST_SPREAD**2 * np.eye(2))
-
-
-def _weights(way: Aligned, mean: Numbers, covariance: Numbers) -> Numbers:
-    """`(n,)` log of likelihood and prior, up to a constant; -inf where a patch cannot be."""
-    off = way.position - mean
-    wide = covariance + way.covariance + GRID**2 * np.eye(2)
-    square = squared_distances(off, wide)
-    weight = -SHARPNESS * np.log(1 - np.clip(way.ncc, 0, 1) ** 2 + NCC_NOISE) - 0.5 * square
-    weights: Numbers = np.where((way.ncc > 0) & (square < REACH**2), weight, -np.inf)
-    return weights
 
 
 def forward_backward_check(
@@ -229,3 +215,75 @@ def forward_backward_check(
     off = np.abs(places.position[:, 0] - origin).max(axis=1, initial=0)
     back: Mask = (places.ncc[:, 0] > 0) & (off <= NEAR + WHOLE)
     return back
+
+
+def likeliest_places(
+    grey: Grey, patches: Pixels, mean: Numbers, covariance: Numbers, farthest: float, *, prior: bool = True
+) -> Candidates:
+    """Search for patches `(n, side, side)` around `mean (n, 2)` px, known to `covariance (n, 2, 2)` px^2.
+
+    No farther than `farthest` px, and only where the whole patch is in the picture. Without the `prior` all
+    places of the window count alike.
+    """
+    count = len(patches)
+    found = Candidates(np.zeros((count, 2, 2)), np.full((count, 2), -1.0), np.full((count, 2), LEAST_WEIGHT))
+    if count:
+        around = covariance + GRID**2 * np.eye(2)
+        windows = Windows(np.ascontiguousarray(mean), around, prior, REACH, float(farthest))
+        best_places(grey, windows, patches, SHARPNESS, NCC_NOISE, LEAST_NCC, found)
+    return found
+
+
+def _aligned(
+    grey: Grey, patches: Pixels, mean: Numbers, around: Numbers, places: Candidates
+) -> tuple[Numbers, Numbers, Numbers, Numbers, Numbers]:
+    """The likelier of two places to fractions of a pixel, which can change which one that is.
+
+    Returned: its position, covariance, correlation and log weight, and the log weight of the other one.
+    """
+    precision = _inverses(around)
+    way = align_patches(grey, patches, places.position[:, 0], NEAR, Expected(mean, precision))
+    weight = _weights(way, mean, around)
+    weight[places.ncc[:, 0] <= 0] = LEAST_WEIGHT
+    rival = np.full(len(mean), LEAST_WEIGHT)
+    position, spread, ncc = way.position, way.covariance, way.ncc
+    second = np.flatnonzero(places.weight[:, 1] > places.weight[:, 0] - np.log(ODDS) - DOUBT)
+    if len(second):
+        there = Expected(mean[second], precision[second])
+        other = align_patches(grey, patches[second], places.position[second, 1], NEAR, there)
+        apart = np.abs(other.position - position[second]).max(axis=1) >= NEAR
+        rival[second] = np.where(apart, _weights(other, mean[second], around[second]), LEAST_WEIGHT)
+        better = rival > weight
+        taken = better[second]
+        position[better], spread[better] = other.position[taken], other.covariance[taken]
+        ncc[better] = other.ncc[taken]
+    return position, spread, ncc, np.maximum(weight, rival), np.minimum(weight, rival)
+
+
+def _weights(way: Aligned, mean: Numbers, around: Numbers) -> Numbers:
+    """`(n,)` log of likelihood and prior, up to a constant; `LEAST_WEIGHT` where a patch cannot be."""
+    square = _squares(way.position - mean, around + way.covariance)
+    weight = -SHARPNESS * np.log(1 - np.clip(way.ncc, 0, 1) ** 2 + NCC_NOISE) - 0.5 * square
+    weights: Numbers = np.where((way.ncc > 0) & (square < REACH**2), weight, LEAST_WEIGHT)
+    return weights
+
+
+def _determinants(matrices: Numbers) -> Numbers:
+    """`(n,)` of `(n, 2, 2)`."""
+    determinants: Numbers = matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
+    return determinants
+
+
+def _inverses(matrices: Numbers) -> Numbers:
+    """`(n, 2, 2)`, symmetric; three times as fast as the general way."""
+    turned = matrices[:, ::-1, ::-1] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    inverses: Numbers = turned / _determinants(matrices)[:, None, None]
+    return inverses
+
+
+def _squares(off: Numbers, matrices: Numbers) -> Numbers:
+    """`(n,)` squared lengths of `(n, 2)` in units of covariances `(n, 2, 2)`."""
+    x, y = off[:, 0], off[:, 1]
+    square = matrices[:, 1, 1] * x * x - 2 * matrices[:, 0, 1] * x * y + matrices[:, 0, 0] * y * y
+    squares: Numbers = square / _determinants(matrices)
+    return squares

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 
 from ....inference.filters.kalman import PointStates, filter_tracks, predict, smooth, update
 from ....inference.filters.linear_motion import kinematic
-from ....models.core.frame import Frame, GivenPoints
-from ....models.core.gaussian_message import GaussianMessage
-from ....models.points.patches import Patches
-from ....models.points.point_tracks import PointMessage, PointTracks, View
-from ....models.points.search import GRID, REACH
+from ....models.points.alignment import sample_patches
+from ....models.points.point_tracks import PointTracks
+from ....models.points.search import GRID, NEAR, REACH, WHOLE, Before, find_points
 from ...reports.expectations import HEADER, Expectation, in_columns
 from .timing import in_turns, over_rounds
 
@@ -37,6 +35,9 @@ SIDE = 5  # px
 SHIFT = np.array([3.4, -2.7])  # px
 REACHES = {3: 0.9, 10: 0.0}
 """px around the place where a point should be, and the share of its way that is known beforehand."""
+
+LEVELS = {3: 1, 10: 2}
+"""Levels of OpenCV's pyramid that reach as far with the same window, each twice as far as the one below."""
 
 
 def point_expectations() -> list[Expectation]:
@@ -155,8 +156,9 @@ def _simdkalman(places: Numbers, smoothed: bool) -> object:
 def search_expectations() -> list[Expectation]:
     """Patches of corners, found in a picture that has moved a little, and found again in the one before.
 
-    The search is the tracker's, by `PointTracks.evidence`: once for points that it has followed for a while,
-    and once for new ones, which may be anywhere in a wide window.
+    The search is the tracker's, there and back: once for points that it has followed for a while, and once
+    for new ones, which may be anywhere in a wide window. OpenCV has the same window, and a pyramid that
+    reaches as far.
     """
     first, second = _pictures()
     found = cv2.goodFeaturesToTrack(first, 2 * N_PATCHES, 1e-3, 6)[:, 0]
@@ -165,58 +167,86 @@ def search_expectations() -> list[Expectation]:
     corners = found[kept][:N_PATCHES].astype(np.float32)
     expectations: list[Expectation] = []
     for reach, known in REACHES.items():
-        spent = in_turns(_searches(first, second, corners, reach, known), rounds=10, turn=8)
+        searches = _searches(first, second, corners, reach, known)
+        spent = in_turns(searches, rounds=10, turn=8)
         what = f"search for {len(corners)} patches there and back, +-{reach} px"
         expectations += over_rounds(partial(_of_searches, what), spent)
+        for name in ("search", "PyrLK"):
+            expectations += _errors(f"{name}, +-{reach} px", searches[name](), corners + SHIFT)
     return expectations
 
 
 def _of_searches(what: str, seconds: Mapping[str, float]) -> list[Expectation]:
     return [
         Expectation(f"{what}, ms", 1e3 * seconds["search"]),
-        Expectation(f"loop of matchTemplate over {what}", seconds["matchTemplate"] / seconds["search"]),
-        Expectation(f"calcOpticalFlowPyrLK over {what}", seconds["PyrLK"] / seconds["search"], ">=", 1),
+        Expectation(f"{what}, over a loop of matchTemplate", seconds["search"] / seconds["matchTemplate"]),
+        Expectation(f"{what}, over PyrLK", seconds["search"] / seconds["PyrLK"], "<=", 1.0),
+        Expectation(
+            f"{what}, over PyrLK with its usual window of 21 px", seconds["search"] / seconds["PyrLK, 21 px"]
+        ),
+    ]
+
+
+def _errors(what: str, places: Numbers, truth: Numbers) -> list[Expectation]:
+    """How right places `(n, 2)` px are; NaN where a point was not found."""
+    off = np.linalg.norm(places - truth, axis=1)
+    return [
+        Expectation(f"{what}: found within 0.5 px, share", float((off < 0.5).mean())),
+        Expectation(f"{what}: found more than 1 px off, share", float((off > 1).mean())),
+        Expectation(f"{what}: error of those found, px", float(np.nanmedian(off))),
     ]
 
 
 def _searches(
     first: Grey, second: Grey, corners: NDArray[np.float32], reach: int, known: float
-) -> dict[str, Callable[[], object]]:
+) -> dict[str, Callable[[], Numbers]]:
     """Ways there and back: from `first` to `second`, and from what is found back to `first`.
 
     Where points should be is known to `reach` px (three standard deviations), and wrong by `1 - known` of the
-    way.
+    way. Each gives places `(n, 2)` px, NaN where a point was not found.
     """
-    numbers = np.arange(len(corners))
-    before = View(0.0, GivenPoints(corners.astype(np.float64), numbers), first, 1.0, SIDE)
-    expected = corners + known * SHIFT
+    origin = corners.astype(np.float64)
+    expected = origin + known * SHIFT
     deviation = np.sqrt(((reach - 0.5) / REACH) ** 2 - GRID**2)
     covariances = np.tile(deviation**2 * np.eye(2), (len(corners), 1, 1))
-    prior = PointMessage(
-        GaussianMessage.from_moments(numbers, expected, covariances),
-        Patches(numbers, before.patches_at(before.found.positions)),
-        before,
-    )
-    node, frame = PointTracks(patch=SIDE), Frame(second, FRAME, 2)
+    patches = sample_patches(first, origin, SIDE)
+    before = Before(first, np.ones(len(corners), np.bool_), origin)
+    node = PointTracks(patch=SIDE)
     half, window = SIDE // 2, reach + SIDE // 2
     ways = [(first, np.rint(corners).astype(int), second, np.rint(expected).astype(int))]
     ways.append((second, np.rint(corners + SHIFT).astype(int), first, ways[0][1]))
 
-    def one_by_one() -> None:
+    def search() -> Numbers:
+        found = find_points(second, patches, expected, covariances, node.false_alarms, node.farthest, before)
+        places = np.full(expected.shape, np.nan)
+        places[found.seen] = found.position
+        return places
+
+    def one_by_one() -> Numbers:
         for one, places, other, middles in ways:
             for (x, y), (u, v) in zip(places.tolist(), middles.tolist(), strict=True):
                 template = one[y - half : y + half + 1, x - half : x + half + 1]
                 seen = other[v - window : v + window + 1, u - window : u + window + 1]
                 cv2.minMaxLoc(cv2.matchTemplate(seen, template, cv2.TM_CCOEFF_NORMED))
+        return expected
 
-    def optical_flow() -> None:
-        found, _, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, np.empty_like(corners))
-        cv2.calcOpticalFlowPyrLK(second, first, found, np.empty_like(corners))
+    def optical_flow(side: int, levels: int) -> Numbers:
+        found, there, _ = cv2.calcOpticalFlowPyrLK(
+            first, second, corners, np.empty_like(corners), winSize=(side, side), maxLevel=levels
+        )
+        again, back, _ = cv2.calcOpticalFlowPyrLK(
+            second, first, found, np.empty_like(corners), winSize=(side, side), maxLevel=levels
+        )
+        right = (there.astype(np.bool_) & back.astype(np.bool_))[:, 0] & (
+            np.abs(again - corners).max(axis=1) <= NEAR + WHOLE
+        )
+        return np.where(right[:, None], found.astype(np.float64), np.nan)
 
     return {
-        "search": lambda: node.evidence(frame, prior),
+        "search": search,
         "matchTemplate": one_by_one,
-        "PyrLK": optical_flow,
+        "PyrLK": lambda: optical_flow(SIDE, LEVELS[reach]),
+        "PyrLK, 21 px": lambda: optical_flow(21, 3),
     }
 
 

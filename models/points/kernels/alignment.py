@@ -16,8 +16,8 @@ REGISTERS = 8
 STEPS = 8
 """Gauss-Newton steps at most."""
 
-SMALL = 0.005
-"""px: a step after which there is no other."""
+SMALL = 0.1
+"""px: a step after which there is no other, which would be about a tenth of it: much less than noise does."""
 
 FLAT = 1e-3
 """Squared grey values: the variance of what has no texture at all."""
@@ -75,16 +75,23 @@ def sample_about(grey, x, y, along, out):
     fx, fy = x - left, y - top
     left, top = left - side // 2 - 1, top - side // 2 - 1
     w0, w1, w2, w3 = _cubic(fx, 0), _cubic(fx, 1), _cubic(fx, 2), _cubic(fx, 3)
-    for i in range(side + 3):
-        row = grey[min(max(top + i, 0), height - 1)]
-        for j in range(side):
-            a, b = min(max(left + j, 0), width - 1), min(max(left + j + 1, 0), width - 1)
-            c, d = min(max(left + j + 2, 0), width - 1), min(max(left + j + 3, 0), width - 1)
-            along[i, j] = w0 * row[a] + w1 * row[b] + w2 * row[c] + w3 * row[d]
+    if left >= 0 and top >= 0 and left + side + 3 <= width and top + side + 3 <= height:
+        for i in range(side + 3):
+            row, here = grey[top + i, left : left + side + 3], along[i]
+            for j in range(side):
+                here[j] = w0 * row[j] + w1 * row[j + 1] + w2 * row[j + 2] + w3 * row[j + 3]
+    else:
+        for i in range(side + 3):
+            row, here = grey[min(max(top + i, 0), height - 1)], along[i]
+            for j in range(side):
+                a, b = min(max(left + j, 0), width - 1), min(max(left + j + 1, 0), width - 1)
+                c, d = min(max(left + j + 2, 0), width - 1), min(max(left + j + 3, 0), width - 1)
+                here[j] = w0 * row[a] + w1 * row[b] + w2 * row[c] + w3 * row[d]
     w0, w1, w2, w3 = _cubic(fy, 0), _cubic(fy, 1), _cubic(fy, 2), _cubic(fy, 3)
     for i in range(side):
+        here, p, q, r, s = out[i], along[i], along[i + 1], along[i + 2], along[i + 3]
         for j in range(side):
-            out[i, j] = w0 * along[i, j] + w1 * along[i + 1, j] + w2 * along[i + 2, j] + w3 * along[i + 3, j]
+            here[j] = w0 * p[j] + w1 * q[j] + w2 * r[j] + w3 * s[j]
 
 
 @compiled
@@ -158,15 +165,15 @@ def _normal_equations(patch, mean, wide, change, normal, right):
 
 
 @compiled
-def align_all(grey, patches, positions, expected, light, farthest, information, residual, ncc):
+def align_all(grey, patches, positions, expected, light, farthest, covariance, ncc):
     """Move `positions` `(n, 2)` to where the picture is like `patches` `(n, side, side)`.
 
     Picture = patch + offset + gain (patch - its mean) + its change by a small linear map + noise; offset,
     gain and map have inverse variances `light.precisions`, `(6,)`, in units of the noise's, whose variance is
     `light.smoothed` times that of what is left, plus `light.rounding`. Positions have the prior `expected`.
-    Written: `information` `(n, 2, 2)` for noise of variance 1, of the picture alone, with offset, gain and
-    map integrated out; the variance of what is left and the normalised correlation, -1 where the way leads
-    farther than `farthest` px or picture or patch are flat.
+    Written: `covariance` `(n, 2, 2)` px^2 by the picture alone, with offset, gain and map integrated out; and
+    the normalised correlation, -1 where the way leads farther than `farthest` px or picture or patch are
+    flat.
     """
     side = patches.shape[1]
     count = side * side
@@ -184,7 +191,7 @@ def align_all(grey, patches, positions, expected, light, farthest, information, 
         mean /= count
         x, y = positions[n, 0], positions[n, 1]
         near = True
-        for step in range(STEPS + 1):
+        for _ in range(STEPS):
             sample_about(grey, x, y, along, wide)
             left, own, cross, level, total = _normal_equations(patch, mean, wide, change, normal, right)
             for k in range(moves):
@@ -203,17 +210,15 @@ def align_all(grey, patches, positions, expected, light, farthest, information, 
             v = right[moves + 1] + noise * (prior[0, 1] * off_x + prior[1, 1] * off_y)
             inverse = 1.0 / (a * c - b * b)
             dx, dy = inverse * (c * u - b * v), inverse * (a * v - b * u)
-            if step == STEPS or (abs(dx) < SMALL and abs(dy) < SMALL):
-                break
             x -= min(max(dx, -LONGEST), LONGEST)
             y -= min(max(dy, -LONGEST), LONGEST)
             near = abs(x - positions[n, 0]) <= farthest and abs(y - positions[n, 1]) <= farthest
-            if not near:
+            if not near or (abs(dx) < SMALL and abs(dy) < SMALL):
                 break
         spread = total - level * level / count
         textured = spread > FLAT * count and own > FLAT * count
         ncc[n] = cross / np.sqrt(spread * own) if near and textured else -1.0
-        residual[n] = max(left, 0.0) / (count - 4)
-        information[n, 0, 0], information[n, 1, 1] = xx, yy
-        information[n, 0, 1] = information[n, 1, 0] = xy
+        scale = noise / (xx * yy - xy * xy)
+        covariance[n, 0, 0], covariance[n, 1, 1] = scale * yy, scale * xx
+        covariance[n, 0, 1] = covariance[n, 1, 0] = -scale * xy
         positions[n, 0], positions[n, 1] = x, y
