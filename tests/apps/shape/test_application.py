@@ -93,6 +93,7 @@ def test_shapes_follow_from_their_parts_as_is_written(finished: Path, tracks: Nu
     with np.load(finished / "shapes.npz") as content:
         found = dict(content)
     mixed = found["bases"][0] + np.tensordot(found["weights"], found["bases"][1:], 1)
+    mixed += np.tensordot(found["detail_weights"], found["details"], 1)
     places = found["scales"][:, None, None] * mixed @ found["rotations"].transpose(0, 2, 1)
     places[..., :2] += found["translations"][:, None]
     np.testing.assert_allclose(found["shapes"], places, atol=1e-9)
