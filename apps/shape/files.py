@@ -15,7 +15,8 @@ def write_shapes(path: Path, found: LearnedShape) -> None:
 
     Point j of frame t is seen at x and y of `shapes[t, j]` = `scales[t] * rotations[t] @ (bases[0, j] + sum_k
     weights[t, k] * bases[k + 1, j])`, with `translations[t]` added to x and y, and finer modes, `details`
-    with `detail_weights`, added like the others. `covariance` is that of `shapes` in px^2. What is not known of a frame is NaN.
+    with `detail_weights`, added like the others. `covariance` is that of `shapes` in px^2. What is not known
+    of a frame is NaN.
     """
     learned = found.learned
     with write_atomically(path) as unfinished, unfinished.open("wb") as file:
