@@ -10,6 +10,7 @@ from .flesh_tracker import FleshTracker
 from .gflow import GFlow
 from .ground_plane import GroundPlane
 from .mixture_background import MixtureBackground
+from .nonrigid_structure import NonrigidStructure
 from .object_trajectories import ObjectTrajectories
 from .point_tracker import PointTracker
 from .recursive_structure import RecursiveStructure
@@ -28,6 +29,7 @@ __all__ = [
     "GFlow",
     "GroundPlane",
     "MixtureBackground",
+    "NonrigidStructure",
     "ObjectTrajectories",
     "PointTracker",
     "RecursiveStructure",

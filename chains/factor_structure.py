@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ..inference.core.protocols import BatchIncoming, Cavity, Port, Smoothed
 from ..inference.factor_analysis.factorisation import Factorisation, predicted
 from ..inference.factor_analysis.robust import factorise_robustly
+from ..inference.structure.incoming_points import observations
 from ..inference.structure.track_association import associate_tracks
 from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.short_repr import short_repr
@@ -96,7 +97,7 @@ class FactorStructure:
         ValueError
             if there are fewer than 3 frames or 4 tracks, or frames share too few of them.
         """
-        identities, positions, weights = _observations(incoming_over_time)
+        identities, positions, weights = observations(incoming_over_time)
         if self.associate:
             found = associate_tracks(positions, weights, coherence=self.coherence)
             fit, point, trusted = found.factorisation, found.point_of_track, found.trusted
@@ -127,18 +128,3 @@ class FactorStructure:
             PointMessage(GaussianMessage.from_moments(tracks, mean, covariance), same_as=first[points])
             for mean, covariance in zip(positions[:, points], covariances[:, points], strict=True)
         ]
-
-
-def _observations(
-    incoming_over_time: Sequence[BatchIncoming],
-) -> tuple[NDArray[np.int64], Numbers, Numbers]:
-    """Identities `(n,)`, positions `(n_frames, n, 2)` and 1 / variances `(n_frames, n)` of what comes in."""
-    moments = [incoming[PointTracks].positions.moments for incoming in incoming_over_time]
-    identities = np.unique(np.concatenate([each for each, _, _ in moments]))
-    positions = np.zeros((len(moments), len(identities), 2))
-    weights = np.zeros((len(moments), len(identities)))
-    for time, (known, means, covariances) in enumerate(moments):
-        place = np.searchsorted(identities, known)
-        positions[time, place] = means
-        weights[time, place] = 2 / np.trace(covariances, axis1=1, axis2=2)
-    return identities, positions, weights

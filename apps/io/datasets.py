@@ -52,6 +52,7 @@ SEQUENCES = {
         ("frame_000100.jpg", "frame_000250.jpg"),
         "https://github.com/davisking/dlib/tree/master/examples/video_frames",
     ),
+    "nrsfm-mocap": Sequence(("dance.mat", "drink.mat"), "http://cvlab.lums.edu.pk/nrsfm"),
     "nrsfm-torresani": Sequence(
         ("face.mat", "jaws.mat", "walking.mat"), "https://cs.dartmouth.edu/~lorenzo/nrsfm.html"
     ),

@@ -323,10 +323,14 @@ def shape_step(
     axes, extended = state.seen_axes, found.extended
     second = extended[:, :, None] * extended[:, None, :]
     second[:, 1:, 1:] += found.covariance
-    products = np.einsum("nkl,nab->nkalb", second, np.matmul(axes.transpose(0, 2, 1), axes))
-    together = bool(tracks.seen.all())  # then all points have the same normal matrix
-    seen = tracks.seen[:, :1] if together else tracks.seen
-    normal = (seen.T @ products.reshape(len(seen), -1)).reshape(-1, 3 * n_bases, 3 * n_bases)
+    squared = np.matmul(axes.transpose(0, 2, 1), axes)
+    if tracks.seen.all():  # all points have the same normal matrix
+        product = second.reshape(len(second), -1).T @ squared.reshape(len(squared), -1)
+        together = product.reshape(1, n_bases, n_bases, 3, 3).transpose(0, 1, 3, 2, 4)
+    else:
+        products = np.einsum("nkl,nab->nkalb", second, squared)
+        together = tracks.seen.T @ products.reshape(len(products), -1)
+    normal = together.reshape(-1, 3 * n_bases, 3 * n_bases)
     centred = (tracks.positions - state.translations[:, None]) * tracks.seen[..., None]
     coefficients = np.einsum("nk,nca->ncka", extended, axes).reshape(-1, 3 * n_bases)
     right = centred.transpose(1, 0, 2).reshape(n_points, -1) @ coefficients

@@ -21,33 +21,37 @@ LEAST_GAIN = 1e-7
 """Of the sum of squares, as a share: below this nothing more is to be had."""
 RIDGE = 1e-9
 """Of the mean diagonal: the axes of space are free, and with them three directions of Q."""
+LEAST_RANK = 3
 LEAST_STRENGTH = 1e-6
 """Singular values below this share of the largest are rounding."""
-SEED = 0
+RANDOM_STARTS, SEED = 4, 0
 
 
 def rotations_of_rank(positions: Numbers, ranks: set[int]) -> list[Numbers]:
-    """Rotations `(n_frames, 3, 3)` for each rank, which Levenberg and Marquardt find from two Q each.
+    """Rotations `(n_frames, 3, 3)`, two for each rank, by the method of Levenberg and Marquardt.
 
-    One starts from the three strongest columns, one from random ones; the one that fulfils the constraints
-    better is given.
+    One starts from the three strongest columns. The other one is what fulfils the constraints best of some
+    that start from random ones: there are local optima, more of them the more there is of deformation.
 
     Parameters
     ----------
     positions
         `(n_frames, n_points, 2)` about the middle of each frame and in units of their spread, complete.
     ranks
-        numbers of singular vectors; those that positions do not have are left out.
+        numbers of singular vectors; if positions have fewer, all that they have. Of fewer than three there
+        are no rotations.
     """
     n_frames, n_points, _ = positions.shape
     left, values, _ = np.linalg.svd(positions.transpose(0, 2, 1).reshape(-1, n_points), full_matrices=False)
     random = np.random.default_rng(SEED)
     found = []
     strong = int(np.count_nonzero(values > LEAST_STRENGTH * values[0]))
-    for rank in sorted(rank for rank in ranks if rank <= strong):
+    for rank in sorted({min(rank, strong) for rank in ranks if strong >= LEAST_RANK}):
         motion = left[:, :rank] * np.sqrt(2 * n_frames * values[:rank] / values[0])
-        firsts = (np.eye(rank, 3), random.standard_normal((rank, 3)) / np.sqrt(rank))
-        solved = [_corrected(motion.reshape(n_frames, 2, rank), first) for first in firsts]
+        motion = motion.reshape(n_frames, 2, rank)
+        found.append(_rotations(_corrected(motion, np.eye(rank, 3))[0]))
+        firsts = random.standard_normal((RANDOM_STARTS, rank, 3)) / np.sqrt(rank)
+        solved = [_corrected(motion, first) for first in firsts]
         found.append(_rotations(min(solved, key=lambda each: each[1])[0]))
     return found
 

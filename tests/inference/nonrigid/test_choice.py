@@ -7,12 +7,11 @@ from rsmcm.inference.nonrigid.choice import LEAST_LEFT, choose_bases, withheld
 from ...support.deforming import N_BASES, deforming, holes
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_as_many_as_there_are(seed: int) -> None:
-    positions, _ = deforming(seed=seed)
-    found = choose_bases(positions, range(2, 6))
+def test_as_many_as_there_are() -> None:
+    positions, _ = deforming()
+    found = choose_bases(positions, range(2, 5))
     assert found.bases == N_BASES
-    assert found.candidates == (2, 3, 4, 5)
+    assert found.candidates == (2, 3, 4)
     assert found.errors[0] > 1.5 * found.errors[1]
     assert found.excess.min() == 0
 

