@@ -24,6 +24,9 @@ from .kernels.track_association import assign_tracks, same_point_gains
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+NEW_POINT = 0.1
+"""Prior probability that a track shows a point that no other one shows, at the least."""
+
 MOST_SHARE, LEAST_SHARE, SHARE_STEPS = 0.1, 1e-9, 50
 """Of pairs that are at one place: at most, and to begin with; at the least; steps of EM."""
 
@@ -32,14 +35,17 @@ MARGINS = (3.0, 1.5, 0.0)
 
 MOST_ROUNDS = 10
 SOFT_ROUNDS = 4
-SURE = 0.9
+ITERATIONS, LAST_ITERATIONS = 50, 500
+"""Of EM after each change of who shows what, from the cameras before; and at the end."""
+
+SURE = 0.99
 """Probability from which a track is said to show a point."""
 
 DETERMINED = 0.15
 """A point is one if its positions in all frames are known to this share of the spread of all points."""
 
-LOOSELY = 0.5
-"""The same of a point that a single short track shows, which no other one is judged by."""
+MOSTLY = 0.5
+"""Share of the tracks from which being the only one of a point is what is to be expected."""
 
 LEAST_VIEWS = 2
 """Frames of a track that is a point of its own: fewer leave its depth open."""
@@ -120,7 +126,7 @@ class _Association:
 
     def __init__(self, positions: Numbers, weights: Numbers, fit: Factorisation) -> None:
         self._positions, self._weights = positions, weights
-        self._fit = fit
+        self._fit = self._apart = fit
         self._observations = Observations.from_arrays(positions, weights)
         self._tracks = self._observations.by_point
         n_tracks = positions.shape[1]
@@ -151,6 +157,12 @@ class _Association:
         return estimate_correlated_noise(
             self._tracks, self._cameras, self._point, covariance + np.outer(mean, mean)
         )
+
+    @property
+    def _white_noise(self) -> CorrelatedNoise:
+        """As the fit has it."""
+        unit = self._observations.scale**2 * self._observations.weight_unit
+        return CorrelatedNoise(self._fit.noise_variance / unit, 0.0, 1.0)
 
     # --- unions ---
 
@@ -197,8 +209,12 @@ class _Association:
         membership = np.ascontiguousarray(membership)
         busy = membership.T @ self._seen
         order = np.argsort(self._counts, kind="stable")
+        # a track is the only one of a point as often as others are
+        alone = np.count_nonzero((membership > TORN).sum(axis=0) == 1)
+        odds = max((alone + 1) / (len(membership) - alone + 1), NEW_POINT / (1 - NEW_POINT))
+        log_new = float(np.log(membership.shape[1] * odds))
         assign_tracks(
-            order, tracks, information, vector, prior, prior @ mean, self._log_new, hard, membership, busy
+            order, tracks, information, vector, prior, prior @ mean, log_new, hard, membership, busy
         )
         return membership
 
@@ -217,7 +233,7 @@ class _Association:
         _, self._point = np.unique(point, return_inverse=True)
         self._refit(np.eye(self._point.max() + 1)[self._point])
 
-    def _refit(self, membership: Numbers) -> None:
+    def _refit(self, membership: Numbers, iterations: int = ITERATIONS) -> None:
         weights = self._weights @ membership
         sums = np.einsum("tk,tkc,kp->tpc", self._weights, self._positions, membership, optimize=True)
         weights[weights < 1e-3] = 0
@@ -228,12 +244,12 @@ class _Association:
             positions,
             weights,
             coherence=self._fit.coherent,
+            iterations=iterations,
             start=replace(self._fit, shape=shape, shape_covariance=spread),
         )
 
     def _points_given_cameras(self, membership: Numbers) -> tuple[Numbers, Numbers]:
-        noise = CorrelatedNoise(self._fit.noise_variance / self._observations.scale**2, 0.0, 1.0)
-        information, vector, _, _ = noise.information(self._tracks, self._cameras)
+        information, vector, _, _ = self._white_noise.information(self._tracks, self._cameras)
         whole = np.eye(3) + np.einsum("kp,kij->pij", membership, information)
         inverse = np.linalg.inv(whole)
         return np.einsum("pij,kp,kj->pi", inverse, membership, vector, optimize=True), inverse
@@ -275,9 +291,7 @@ class _Association:
             membership[:, one] += membership[:, other]
             membership = np.delete(membership, other, axis=1)
 
-    def _determined(
-        self, membership: Numbers, noise: CorrelatedNoise, share: float = DETERMINED
-    ) -> NDArray[np.bool_]:
+    def _determined(self, membership: Numbers, noise: CorrelatedNoise) -> NDArray[np.bool_]:
         """Whether tracks say where each point is, in every frame."""
         information, _, _, _ = noise.information(self._tracks, self._cameras)
         _, covariance = self._population()
@@ -285,7 +299,7 @@ class _Association:
         rows = self._cameras[..., :3]
         variance = np.einsum("tcj,pjk,tck->tp", rows, np.linalg.inv(whole), rows, optimize=True)
         spread = np.einsum("tcj,jk,tck->t", rows, covariance, rows)
-        known: NDArray[np.bool_] = (variance < share**2 * spread[:, None]).all(axis=0)
+        known: NDArray[np.bool_] = (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
         return known
 
     def _result(self, noise: CorrelatedNoise) -> TrackAssociation:
@@ -298,15 +312,18 @@ class _Association:
         sure[anchors[own], columns[own]] = True
         own &= self._determined(np.where(sure, 1.0, 0.0), noise)
         sure = sure[:, own]
-        # what may well be a point that nothing else shows is one; what is torn between points is nothing
-        alone = ~sure.any(axis=1) & (membership[:, own].sum(axis=1) < SURE) & (self._counts >= LEAST_VIEWS)
-        alone[alone] = self._determined(np.eye(len(alone))[:, alone], noise, LOOSELY)
-        hard = np.concatenate([np.where(sure, 1.0, 0.0), np.eye(len(alone))[:, alone]], axis=1)
-        soft = np.concatenate([membership[:, own], np.eye(len(alone))[:, alone]], axis=1)
-        point = np.where(hard.any(axis=1), hard.argmax(axis=1), -1)
-        self._refit(hard)
+        point = np.where(sure.any(axis=1), sure.argmax(axis=1), -1)
+        membership = membership[:, own]
+        unsure = (point < 0) & (self._counts >= LEAST_VIEWS)
+        if np.count_nonzero(sure.sum(axis=0) == 1) + np.count_nonzero(unsure) > MOSTLY * len(point):
+            # where most tracks are the only ones of their points, so is one of which nothing is sure
+            point[unsure] = sure.shape[1] + np.arange(np.count_nonzero(unsure))
+            membership = np.where(unsure[:, None], 0.0, membership)
+            membership = np.concatenate([membership, np.eye(len(point))[:, unsure]], axis=1)
+            self._fit = self._apart  # its cameras have heard all of them
+        self._refit(membership, LAST_ITERATIONS)
         unit = self._observations.scale**2 * self._observations.weight_unit
-        return TrackAssociation(self._fit, point, soft, noise.scaled(unit), self._weights > 0)
+        return TrackAssociation(self._fit, point, membership, noise.scaled(unit), self._weights > 0)
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:
