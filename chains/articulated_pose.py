@@ -39,7 +39,7 @@ FIRST = 10_000
 """Poses that are drawn in the first frame, at least: nothing is known of the arms."""
 
 IMAGE_ONLY = 0.4
-"""Share of a part's draws in the first frame for which other chains are not asked."""
+"""Share of a part's draws, of poses without a past, for which other chains are not asked."""
 
 PREDICTED = 0.3
 """Share of the hands that are drawn where other chains expect them; others are drawn where they are seen."""

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from ..inference.core.protocols import Cavity, Incoming, Port
 from ..inference.face.coverage import Coverage
+from ..inference.face.gflow_state import GFlowState
 from ..inference.face.pose_dynamics import PoseDynamics
-from ..inference.face.pose_filter import GFlowState, PoseFilter, vertex_moments
+from ..inference.face.pose_filter import PoseFilter, vertex_moments
 from ..inference.face.pose_terms import predicted_points
+from ..inference.face.recovery.finder import Finder
 from ..inference.face.texture_filter import Texture
 from ..inference.face.texture_likelihood import TexturedObject
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
@@ -99,6 +101,9 @@ class GFlow(PickledByFields):
         texture for this reason).
     recover
         doubt what does not fit, and search for the object all over the picture when it is lost.
+    finder
+        who is asked where the object is when it is doubted or lost, a `DetectedFace` say. Without one it is
+        found again by its texture only.
     background
         `"experts"`: each expert has a map of the background, eq. (2), and no other chain's is used. With
         `"shared"` the background is the one that another chain predicts at the same feature node, or none.
@@ -128,6 +133,7 @@ class GFlow(PickledByFields):
     dynamics: PoseDynamics = field(default_factory=PoseDynamics)
     texture: Texture | None = None
     recover: bool = True
+    finder: Finder | None = None
     background: Literal["shared", "experts"] = "shared"
     tracked: tuple[int, ...] = ()
     occlusion: bool = True
@@ -202,6 +208,7 @@ class GFlow(PickledByFields):
             own_background=self.background == "experts",
             tracked=np.array(self.tracked, np.int64),
             texture_given=self.texture is not None,
+            finder=self.finder,
         )
 
     @classmethod
@@ -225,22 +232,7 @@ class GFlow(PickledByFields):
         texture = Texture.unknown(1, self.levels, n_texels, learn=learn)
         if self.texture is not None:
             texture = replace(texture, mean=self.texture.mean[:1], variance=self.texture.variance[:1])
-        return GFlowState(
-            poses=start[one_each],
-            trusted=start[one_each],
-            log_weights=np.full(self.experts, -np.log(self.experts)),
-            texture=texture.of(np.zeros(self.experts, np.int64)),
-            size=float(start.sizes.mean()),
-            elapsed=0.0,
-            frames_seen=0,
-            log_evidence=0.0,
-            fit=1.0,
-            doubt=0.0,
-            since_resampling=0.0,
-            relocations=0,
-            random=np.random.default_rng(self.seed),
-            covariance=np.zeros((self.experts, start.dimension, start.dimension)),
-        )
+        return GFlowState.first(start[one_each], texture, np.random.default_rng(self.seed))
 
     def predict(self, state: GFlowState, dt: float) -> GFlowState:
         """Poses may have changed by more when the next picture comes."""
@@ -267,17 +259,17 @@ class GFlow(PickledByFields):
         seen = state
         if others.background is not None and others.image is not None:
             seen = self.update(state, incoming)
-            if seen.doubt and self.recover:
+            if seen.doubted and self.recover:
                 return feature.uniform()
         coverage = Coverage.of(self.model, seen.poses, seen.weights, others.size)
-        return PixelMessage(layers=coverage.layers(state.trust))
+        return PixelMessage(layers=coverage.layers(state.known))
 
     def update(self, state: GFlowState, incoming: Incoming) -> GFlowState:
         """Experts and textures after the picture."""
         return incoming.once(self._filter.updated, state, incoming[PixelLabels], incoming.get(PointTracks))
 
     def _vertices_predicted(self, state: GFlowState) -> PointMessage | None:
-        if (state.doubt and self.recover) or not self.tracked or not state.elapsed:
+        if (state.doubted and self.recover) or not self.tracked or not state.elapsed:
             return None
         chosen = np.array(self.tracked, np.int64)
         return PointMessage(predicted_points(self.model, self._filter.prior(state), state.weights, chosen))

@@ -12,7 +12,7 @@ from ..events.watch import Event
 from ..events.zones import Zones
 from ..io.mot import TrackedObject
 from ..view.film import LONGEST_SIDE, Film, Row
-from ..view.page import PREDICTED, SEEN, Plot, TimelineRow, View
+from ..view.page import Plot, TimelineRow, View, spans_of
 
 OF_TRACKS = ("id", "box", "confidence", "velocity", "seen", "covariance")
 OF_OUTLINES = ("outline", "corners")
@@ -56,7 +56,7 @@ def tracks_view(film: Film, happened: Happened | None = None) -> View:
     ids, counts = film.columns["id"], film.counts["id"]
     order = np.argsort(ids, kind="stable")
     frames = np.repeat(np.arange(len(counts)), counts)[order]
-    seen = film.columns["seen"][order]
+    seen = film.columns["seen"][order].astype(np.bool_)
     identities, starts = np.unique(ids[order], return_index=True)
     ends = np.append(starts, len(ids))[1:]
     rows = [
@@ -64,7 +64,7 @@ def tracks_view(film: Film, happened: Happened | None = None) -> View:
             identity,
             str(identity),
             css_colour(identity_colour(identity)),
-            _spans(frames[start:end], seen[start:end]),
+            spans_of(seen[start:end], frames[start:end]),
         )
         for identity, start, end in zip(identities.tolist(), starts, ends, strict=True)
     ]
@@ -87,10 +87,3 @@ def _plain(event: Event) -> dict[str, object]:
         "zone": event.zone,
         "more": event.direction or lasted,
     }
-
-
-def _spans(frames: NDArray[np.int64], seen: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """First, last and kind of runs of frames, `(n, 3)`."""
-    ends = np.flatnonzero((np.diff(frames) > 1) | (np.diff(seen.astype(np.int8)) != 0))
-    first, last = np.append(0, ends + 1), np.append(ends, len(frames) - 1)
-    return np.stack([frames[first], frames[last], np.where(seen[first], SEEN, PREDICTED)], axis=1)

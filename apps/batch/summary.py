@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any, get_args
 from urllib.parse import quote
 
-import jinja2
 from markupsafe import Markup
 
 from ...models.files.atomic_files import write_text
 from ...models.files.text_files import read_text
-from ..reports.page import cards, paragraph, write_page
+from ..reports.page import cards, paragraph, templates_in, write_page
 from .film import State, Told
 from .folders import plain_name
 from .job import INDEX, SUMMARY
@@ -33,13 +32,7 @@ PAUSE, SHARE = 1.0, 20
 """Seconds between two times that the files are written, and how often the time that this took: a batch of
 many thousand films does not spend itself on them."""
 
-_page = jinja2.Environment(
-    loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
-    autoescape=True,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    undefined=jinja2.StrictUndefined,
-).get_template("films.html")
+_page = templates_in(Path(__file__).parent / "templates").get_template("films.html")
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...chains.gflow import GFlow
 from ...inference import Belief, MultiChain, RecursiveBP
+from ...inference.face.recovery.finder import DetectedFace, Finder
 from ...models.background.pixel_labels import PixelLabels
 from ...models.core.frame import Frame
 from ...models.face.built_in_model import face_model
@@ -129,7 +130,14 @@ class FaceRun(FilmRun[FaceJob]):
         job = self.job
         self._start = start
         self._drawing = FaceDrawing(start.model)
-        self._chain = GFlow(start.model, start.pose, experts=job.experts, gain=job.gain, seed=job.seed)
+        self._chain = GFlow(
+            start.model,
+            start.pose,
+            experts=job.experts,
+            gain=job.gain,
+            finder=self._finder(start),
+            seed=job.seed,
+        )
         self.engine = RecursiveBP(MultiChain().connect(self._chain, PixelLabels()))
         if self.state.states:
             self._restarts = self.state.states["gflow"].relocations
@@ -189,6 +197,15 @@ class FaceRun(FilmRun[FaceJob]):
                 f"worst {error['worst_px']:.3g} px in frame {error['worst_frame']}"
             )
         return words
+
+    def _finder(self, start: FaceStart) -> Finder | None:
+        """Who is asked where the face is when it is lost; nobody where OpenCV brings no detector along."""
+        try:
+            return DetectedFace(start.model, self._faces)
+        except ValueError:
+            if self.job.detector is not None:
+                raise
+            return None
 
     @cached_property
     def _faces(self) -> PartDetector:

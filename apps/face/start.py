@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...inference.face.recovery.finder import poses_in_boxes
 from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import PartDetector
 from ...models.face.morphable_model import MorphableModel
@@ -15,8 +16,6 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 FEWEST_LANDMARKS = 4
-WIDTH_OF_FACE = 0.85
-"""Of a detector's box: what lies between the ears, which a model of a face spans."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,14 +119,11 @@ def start_from_box(model: MorphableModel, box: BoundingBox) -> FaceStart:
     ValueError
         if the box is empty.
     """
-    x, y, width, height = box
+    _, _, width, height = box
     if not (width > 0 and height > 0):
         raise ValueError(f"box: got {width}x{height} px, expected a width and height above 0")
     person = model.personalised(np.eye(model.n_bases)[0])
-    low, high = person.bases[0, :, :2].min(axis=0), person.bases[0, :, :2].max(axis=0)
-    size = WIDTH_OF_FACE * width / (high[0] - low[0])
-    centre = np.array([x + width / 2, y + height / 2]) - size * (low + high) / 2
-    pose = Poses.upright(centre[None], np.array([size]), person.n_bases)
+    pose = poses_in_boxes(person, np.array([box], np.float64))
     return FaceStart(person, pose, SurfacePoints.of_vertices([]), np.zeros(0, np.bool_), None)
 
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...models.files.atomic_files import write_text
 from ..reports.links import links_beside
+from ..reports.page import templates_in
 from .film import Film
 
 VIEW = "view.html"
@@ -22,14 +22,7 @@ SEEN, PREDICTED = 0, 1
 """Kinds of spans."""
 
 _TEMPLATES = Path(__file__).parent / "templates"
-_environment = jinja2.Environment(
-    loader=jinja2.FileSystemLoader(_TEMPLATES),
-    autoescape=True,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    keep_trailing_newline=True,
-    undefined=jinja2.StrictUndefined,
-)
+_environment = templates_in(_TEMPLATES)
 _environment.globals["source"] = lambda name: Markup((_TEMPLATES / name).read_text(encoding="utf-8"))
 
 
@@ -55,11 +48,13 @@ class TimelineRow:
     spans: NDArray[np.int64]
 
 
-def spans_of(seen: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The spans of a thing that is there all the time, `seen` `(n_frames,)` in some frames."""
-    first = np.concatenate([[0], np.flatnonzero(np.diff(seen)) + 1])
-    last = np.append(first[1:], len(seen)) - 1
-    return np.stack([first, last, np.where(seen[first], SEEN, PREDICTED)], axis=1)
+def spans_of(seen: NDArray[np.bool_], frames: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+    """The spans of a thing that is there in `frames` `(n,)`, ascending, or in all, and `seen` in some."""
+    if frames is None:
+        frames = np.arange(len(seen))
+    ends = np.flatnonzero((np.diff(frames) > 1) | np.diff(seen))
+    first, last = np.append(0, ends + 1), np.append(ends, len(seen) - 1)
+    return np.stack([frames[first], frames[last], np.where(seen[first], SEEN, PREDICTED)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

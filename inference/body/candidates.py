@@ -31,7 +31,7 @@ class Candidates:
     poses
         n of them, all possible.
     log_weights
-        `(n,)`, of weights that sum to 1.
+        `(n,)`; they sum to 1 once others have `weighed` them.
     ancestors
         n poses of the frame before; those that begin anew are their own.
     anew

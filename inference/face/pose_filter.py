@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.background.pixel_labels import PixelMessage
-from ...models.core.short_repr import short_repr
 from ...models.face.image_pyramid import Level, image_pyramid
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.outline import MeshEdges
@@ -22,9 +21,12 @@ from .coverage import MARGIN, Coverage, widened
 from .expert_background import ExpertBackground
 from .experts import Particles, log_likelihood, propagated, resampled, sampled
 from .gauss_newton import find_modes
-from .pose_dynamics import SHORTEST, PoseDynamics, PosePrior
+from .gflow_state import GFlowState
+from .pose_dynamics import PoseDynamics, PosePrior
 from .pose_terms import PoseEvidence, measured_points
-from .search import apart, likely_places
+from .recovery.finder import Finder
+from .recovery.search import apart, brought_to, likely_places
+from .recovery.trust import CHANCE, ROUNDING, Trust
 from .silhouette import Silhouette
 from .texture_filter import Texture, explained
 from .texture_likelihood import TexturedObject, TextureLikelihood
@@ -32,97 +34,36 @@ from .texture_likelihood import TexturedObject, TextureLikelihood
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEAST_FIT = 0.5
-"""Share of the picture's variance under the object that its texture has to explain."""
-
-RETURN_FIT = 0.7
-"""The same for an object that was lost and is found elsewhere: chance has had many places to try."""
-
-PATIENCE = 0.1
-"""s without that share after which the object is lost; one picture, however late, counts for half of it."""
-
+UNSURE_OF_SIZE = 0.2
+"""Standard deviation of the size of an object that is searched for, as a share of it."""
 
 COVERING_TEXELS = 1500
 """Of the mesh where it is integrated over what it hides."""
 
-ROUNDING = 1e-6
-"""s by which sums of frame times may be off."""
 
-
-@short_repr
 @dataclass(frozen=True, eq=False)
-class GFlowState:
-    """Experts: each a history of poses, of which the last is kept, and the texture that follows from it.
+class Sight:
+    """A picture seen with particles and the textures that they remember.
 
     Parameters
     ----------
-    poses
-        of the experts.
-    log_weights
-        `(n_experts,)`, normalised.
+    particles
+        poses.
     texture
-        of every expert.
-    trusted
-        poses in the last picture that left no doubt.
-    size
-        px: of the object at the start.
-    elapsed
-        s since the last picture.
-    frames_seen
-        pictures until now.
-    log_evidence
-        nats: log p(y_t | y_1:t-1) of the last picture, of its effective pixels.
+        predicted, of every particle.
+    observed
+        `(n, n_levels, n_texels)` grey levels of the picture.
+    inside
+        `(n, n_texels)`: texels that are seen in the picture.
     fit
-        share of the picture's variance under the object that the predicted texture explained, from -1 to 1:
-        -log(1 - fit) / 2 nats a pixel is the evidence for the texture over a broad alternative, a Gaussian
-        with the picture's own mean and variance there, where the noise is not taken for known.
-    doubt
-        s for which the fit has been too low; 0 without a doubt.
-    since_resampling
-        s since experts were resampled.
-    relocations
-        how often it was lost and found again.
-    random
-        source of all draws.
-    covariance
-        `(n_experts, dimension, dimension)`: of what each expert believed of its pose, by Laplace's method.
-    trust
-        `(height, width)` float32, from 0 to 1: how well the background of each pixel is known, where another
-        chain predicts it; `None` without one.
-    background
-        of every expert, where each has its own.
-    motion
-        `(n_experts, dimension)` per second: last change of each expert's pose, where there was one.
+        as of `GFlowState`.
     """
 
-    poses: Poses
-    log_weights: Array
+    particles: Particles
     texture: Texture
-    trusted: Poses
-    size: float
-    elapsed: float
-    frames_seen: int
-    log_evidence: float
+    observed: NDArray[np.float32]
+    inside: Mask
     fit: float
-    doubt: float
-    since_resampling: float
-    relocations: int
-    random: np.random.Generator
-    covariance: Array
-    trust: NDArray[np.float32] | None = None
-    background: ExpertBackground | None = None
-    motion: Array | None = None
-
-    @property
-    def weights(self) -> Array:
-        """`(n_experts,)`, sum 1."""
-        weights: Array = np.exp(self.log_weights)
-        return weights
-
-    @property
-    def lost(self) -> bool:
-        """Whether the tracker knows that it does not follow the object."""
-        return self.doubt > PATIENCE - ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +84,8 @@ class PoseFilter:
         `(n_tracked,)` numbers of the vertices whose places messages of points tell.
     texture_given
         whether the texture is known before the first picture.
+    finder
+        who is asked where the object is, or `None`.
     """
 
     surface: TexturedObject
@@ -159,6 +102,7 @@ class PoseFilter:
     own_background: bool
     tracked: NDArray[np.int64]
     texture_given: bool
+    finder: Finder | None = None
 
     @cached_property
     def _whole(self) -> TexturedObject | None:
@@ -173,11 +117,7 @@ class PoseFilter:
         return MeshEdges.of(self.surface.model.triangles)
 
     def updated(self, state: GFlowState, message: PixelMessage, points: PointMessage | None) -> GFlowState:
-        """The state after a picture, given the messages of the others to its pixels and points.
-
-        An object that fits no longer may have jumped: it is searched for as if it were lost, and believed
-        where it is found.
-        """
+        """The state after a picture, given the messages of the others to its pixels and points."""
         image = message.image
         if image is None:
             return state
@@ -189,22 +129,103 @@ class PoseFilter:
         )
         pyramid = image_pyramid(image, state.size, n_levels=self.levels, local_mean=self.local_mean)
         if state.frames_seen == 0:
-            particles, visible = self._weighed(state, pyramid)
-        elif state.lost and self.recover:
-            particles, visible = self._relocated(state, pyramid)
+            seen = self._seen(state, *self._weighed(state, pyramid), pyramid)
+            after = self._learned(state, seen, state.trust)
+        elif state.lost and self.recover and not state.trust.trial:
+            seen, after = self._sought(state, pyramid, image)
         else:
             background = self._background(state, message, image)
-            particles, visible = self._followed(state, pyramid, background, points)
-        after = self._textured(state, particles, visible, pyramid)
-        if after.doubt and self.recover and not state.lost:
-            astray = replace(state, doubt=PATIENCE)
-            elsewhere = self._textured(astray, *self._relocated(astray, pyramid), pyramid)
-            after = after if elsewhere.lost else elsewhere
-        if self._whole is None or (after.doubt and self.recover):
+            seen = self._seen(state, *self._followed(state, pyramid, background, points), pyramid)
+            seen, after = self._judged(state, seen, pyramid, image)
+        if self._whole is None or (after.doubted and self.recover):
             return after
         if self.own_background:
-            return self._with_own_background(after, particles, image, state.elapsed)
-        return after if message.background is None else self._with_trust(after, message, state.elapsed)
+            return self._with_own_background(after, seen.particles, image, state.elapsed)
+        return after if message.background is None else self._with_known(after, message, state.elapsed)
+
+    def _judged(
+        self, state: GFlowState, seen: Sight, pyramid: list[Level], image: NDArray[np.uint8]
+    ) -> tuple[Sight, GFlowState]:
+        """The state after a picture in which the object was followed, which may be somewhere else.
+
+        An object that fits no longer may have jumped: it is searched for as if it were lost, and believed
+        where it is found.
+        """
+        trust, elapsed = state.trust, state.elapsed
+        low = seen.fit < trust.least_fit
+        if not self.recover:
+            trust = trust.doubted(elapsed) if low else trust.confirmed(seen.fit, elapsed)
+            return seen, self._learned(state, seen, trust)
+        if trust.trial:
+            return self._tried(state, seen, pyramid, image)
+        if not low:
+            return seen, self._learned(state, seen, trust.confirmed(seen.fit, elapsed))
+        elsewhere = self._seen(state, *self._relocated(state, pyramid), pyramid)
+        if elsewhere.fit >= trust.return_fit:
+            return elsewhere, self._held(state, elsewhere, trust.seen_again(elapsed))
+        if not self._is_confirmed(image, seen):
+            return seen, self._held(state, seen, trust.doubted(elapsed))
+        if seen.fit < CHANCE:  # it is there, but looks like another
+            seen = replace(seen, texture=seen.texture.forgotten())
+        return seen, self._learned(state, seen, trust.confirmed(seen.fit, elapsed))
+
+    def _sought(
+        self, state: GFlowState, pyramid: list[Level], image: NDArray[np.uint8]
+    ) -> tuple[Sight, GFlowState]:
+        """The state after a picture in which a lost object was searched for by its texture and the finder.
+
+        Where the finder has it and its texture explains too little, it is tried with a new one.
+        """
+        trust = state.trust
+        best = int(state.log_weights.argmax())
+        places = None
+        if self.finder is not None:
+            places = self.finder.find(image, state.trusted[best], trust.searches)
+        seen = self._seen(state, *self._relocated(state, pyramid, places), pyramid)
+        if seen.fit >= trust.return_fit:
+            return seen, self._held(state, seen, trust.seen_again(state.elapsed))
+        if places is None or not len(places):
+            return seen, self._remembering(state, seen)
+        known = seen.fit >= CHANCE
+        n = len(state.poses)
+        chosen = seen.particles.poses[int(seen.particles.log_weights.argmax())] if known else places[0]
+        begun = Particles(
+            chosen[np.zeros(n, np.int64)],
+            np.full(n, -np.log(n)),
+            np.zeros(n, np.int64),
+            seen.particles.log_evidence,
+            np.zeros_like(state.covariance),
+        )
+        anew = replace(
+            state, texture=state.texture.forgotten(), remembered=state.texture.of(np.array([best]))
+        )
+        first = self._seen(anew, begun, self._visible(begun.poses), pyramid)
+        return seen, replace(self._learned(anew, first, trust.on_trial(known=known)), fit=seen.fit)
+
+    def _tried(
+        self, state: GFlowState, seen: Sight, pyramid: list[Level], image: NDArray[np.uint8]
+    ) -> tuple[Sight, GFlowState]:
+        """The state after a picture with an object on trial; the old texture may know better."""
+        trust = state.trust
+        if state.remembered is not None:
+            every = np.zeros(len(state.poses), np.int64)
+            rival = replace(state, texture=state.remembered.of(every))
+            known = self._seen(rival, *self._relocated(rival, pyramid, seen.particles.poses[:1]), pyramid)
+            if known.fit >= trust.return_fit:
+                after = self._held(rival, known, trust.seen_again(state.elapsed))
+                return known, replace(after, remembered=None)
+        if seen.fit < trust.least_fit or not self._is_confirmed(image, seen):
+            return seen, self._remembering(state, seen)
+        tried = trust.tried(seen.fit, state.elapsed)
+        after = self._learned(state, seen, tried)
+        return seen, after if tried.trial else replace(after, remembered=None)
+
+    def _is_confirmed(self, image: NDArray[np.uint8], seen: Sight) -> bool:
+        """Whether the finder says that the object is where it is followed."""
+        if self.finder is None:
+            return False
+        particles = seen.particles
+        return self.finder.confirms(image, particles.poses.mean(np.exp(particles.log_weights)))
 
     def prior(self, state: GFlowState) -> PosePrior:
         """Of the poses now, `state.elapsed` seconds after the last picture."""
@@ -273,91 +294,123 @@ class PoseFilter:
         """Whether it is time to resample."""
         return self.spread > 0 and state.since_resampling > self.resample_interval - ROUNDING
 
-    def _relocated(self, state: GFlowState, pyramid: list[Level]) -> tuple[Particles, Mask]:
-        """Search all over the picture, from the likeliest places, with the best expert's texture."""
-        n = len(state.poses)
-        best = np.full(n, int(state.log_weights.argmax()))
-        remembered = replace(state, texture=state.texture.of(best))
-        likelihood = self._likelihood(remembered, pyramid, state.trusted[best])
-        places = likely_places(likelihood, state.trusted[best[:1]], n)
+    def _relocated(
+        self, state: GFlowState, pyramid: list[Level], shown: Poses | None = None
+    ) -> tuple[Particles, Mask]:
+        """Search with the best expert's texture all over the picture, and where others have `shown` it."""
+        n, best = len(state.poses), int(state.log_weights.argmax())
+        last = state.trusted[best]
+        remembered = replace(state, texture=state.texture.of(np.array([best])))
+        likelihood = self._likelihood(remembered, pyramid, last)
+        places = likely_places(likelihood, last, n)
+        if shown is not None and len(shown):
+            places = Poses.concatenated([places, brought_to(self.surface.model, last, shown[:n])])
+        every = np.full(len(places), best)
         prior = PosePrior.after(places, self.dynamics, state.size, 1.0)
+        likelihood = self._likelihood(
+            replace(state, texture=state.texture.of(every)), pyramid, last[0 * every]
+        )
         modes = find_modes(likelihood, prior, places, self.effective_pixels, len(pyramid) - 1)
+        modes = find_modes(likelihood, prior, modes.poses, self.effective_pixels, 1)
         likelihood = replace(likelihood, visible=self._visible(modes.poses))
-        weights = log_likelihood(likelihood, modes.poses, np.arange(n), self.effective_pixels)
-        evidence = float(log_sum(weights) - np.log(n))
-        particles = Particles(modes.poses, normalised(weights), best, evidence, modes.covariance)
-        return particles, likelihood.visible
+        weights = log_likelihood(likelihood, modes.poses, np.arange(len(places)), self.effective_pixels)
+        chosen = np.sort(np.argsort(-weights, kind="stable")[:n])
+        evidence = float(log_sum(weights[chosen]) - np.log(n))
+        particles = Particles(
+            modes.poses[chosen],
+            normalised(weights[chosen]),
+            every[chosen],
+            evidence,
+            modes.covariance[chosen],
+        )
+        return particles, likelihood.visible[chosen]
 
-    def _textured(
-        self, state: GFlowState, particles: Particles, visible: Mask, pyramid: list[Level]
-    ) -> GFlowState:
-        """Textures given the poses (Table 2, III), and how well the predicted ones fitted."""
+    def _seen(self, state: GFlowState, particles: Particles, visible: Mask, pyramid: list[Level]) -> Sight:
+        """What the picture shows of the object in these poses, and how well that was predicted."""
         texture = state.texture.of(particles.parents)
-        observed, seen = self.surface.observe(pyramid, particles.poses, visible)
+        observed, inside = self.surface.observe(pyramid, particles.poses, visible)
         fit = 1.0
         if state.frames_seen or self.texture_given:
-            shares = explained(observed[:, 0], texture.mean[:, 0], visible, seen)
+            shares = explained(observed[:, 0], texture.mean[:, 0], visible, inside)
             fit = float(np.exp(particles.log_weights) @ shares)
-        away = state.lost and self.recover
-        doubtful = fit < (RETURN_FIT if away else LEAST_FIT)
-        poses, log_weights, parents = particles.poses, particles.log_weights, particles.parents
-        one = min(max(state.elapsed, SHORTEST), PATIENCE / 2)
-        doubt = 0.0
-        if doubtful:
-            doubt = state.doubt + one
-        elif away:
-            doubt = one  # one picture more, before it is believed
-        if doubtful and away:
-            poses, log_weights, texture = state.trusted, state.log_weights, state.texture
-            parents = np.arange(len(poses))
-        if doubt and self.recover:
-            seen = np.zeros_like(seen)  # what may not be the object teaches nothing about it
-        background = state.background
-        if background is not None and doubt and self.recover:  # else it follows when it learns
-            background = background.of(parents)
+        return Sight(particles, texture, observed, inside, fit)
+
+    def _learned(self, state: GFlowState, seen: Sight, trust: Trust) -> GFlowState:
+        """Poses, and textures given the poses (Table 2, III)."""
+        particles = seen.particles
         motion = None
-        if state.elapsed and not doubt:
+        if state.elapsed and not trust.doubt:
             motion = particles.poses.changes_from(state.poses[particles.parents]) / state.elapsed
+        texture = seen.texture.updated(seen.observed, seen.inside, self.noise, state.elapsed)
+        return replace(
+            self._after(state, seen, trust),
+            texture=texture,
+            trusted=state.trusted[particles.parents] if trust.doubt else particles.poses,
+            motion=motion,
+        )
+
+    def _held(self, state: GFlowState, seen: Sight, trust: Trust) -> GFlowState:
+        """Poses, but nothing is learned of what may not be the object."""
+        parents = seen.particles.parents
+        background = state.background
+        if background is not None:  # else it follows when it learns
+            background = background.of(parents)
+        after = self._after(state, seen, trust)
+        return replace(after, texture=seen.texture, trusted=state.trusted[parents], background=background)
+
+    def _remembering(self, state: GFlowState, seen: Sight) -> GFlowState:
+        """As it was last seen: it is not found, or what was on trial is not the object."""
+        texture = state.texture
+        if state.remembered is not None:
+            texture = state.remembered.of(np.zeros(len(state.poses), np.int64))
+        trust = state.trust.doubted(state.elapsed)
+        return replace(
+            self._after(state, seen, replace(trust, searches=trust.searches + 1)),
+            poses=state.trusted,
+            log_weights=state.log_weights,
+            texture=texture,
+            remembered=None,
+        )
+
+    def _after(self, state: GFlowState, seen: Sight, trust: Trust) -> GFlowState:
+        """What every picture changes."""
+        particles = seen.particles
         return replace(
             state,
-            poses=poses,
-            log_weights=log_weights,
-            texture=texture.updated(observed, seen, self.noise, state.elapsed),
-            trusted=state.trusted[parents] if doubt else poses,
-            background=background,
+            poses=particles.poses,
+            log_weights=particles.log_weights,
+            trust=trust,
             elapsed=0.0,
             covariance=particles.covariance,
-            motion=motion,
+            motion=None,
             frames_seen=state.frames_seen + 1,
             log_evidence=particles.log_evidence,
-            fit=fit,
-            doubt=doubt,
+            fit=seen.fit,
             since_resampling=0.0 if self._resamples(state) else state.since_resampling,
-            relocations=state.relocations + int(state.lost and not doubtful),
         )
 
     def _background(
         self, state: GFlowState, message: PixelMessage, image: NDArray[np.uint8]
     ) -> OccludedBackground | None:
         """The background of this picture near the object, if somebody predicts it."""
-        own, trust = state.background, state.trust
-        if self._whole is None or (own is None and (message.background is None or trust is None)):
+        own, known = state.background, state.known
+        if self._whole is None or (own is None and (message.background is None or known is None)):
             return None
         coverage = self._coverage(state, message.size, margin=state.size)
         near = coverage.box, tones(image, coverage.inner, coverage.box)
         unit = units(image, state.size, local_mean=self.local_mean)
         if own is not None:
             return OccludedBackground(own.contrast(image, *near, unit, state.elapsed), self._whole)
-        assert trust is not None
-        return OccludedBackground(SharedBackground(message).contrast(trust, *near, unit), self._whole)
+        assert known is not None
+        return OccludedBackground(SharedBackground(message).contrast(known, *near, unit), self._whole)
 
-    def _with_trust(self, state: GFlowState, message: PixelMessage, elapsed: float) -> GFlowState:
+    def _with_known(self, state: GFlowState, message: PixelMessage, elapsed: float) -> GFlowState:
         """How well the background is known that another chain predicts."""
-        coverage, trust = self._coverage(state, message.size), state.trust
-        if trust is None:
-            trust = first_trust(coverage.hidden, coverage.box, message.size)
+        coverage, known = self._coverage(state, message.size), state.known
+        if known is None:
+            known = first_trust(coverage.hidden, coverage.box, message.size)
         background = SharedBackground(message)
-        return replace(state, trust=background.trust_after(trust, coverage.hidden, coverage.box, elapsed))
+        return replace(state, known=background.trust_after(known, coverage.hidden, coverage.box, elapsed))
 
     def _with_own_background(
         self, state: GFlowState, particles: Particles, image: NDArray[np.uint8], elapsed: float

@@ -35,12 +35,7 @@ def read_detections(
         if the file cannot be read.
     """
     path = Path(path)
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        line = next((line for line in iter(lambda: file.readline(LONGEST_LINE), "") if line.strip()), "")
-    if not line:
-        raise ValueError(f"{path}: holds nothing, expected {FORMS}")
-    if "\0" in line:
-        raise ValueError(f"{path}: got binary data, expected {FORMS}")
+    line = first_line(path, FORMS)
     if line.lstrip()[0] in "[{":
         found = read_coco(path, film, pictures)
     elif "frame" in line.lower():
@@ -52,6 +47,25 @@ def read_detections(
     if not found.looked:
         raise ValueError(f"{path}: holds no detections")
     return found.of_classes(classes) if classes else found
+
+
+def first_line(path: Path, forms: str) -> str:
+    """The first line of a file that is not empty, by which its form is known.
+
+    Raises
+    ------
+    ValueError
+        naming the file and what is expected, the `forms`, if there is none or it is no text.
+    OSError
+        if the file cannot be read.
+    """
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        line = next((line for line in iter(lambda: file.readline(LONGEST_LINE), "") if line.strip()), "")
+    if not line:
+        raise ValueError(f"{path}: holds nothing, expected {forms}")
+    if "\0" in line:
+        raise ValueError(f"{path}: got binary data, expected {forms}")
+    return line
 
 
 def digest(path: Path) -> str:

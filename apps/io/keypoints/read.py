@@ -4,8 +4,7 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..detections.read import digest
-from ..mot import LONGEST_LINE
+from ..detections.read import digest, first_line
 from .coco import read_coco
 from .openpose import ENDING, read_openpose
 from .table import Keypoints
@@ -35,12 +34,7 @@ def read_keypoints(path: str | Path, *, film: str = "the film", pictures: Sequen
     path = Path(path)
     if path.is_dir():
         return read_openpose(path, film, pictures)
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        line = next((line for line in iter(lambda: file.readline(LONGEST_LINE), "") if line.strip()), "")
-    if not line:
-        raise ValueError(f"{path}: holds nothing, expected {FORMS}")
-    if "\0" in line:
-        raise ValueError(f"{path}: got binary data, expected {FORMS}")
+    line = first_line(path, FORMS)
     if line.lstrip()[0] in "[{":
         return read_coco(path, film, pictures)
     if "frame" in line.lower():

@@ -18,9 +18,9 @@ from ....models.body.parts import BodyParts
 from ....models.core.frame import Frame
 from ....models.core.short_repr import short_repr
 from ...core.protocols import BatchIncoming, Incoming
-from ..dynamics import Ancestors, BodyDynamics
+from ..dynamics import BodyDynamics
 from ..flesh.tracks import FleshTracks
-from ..samples import LONGEST, BodySamples
+from ..samples import BodySamples
 from .fixed_lag import FixedLag
 from .labelling import Labelling
 
@@ -133,9 +133,7 @@ def smoothed_poses(
     for index, answer in enumerate(answers):
         labelling.add(answer.number, answer.time, answer.evidence)
         if index:
-            before = answers[index - 1]
-            elapsed = min(answer.time - before.time, LONGEST)
-            past = Ancestors(before.samples.poses, before.samples.weights, elapsed)
+            past = answers[index - 1].ancestors(answer.time)
             total += float(answer.samples.weights @ dynamics.log_density(answer.samples.poses, past))
     return PoseTrajectory(
         [None] * unknown + [answer.samples for answer in answers],

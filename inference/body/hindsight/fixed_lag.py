@@ -63,6 +63,10 @@ class TimedSamples:
     samples: BodySamples
     evidence: ExchangeEvidence = NOTHING_SAID
 
+    def ancestors(self, time: float) -> Ancestors:
+        """What may have become poses at `time`, s."""
+        return Ancestors(self.samples.poses, self.samples.weights, min(time - self.time, LONGEST))
+
 
 @short_repr
 @dataclass(frozen=True, eq=False)
@@ -245,7 +249,7 @@ class FixedLag:
             if past is not None:
                 poses = past.poses.take(self.dynamics.draw_ancestors(later, past, random))
                 elapsed = past.elapsed
-            past = _ancestors(clouds[index - 1], cloud.time) if index else None
+            past = clouds[index - 1].ancestors(cloud.time) if index else None
             likelihood = self._likelihoods.get(cloud.number)
             if index < newest and past is not None and likelihood is not None:
                 moves = MOVES if index < stop else MOVES_AHEAD
@@ -261,11 +265,6 @@ class FixedLag:
         samples = replace(cloud.samples, poses=poses, log_weights=np.full(n, -np.log(n)))
         evidence = both_names(self.dynamics, samples, likelihood, random)[0]
         return replace(cloud, samples=samples, evidence=evidence)
-
-
-def _ancestors(cloud: TimedSamples, time: float) -> Ancestors:
-    """What may have become poses at `time`."""
-    return Ancestors(cloud.samples.poses, cloud.samples.weights, min(time - cloud.time, LONGEST))
 
 
 def thinned(samples: BodySamples, n: int, random: np.random.Generator) -> BodySamples:

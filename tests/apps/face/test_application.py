@@ -10,12 +10,12 @@ import pytest
 from markupsafe import Markup
 from numpy.typing import NDArray
 from rsmcm.apps.face import application, report
-from rsmcm.apps.face import start as face_start
 from rsmcm.apps.face.report import FaceRecord, angles
 from rsmcm.apps.face.start import find_face, start_from_box, start_from_landmarks
 from rsmcm.apps.io.sources import blank_frames
 from rsmcm.apps.reports import time_plots
 from rsmcm.apps.scenes import face
+from rsmcm.inference.face.recovery.finder import WIDTH_OF_FACE
 from rsmcm.models import Frame
 from rsmcm.models.face import detectors
 from rsmcm.models.face.built_in_model import face_model
@@ -488,7 +488,7 @@ def test_a_source_that_breaks(
 
 def box_of(scene: Any, index: int) -> tuple[float, float, float, float]:
     low, high = scene.vertices[index].min(axis=0), scene.vertices[index].max(axis=0)
-    wide = (high - low)[0] / face_start.WIDTH_OF_FACE
+    wide = (high - low)[0] / WIDTH_OF_FACE
     return (
         float((low + high)[0] / 2 - wide / 2),
         float((low + high)[1] / 2 - wide / 2),
@@ -565,7 +565,7 @@ def test_a_typical_shape_fills_the_box() -> None:
     places = begun.model.project(begun.pose)[0]
     low, high = places.min(axis=0), places.max(axis=0)
     np.testing.assert_allclose((low + high) / 2, (90, 90))
-    assert (high - low)[0] == pytest.approx(100 * face_start.WIDTH_OF_FACE)
+    assert (high - low)[0] == pytest.approx(100 * WIDTH_OF_FACE)
     with pytest.raises(ValueError, match="box: got"):
         start_from_box(model, (40.0, 30.0, 0.0, 10.0))
 

@@ -7,7 +7,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -114,8 +114,9 @@ def parts(answer: http.client.HTTPResponse) -> Iterator[bytes]:
 def test_stream_is_motion_jpeg_until_the_run_ends(page: str, running: Running) -> None:
     with going_on(running):
         stream = parts(ask(page, "/stream.mjpg"))
-        pictures = [next(stream) for _ in range(10)]
-    assert len(set(pictures)) == 10
+        # one that is slow in coming is preceded by the last one again
+        pictures = set(islice(stream, 20))
+    assert len(pictures) >= 10
     for picture in pictures:
         assert cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR).shape == (48, 64, 3)
     running.end(["30 frames"])

@@ -258,14 +258,19 @@ def test_bodies_that_turn_in_the_picture_have_outlines_that_turn(seed: int, angl
     torsos, necks = ((turn * Rotation.from_rotvec(each)).as_rotvec() for each in (poses.torsos, poses.necks))
     arms = np.reshape(turn.apply(poses.arms.reshape(-1, 3)), poses.arms.shape)
     here, there = silhouettes(BODY, poses), silhouettes(BODY, BodyPoses(poses.roots, torsos, necks, arms))
-    own = there.part == TORSO
-    own |= np.isin(there.part, LIMBS)  # circles begin at another of their points
+    # circles begin at another of their points, as limbs do that are seen end-on
+    own = np.tile(there.part == TORSO, (len(poses), 1))
+    lengths = np.array([BODY.upper_arm, BODY.forearm])
+    narrowing = np.abs(np.diff([BODY.upper_arm_width, BODY.forearm_width, BODY.wrist_width])) / 2
+    aside = np.linalg.norm(poses.arms[..., :2], axis=-1) * lengths > 1.1 * narrowing
+    for limb, seen in zip(LIMBS, aside.reshape(len(poses), -1).T, strict=True):
+        own |= (there.part == limb) & seen[:, None]
     for part, turned in (
         (here.points - poses.roots[:, None], there.points - poses.roots[:, None]),
         (here.normals, there.normals),
     ):
-        np.testing.assert_allclose(turned[:, own], part[:, own] @ flat.T, atol=2e-3)
-    assert (there.visible == here.visible)[:, own].mean() > 0.98
+        np.testing.assert_allclose(turned[own], part[own] @ flat.T, atol=2e-3)
+    assert (there.visible == here.visible)[own].mean() > 0.98
 
 
 @settings(max_examples=15, deadline=None)
@@ -284,10 +289,11 @@ def test_mirror_images_have_mirrored_outlines(seed: int) -> None:
         mine, theirs = here.part == part, here.part == OUTLINE_PARTS.index(name)
         points, images = here.points[:, mine], there.points[:, theirs] * np.array([-1, 1], np.float32)
         away = np.linalg.norm(points[:, :, None] - images[:, None], axis=-1)
-        if part != HEAD and part not in HANDS:  # circles begin at another of their points
-            assert away.min(axis=2).max() < 0.01
+        circle = part == HEAD or part in HANDS  # they begin at another of their points
+        assert circle or away.min(axis=2).max() < 0.01
         shown = here.visible[:, mine].mean(), there.visible[:, theirs].mean()
-        assert shown[0] == pytest.approx(shown[1], abs=0.1)
+        # of an arc of nine points, one more or less at each end
+        assert shown[0] == pytest.approx(shown[1], abs=2 / 9 if circle else 0.1)
 
 
 @settings(max_examples=15, deadline=None)

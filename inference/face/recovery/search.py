@@ -1,11 +1,14 @@
 """Where experts begin their search: apart about the last pose, or all over the picture."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.face.pose import Poses
-from ...models.numerics.rotations import exponential
-from .texture_likelihood import TextureLikelihood
+from ....models.face.morphable_model import MorphableModel
+from ....models.face.pose import Poses
+from ....models.numerics.rotations import exponential
+from ..texture_likelihood import TextureLikelihood
 
 Array = NDArray[np.float64]
 
@@ -84,3 +87,21 @@ def likely_places(likelihood: TextureLikelihood, last: Poses, n: int) -> Poses:
     squares, _, areas, _ = np.concatenate(sums).T
     misfit = np.where(areas > 0, squares / np.maximum(areas, 1e-9), np.inf)
     return tried[np.argsort(misfit, kind="stable")[:n]]
+
+
+def brought_to(model: MorphableModel, last: Poses, shown: Poses) -> Poses:
+    """One pose turned in the picture's plane, scaled and moved to where others have the object, `n` poses."""
+    angle = np.zeros((len(shown), 3))
+    angle[:, 2] = rolls(shown) - rolls(last)
+    ratio = shown.sizes[:, None] / last.sizes
+    there = Poses(exponential(angle) @ last.rotations[0], np.zeros((len(shown), 2)), ratio * last.morphs)
+    off = model.project(shown).mean(axis=1) - model.project(there).mean(axis=1)
+    return replace(there, translations=off)
+
+
+def rolls(poses: Poses) -> Array:
+    """`(n,)` rad by which poses lean clockwise in the picture."""
+    turns = poses.rotations
+    return np.asarray(
+        np.arctan2(turns[:, 1, 0] - turns[:, 0, 1], turns[:, 0, 0] + turns[:, 1, 1]), np.float64
+    )
