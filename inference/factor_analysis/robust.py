@@ -27,7 +27,7 @@ FIRST_ROUNDS = 3
 """In which the variance of right positions is that of their median: the mean is still that of outliers."""
 
 FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.05, 1e-4, 0.5
-"""Of outliers, to begin with and within which it is learned: where most are wrong, nobody knows what is right."""
+"""Of outliers, to begin with and within which it is learned: where most are wrong, none is known to be."""
 
 ROUNDING, TINY = 1e-12, 1e-300
 """Of the largest square, and absolutely: the least variance, for positions without noise."""
@@ -97,7 +97,7 @@ def factorise_robustly(
     fit = _roughly(where, given, coherence, "grow")
     seen = np.nonzero(given > 0)
     right, weight = np.where(given > 0, 1.0, 0.0), given.copy()
-    share, outlying = FIRST_SHARE, 0.0
+    share, renewed = FIRST_SHARE, False
     for number in range(MOST_ROUNDS):
         squares = given[seen] * _free_squares(fit, where[seen], weight[seen], seen)
         before = right[seen]
@@ -111,9 +111,13 @@ def factorise_robustly(
         right[seen] = expit(odds)
         weight[seen] = given[seen] * (right[seen] + (1 - right[seen]) * noise / outlying)
         share = float(np.clip(1 - right[seen].mean(), LEAST_SHARE, MOST_SHARE))
-        if np.abs(right[seen] - before).mean() < SETTLED:
-            break
+        settled = bool(np.abs(right[seen] - before).mean() < SETTLED)
         fit = _roughly(where, weight, coherence, fit)
+        if settled and renewed:
+            break
+        if settled or number == FIRST_ROUNDS:
+            # where to begin was chosen among outliers, which may have led astray
+            fit, renewed = _renewed(where, np.where(right > TRUSTED, weight, 0.0), coherence, fit), True
     return RobustFactorisation(factorise(where, weight, coherence=coherence, start=fit), weight, right)
 
 
@@ -124,6 +128,15 @@ def _roughly(
     return factorise(
         where, weights, coherence=coherence, start=start, polish=coherence, iterations=ITERATIONS
     )
+
+
+def _renewed(where: Numbers, weights: Numbers, coherence: bool, fit: Factorisation) -> Factorisation:
+    """The better one of a fit and of that which is grown from positions that are trusted."""
+    try:
+        anew = _roughly(where, weights, coherence, "grow")
+    except ValueError:  # they are too few, or fall apart
+        return fit
+    return min(fit, anew, key=lambda each: each.noise_variance)
 
 
 def _noise(squares: Numbers, right: Numbers, *, first: bool) -> float:
@@ -138,7 +151,7 @@ def _noise(squares: Numbers, right: Numbers, *, first: bool) -> float:
 def _free_squares(
     fit: Factorisation, where: Numbers, weights: Numbers, seen: tuple[Indices, Indices]
 ) -> Numbers:
-    """Squared distances `(n,)` px^2 of positions from the fit, over the share that their points leave free."""
+    """Squared distances `(n,)` px^2 of positions from the fit, over what their points leave free."""
     frames, points = seen
     cameras = fit.cameras[frames]
     rows = cameras[..., :3]

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array, triu
 from scipy.special import expit
 
 from ..factor_analysis.factorisation import Factorisation, factorise
@@ -33,7 +34,7 @@ MOST_SHARE, LEAST_SHARE, SHARE_STEPS = 0.1, 1e-9, 50
 MARGINS = (3.0, 1.5, 0.0)
 """Nats by which a union has to be likelier than what it excludes: round by round, as cameras get better."""
 
-MOST_ROUNDS = 10
+MOST_ROUNDS = 6
 SOFT_ROUNDS = 4
 ITERATIONS, LAST_ITERATIONS = 50, 500
 """Of EM after each change of who shows what, from the cameras before; and at the end."""
@@ -109,14 +110,21 @@ def associate_tracks(
     weight = np.asarray(~np.isnan(where).any(axis=2) if weights is None else weights, np.float64)
     where = np.where(weight[..., None] > 0, where, 0.0)
     robust = factorise_robustly(where, weight, coherence=coherence)
-    kept = robust.consistent
-    # what is trusted counts, so that no track is refused for a position that is wrong
-    association = _Association(
-        where[:, kept], (robust.weights * robust.trusted)[:, kept], robust.factorisation.of_points(kept)
-    )
-    association.unite()
-    found = association.soft_assignment()
-    point, membership = np.full(len(kept), -1), np.zeros((len(kept), found.membership.shape[1]))
+    kept, fit = robust.consistent, robust.factorisation
+    point, membership = np.full(len(kept), -1), np.zeros((len(kept), np.count_nonzero(kept)))
+    try:
+        # what is trusted counts, so that no track is refused for a position that is wrong
+        association = _Association(
+            where[:, kept], (robust.weights * robust.trusted)[:, kept], fit.of_points(kept)
+        )
+        association.unite()
+        found = association.soft_assignment()
+    except ValueError:  # what is joined is too little to be a structure, or falls apart: nothing is
+        point[kept] = np.arange(membership.shape[1])
+        membership[kept] = np.eye(membership.shape[1])
+        noise = CorrelatedNoise(fit.noise_variance, 0.0, 1.0)
+        return TrackAssociation(fit.of_points(kept), point, membership, noise, robust.trusted)
+    membership = np.zeros((len(kept), found.membership.shape[1]))
     point[kept], membership[kept] = found.point_of_track, found.membership
     return replace(found, point_of_track=point, membership=membership, trusted=robust.trusted)
 
@@ -207,7 +215,7 @@ class _Association:
         mean, covariance = self._population()
         prior = np.linalg.inv(covariance)
         membership = np.ascontiguousarray(membership)
-        busy = membership.T @ self._seen
+        busy = pooled(membership, self._seen)
         order = np.argsort(self._counts, kind="stable")
         # a track is the only one of a point as often as others are
         alone = np.count_nonzero((membership > TORN).sum(axis=0) == 1)
@@ -234,8 +242,9 @@ class _Association:
         self._refit(np.eye(self._point.max() + 1)[self._point])
 
     def _refit(self, membership: Numbers, iterations: int = ITERATIONS) -> None:
-        weights = self._weights @ membership
-        sums = np.einsum("tk,tkc,kp->tpc", self._weights, self._positions, membership, optimize=True)
+        shown = csr_array(membership)
+        weights = self._weights @ shown
+        sums = np.stack([self._weights * self._positions[..., c] @ shown for c in range(2)], axis=2)
         weights[weights < 1e-3] = 0
         positions = sums / np.maximum(weights, 1e-3)[..., None]
         self._membership = membership
@@ -250,9 +259,9 @@ class _Association:
 
     def _points_given_cameras(self, membership: Numbers) -> tuple[Numbers, Numbers]:
         information, vector, _, _ = self._white_noise.information(self._tracks, self._cameras)
-        whole = np.eye(3) + np.einsum("kp,kij->pij", membership, information)
+        whole = np.eye(3) + pooled(membership, information)
         inverse = np.linalg.inv(whole)
-        return np.einsum("pij,kp,kj->pi", inverse, membership, vector, optimize=True), inverse
+        return np.einsum("pij,pj->pi", inverse, pooled(membership, vector)), inverse
 
     # --- the end ---
 
@@ -276,10 +285,11 @@ class _Association:
         prior = np.asarray(np.linalg.inv(covariance), np.float64)
         pull: Numbers = prior @ mean
         while True:
-            first, second = np.nonzero(np.triu(membership.T @ membership > TORN, 1))
-            whole: Numbers = np.einsum("kp,kij->pij", membership, information, optimize=True)
-            sums: Numbers = membership.T @ vector
-            busy = membership.T @ self._seen
+            shared = triu(csr_array(membership).T @ csr_array(membership), 1)
+            torn = shared.data > TORN
+            first, second = shared.row[torn], shared.col[torn]
+            whole, sums = pooled(membership, information), pooled(membership, vector)
+            busy = pooled(membership, self._seen)
             alone = log_partition(whole + prior, sums + pull)
             together = log_partition(whole[first] + whole[second] + prior, sums[first] + sums[second] + pull)
             gains = together - alone[first] - alone[second] + log_partition(prior, pull)
@@ -295,7 +305,7 @@ class _Association:
         """Whether tracks say where each point is, in every frame."""
         information, _, _, _ = noise.information(self._tracks, self._cameras)
         _, covariance = self._population()
-        whole = np.linalg.inv(covariance) + np.einsum("kp,kij->pij", membership, information)
+        whole = np.linalg.inv(covariance) + pooled(membership, information)
         rows = self._cameras[..., :3]
         variance = np.einsum("tcj,pjk,tck->tp", rows, np.linalg.inv(whole), rows, optimize=True)
         spread = np.einsum("tcj,jk,tck->t", rows, covariance, rows)
@@ -318,12 +328,17 @@ class _Association:
         if np.count_nonzero(sure.sum(axis=0) == 1) + np.count_nonzero(unsure) > MOSTLY * len(point):
             # where most tracks are the only ones of their points, so is one of which nothing is sure
             point[unsure] = sure.shape[1] + np.arange(np.count_nonzero(unsure))
-            membership = np.where(unsure[:, None], 0.0, membership)
-            membership = np.concatenate([membership, np.eye(len(point))[:, unsure]], axis=1)
+            membership = np.concatenate([np.where(sure, 1.0, 0.0), np.eye(len(point))[:, unsure]], axis=1)
             self._fit = self._apart  # its cameras have heard all of them
         self._refit(membership, LAST_ITERATIONS)
         unit = self._observations.scale**2 * self._observations.weight_unit
         return TrackAssociation(self._fit, point, membership, noise.scaled(unit), self._weights > 0)
+
+
+def pooled(membership: Numbers, values: Numbers) -> Numbers:
+    """Sums `(n_points, ...)` over tracks of what each of them says, `(n_tracks, ...)`, by memberships."""
+    sums: Numbers = csr_array(membership).T @ values.reshape(len(values), -1)
+    return sums.reshape(membership.shape[1], *values.shape[1:])
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:
