@@ -242,11 +242,10 @@ class _Association:
         self._refit(np.eye(self._point.max() + 1)[self._point])
 
     def _refit(self, membership: Numbers, iterations: int = ITERATIONS) -> None:
-        shown = csr_array(membership)
-        weights = self._weights @ shown
-        sums = np.stack([self._weights * self._positions[..., c] @ shown for c in range(2)], axis=2)
+        weights = pooled(membership, self._weights.T).T
+        sums = pooled(membership, (self._weights[..., None] * self._positions).transpose(1, 0, 2))
         weights[weights < 1e-3] = 0
-        positions = sums / np.maximum(weights, 1e-3)[..., None]
+        positions = sums.transpose(1, 0, 2) / np.maximum(weights, 1e-3)[..., None]
         self._membership = membership
         shape, spread = self._points_given_cameras(membership)
         self._fit = factorise(
@@ -260,8 +259,9 @@ class _Association:
     def _points_given_cameras(self, membership: Numbers) -> tuple[Numbers, Numbers]:
         information, vector, _, _ = self._white_noise.information(self._tracks, self._cameras)
         whole = np.eye(3) + pooled(membership, information)
-        inverse = np.linalg.inv(whole)
-        return np.einsum("pij,pj->pi", inverse, pooled(membership, vector)), inverse
+        inverse = np.asarray(np.linalg.inv(whole), np.float64)
+        shape: Numbers = np.einsum("pij,pj->pi", inverse, pooled(membership, vector))
+        return shape, inverse
 
     # --- the end ---
 
@@ -337,7 +337,7 @@ class _Association:
 
 def pooled(membership: Numbers, values: Numbers) -> Numbers:
     """Sums `(n_points, ...)` over tracks of what each of them says, `(n_tracks, ...)`, by memberships."""
-    sums: Numbers = csr_array(membership).T @ values.reshape(len(values), -1)
+    sums = np.asarray(csr_array(membership).T @ values.reshape(len(values), -1), np.float64)
     return sums.reshape(membership.shape[1], *values.shape[1:])
 
 
