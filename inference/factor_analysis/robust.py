@@ -109,7 +109,11 @@ def factorise_robustly(
             float(wrong @ squares) / (2 * float(wrong.sum())) if wrong.any() else float(squares.mean()) / 2
         )
         outlying = max(learned, FAREST * noise)
-        odds = np.log(1 / min(share, 0.5) - 1) + np.log(outlying / noise) - squares / 2 * (1 / noise - 1 / outlying)
+        odds = (
+            np.log(1 / min(share, 0.5) - 1)
+            + np.log(outlying / noise)
+            - squares / 2 * (1 / noise - 1 / outlying)
+        )
         right[seen] = expit(odds)
         weight[seen] = given[seen] * (right[seen] + (1 - right[seen]) * noise / outlying)
         share = max(float(1 - right[seen].mean()), LEAST_SHARE)
