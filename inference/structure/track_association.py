@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, triu
-from scipy.special import expit
 
 from ..factor_analysis.factorisation import Factorisation, factorise
 from ..factor_analysis.observations import Observations
@@ -21,15 +20,13 @@ from ..factor_analysis.robust import factorise_robustly
 from .correlated_noise import CorrelatedNoise, estimate_correlated_noise
 from .joint_posterior import covariance_of_points
 from .kernels.track_association import assign_tracks, same_point_gains
+from .pair_odds import log_odds_of_new
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 NEW_POINT = 0.1
 """Prior probability that a track shows a point that no other one shows, at the least."""
-
-MOST_SHARE, LEAST_SHARE, SHARE_STEPS = 0.1, 1e-9, 50
-"""Of pairs that are at one place: at most, and to begin with; at the least; steps of EM."""
 
 MARGINS = (3.0, 1.5, 0.0)
 """Nats by which a union has to be likelier than what it excludes: round by round, as cameras get better."""
@@ -346,32 +343,6 @@ def log_partition(information: Numbers, vector: Numbers) -> Numbers:
     solved = np.linalg.solve(information, vector[..., None])[..., 0]
     result: Numbers = 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
     return result
-
-
-def log_odds_of_new(gains: Numbers, apart: NDArray[np.bool_]) -> float:
-    """Log prior odds that a pair of points is two and not one.
-
-    Which share of the pairs is at one place is learned by EM. Different points may be there, too, more often
-    than if they were draws from a Gaussian, as on surfaces: as often as pairs that are two for sure.
-
-    Parameters
-    ----------
-    gains
-        `(n_pairs,)`, log of how much likelier a pair is if it is at one place than if it is not.
-    apart
-        `(n_pairs,)`, whether it is two points for sure.
-    """
-    share = max(_share_in_one_place(gains[~apart]) - _share_in_one_place(gains[apart]), LEAST_SHARE)
-    return float(np.log((1 - share) / share))
-
-
-def _share_in_one_place(gains: Numbers) -> float:
-    share = MOST_SHARE if len(gains) else 0.0
-    for _ in range(SHARE_STEPS):
-        if share <= LEAST_SHARE:
-            break
-        share = min(float(expit(gains + np.log(share / (1 - share))).mean()), MOST_SHARE)
-    return share
 
 
 def unite_points(

@@ -11,9 +11,9 @@ from rsmcm.inference.factor_analysis.robust import factorise_robustly
 from rsmcm.inference.structure.correlated_noise import CorrelatedNoise, estimate_correlated_noise
 from rsmcm.inference.structure.joint_posterior import motion_precision
 from rsmcm.inference.structure.kernels.track_association import camera_coupling
+from rsmcm.inference.structure.pair_odds import log_odds_of_new
 from rsmcm.inference.structure.track_association import (
     associate_tracks,
-    log_odds_of_new,
     log_partition,
     unite_points,
 )
