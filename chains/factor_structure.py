@@ -70,7 +70,7 @@ class FactorStructure:
     it says by `same_as` which tracks it takes for one point. Frames are taken to be evenly spaced: a step of
     eq. (19) is one from frame to frame, and its noise is learned from the film, whatever the rate of that.
 
-    A place that comes in is right with a probability that is learned, or an outlier; see `factorise_robustly`.
+    Places are right with a probability that is learned, or else outliers; see `factorise_robustly`.
 
     Parameters
     ----------

@@ -26,8 +26,9 @@ LEAST_FREE = 0.02
 FIRST_ROUNDS = 3
 """In which the variance of right positions is that of their median: the mean is still that of outliers."""
 
-FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.05, 1e-4, 0.5
-"""Of outliers, to begin with and within which it is learned: where most are wrong, nobody knows what is right."""
+FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.05, 1e-4, 0.2
+"""Of outliers: to begin with, at the least, and at most. Where more do not fit, the camera is not affine (a
+plane seen from near leaves its corners over), and nothing is an outlier."""
 
 ROUNDING, TINY = 1e-12, 1e-300
 """Of the largest square, and absolutely: the least variance, for positions without noise."""
@@ -95,11 +96,12 @@ def factorise_robustly(
     where = np.asarray(positions, np.float64)
     given = np.asarray(~np.isnan(where).any(axis=2) if weights is None else weights, np.float64)
     fit = _roughly(where, given, coherence, "grow")
-    seen = np.nonzero(given > 0)
+    frames, points = np.nonzero(given > 0)
+    seen: tuple[Indices, Indices] = frames.astype(np.int64), points.astype(np.int64)
     right, weight = np.where(given > 0, 1.0, 0.0), given.copy()
-    share, outlying = FIRST_SHARE, 0.0
+    share, renewed = FIRST_SHARE, False
     for number in range(MOST_ROUNDS):
-        squares = given[seen] * _free_squares(fit, where[seen], weight[seen], seen)
+        squares: Numbers = given[seen] * _free_squares(fit, where[seen], weight[seen], seen)
         before = right[seen]
         noise = _noise(squares, before, first=number < FIRST_ROUNDS)
         wrong = 1 - before
@@ -107,13 +109,23 @@ def factorise_robustly(
             float(wrong @ squares) / (2 * float(wrong.sum())) if wrong.any() else float(squares.mean()) / 2
         )
         outlying = max(learned, FAREST * noise)
-        odds = np.log(1 / share - 1) + np.log(outlying / noise) - squares / 2 * (1 / noise - 1 / outlying)
+        odds = (
+            np.log(1 / min(share, 0.5) - 1)
+            + np.log(outlying / noise)
+            - squares / 2 * (1 / noise - 1 / outlying)
+        )
         right[seen] = expit(odds)
         weight[seen] = given[seen] * (right[seen] + (1 - right[seen]) * noise / outlying)
-        share = float(np.clip(1 - right[seen].mean(), LEAST_SHARE, MOST_SHARE))
-        if np.abs(right[seen] - before).mean() < SETTLED:
-            break
+        share = max(float(1 - right[seen].mean()), LEAST_SHARE)
+        settled = bool(np.abs(right[seen] - before).mean() < SETTLED)
         fit = _roughly(where, weight, coherence, fit)
+        if settled and renewed:
+            break
+        if settled or number == FIRST_ROUNDS:
+            # where to begin was chosen among outliers, which may have led astray
+            fit, renewed = _renewed(where, np.where(right > TRUSTED, weight, 0.0), coherence, fit), True
+    if share > MOST_SHARE:
+        right[seen], weight = 1.0, given
     return RobustFactorisation(factorise(where, weight, coherence=coherence, start=fit), weight, right)
 
 
@@ -124,6 +136,15 @@ def _roughly(
     return factorise(
         where, weights, coherence=coherence, start=start, polish=coherence, iterations=ITERATIONS
     )
+
+
+def _renewed(where: Numbers, weights: Numbers, coherence: bool, fit: Factorisation) -> Factorisation:
+    """The better one of a fit and of that which is grown from positions that are trusted."""
+    try:
+        anew = _roughly(where, weights, coherence, "grow")
+    except ValueError:  # they are too few, or fall apart
+        return fit
+    return min(fit, anew, key=lambda each: each.noise_variance)
 
 
 def _noise(squares: Numbers, right: Numbers, *, first: bool) -> float:
@@ -138,7 +159,7 @@ def _noise(squares: Numbers, right: Numbers, *, first: bool) -> float:
 def _free_squares(
     fit: Factorisation, where: Numbers, weights: Numbers, seen: tuple[Indices, Indices]
 ) -> Numbers:
-    """Squared distances `(n,)` px^2 of positions from the fit, over the share that their points leave free."""
+    """Squared distances `(n,)` px^2 of positions from the fit, over what their points leave free."""
     frames, points = seen
     cameras = fit.cameras[frames]
     rows = cameras[..., :3]

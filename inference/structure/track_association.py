@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import expit
+from scipy.sparse import csr_array, triu
 
 from ..factor_analysis.factorisation import Factorisation, factorise
 from ..factor_analysis.observations import Observations
@@ -20,26 +20,30 @@ from ..factor_analysis.robust import factorise_robustly
 from .correlated_noise import CorrelatedNoise, estimate_correlated_noise
 from .joint_posterior import covariance_of_points
 from .kernels.track_association import assign_tracks, same_point_gains
+from .pair_odds import log_odds_of_new
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-MOST_SHARE, LEAST_SHARE, SHARE_STEPS = 0.1, 1e-9, 50
-"""Of pairs that are at one place: at most, and to begin with; at the least; steps of EM."""
+NEW_POINT = 0.1
+"""Prior probability that a track shows a point that no other one shows, at the least."""
 
 MARGINS = (3.0, 1.5, 0.0)
 """Nats by which a union has to be likelier than what it excludes: round by round, as cameras get better."""
 
-MOST_ROUNDS = 10
+MOST_ROUNDS = 6
 SOFT_ROUNDS = 4
-SURE = 0.9
+ITERATIONS, LAST_ITERATIONS = 50, 500
+"""Of EM after each change of who shows what, from the cameras before; and at the end."""
+
+SURE = 0.99
 """Probability from which a track is said to show a point."""
 
 DETERMINED = 0.15
 """A point is one if its positions in all frames are known to this share of the spread of all points."""
 
-LOOSELY = 0.5
-"""The same of a point that a single short track shows, which no other one is judged by."""
+MOSTLY = 0.5
+"""Share of the tracks from which being the only one of a point is what is to be expected."""
 
 LEAST_VIEWS = 2
 """Frames of a track that is a point of its own: fewer leave its depth open."""
@@ -103,14 +107,21 @@ def associate_tracks(
     weight = np.asarray(~np.isnan(where).any(axis=2) if weights is None else weights, np.float64)
     where = np.where(weight[..., None] > 0, where, 0.0)
     robust = factorise_robustly(where, weight, coherence=coherence)
-    kept = robust.consistent
-    # what is trusted counts, so that no track is refused for a position that is wrong
-    association = _Association(
-        where[:, kept], (robust.weights * robust.trusted)[:, kept], robust.factorisation.of_points(kept)
-    )
-    association.unite()
-    found = association.soft_assignment()
-    point, membership = np.full(len(kept), -1), np.zeros((len(kept), found.membership.shape[1]))
+    kept, fit = robust.consistent, robust.factorisation
+    point, membership = np.full(len(kept), -1), np.zeros((len(kept), np.count_nonzero(kept)))
+    try:
+        # what is trusted counts, so that no track is refused for a position that is wrong
+        association = _Association(
+            where[:, kept], (robust.weights * robust.trusted)[:, kept], fit.of_points(kept)
+        )
+        association.unite()
+        found = association.soft_assignment()
+    except ValueError:  # what is joined is too little to be a structure, or falls apart: nothing is
+        point[kept] = np.arange(membership.shape[1])
+        membership[kept] = np.eye(membership.shape[1])
+        noise = CorrelatedNoise(fit.noise_variance, 0.0, 1.0)
+        return TrackAssociation(fit.of_points(kept), point, membership, noise, robust.trusted)
+    membership = np.zeros((len(kept), found.membership.shape[1]))
     point[kept], membership[kept] = found.point_of_track, found.membership
     return replace(found, point_of_track=point, membership=membership, trusted=robust.trusted)
 
@@ -120,7 +131,7 @@ class _Association:
 
     def __init__(self, positions: Numbers, weights: Numbers, fit: Factorisation) -> None:
         self._positions, self._weights = positions, weights
-        self._fit = fit
+        self._fit = self._apart = fit
         self._observations = Observations.from_arrays(positions, weights)
         self._tracks = self._observations.by_point
         n_tracks = positions.shape[1]
@@ -151,6 +162,12 @@ class _Association:
         return estimate_correlated_noise(
             self._tracks, self._cameras, self._point, covariance + np.outer(mean, mean)
         )
+
+    @property
+    def _white_noise(self) -> CorrelatedNoise:
+        """As the fit has it."""
+        unit = self._observations.scale**2 * self._observations.weight_unit
+        return CorrelatedNoise(self._fit.noise_variance / unit, 0.0, 1.0)
 
     # --- unions ---
 
@@ -195,10 +212,14 @@ class _Association:
         mean, covariance = self._population()
         prior = np.linalg.inv(covariance)
         membership = np.ascontiguousarray(membership)
-        busy = membership.T @ self._seen
+        busy = pooled(membership, self._seen)
         order = np.argsort(self._counts, kind="stable")
+        # a track is the only one of a point as often as others are
+        alone = np.count_nonzero((membership > TORN).sum(axis=0) == 1)
+        odds = max((alone + 1) / (len(membership) - alone + 1), NEW_POINT / (1 - NEW_POINT))
+        log_new = float(np.log(membership.shape[1] * odds))
         assign_tracks(
-            order, tracks, information, vector, prior, prior @ mean, self._log_new, hard, membership, busy
+            order, tracks, information, vector, prior, prior @ mean, log_new, hard, membership, busy
         )
         return membership
 
@@ -217,26 +238,27 @@ class _Association:
         _, self._point = np.unique(point, return_inverse=True)
         self._refit(np.eye(self._point.max() + 1)[self._point])
 
-    def _refit(self, membership: Numbers) -> None:
-        weights = self._weights @ membership
-        sums = np.einsum("tk,tkc,kp->tpc", self._weights, self._positions, membership, optimize=True)
+    def _refit(self, membership: Numbers, iterations: int = ITERATIONS) -> None:
+        weights = pooled(membership, self._weights.T).T
+        sums = pooled(membership, (self._weights[..., None] * self._positions).transpose(1, 0, 2))
         weights[weights < 1e-3] = 0
-        positions = sums / np.maximum(weights, 1e-3)[..., None]
+        positions = sums.transpose(1, 0, 2) / np.maximum(weights, 1e-3)[..., None]
         self._membership = membership
         shape, spread = self._points_given_cameras(membership)
         self._fit = factorise(
             positions,
             weights,
             coherence=self._fit.coherent,
+            iterations=iterations,
             start=replace(self._fit, shape=shape, shape_covariance=spread),
         )
 
     def _points_given_cameras(self, membership: Numbers) -> tuple[Numbers, Numbers]:
-        noise = CorrelatedNoise(self._fit.noise_variance / self._observations.scale**2, 0.0, 1.0)
-        information, vector, _, _ = noise.information(self._tracks, self._cameras)
-        whole = np.eye(3) + np.einsum("kp,kij->pij", membership, information)
-        inverse = np.linalg.inv(whole)
-        return np.einsum("pij,kp,kj->pi", inverse, membership, vector, optimize=True), inverse
+        information, vector, _, _ = self._white_noise.information(self._tracks, self._cameras)
+        whole = np.eye(3) + pooled(membership, information)
+        inverse = np.asarray(np.linalg.inv(whole), np.float64)
+        shape: Numbers = np.einsum("pij,pj->pi", inverse, pooled(membership, vector))
+        return shape, inverse
 
     # --- the end ---
 
@@ -260,10 +282,11 @@ class _Association:
         prior = np.asarray(np.linalg.inv(covariance), np.float64)
         pull: Numbers = prior @ mean
         while True:
-            first, second = np.nonzero(np.triu(membership.T @ membership > TORN, 1))
-            whole: Numbers = np.einsum("kp,kij->pij", membership, information, optimize=True)
-            sums: Numbers = membership.T @ vector
-            busy = membership.T @ self._seen
+            shared = triu(csr_array(membership).T @ csr_array(membership), 1)
+            torn = shared.data > TORN
+            first, second = shared.row[torn], shared.col[torn]
+            whole, sums = pooled(membership, information), pooled(membership, vector)
+            busy = pooled(membership, self._seen)
             alone = log_partition(whole + prior, sums + pull)
             together = log_partition(whole[first] + whole[second] + prior, sums[first] + sums[second] + pull)
             gains = together - alone[first] - alone[second] + log_partition(prior, pull)
@@ -275,17 +298,15 @@ class _Association:
             membership[:, one] += membership[:, other]
             membership = np.delete(membership, other, axis=1)
 
-    def _determined(
-        self, membership: Numbers, noise: CorrelatedNoise, share: float = DETERMINED
-    ) -> NDArray[np.bool_]:
+    def _determined(self, membership: Numbers, noise: CorrelatedNoise) -> NDArray[np.bool_]:
         """Whether tracks say where each point is, in every frame."""
         information, _, _, _ = noise.information(self._tracks, self._cameras)
         _, covariance = self._population()
-        whole = np.linalg.inv(covariance) + np.einsum("kp,kij->pij", membership, information)
+        whole = np.linalg.inv(covariance) + pooled(membership, information)
         rows = self._cameras[..., :3]
         variance = np.einsum("tcj,pjk,tck->tp", rows, np.linalg.inv(whole), rows, optimize=True)
         spread = np.einsum("tcj,jk,tck->t", rows, covariance, rows)
-        known: NDArray[np.bool_] = (variance < share**2 * spread[:, None]).all(axis=0)
+        known: NDArray[np.bool_] = (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
         return known
 
     def _result(self, noise: CorrelatedNoise) -> TrackAssociation:
@@ -298,15 +319,23 @@ class _Association:
         sure[anchors[own], columns[own]] = True
         own &= self._determined(np.where(sure, 1.0, 0.0), noise)
         sure = sure[:, own]
-        # what may well be a point that nothing else shows is one; what is torn between points is nothing
-        alone = ~sure.any(axis=1) & (membership[:, own].sum(axis=1) < SURE) & (self._counts >= LEAST_VIEWS)
-        alone[alone] = self._determined(np.eye(len(alone))[:, alone], noise, LOOSELY)
-        hard = np.concatenate([np.where(sure, 1.0, 0.0), np.eye(len(alone))[:, alone]], axis=1)
-        soft = np.concatenate([membership[:, own], np.eye(len(alone))[:, alone]], axis=1)
-        point = np.where(hard.any(axis=1), hard.argmax(axis=1), -1)
-        self._refit(hard)
+        point = np.where(sure.any(axis=1), sure.argmax(axis=1), -1)
+        membership = membership[:, own]
+        unsure = (point < 0) & (self._counts >= LEAST_VIEWS)
+        if np.count_nonzero(sure.sum(axis=0) == 1) + np.count_nonzero(unsure) > MOSTLY * len(point):
+            # where most tracks are the only ones of their points, so is one of which nothing is sure
+            point[unsure] = sure.shape[1] + np.arange(np.count_nonzero(unsure))
+            membership = np.concatenate([np.where(sure, 1.0, 0.0), np.eye(len(point))[:, unsure]], axis=1)
+            self._fit = self._apart  # its cameras have heard all of them
+        self._refit(membership, LAST_ITERATIONS)
         unit = self._observations.scale**2 * self._observations.weight_unit
-        return TrackAssociation(self._fit, point, soft, noise.scaled(unit), self._weights > 0)
+        return TrackAssociation(self._fit, point, membership, noise.scaled(unit), self._weights > 0)
+
+
+def pooled(membership: Numbers, values: Numbers) -> Numbers:
+    """Sums `(n_points, ...)` over tracks of what each of them says, `(n_tracks, ...)`, by memberships."""
+    sums = np.asarray(csr_array(membership).T @ values.reshape(len(values), -1), np.float64)
+    return sums.reshape(membership.shape[1], *values.shape[1:])
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:
@@ -314,32 +343,6 @@ def log_partition(information: Numbers, vector: Numbers) -> Numbers:
     solved = np.linalg.solve(information, vector[..., None])[..., 0]
     result: Numbers = 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
     return result
-
-
-def log_odds_of_new(gains: Numbers, apart: NDArray[np.bool_]) -> float:
-    """Log prior odds that a pair of points is two and not one.
-
-    Which share of the pairs is at one place is learned by EM. Different points may be there, too, more often
-    than if they were draws from a Gaussian, as on surfaces: as often as pairs that are two for sure.
-
-    Parameters
-    ----------
-    gains
-        `(n_pairs,)`, log of how much likelier a pair is if it is at one place than if it is not.
-    apart
-        `(n_pairs,)`, whether it is two points for sure.
-    """
-    share = max(_share_in_one_place(gains[~apart]) - _share_in_one_place(gains[apart]), LEAST_SHARE)
-    return float(np.log((1 - share) / share))
-
-
-def _share_in_one_place(gains: Numbers) -> float:
-    share = MOST_SHARE if len(gains) else 0.0
-    for _ in range(SHARE_STEPS):
-        if share <= LEAST_SHARE:
-            break
-        share = min(float(expit(gains + np.log(share / (1 - share))).mean()), MOST_SHARE)
-    return share
 
 
 def unite_points(

@@ -7,9 +7,11 @@ from rsmcm.apps.scenes import cylinder
 from rsmcm.apps.structure.metrics import score_structure
 from rsmcm.inference.factor_analysis.factorisation import factorise, predicted
 from rsmcm.inference.factor_analysis.observations import Observations
+from rsmcm.inference.factor_analysis.robust import factorise_robustly
 from rsmcm.inference.structure.correlated_noise import CorrelatedNoise, estimate_correlated_noise
 from rsmcm.inference.structure.joint_posterior import motion_precision
 from rsmcm.inference.structure.kernels.track_association import camera_coupling
+from rsmcm.inference.structure.pair_odds import log_odds_of_new
 from rsmcm.inference.structure.track_association import (
     associate_tracks,
     log_partition,
@@ -178,6 +180,58 @@ def test_partial_tracks_are_joined(seed: int, coherence: bool) -> None:
     assert measures.reprojection_error <= 1.2 * error
     assert measures.n_points == 40
     assert measures.purity >= 0.97
+
+
+def test_short_tracks_of_white_noise_have_no_drift() -> None:
+    """Three frames are hardly more than a point takes: what it takes is no drift."""
+    scene = cylinder(n_points=80, n_frames=36, p_loose=0.0, p_drift=0.0, degrees_per_frame=10.0, seed=3)
+    pieces = np.full((36, 12 * 80, 2), np.nan)
+    for k in range(12):
+        pieces[3 * k : 3 * k + 3, 80 * k : 80 * k + 80] = scene.observed[3 * k : 3 * k + 3]
+    observations = Observations.from_arrays(pieces)
+    cameras = observations.scaled(scene.cameras.copy())
+    found = estimate_correlated_noise(observations.by_point, cameras, np.arange(12 * 80), np.eye(3))
+    assert found.drift == 0
+    # 2880 residuals
+    assert found.white * observations.scale**2 == pytest.approx(0.01**2, rel=0.1)
+
+
+@pytest.mark.parametrize("share", [0.002, 0.03])
+def test_share_of_pairs_in_one_place_is_learned(share: float) -> None:
+    random = np.random.default_rng(0)
+    one = random.random(200_000) < share
+    error, spread = 0.01, 1.0
+
+    def gains(off: Numbers) -> Numbers:
+        wide, near = spread**2 + error**2, error**2
+        square: Numbers = (off**2).sum(axis=1)
+        return 1.5 * np.log(wide / near) + square / 2 * (1 / wide - 1 / near)
+
+    off = np.where(one, error, np.hypot(error, spread))[:, None] * random.normal(size=(len(one), 3))
+    different = np.hypot(error, spread) * random.normal(size=(50_000, 3))
+    together = np.concatenate([gains(off), gains(different)])
+    apart = np.arange(len(together)) >= len(one)
+    assert log_odds_of_new(together, apart) == pytest.approx(np.log((1 - share) / share), abs=0.15)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_sparse_short_tracks_are_not_refused(seed: int) -> None:
+    """Association is not worse than none, where most tracks are the only ones of their points."""
+    scene = cylinder(
+        n_points=400, n_frames=24, p_loose=0.35, p_drift=0.0, p_regain=0.02, degrees_per_frame=10.0, seed=seed
+    )
+    tracks = scene.tracks()
+    lengths = (~np.isnan(tracks[..., 0])).sum(axis=0)
+    tracks = tracks[:, (lengths > 1)]
+    truth = scene.positions[:, scene.point_of_track[lengths > 1]]
+    found = associate_tracks(tracks, coherence=True)
+    assert (found.point_of_track >= 0).mean() >= 0.95
+    none = factorise_robustly(tracks, coherence=True)
+    seen = ~np.isnan(tracks[..., 0]) & (found.point_of_track >= 0)
+    off = predicted(found.factorisation)[0][:, found.point_of_track] - truth
+    alone = predicted(none.factorisation)[0] - truth
+    error, without = (np.sqrt(np.square(each[seen]).sum(axis=1).mean()) for each in (off, alone))
+    assert error <= without
 
 
 def test_order_and_units_of_tracks_do_not_matter() -> None:
