@@ -42,6 +42,10 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 
+SMALL_EVERY = 25
+"""Frames without a face until small ones are looked for again, which takes long."""
+
+
 def run_face(job: FaceJob) -> Outcome:
     """Run the face application; see `FilmRun.carry_out`.
 
@@ -218,7 +222,7 @@ class FaceRun(FilmRun[FaceJob]):
         if frame.image is None:
             return None
         if self._given is None:
-            box = find_face(frame, self._faces)
+            box = find_face(frame, self._faces, small=len(self.before) % SMALL_EVERY == 0)
             return None if box is None else start_from_box(self._model, box)
         landmarks = self._given.of_frame(frame.number)
         if landmarks is None:

@@ -237,6 +237,13 @@ def for_height(detector: PartDetector, height: float, agreeing: int = AGREEING) 
     return replace(detector, height=height, agreeing=agreeing, upright=True)
 
 
+def of_any_pose(detector: PartDetector, height: float, agreeing: int = AGREEING) -> PartDetector:
+    """The detector for faces about `height` px high, from the front or else from the side."""
+    if not isinstance(detector, HaarFaces):
+        return detector
+    return replace(detector, height=height, agreeing=agreeing)
+
+
 def _cascade(name: str) -> Any:
     """One that OpenCV brings along."""
     path = Path(cv2.__file__).parent / "data" / name
