@@ -115,6 +115,8 @@ class FaceRun(FilmRun[FaceJob]):
             raise self.no_frame("no face is found in it, expected one, or --landmarks")
         found = "landmarks" if self._given else str(self.job.detector or "OpenCV's cascade of faces")
         _log.info("start in frame %d, by %s", first.number, found)
+        if start.misfit is not None:
+            self.notes.append(start.misfit)
         self._begin_with(start)
         return chain([first], frames)
 
@@ -247,6 +249,7 @@ class FaceRun(FilmRun[FaceJob]):
         return {
             "start": origin,
             "start_fit_error_px": start.fit_error,
+            "start_fit": None if np.isnan(record.start_fit) else record.start_fit,
             "landmarks": len(start.present),
             "vertices": start.model.n_vertices,
             "bases": start.model.n_bases,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ...inference.face.recovery.finder import AROUND, FACE, UprightView, poses_in_boxes
 from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import PartDetector, for_height, of_any_pose
+from ...models.face.landmark_fit import LANDMARK_NOISE
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.face.surface_points import SurfacePoints
@@ -17,6 +18,9 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 FEWEST_LANDMARKS = 4
+
+USUAL_MISFIT = 2 * LANDMARK_NOISE
+"""Distance of landmarks from a model that fits them, in its sizes: on a talking face at most 0.035."""
 
 LARGE_FACE, SMALLEST, OCTAVE = 0.16, 30.0, 2.0
 """Heights of the faces that are looked for where none is found at first: below this share of the picture's
@@ -51,6 +55,17 @@ class FaceStart:
     points: SurfacePoints
     present: NDArray[np.bool_]
     fit_error: float | None
+
+    @property
+    def misfit(self) -> str | None:
+        """What to say of landmarks that the model does not meet; `None` if it does."""
+        size = float(self.pose.sizes[0])
+        if self.fit_error is None or self.fit_error <= USUAL_MISFIT * size:
+            return None
+        return (
+            f"The start may be poor: the model misses the landmarks by {self.fit_error:.3g} px, "
+            f"{USUAL_MISFIT * size:.2g} px are usual. Are they this face's, in this order?"
+        )
 
 
 def start_from_landmarks(
