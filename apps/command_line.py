@@ -24,10 +24,13 @@ from .options.job import Flag, Job
 from .options.opencv_packages import opencv_hint
 from .options.settings import options_from_file
 from .runs.interruption import SIGNALLED, Outcome
+from .shape.job import ShapeJob
 from .structure.job import StructureJob
 
-STREAM_LOST = 1
+STREAM_LOST = NOTHING_FOUND = 1
 USAGE_ERROR = 2
+
+PAGES = ("report.html", "view.html")
 
 app = App(
     name="rsmcm",
@@ -109,28 +112,16 @@ def body(job: Fields[BodyJob]) -> int:
 
 
 @app.command
-def shape(tracks: Path, *, bases: int, out: Path, overwrite: Flag = False) -> int:
-    """Learn a deformable 3-D model of an object from tracks of its points.
+def shape(job: Fields[ShapeJob]) -> int:
+    """Learn the 3-D shape of a thing that deforms from tracks of its points, and its motion.
 
-    By EM for probabilistic PCA of the shape, seen by a scaled orthographic camera. `rsmcm face` and
-    rsmcm.models.face.model_files read the model that it writes.
-
-    Parameters
-    ----------
-    tracks
-        .npy, or .npz with an array tracks or a single one: (n_frames, n_points, 2) px, NaN where missing; or
-        .npz as CoTracker or TAP-Vid have them.
-    bases
-        Number of morph bases, the mean shape among them: 2 or more.
-    out
-        The .npz file to write.
-    overwrite
-        Replace the file if it is there.
+    By EM for probabilistic PCA of the shape, seen by a scaled orthographic camera. Writes shapes.npz (the
+    points in space in every frame, poses, weights), model.npz (for rsmcm face), summary.json, report.html and
+    view.html.
     """
-    from .structure.shape import in_words, run_shape
+    from .shape.application import run_shape
 
-    print(*in_words(run_shape(tracks, bases, out, overwrite=overwrite)), f"model: {out}", sep="\n")
-    return 0
+    return _ended(_reported(job, run_shape(job)))
 
 
 @app.command
@@ -260,18 +251,21 @@ app.command(batch)
 
 def _reported(job: Job, outcome: Outcome) -> Outcome:
     """Print what is to be said of a run."""
-    pages = ", ".join(str(job.out / name) for name in ("report.html", "view.html"))
+    pages = ", ".join(str(job.out / name) for name in PAGES if (job.out / name).exists())
     print(*outcome.words, *outcome.summary["notes"], f"results: {pages}", sep="\n")
     return outcome
 
 
 def _ended(outcome: Outcome) -> int:
-    """The exit code of a run; a line says when its source was lost."""
+    """The exit code of a run; a line says when its source was lost, or nothing was found."""
     if outcome.signal is not None:
         return SIGNALLED + outcome.signal
     if outcome.lost is not None:
         print(f"rsmcm: {outcome.summary['source']}: lost for good: {outcome.lost}", file=sys.stderr)
         return STREAM_LOST
+    if outcome.nothing is not None:
+        print(f"rsmcm: {outcome.summary['source']}: {outcome.nothing}", file=sys.stderr)
+        return NOTHING_FOUND
     return 0
 
 

@@ -5,6 +5,7 @@ from .camera_motion import CameraMotion
 from .condensation import Condensation
 from .detector_rates import DetectorRates
 from .factor_structure import FactorStructure
+from .feature_matcher import FeatureMatcher
 from .flesh_tracker import FleshTracker
 from .gflow import GFlow
 from .ground_plane import GroundPlane
@@ -22,6 +23,7 @@ __all__ = [
     "Condensation",
     "DetectorRates",
     "FactorStructure",
+    "FeatureMatcher",
     "FleshTracker",
     "GFlow",
     "GroundPlane",

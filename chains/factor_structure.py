@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.core.protocols import BatchIncoming, Cavity, Port, Smoothed
-from ..inference.factor_analysis.factorisation import Factorisation, factorise, predicted
+from ..inference.factor_analysis.factorisation import Factorisation, predicted
+from ..inference.factor_analysis.robust import factorise_robustly
 from ..inference.structure.track_association import associate_tracks
 from ..models.core.gaussian_message import GaussianMessage
 from ..models.core.short_repr import short_repr
@@ -36,6 +37,8 @@ class StructureTrajectory:
         px^2, variance of an observation about what shape and cameras predict.
     scatter
         px^2, what of this is the features' own, eq. (20), and not the noise that observations state.
+    trusted
+        `(n_frames, n_tracks)` bool: whether a place that came in is taken to be right, and no outlier.
     """
 
     identities: NDArray[np.int64]
@@ -43,6 +46,7 @@ class StructureTrajectory:
     factorisation: Factorisation
     noise: float
     scatter: float
+    trusted: NDArray[np.bool_]
 
     @property
     def log_prior(self) -> float:
@@ -64,6 +68,8 @@ class FactorStructure:
     N(M_t (S_i, 1), P_ti) with P_ti the covariance that shape and cameras leave and the features' own scatter;
     it says by `same_as` which tracks it takes for one point. Frames are taken to be evenly spaced: a step of
     eq. (19) is one from frame to frame, and its noise is learned from the film, whatever the rate of that.
+
+    A place that comes in is right with a probability that is learned, or an outlier; see `factorise_robustly`.
 
     Parameters
     ----------
@@ -93,13 +99,16 @@ class FactorStructure:
         identities, positions, weights = _observations(incoming_over_time)
         if self.associate:
             found = associate_tracks(positions, weights, coherence=self.coherence)
-            fit, point = found.factorisation, found.point_of_track
+            fit, point, trusted = found.factorisation, found.point_of_track, found.trusted
         else:
-            fit = factorise(positions, weights, coherence=self.coherence)
-            point = np.arange(len(identities))
+            robust = factorise_robustly(positions, weights, coherence=self.coherence)
+            kept, trusted = robust.consistent, robust.trusted
+            fit = robust.factorisation.of_points(kept)
+            point = np.where(kept, np.cumsum(kept) - 1, -1)
         stated = 1 / float(np.median(weights[weights > 0]))
         noise = fit.noise_variance * stated
-        return Smoothed(StructureTrajectory(identities, point, fit, noise, max(noise - stated, 0.0)))
+        scatter = max(noise - stated, 0.0)
+        return Smoothed(StructureTrajectory(identities, point, fit, noise, scatter, trusted))
 
     def messages(
         self,

@@ -19,6 +19,7 @@ from ..io.sources.open_source import fingerprint
 from ..options.complaints import one_line
 from ..options.job import Job
 from ..options.opencv_packages import opencv_hint
+from ..runs.interruption import Outcome
 from ..runs.parallel import end_working, is_ending
 from ..runs.saved_run import STATE, about_of, check_source
 from .sources import TRACKS
@@ -89,7 +90,7 @@ def run_film(application: str, job: Job) -> Told:
 def _run(application: str, job: Any) -> Told:
     summary = None if job.overwrite else summary_if_complete(application, job)
     if summary is not None:
-        return _told("complete", job, summary)
+        return _completed(job, summary)
     module = import_module(f"..{application}.application", __package__)
     run = getattr(module, f"run_{application}")
     began = time.monotonic()
@@ -112,7 +113,13 @@ def _run(application: str, job: Any) -> Told:
         return _told("interrupted", job, outcome.summary)
     if outcome.lost is not None:
         return _told("lost", job, outcome.summary, f"lost for good: {outcome.lost}")
-    return _told("complete", job, outcome.summary)
+    return _completed(job, outcome.summary)
+
+
+def _completed(job: Job, summary: dict[str, Any]) -> Told:
+    """Of a run that came to its end, and may have found nothing."""
+    nothing = Outcome(summary, None).nothing
+    return _told("complete", job, summary) if nothing is None else _told("failed", job, summary, nothing)
 
 
 def summary_if_complete(application: str, job: Job) -> dict[str, Any] | None:

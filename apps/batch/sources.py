@@ -21,7 +21,7 @@ FILMS = frozenset(
 )
 """Suffixes of the files in a folder that are films; a file that is named may have any."""
 
-TRACKS = frozenset({".npy", ".npz"})
+TRACKS = frozenset({".npy", ".npz", ".mat"})
 """The same of track files, for `structure`."""
 
 OF_RUN, OF_BATCH = (MANIFEST, STATE), (SUMMARY, INDEX)

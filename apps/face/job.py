@@ -25,7 +25,8 @@ class FaceJob(FilmJob):
         Not needed where the landmarks are in the order of the model's landmarks or vertices.
     detector
         Without landmarks, the face is found by a detector; it is also asked where a face is that is lost.
-        OpenCV's YuNet with this model file (.onnx), this cascade (.xml), or the one that OpenCV 4 brings along.
+        OpenCV's YuNet with this model file (.onnx), this cascade (.xml), or the Haar cascade that OpenCV 4
+        brings along.
     experts
         How many hypotheses are tracked.
     gain

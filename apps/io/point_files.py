@@ -9,10 +9,16 @@ from numpy.typing import NDArray
 from ...models.files.array_files import SINGLE, Arrays, read_arrays
 from ...models.points.point_arrays import FARTHEST, check_points
 
-__all__ = ["FARTHEST", "read_points"]
+__all__ = ["FARTHEST", "read_points", "read_shapes"]
 
 KEY = "tracks"
 EXPECTED = "expected (n_frames, n_points, 2) px, NaN where missing"
+SHAPES = "shapes"
+EXPECTED_SHAPES = "expected (n_frames, n_points, 3)"
+
+AXES_FIRST, AXES_BELOW = "X", "P3_gt"
+"""Arrays of motion capture in MATLAB's files: (3, n_points, n_frames), and (3 n_frames, n_points) with all x
+before all y before all z."""
 
 VISIBLE = 0.5
 """Probability of being visible, or occluded, above which a point is taken to be so."""
@@ -56,7 +62,8 @@ def read_points(path: str | Path) -> NDArray[np.float64]:
         tracker: CoTracker's `tracks (n_frames, n_points, 2)` px and `visibility (n_frames, n_points)`, bool
         or probability (`pred_tracks` and `pred_visibility` are the same); TAP-Vid's `points (n_points,
         n_frames, 2)`, from 0 at the left and upper edge of the picture to 1 at the others, `occluded
-        (n_points, n_frames)`, and `video (n_frames, height, width, 3)`. A leading axis of length 1 goes.
+        (n_points, n_frames)`, and `video (n_frames, height, width, 3)`. A leading axis of length 1 goes. Or
+        motion capture as of `read_shapes`, of which x and y are taken: as seen from far away.
 
     Returns
     -------
@@ -74,8 +81,11 @@ def read_points(path: str | Path) -> NDArray[np.float64]:
     path = Path(path)
     arrays = read_arrays(path, EXPECTED, shape_only=(VIDEO,))
     layout = next((each for each in LAYOUTS if {each.points, each.flags} <= arrays.keys()), None)
+    captured = _motion_capture(arrays)
     if layout is not None:
         points = _of_tracker(path, arrays, layout)
+    elif captured is not None:
+        points = captured[..., :2]
     else:
         key = KEY if KEY in arrays or len(arrays) != 1 else next(iter(arrays))
         if key not in arrays:
@@ -88,6 +98,55 @@ def read_points(path: str | Path) -> NDArray[np.float64]:
         points = points.reshape(-1, *points.shape[-2:])
     check_points(str(path), points)
     return points
+
+
+def read_shapes(path: str | Path) -> NDArray[np.float64]:
+    """Read shapes in space over time: where every point is in every frame.
+
+    Parameters
+    ----------
+    path
+        `.npy`, or `.npz` with an array `shapes` or a single one, `(n_frames, n_points, 3)`; or motion capture
+        in a `.mat` file: `X (3, n_points, n_frames)`, or `P3_gt (3 n_frames, n_points)`, all x before all y
+        before all z.
+
+    Returns
+    -------
+    NDArray[np.float64]
+        `(n_frames, n_points, 3)`, in the file's unit, finite.
+
+    Raises
+    ------
+    ValueError
+        naming what came and what was expected, if it is no such file or array.
+    OSError
+        if the file cannot be read.
+    """
+    path = Path(path)
+    arrays = read_arrays(path, EXPECTED_SHAPES)
+    shapes = _motion_capture(arrays)
+    if shapes is None:
+        key = SHAPES if SHAPES in arrays or len(arrays) != 1 else next(iter(arrays))
+        if key not in arrays:
+            listed = ", ".join(map(repr, arrays))[:60] or "none"
+            raise ValueError(f"{path}: got arrays {listed}, expected {SHAPES!r} or a single one")
+        array = arrays[key]
+        if array.ndim != 3 or array.shape[2] != 3 or array.dtype.kind not in "iuf" or not array.size:
+            raise _wrong(path, key, array, EXPECTED_SHAPES)
+        shapes = _as_floats(array)
+    if not np.isfinite(shapes).all():
+        raise ValueError(f"{path}: got shapes that are not finite, {EXPECTED_SHAPES}")
+    return shapes
+
+
+def _motion_capture(arrays: Arrays) -> NDArray[np.float64] | None:
+    """`(n_frames, n_points, 3)` of arrays as motion capture is handed on; `None` of others."""
+    first, below = arrays.get(AXES_FIRST), arrays.get(AXES_BELOW)
+    if first is not None and first.ndim == 3 and len(first) == 3 and first.dtype.kind in "iuf":
+        return _as_floats(first.transpose(2, 1, 0))
+    if below is not None and below.ndim == 2 and len(below) % 3 == 0 and below.dtype.kind in "iuf":
+        return _as_floats(np.stack(np.split(below, 3), axis=-1))
+    return None
 
 
 def _of_tracker(path: Path, arrays: Arrays, layout: Layout) -> NDArray[np.float64]:

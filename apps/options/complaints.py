@@ -39,8 +39,10 @@ def convert_strictly(kind: Any, tokens: Sequence[Token]) -> Any:
     ValueError
         if it is not what is expected.
     """
+    words = [word for each in _kinds(kind) if get_origin(each) is Literal for word in get_args(each)]
     for typed in (token.value for token in tokens if token.implicit_value is UNSET):
-        if not typed or (int in _kinds(kind) and not re.fullmatch(r"[+-]?[0-9]+", typed)):
+        is_taken = re.fullmatch(r"[+-]?[0-9]+", typed) or typed in words
+        if not typed or (int in _kinds(kind) and not is_taken):
             raise ValueError
     return convert(kind, tokens)
 

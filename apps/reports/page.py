@@ -5,6 +5,7 @@ or dark setting. What is not `Markup` already is escaped.
 """
 
 import base64
+import io
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,9 @@ from ...models.files.atomic_files import write_text
 from .links import links_beside
 
 Image = NDArray[np.uint8]
+
+COLOURS = 64
+"""Of each of the pictures that move: enough for dots and lines, in half of the bytes."""
 
 Section = tuple[str, Sequence[Markup]]
 """Heading, which may be empty, and parts."""
@@ -129,6 +133,17 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], caption: str 
 def picture(image: Image, caption: str = "") -> Markup:
     """A picture, `(height, width[, 3])` uint8, BGR."""
     return captioned(_inlined(image, caption), caption)
+
+
+def moving_picture(images: Sequence[Image], seconds: float, caption: str = "") -> Markup:
+    """Pictures of one size, `(height, width, 3)` uint8, BGR, each shown for so long, over and over."""
+    from PIL import Image as Pillow
+
+    first, *others = [Pillow.fromarray(image[..., ::-1]).quantize(COLOURS) for image in images]
+    written = io.BytesIO()
+    first.save(written, "gif", save_all=True, append_images=others, duration=round(1000 * seconds), loop=0)
+    data = base64.b64encode(written.getvalue()).decode("ascii")
+    return captioned(Markup(_parts.image("gif", data, caption)), caption)
 
 
 def picture_grid(rows: Sequence[tuple[str, Sequence[Image]]], columns: Sequence[str]) -> Markup:

@@ -31,6 +31,7 @@ def over_time(
     caption: str,
     shaded: Sequence[tuple[float, float]] = (),
     dotted: Sequence[float] = (),
+    axis: str = "time in the video, s",
 ) -> Markup:
     """Plots below each other over one axis of time.
 
@@ -46,25 +47,27 @@ def over_time(
         periods that are marked: times of the first and the last frame, s.
     dotted
         moments that are marked, s.
+    axis
+        name of the axis, where times are other numbers.
     """
     half = 0.5 * float(np.median(np.diff(times))) if len(times) > 1 else 0.5
 
     def draw(canvas: Figure) -> None:
         axes = canvas.subplots(len(plots), sharex=True, squeeze=False)[:, 0]
-        for axis, (name, lines) in zip(axes, plots, strict=True):
+        for panel, (name, lines) in zip(axes, plots, strict=True):
             for line in lines:
-                axis.plot(times, line.values, color=line.colour, linewidth=1.2, label=line.label)
+                panel.plot(times, line.values, color=line.colour, linewidth=1.2, label=line.label)
                 if line.band is not None:
-                    axis.fill_between(times, *line.band, color=line.colour, alpha=0.2, linewidth=0)
+                    panel.fill_between(times, *line.band, color=line.colour, alpha=0.2, linewidth=0)
             for first, last in shaded:
-                axis.axvspan(first - half, last + half, color=RED, alpha=0.18, linewidth=0)
+                panel.axvspan(first - half, last + half, color=RED, alpha=0.18, linewidth=0)
             for moment in dotted:
-                axis.axvline(moment, color=RED, linewidth=0.8, linestyle=":")
-            axis.set_ylabel(name)
-            axis.margins(x=0.01)
+                panel.axvline(moment, color=RED, linewidth=0.8, linestyle=":")
+            panel.set_ylabel(name)
+            panel.margins(x=0.01)
             if len(lines) > 1:
-                axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9)
-        axes[-1].set_xlabel("time in the video, s")
+                panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9)
+        axes[-1].set_xlabel(axis)
         canvas.align_ylabels()
 
     return figure(draw, (11, 1.2 + 1.9 * len(plots)), caption)

@@ -37,6 +37,12 @@ class Outcome:
         stream = self.summary.get("stream")
         return None if stream is None else stream["lost"]
 
+    @property
+    def nothing(self) -> str | None:
+        """What is missing, where nothing was found; `None` where something was."""
+        diagnosis = self.summary.get("diagnosis")
+        return None if diagnosis is None else diagnosis["missing"]
+
 
 class Interrupted(KeyboardInterrupt):
     """A signal has ended a run at once.

@@ -5,6 +5,7 @@ from .street import Scene, TruthBox, sleeping_man
 from .talking_face import FaceScene, face
 from .trees import Trees, waving_trees
 from .turning_cylinder import Cylinder, cylinder
+from .turntable import Turntable, turntable
 
 __all__ = [
     "Cylinder",
@@ -15,11 +16,13 @@ __all__ = [
     "SignerScene",
     "Trees",
     "TruthBox",
+    "Turntable",
     "cylinder",
     "face",
     "shaken",
     "signer",
     "sleeping_man",
     "standing_in_a_room",
+    "turntable",
     "waving_trees",
 ]

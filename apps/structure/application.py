@@ -14,6 +14,8 @@ from ...inference import Solution
 from ...inference.core import checkpoint
 from ...models.core.frame import Frame
 from ..evaluation.predictions import write_predictions
+from ..exports.colmap import FILES as COLMAP_FILES
+from ..exports.colmap import write_colmap
 from ..io.files import write_json
 from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
 from ..io.track_files import frames_of_tracks, read_track_file
@@ -23,21 +25,31 @@ from ..runs.progress import Progress
 from ..runs.run import Run
 from ..runs.saved_run import STATE, about_of, check_source
 from ..view.page import VIEW, write_view
+from .camera import camera_in_words, in_perspective, lens_of
+from .diagnosis import (
+    Diagnosis,
+    followed,
+    no_depth,
+    no_points,
+    observations_of,
+    too_little,
+    without_false_depth,
+)
 from .files import point_colours, write_cameras, write_ply, write_tracks
 from .job import StructureJob
 from .reconstruction import (
-    FEWEST_POINTS,
     MOST_ROUNDS,
     Reconstruction,
     engine_for,
     reconstruction_of,
 )
-from .report import write_structure_report
+from .report import write_nothing_report, write_structure_report
 from .track_overlay import write_overlay
 from .view import EDGE, film_of_tracks, structure_view, write_film
 
-FEWEST_FRAMES = 3
-TRACK_FILES = (".npy", ".npz")
+COLMAP = "colmap"
+"""Folder for the perspective structure as COLMAP has it."""
+TRACK_FILES = (".npy", ".npz", ".mat")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +70,8 @@ class Film:
         by which the source is known again.
     notes
         what is out of the ordinary, a sentence each.
+    pictures
+        files of the frames, where it consists of such.
     stream
         what became of a camera or stream, as of `Source`.
     """
@@ -68,6 +82,7 @@ class Film:
     n_tracks: int | None
     fingerprint: dict[str, Any]
     notes: tuple[str, ...]
+    pictures: tuple[Path, ...] = ()
     stream: dict[str, Any] | None = None
 
 
@@ -83,7 +98,13 @@ class StructureRun(Run[StructureJob]):
     """One run: the film, and how far the ascent has come."""
 
     application = "structure"
-    files = ("structure.ply", "cameras.json", "tracks.npz", "predictions.npz")
+    files = (
+        "structure.ply",
+        "cameras.json",
+        "tracks.npz",
+        "predictions.npz",
+        *(f"{COLMAP}/{name}" for name in COLMAP_FILES),
+    )
 
     def __init__(self, job: StructureJob) -> None:
         super().__init__(job)
@@ -105,18 +126,25 @@ class StructureRun(Run[StructureJob]):
             check_source(about, film.fingerprint)
             if about["finished"]:
                 return self.outcome(about["finished"])
+        lacking = too_little(film.frames, film.n_tracks)
+        if lacking is not None:
+            return self._nothing(lacking)
         self._engine = engine_for(film.frames, job.coherence, job.association)
         after = None if saved is None else self._engine.load(saved, film.frames)[0]
-        solution = self._ascended(after)
-        found = reconstruction_of(solution, film.n_tracks)
         try:
-            _check_found(film.name, found)
-        except ValueError:
-            self._state.unlink()  # there is nothing to go on with
-            raise
+            solution = self._ascended(after)
+        except NoShapeError as error:
+            return self._nothing(no_points(film.frames, followed(film.frames), str(error)))
+        found = reconstruction_of(solution, film.n_tracks)
+        if not found.n_points:
+            return self._nothing(no_points(film.frames, observations_of(solution), ""))
+        lens, about_lens = lens_of(film.frames, job.focal, next(iter(film.pictures), None))
+        found = without_false_depth(
+            in_perspective(found, job.camera, lens), from_images=film.n_tracks is None
+        )
         lost = film.stream is not None and film.stream["lost"] is not None
         self._ended_early = lost or self.interruption.signal is not None
-        summary = self._written(found)
+        summary = self._written(found, about_lens)
         if not self._ended_early:
             self._save(solution, finished=summary)
         return self.outcome(summary, signalled=self._ended_early)
@@ -134,10 +162,7 @@ class StructureRun(Run[StructureJob]):
                     self._save(best)
                     progress.update()
         except ValueError as error:
-            reason = str(error).removeprefix("positions: ")
-            raise ValueError(
-                f"{self._film.name}: no shape can be found in what is followed: {reason}"
-            ) from None
+            raise NoShapeError(str(error).removeprefix("positions: ")) from None
         if best is None:
             assert self.interruption.signal is not None  # or there would be a first round
             raise Interrupted(self.interruption.signal)
@@ -153,28 +178,40 @@ class StructureRun(Run[StructureJob]):
         self._engine.save(self._state, solution, self.about(finished))
         self._is_saved = True
 
-    def _written(self, found: Reconstruction) -> dict[str, Any]:
+    def _written(self, found: Reconstruction, about_lens: str) -> dict[str, Any]:
         """Write all results; return the content of `summary.json`."""
         folder, film, frames = self.job.out, self._film, self._film.frames
-        notes = [*film.notes, *_notes(found, film.n_tracks is not None)]
+        diagnosis = no_depth(found) if found.geometry == "none" else None
+        notes = [*film.notes, *_notes(found, diagnosis, film.n_tracks is not None)]
+        if found.perspective is not None and about_lens:
+            notes.append(about_lens)
         colours: NDArray[np.uint8] = point_colours(frames, found)
         if found.geometry != "none":
             write_ply(folder / "structure.ply", found, colours)
         write_cameras(folder / "cameras.json", found, frames)
+        if found.perspective is not None:
+            images = [(frame.number, self._picture_of(index)) for index, frame in enumerate(frames)]
+            write_colmap(folder / COLMAP, found.perspective, found.places, found.observed, colours, images)
         write_tracks(folder / "tracks.npz", found, frames)
         write_predictions(folder, found.predictions)
         if film.n_tracks is None:
             write_overlay(folder / "overlay.mp4", frames, found, film.rate)
+        lens = found.perspective
         facts = {
             "tracks": len(found.point_of_track),
             "rejected_tracks": int(np.count_nonzero(found.point_of_track < 0)),
             "points": found.n_points,
             "observations": found.n_observations,
-            "reprojection_rmse_px": found.reprojection_error,
+            "reprojection_rmse_px_per_point": found.reprojection_error,
             "reprojection_rmse_px_per_coordinate": found.reprojection_error / math.sqrt(2),
-            "noise_px": float(np.sqrt(found.noise_variance)),
+            "noise_px_per_coordinate": float(np.sqrt(found.noise_variance)),
+            "camera": "affine" if found.perspective is None else "perspective",
+            "camera_in_words": camera_in_words(found),
+            "focal_length_px": None if lens is None else lens.cameras.focal,
+            "focal_length_deviation_px": None if lens is None else lens.focal_deviation,
             "shape": found.geometry,
             "shape_reason": found.reason or None,
+            "diagnosis": None if diagnosis is None else diagnosis.plain(),
             "rounds": len(found.objective),
             "converged": found.converged,
             "stream": film.stream,
@@ -182,13 +219,48 @@ class StructureRun(Run[StructureJob]):
             "notes": notes,
             "seconds": self.seconds(),
         }
-        missing = [frame.number for frame in frames if frame.missing]
-        summary = self.summary(film.name, [frame.number for frame in frames], missing, facts)
-        title = f"{Path(film.name).name}: structure from motion"
+        summary, title = self._summary(facts), self._title
         self._write_view(found, colours, title)
         write_structure_report(folder / "report.html", frames, found, colours, notes, self.settings, title)
         write_json(folder / "summary.json", summary)
         return summary
+
+    def _picture_of(self, index: int) -> str:
+        """Name of a frame's picture; of a video's as if it was written out."""
+        film = self._film
+        return film.pictures[index].name if film.pictures else f"{film.frames[index].number:06d}.png"
+
+    def _nothing(self, diagnosis: Diagnosis) -> Outcome:
+        """Say why there is no structure, in `summary.json` and a report."""
+        self._begin_once()
+        folder, film = self.job.out, self._film
+        notes = [*film.notes, *diagnosis.sentences]
+        facts = {
+            "tracks": int(diagnosis.figures.get("tracks") or 0),
+            "points": 0,
+            "shape": "none",
+            "shape_reason": diagnosis.missing,
+            "diagnosis": diagnosis.plain(),
+            "stream": film.stream,
+            "notes": notes,
+            "seconds": self.seconds(),
+        }
+        summary = self._summary(facts)
+        write_nothing_report(
+            folder / "report.html", film.frames, diagnosis.figures, notes, self.settings, self._title
+        )
+        write_json(folder / "summary.json", summary)
+        checkpoint.save(self._state, {"about": self.about(summary)}, {"about": dict[str, Any]})
+        return self.outcome(summary)
+
+    def _summary(self, facts: Mapping[str, Any]) -> dict[str, Any]:
+        film = self._film
+        missing = [frame.number for frame in film.frames if frame.missing]
+        return self.summary(film.name, [frame.number for frame in film.frames], missing, facts)
+
+    @property
+    def _title(self) -> str:
+        return f"{Path(self._film.name).name}: structure from motion"
 
     def _write_view(self, found: Reconstruction, colours: NDArray[np.uint8], title: str) -> None:
         folder, frames = self.job.out, self._film.frames
@@ -201,9 +273,14 @@ class StructureRun(Run[StructureJob]):
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Points, and how well they fit."""
+        words = f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks"
+        if not summary["points"]:
+            return [words]
         return [
-            f"{summary['frames']} frames, {summary['points']} points from {summary['tracks']} tracks, "
-            f"reprojection error {summary['reprojection_rmse_px']:.3g} px, shape: {summary['shape']}"
+            f"{words}, reprojection error {summary['reprojection_rmse_px_per_point']:.3g} px per point "
+            f"({summary['reprojection_rmse_px_per_coordinate']:.3g} px per coordinate), shape: "
+            f"{summary['shape']}",
+            f"camera: {summary['camera_in_words']}",
         ]
 
 
@@ -213,27 +290,16 @@ def read_film(job: StructureJob) -> Film:
     Raises
     ------
     ValueError
-        if there are fewer than 3 frames or 4 points, the source is live and has no end, or its frames or
-        arrays are not what they should be.
+        if the source is live and has no end, or its frames or arrays are not what they should be.
     OSError
         if it cannot be read.
     """
-    film = _tracks(job) if Path(job.source).suffix.lower() in TRACK_FILES else _images(job)
-    n_present = sum(not frame.missing for frame in film.frames)
-    if n_present < FEWEST_FRAMES:
-        raise ValueError(f"{film.name}: got {n_present} frames, expected {FEWEST_FRAMES} or more")
-    return film
+    return _tracks(job) if Path(job.source).suffix.lower() in TRACK_FILES else _images(job)
 
 
 def _tracks(job: StructureJob) -> Film:
     tracks, numbers = read_track_file(Path(job.source), Selection(job.start, job.stop, job.step))
     seen = ~np.isnan(tracks[:, :, 0])
-    n_seen = int(np.count_nonzero(seen.any(axis=0)))
-    if len(tracks) >= FEWEST_FRAMES and n_seen < FEWEST_POINTS:
-        raise ValueError(
-            f"{job.source}: got {n_seen} points with an observation in {len(tracks)} frames, "
-            f"expected {FEWEST_POINTS} or more"
-        )
     notes = []
     empty = [number for number, some in zip(numbers, seen, strict=True) if not some.any()]
     if empty:
@@ -263,25 +329,20 @@ def _images(job: StructureJob) -> Film:
         if source.truncated:
             notes.append("The source ends before its announced end.")
         rate, fingerprint = source.rate / job.step, source.fingerprint()
-        return Film(source.name, frames, rate, None, fingerprint, tuple(notes), source.stream)
+        where = Path(job.source)
+        where = where if where.is_dir() else where.parent
+        pictures = tuple(where / source.pictures[frame.number - 1] for frame in frames if source.pictures)
+        return Film(source.name, frames, rate, None, fingerprint, tuple(notes), pictures, source.stream)
 
 
-def _check_found(name: str, found: Reconstruction) -> None:
-    n_tracks = len(found.point_of_track)
-    if n_tracks < FEWEST_POINTS:
-        raise ValueError(
-            f"{name}: got {n_tracks} points that can be tracked, expected {FEWEST_POINTS} or more"
-        )
-    if not found.n_points:
-        raise ValueError(f"{name}: got {n_tracks} tracks that belong to no point, expected points")
+class NoShapeError(Exception):
+    """No shape can be found in what is followed."""
 
 
-def _notes(found: Reconstruction, given: bool) -> list[str]:
+def _notes(found: Reconstruction, diagnosis: Diagnosis | None, given: bool) -> list[str]:
     """What is to be said about the result, a sentence each; `given` tracks are named."""
-    notes = []
-    if found.geometry == "none":
-        notes.append(f"The shape is undetermined, and none is given: {found.reason}.")
-    elif found.geometry == "affine":
+    notes = [] if diagnosis is None else list(diagnosis.sentences)
+    if found.geometry == "affine":
         notes.append(f"The shape is known up to an affine map only: {found.reason}.")
     rejected = np.flatnonzero(found.point_of_track < 0).tolist()
     if rejected:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...inference.perspective.structure import PerspectiveStructure
 from ...models.core.frame import Frame
 from ...models.files.atomic_files import write_atomically
 from ...models.points.affine_camera import scaled_rotations
@@ -34,6 +35,12 @@ CONVENTION = (
     "position in the picture (x right, y down, px, pixel centres at whole numbers) = "
     "matrix[:, :3] @ point + matrix[:, 3]; euclidean: matrix[:, :3] is scale times the first two rows of "
     "rotation, whose third row points away from the camera"
+)
+PERSPECTIVE_CONVENTION = (
+    "position in the picture (x right, y down, px, pixel centres at whole numbers) = principal_point + "
+    "focal_length * (x, y) / z with (x, y, z) = rotation @ point + translation; centre = where the camera "
+    "stands; an inverse focal length (1/px) that is a few of its standard deviations from 0 or less leaves "
+    "the focal length unknown; determined: the frame shows enough points, others lie between their neighbours"
 )
 
 
@@ -88,7 +95,31 @@ def write_cameras(path: Path, found: Reconstruction, frames: Sequence[Frame]) ->
         if found.geometry == "euclidean":
             entry |= {"scale": scale, "rotation": rotation, "translation": camera[:, 3]}
         entries.append(entry)
-    write_json(path, {"geometry": found.geometry, "convention": CONVENTION, "frames": entries})
+    content = {"geometry": found.geometry, "camera": "affine", "convention": CONVENTION, "frames": entries}
+    if found.perspective is not None:
+        content |= _perspective(found.perspective, entries)
+    write_json(path, content)
+
+
+def _perspective(found: PerspectiveStructure, entries: list[dict[str, Any]]) -> dict[str, Any]:
+    """What is said of a perspective camera; the frames' entries become those of one."""
+    cameras = found.cameras
+    known = found.frame_determined.tolist()
+    poses = zip(cameras.rotations, cameras.translations, cameras.centres, known, strict=True)
+    for entry, (rotation, translation, centre, determined) in zip(entries, poses, strict=True):
+        entry |= {"rotation": rotation, "translation": translation, "centre": centre}
+        entry["determined"] = determined
+        del entry["matrix"], entry["scale"]
+    return {
+        "camera": "perspective",
+        "convention": PERSPECTIVE_CONVENTION,
+        "size": {"width": found.size[1], "height": found.size[0]},
+        "principal_point": cameras.principal,
+        "focal_length": cameras.focal,
+        "focal_length_deviation": found.focal_deviation,
+        "inverse_focal_length": cameras.curvature,
+        "inverse_focal_length_deviation": found.curvature_deviation,
+    }
 
 
 def orthographic_parts(cameras: Numbers) -> tuple[Numbers, Numbers]:

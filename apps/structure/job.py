@@ -1,5 +1,6 @@
 """What the structure application is asked for."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -7,6 +8,7 @@ from ..options.job import Job
 
 Coherence = Literal["second-order", "none"]
 Association = Literal["dual-chain", "none"]
+Camera = Literal["auto", "affine", "perspective"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,13 +26,33 @@ class StructureJob(Job):
     association
         dual-chain: shape and tracker correct each other, and tracks that show one point become one. none: the
         tracker hears nothing of the shape, every track is a point of its own.
+    camera
+        affine: it is far away. perspective: it has one focal length, square pixels, and the middle of the
+        picture as its principal point. auto: perspective where that explains the film better.
+    focal
+        Focal length in px, where it is known; else pictures may state it, or it is estimated.
     resume
         Go on with the run whose results are in the folder, from its last saved round.
     """
 
     coherence: Coherence = "second-order"
     association: Association = "dual-chain"
+    camera: Camera = "auto"
+    focal: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.focal is not None and not 0 < self.focal < math.inf:
+            raise ValueError(f"--focal: got {self.focal:g}, expected px, more than 0")
+        if self.focal is not None and self.camera == "affine":
+            raise ValueError("--focal: got one with --camera affine, expected a camera that has one")
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source."""
-        return {"coherence": self.coherence, "association": self.association, **super().settings()}
+        return {
+            "coherence": self.coherence,
+            "association": self.association,
+            "camera": self.camera,
+            "focal": self.focal,
+            **super().settings(),
+        }

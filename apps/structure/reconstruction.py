@@ -8,10 +8,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains import FactorStructure, PointTracker
+from ...chains import FactorStructure, FeatureMatcher, PointTracker
 from ...chains.factor_structure import StructureTrajectory
 from ...inference import CoordinateAscent, MultiChain, Solution
 from ...inference.factor_analysis.factorisation import Factorisation, predicted
+from ...inference.perspective.structure import PerspectiveStructure
 from ...inference.points.trajectory import PointTrajectory
 from ...inference.structure.depth_test import depth
 from ...models.core.frame import Frame
@@ -61,6 +62,11 @@ class Reconstruction:
         map. `"none"`: the motion says nothing of depth, and `shape` means nothing.
     reason
         why the geometry is no better; empty for a Euclidean one.
+    perspective
+        the structure before a perspective camera, where that is what all of the above is of; `cameras` are
+        then what it is in the middle of the shape's depth.
+    affine_reason
+        why there is none; empty where none was wanted.
     predictions
         what tracker and shape predicted of the points, for `rsmcm validity`.
     """
@@ -78,6 +84,8 @@ class Reconstruction:
     converged: bool
     geometry: Geometry
     reason: str = ""
+    perspective: PerspectiveStructure | None = None
+    affine_reason: str = ""
     predictions: tuple[PairRecord, ...] = ()
 
     @property
@@ -132,7 +140,10 @@ def engine_for(frames: Sequence[Frame], coherence: Coherence, association: Assoc
     points = PointTracks(noise=noise_of_tracks(frames)) if given else PointTracks()
     shape = FactorStructure(coherence=coherence == "second-order", associate=dual)
     # what a tracker predicts comes from observations that the shape has as well, and would count twice over
-    model = MultiChain().connect(PointTracker(), points, feedback=False).connect(shape, points, feedback=dual)
+    model = MultiChain().connect(PointTracker(), points, feedback=False)
+    if not given:
+        model.connect(FeatureMatcher(), points, feedback=False)
+    model.connect(shape, points, feedback=dual)
     return CoordinateAscent(model, MOST_ROUNDS)
 
 
@@ -196,7 +207,7 @@ def _observations(
 ) -> tuple[Numbers, NDArray[np.bool_]]:
     """What frames show of each point: `(n_frames, n_points, 2)` px, NaN where nothing, and where something.
 
-    Where several tracks show a point at once, their mean counts.
+    Where several tracks show a point at once, their mean counts; what was taken for an outlier does not.
     """
     sums = np.zeros((len(solution.frames), n_points, 2))
     counts = np.zeros((len(solution.frames), n_points))
@@ -206,7 +217,7 @@ def _observations(
         known = place < len(found.identities)
         known[known] = found.identities[place[known]] == identities[known]
         points = np.full(len(identities), -1)
-        points[known] = found.point_of_track[place[known]]
+        points[known] = np.where(found.trusted[time, place[known]], found.point_of_track[place[known]], -1)
         taken = points >= 0
         np.add.at(sums[time], points[taken], means[taken])
         np.add.at(counts[time], points[taken], 1)

@@ -1,5 +1,6 @@
 """The report of a structure-from-motion run as one page: shape, tracks, errors over time, rounds."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from ..reports.evenly_spaced import evenly_spread
 from ..reports.page import Section, cards, paragraph, picture_grid, write_run_page
 from ..reports.plots import figure
 from ..reports.snapshots import MOST_SNAPSHOTS, small
+from .camera import camera_in_words
 from .reconstruction import Numbers, Reconstruction
 from .surface_views import surface_views
 from .track_overlay import draw_points
@@ -72,15 +74,49 @@ def write_structure_report(
     write_run_page(path, title, _summary(frames, found), notes, sections, parameters)
 
 
+def write_nothing_report(
+    path: Path,
+    frames: Sequence[Frame],
+    figures: Mapping[str, float | None],
+    notes: Sequence[str],
+    parameters: Mapping[str, object],
+    title: str,
+) -> None:
+    """Write the report of a run that has found nothing: what is missing, why, and some of what it has seen.
+
+    Parameters
+    ----------
+    figures
+        what was measured, by names as they are in `summary.json`.
+    path, frames, notes, parameters, title
+        as of `write_structure_report`.
+
+    Raises
+    ------
+    OSError
+        if the file cannot be written.
+    """
+    known = {name.replace("_", " "): f"{value:.3g}" for name, value in figures.items() if value is not None}
+    images = [(frame, frame.image) for frame in frames if frame.image is not None]
+    chosen = [images[k] for k in evenly_spread(len(images), MOST_SNAPSHOTS)]
+    sections: list[Section] = []
+    if chosen:
+        columns = [f"frame {frame.number}, {frame.time:.1f} s" for frame, _ in chosen]
+        sections.append(("Pictures", [picture_grid([("", [small(image) for _, image in chosen])], columns)]))
+    write_run_page(path, title, cards({"frames": f"{len(frames)}", **known}), notes, sections, parameters)
+
+
 def _summary(frames: Sequence[Frame], found: Reconstruction) -> Markup:
     return cards(
         {
             "frames": f"{len(frames)}",
             "points": f"{found.n_points}",
             "observations": f"{found.n_observations}",
-            "reprojection error": f"{found.reprojection_error:.3g} px",
+            "reprojection error per point": f"{found.reprojection_error:.3g} px",
+            "reprojection error per coordinate": f"{found.reprojection_error / math.sqrt(2):.3g} px",
             "noise of a coordinate": f"{np.sqrt(found.noise_variance):.3g} px",
             "shape": "undetermined" if found.geometry == "none" else found.geometry,
+            "camera": camera_in_words(found),
             "rounds": f"{len(found.objective)}",
         }
     )
@@ -183,7 +219,7 @@ def _tracks_alone(found: Reconstruction) -> Markup:
 
 def _over_time(numbers: NDArray[np.int64], found: Reconstruction) -> Markup:
     curves = (
-        ("reprojection\nerror, px", found.reprojection_errors),
+        ("error per\npoint, px", found.reprojection_errors),
         ("points seen", np.count_nonzero(found.observed, axis=1).astype(np.float64)),
     )
 
@@ -197,7 +233,7 @@ def _over_time(numbers: NDArray[np.int64], found: Reconstruction) -> Markup:
         axes[-1].set_xlabel("frame")
         canvas.align_ylabels()
 
-    return figure(draw, (11, 4), "Root mean square over the points seen in a frame.")
+    return figure(draw, (11, 4), "Root mean square distance (per point, not per coordinate) over those seen.")
 
 
 def _rounds(found: Reconstruction) -> Markup:

@@ -8,24 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ..drawing.boxes import css_colour, identity_colour
+from ..drawing.boxes import identity_colour
 from ..reports.evenly_spaced import evenly_spread
 from ..view.film import Film, FilmWriter, read_film
-from ..view.page import Plot, TimelineRow, View, spans_of
+from ..view.page import View
+from ..view.points import LAYER, FollowedPoints, film_of_points, packed
 from .files import GREY, orthographic_parts
 from .reconstruction import Numbers, Reconstruction
 
 MOST_POINTS = 100_000
 """In space."""
-MOST_TRACKED, MOST_PLACES = 2_000, 200_000
-"""Over the film: points, and places of points in frames."""
-MOST_ROWS = 200
-"""Of the timeline; other points have one while they are selected."""
 
 EDGE = (-0.5, -0.5)
 """px: upper left corner of pictures, where points have the pixels' centres at whole numbers."""
-MARGIN = 0.08
-"""About the points where there are no pictures."""
 
 
 def write_film(folder: Path, frames: Sequence[Frame], rate: float) -> Film:
@@ -45,14 +40,7 @@ def write_film(folder: Path, frames: Sequence[Frame], rate: float) -> Film:
 
 def film_of_tracks(frames: Sequence[Frame], found: Reconstruction) -> tuple[Film, tuple[float, float]]:
     """A film without pictures that is as large as the points need, and its upper left corner, px."""
-    places = found.places[np.isfinite(found.places).all(axis=2)]
-    low, high = places.min(axis=0), places.max(axis=0)
-    edge = MARGIN * float((high - low).max()) or 1.0
-    width, height = np.ceil(high - low + 2 * edge).astype(int).tolist()
-    times = np.array([frame.time for frame in frames], np.float64)
-    numbers = np.array([frame.number for frame in frames], np.int64)
-    left, top = (low - edge).tolist()
-    return Film(None, (width, height), numbers, times, times), (left, top)
+    return film_of_points(found.places, [frame.number for frame in frames], [frame.time for frame in frames])
 
 
 def structure_view(
@@ -79,36 +67,16 @@ def structure_view(
     """
     shown = np.isin([frame.number for frame in frames], film.numbers)
     points = evenly_spread(found.n_points, MOST_POINTS)
-    tracked = evenly_spread(found.n_points, min(MOST_TRACKED, MOST_PLACES // len(film.numbers)))
-    observed = found.observed[shown]
-    residuals = np.where(observed[..., None], found.residuals[shown], np.nan)[:, tracked]
-    upper = found.covariances[shown][:, tracked][:, :, [0, 0, 1], [0, 1, 1]]
+    residuals = np.where(found.observed[..., None], found.residuals, np.nan)
+    followed = FollowedPoints(found.positions, found.covariances, residuals, "shape and camera")
     layer: dict[str, Any] = {
-        "corner": corner,
-        "tracked": np.array(tracked, np.int32),
-        "inks": [_ink(point) for point in tracked],
-        "positions": found.positions[shown][:, tracked].astype(np.float32),
-        "residuals": residuals.astype(np.float32),
-        "spreads": upper.astype(np.float32),
-        "counts": np.count_nonzero(found.observed, axis=0).astype(np.int32),
-        "frames": len(frames),
         "geometry": found.geometry,
         "reason": found.reason,
+        "count": found.n_points,
         "space": None if found.geometry == "none" else _space(found, colours, points, shown),
     }
-    rows = [
-        TimelineRow(point, f"point {point}", _ink(point), spans_of(observed[:, point]))
-        for point in (tracked[k] for k in evenly_spread(len(tracked), MOST_ROWS))
-    ]
-    plots = [
-        Plot("error", "px", found.reprojection_errors[shown]),
-        Plot("points seen", "", np.count_nonzero(observed, axis=1)),
-    ]
-    return View({"structure": layer}, rows, plots)
-
-
-def _ink(point: int) -> str:
-    return css_colour(identity_colour(point))
+    layers = {LAYER: followed.over(film, shown, corner), "structure": layer}
+    return View(layers, followed.rows(film, shown), followed.plots(shown))
 
 
 def _space(
@@ -126,17 +94,10 @@ def _space(
     return {
         "points": np.array(points, np.int32),
         "places": shape.astype(np.float32),
-        "inks": _packed(np.array(inks)),
-        "colours": _packed(colours[points]) if (colours != GREY).any() else None,
+        "inks": packed(np.array(inks)),
+        "colours": packed(colours[points]) if (colours != GREY).any() else None,
         "covariances": found.shape_covariances[points][:, *np.triu_indices(3)].astype(np.float32),
         "rotations": rotations.astype(np.float32),
         "centre": centre.tolist(),
         "reach": reach,
     }
-
-
-def _packed(colours: NDArray[Any]) -> NDArray[np.uint32]:
-    """Colours `(n, 3)` BGR as 0xBBGGRR."""
-    blue, green, red = colours.astype(np.uint32).T
-    packed: NDArray[np.uint32] = (blue << 16) | (green << 8) | red
-    return packed

@@ -293,9 +293,11 @@ class CoordinateAscent:
                 name: list[returned(type(node).evidence) | None] | None  # type: ignore[misc]
                 for name, node in self.model.features.items()
             },
-            "searching": dict[str, str],
+            "found": {
+                name: dict[str, list[returned(type(node).evidence)]]  # type: ignore[misc]
+                for name, node in self.model.features.items()
+            },
             "smoothed": dict[str, int],
-            "searches": dict[str, int],
             "read": dict[str, tuple[int, ...]],
         }
         return {

@@ -253,8 +253,9 @@ class MultiChain:
         """Every message to a feature once, in an order that makes sum-product exact.
 
         What the order leaves open is settled by what chains want to find at each feature (`Cavity`): first
-        those speak that want nothing, then the image (whose likelihood is worked out where those have mass),
-        then the chains that want the image, at last those that want to hear the others, by their names.
+        those speak that want nothing, then the image (whose likelihood is worked out where these, and what
+        the others predict without it, have mass), then the chains that want the image, at last those that
+        want to hear the others, by their names.
 
         Raises
         ------

@@ -66,6 +66,8 @@ class Cavity(IntEnum):
 
     It may use that to decide where a mixture is projected onto the feature's form, never as information,
     which would be counted twice. In a time slice those speak first that need the least; ties go by name.
+    At a feature that is searched for in the image (`FeatureNode.searches`) who wants to hear it is asked once
+    before, with what has been said by then: from where it predicts the feature, the image is searched.
     """
 
     NOTHING = 0
@@ -251,7 +253,8 @@ class Smoothed(Generic[TrajectoryType]):
         the best one.
     evidence
         by feature node, for each frame: what a search of its own found (see `BatchIncoming.search`). It is
-        the evidence for everybody until the chain searches again.
+        the evidence for everybody until the chain searches again. Where several chains search, what they find
+        is multiplied: each has to search for things of its own.
     """
 
     trajectory: TrajectoryType

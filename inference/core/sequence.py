@@ -36,20 +36,19 @@ class TimeSlices:
         self.trajectories: dict[str, Any] = {}
         self.sent: dict[tuple[str, str], Sequence[Message]] = {}
         self._evidence: dict[str, list[Message | None]] = {}
-        self._searching: dict[str, str] = {}
-        """Feature: the chain that searches there by itself."""
+        self._found: dict[str, dict[str, list[Message]]] = {}
+        """Feature: what each of the chains that search there by themselves has found."""
         self._smoothed: dict[str, int] = {}
         """Chain: how often its trajectory was worked out."""
-        self._searches: dict[str, int] = {}
-        """Feature: how often a chain that searches there by itself has done so."""
         self._read: dict[str, tuple[int, ...]] = {}
         """Chain: numbers of all that its trajectory was worked out from."""
 
     def copy(self) -> "TimeSlices":
         """The same, to go on from without changing these."""
         other = TimeSlices(self.model, self.frames)
-        for name in ("trajectories", "sent", "_evidence", "_searching", "_smoothed", "_searches", "_read"):
+        for name in ("trajectories", "sent", "_evidence", "_smoothed", "_read"):
             setattr(other, name, dict(getattr(self, name)))
+        other._found = {feature: dict(found) for feature, found in self._found.items()}
         return other
 
     def saved(self) -> dict[str, Any]:
@@ -57,9 +56,8 @@ class TimeSlices:
         return {
             "trajectories": self.trajectories,
             "evidence": {name: self._evidence.get(name) for name in self.model.features},
-            "searching": self._searching,
+            "found": {name: self._found.get(name, {}) for name in self.model.features},
             "smoothed": self._smoothed,
-            "searches": self._searches,
             "read": self._read,
         }
 
@@ -74,13 +72,16 @@ class TimeSlices:
         """
         slices = cls(model, frames)
         slices.trajectories = saved["trajectories"]
-        for name, messages in saved["evidence"].items():
-            if messages is not None:
-                if len(messages) != len(frames):
-                    raise ValueError(f"state: got {len(messages)} frames, expected {len(frames)}")
-                slices._evidence[name] = messages
-        slices._searching, slices._smoothed = saved["searching"], saved["smoothed"]
-        slices._searches, slices._read = saved["searches"], saved["read"]
+        evidence = {name: messages for name, messages in saved["evidence"].items() if messages is not None}
+        found = {name: by_chain for name, by_chain in saved["found"].items() if by_chain}
+        for messages in (
+            *evidence.values(),
+            *(each for by_chain in found.values() for each in by_chain.values()),
+        ):
+            if len(messages) != len(frames):
+                raise ValueError(f"state: got {len(messages)} frames, expected {len(frames)}")
+        slices._evidence, slices._found = evidence, found
+        slices._smoothed, slices._read = saved["smoothed"], saved["read"]
         for name in slices.trajectories:
             slices._send(name)
         return slices
@@ -95,15 +96,13 @@ class TimeSlices:
             if not isinstance(result, Smoothed):
                 raise TypeError(f"chain {name!r}: smooth gave {type(result).__name__}, expected Smoothed")
             self.trajectories[name] = result.trajectory
+            for node, evidence in result.evidence.items():
+                self._found.setdefault(node.name, {})[name] = list(evidence)
             self._read[name] = self._inputs(name)
             self._smoothed[name] = self._smoothed.get(name, 0) + 1
             self._send(name)
-            for node, evidence in result.evidence.items():
-                self._evidence[node.name] = list(evidence)
-                self._searching[node.name] = name
-                self._searches[node.name] = self._searches.get(node.name, 0) + 1
             for feature in self.model.features_of(name):
-                if feature not in self._searching and name in self.model.senders(feature):
+                if feature not in self._found and name in self.model.senders(feature):
                     self._evidence.pop(feature, None)  # there are other places to search
             smoothed.append(name)
         return tuple(smoothed)
@@ -121,7 +120,10 @@ class TimeSlices:
             self.sent[chain, feature] = messages
 
     def _inputs(self, chain: str) -> tuple[int, ...]:
-        """Numbers of all that the chain's trajectory depends on: messages, and evidence that others found."""
+        """Numbers of all that the chain's trajectory depends on: messages, and evidence that others found.
+
+        A chain that searches by itself goes by what it finds itself.
+        """
         features = self.model.features_of(chain)
         messages = [
             self._smoothed.get(other, 0)
@@ -130,8 +132,8 @@ class TimeSlices:
             if other != chain
         ]
         searches = [
-            0 if self._searching.get(feature) in (None, chain) else self._searches[feature]
-            for feature in features
+            0 if chain in by_chain else sum(self._smoothed.get(other, 0) for other in by_chain)
+            for by_chain in (self._found.get(feature, {}) for feature in features)
         ]
         return (*messages, *searches)
 
@@ -157,9 +159,14 @@ class TimeSlices:
         return reduce(mul, factors) if factors else self.model.features[feature].uniform()
 
     def evidence(self, feature: str, time: int) -> Any:
-        """What was seen last, or what is seen where all messages so far have mass."""
+        """What was seen last, or what is seen where all messages so far have mass.
+
+        What several chains have found, each in places of its own, is multiplied.
+        """
+        if feature in self._found:
+            return reduce(mul, (found[time] for found in self._found[feature].values()))
         node = self.model.features[feature]
-        if not node.searches and feature not in self._searching:
+        if not node.searches:
             return self.search(feature, time, node.uniform())  # a function of the frame: not kept
         seen = self._evidence.setdefault(feature, [None] * len(self.frames))
         if seen[time] is None:

@@ -53,8 +53,7 @@ class TimeSlice:
         if sender == IMAGE:
             if self.frame.missing or (IMAGE, feature) in self._sent:
                 return
-            searches = self.model.features[feature].searches
-            incoming = {feature: self._factors(feature) if searches else ()}
+            incoming = {feature: self._ahead(feature) if self.model.features[feature].searches else ()}
         else:
             incoming = {name: self._factors(name, sender) for name in self.model.features_of(sender)}
             incoming[feature] = self._cavity(sender, feature)
@@ -118,6 +117,19 @@ class TimeSlice:
                 others = [self._given(name, other, seen) for name in senders if name != chain]
                 incoming[other] = (*image, *others)
         return sent if incoming == sent.incoming else Sent(chain, feature, incoming)
+
+    def _ahead(self, feature: str) -> Factors:
+        """Where the image is to be searched: what was said by now, and what the others say of it unseen.
+
+        Those who want to hear the image before they speak predict here without it. They speak again when it
+        has been searched, and nobody but the search hears what they said first.
+        """
+        predicted = [
+            Sent(name, feature, {other: self._factors(other, name) for other in self.model.features_of(name)})
+            for name in self.model.senders(feature)
+            if (name, feature) not in self._sent
+        ]
+        return (*self._factors(feature), *predicted)
 
     def _cavity(self, chain: str, feature: str) -> Factors:
         """What the chain finds of others at a feature to which it is about to speak."""

@@ -33,6 +33,13 @@ GAIN_LIMITS = (-6.0, 6.0)
 
 FIRST_GAIN = 0.05
 
+RETURN = 0.3
+"""s in which what sets a texel apart from its lasting texture decays to 1/e."""
+
+FIRST_LOOK = 20.0
+"""Pictures, of the usual rate, that a texel's first one is worth to its lasting texture. Where it lies on the
+object was given there; in each later one the texture so far has said so, errors included."""
+
 LEAST_INSIDE = 0.4
 """Share of the visible texels that has to lie in the picture, if a texture is to explain it."""
 
@@ -102,6 +109,41 @@ class LearnedGain:
 
 @short_repr
 @dataclass(frozen=True, eq=False)
+class LastingTexture:
+    """What texels look like in the long run, to which they return.
+
+    A departure from the paper, whose texels walk at random. There, errors of the pose add up: the texture is
+    seen a little off, is learned so, and holds the next poses there. Here it is a mean over all that was
+    seen, which forgets with the square of the gain, so that flow (gain 1) remains flow.
+
+    Parameters
+    ----------
+    mean
+        `(n_experts, n_texels)` float32 grey levels.
+    looks
+        `(n_experts, n_texels)` float32: pictures of the usual rate that it rests on; 0 if never seen.
+    """
+
+    mean: Map
+    looks: Map
+
+    def of(self, parents: NDArray[np.int64]) -> Self:
+        """Those of the children of `parents`."""
+        return replace(self, mean=self.mean[parents], looks=self.looks[parents])
+
+    def updated(self, observed: Map, seen: NDArray[np.bool_], gain: Map | np.float32, elapsed: float) -> Self:
+        """With a picture `elapsed` s after the last one, under a filter of steady `gain`."""
+        weight = np.float32(max(elapsed, SHORTEST) * USUAL_RATE)
+        first = self.looks == 0
+        looks = self.looks + np.where(seen, np.where(first, np.float32(FIRST_LOOK), weight), np.float32(0))
+        share = np.maximum(weight / np.maximum(looks, weight), 1 - (1 - gain**2) ** weight)
+        share = np.where(first, np.float32(1), share)
+        mean = self.mean + np.where(seen, share * (observed - self.mean), np.float32(0))
+        return replace(self, mean=mean.astype(np.float32), looks=looks.astype(np.float32))
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
 class Texture:
     """Texture of every expert: independent Gaussians of its texels.
 
@@ -113,11 +155,14 @@ class Texture:
         `(n_experts, n_texels)` float32, squared grey levels, common to the levels.
     learned
         where gains are learned.
+    lasting
+        what the finest level returns to; `None` for a walk at random.
     """
 
     mean: Map
     variance: Map
     learned: LearnedGain | None = None
+    lasting: LastingTexture | None = None
 
     @classmethod
     def unknown(cls, n_experts: int, n_levels: int, n_texels: int, *, learn: bool) -> Self:
@@ -126,6 +171,7 @@ class Texture:
             np.full((n_experts, n_levels, n_texels), MIDDLE_GREY, np.float32),
             np.full((n_experts, n_texels), UNKNOWN_VARIANCE, np.float32),
             LearnedGain.first(n_experts, n_texels) if learn else None,
+            LastingTexture(*np.zeros((2, n_experts, n_texels), np.float32)),
         )
 
     def forgotten(self) -> Self:
@@ -140,6 +186,7 @@ class Texture:
             mean=self.mean[parents],
             variance=self.variance[parents],
             learned=None if self.learned is None else self.learned.of(parents),
+            lasting=None if self.lasting is None else self.lasting.of(parents),
         )
 
     def temperature(self, noise: TexelNoise) -> Map:
@@ -147,9 +194,16 @@ class Texture:
         return self.variance + self._noises(noise)[0]
 
     def predicted(self, noise: TexelNoise, elapsed: float) -> Self:
-        """The texture `elapsed` s later, eq. (12)."""
-        variance = self.variance + self._noises(noise)[1] * np.float32(max(elapsed, SHORTEST))
-        return replace(self, variance=np.minimum(variance, np.float32(UNKNOWN_VARIANCE)))
+        """The texture `elapsed` s later, eq. (12), on its way to the lasting one if anything changes."""
+        process = self._noises(noise)[1]
+        variance = self.variance + process * np.float32(max(elapsed, SHORTEST))
+        mean = self.mean
+        if self.lasting is not None:
+            returned = np.float32(-np.expm1(-max(elapsed, SHORTEST) / RETURN))
+            there = (self.lasting.looks > 0) & (process > 0)
+            mean = mean.copy()
+            mean[:, 0] += np.where(there, returned * (self.lasting.mean - mean[:, 0]), np.float32(0))
+        return replace(self, mean=mean, variance=np.minimum(variance, np.float32(UNKNOWN_VARIANCE)))
 
     def updated(self, observed: Map, seen: NDArray[np.bool_], noise: TexelNoise, elapsed: float) -> Self:
         """This prediction, made `elapsed` s after the last picture, with a picture: eq. (10), (11).
@@ -170,7 +224,11 @@ class Texture:
         innovation = observed[:, 0] - self.mean[:, 0]
         mean[:, 0] = self.mean[:, 0] + gain * innovation
         learned = None if self.learned is None else self.learned.updated(innovation, seen & ~unknown, elapsed)
-        return replace(self, mean=mean, variance=variance, learned=learned)
+        lasting = self.lasting
+        if lasting is not None:
+            steady = np.float32(noise.steady_gain) if self.learned is None else self.learned.gain
+            lasting = lasting.updated(observed[:, 0], seen, steady, elapsed)
+        return replace(self, mean=mean, variance=variance, learned=learned, lasting=lasting)
 
     def _noises(self, noise: TexelNoise) -> tuple[Map | np.float32, Map | np.float32]:
         """Rendering noise, and process noise per second; with a learned gain those of its steady state."""

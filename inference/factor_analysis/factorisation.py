@@ -3,7 +3,7 @@
 RSMCM eq. (18): position of point i in frame t = M_t (S_i, 1) + noise, M_t (2, 4), S_i (3,).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -65,6 +65,10 @@ class Factorisation:
     motion_noise: Numbers
     frame_determined: Mask
     history: tuple[float, ...]
+
+    def of_points(self, kept: Mask) -> "Factorisation":
+        """The same with some of the points only, `(n_points,)` bool."""
+        return replace(self, shape=self.shape[kept], shape_covariance=self.shape_covariance[kept])
 
 
 def factorise(

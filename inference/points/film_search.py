@@ -84,14 +84,22 @@ class FilmSearch:
         self._unite({} if current is None else duplicates(current, others))
 
     def run(self) -> tuple[list[PointMessage], KnownPoints]:
-        """What frames show of points, and those points."""
+        """What frames show of points, and those points.
+
+        A point that no other frame shows than the one where it began is no track, and says nothing.
+        """
         found = self._followed()
         if self._current is not None:
             pairs = coincident_tracks(found[0], SAME_PLACE)
             if pairs:
                 self._unite(merged_groups(self.same, pairs))
                 found = self._followed()
-        return found
+        evidence, known = found
+        names, counts = np.unique(
+            np.concatenate([message.positions.identities for message in evidence]), return_counts=True
+        )
+        alone = names[counts == 1]
+        return [_without(message, alone) for message in evidence], known
 
     def _unite(self, same: Duplicates) -> None:
         self.same = same
@@ -169,6 +177,14 @@ class FilmSearch:
         patches[places] = current.appearances.first[current.appearances.places_of(current.identities[points])]
         states = initial_states(state, view, position, NEW_DEVIATION**2 * np.eye(2))
         return replace(state, known=replace(known, patches=patches).with_states(places, states))
+
+
+def _without(message: PointMessage, alone: Identities) -> PointMessage:
+    """What a picture shows, without some points; points that are given stay."""
+    if message.view is None or message.view.grey is None:
+        return message
+    stay = ~np.isin(message.positions.identities, alone)
+    return replace(message, positions=message.positions.only(stay))
 
 
 def _plausible(others: GaussianMessage, identities: Identities, positions: Numbers) -> Mask:

@@ -1,1 +1,1 @@
-"""What surrounds factor analysis: association of tracks, shapes that grow or deform."""
+"""What surrounds factor analysis: association of tracks, shapes that grow."""

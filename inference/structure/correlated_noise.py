@@ -15,6 +15,11 @@ SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99)
 MEMORIES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)
 """Frames in which drift may be forgotten: longer ones cannot be told from another position of the point."""
 
+STEPS, PRECISION = 50, 1e-3
+"""Of the variance of the noise: at most so many, and until it changes by no more than this share."""
+ROUNDING = 1e-12
+"""Share of the squares of positions below which errors are rounding."""
+
 
 @dataclass(frozen=True)
 class CorrelatedNoise:
@@ -90,27 +95,42 @@ def estimate_correlated_noise(
     """
     n_points = int(point_of_track.max()) + 1
     count = 2 * len(tracks.x)
-    best = (-np.inf, CorrelatedNoise(1.0, 0.0, 1.0))
+    root = np.linalg.cholesky(prior)
+    found: list[tuple[float, CorrelatedNoise]] = []
     for share in SHARES:
         for memory in MEMORIES if share else MEMORIES[:1]:
-            shape = CorrelatedNoise(1 - share, share, memory)
-            information, vector, quadratic, determinant = shape.information(tracks, cameras)
+            noise = CorrelatedNoise(1 - share, share, memory)
+            information, vector, quadratic, determinant = noise.information(tracks, cameras)
             whole, sums = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3))
             np.add.at(whole, point_of_track, information)
             np.add.at(sums, point_of_track, vector)
-            # the scale has a closed form but for the points' prior, which two steps settle
-            scale = 1e-2 * float(np.trace(prior))
-            for _ in range(3):
-                precision = whole + scale * np.linalg.inv(prior)
-                explained = np.einsum("ni,ni->", sums, np.linalg.solve(precision, sums[..., None])[..., 0])
-                freedom = np.trace(np.linalg.solve(precision, whole), axis1=1, axis2=2).sum()
-                scale = float((quadratic.sum() - explained) / max(count - freedom, 1))
+            # in the axes in which prior and observations of a point are diagonal
+            values, axes = np.linalg.eigh(root.T @ whole @ root)
+            squares = np.square(np.einsum("nji,kj,nk->ni", axes, root, sums))
+            scale, left = _likeliest_scale(float(quadratic.sum()), values, squares, count)
             log_likelihood = -0.5 * (
                 determinant.sum()
-                + (count - 3 * n_points) * np.log(scale)
-                + np.linalg.slogdet(precision)[1].sum()
-                + (quadratic.sum() - explained) / scale
+                + (count - values.size) * np.log(scale)
+                + np.log(values + scale).sum()
+                + left / scale
             )
-            if log_likelihood > best[0]:
-                best = (float(log_likelihood), shape.scaled(scale))
-    return best[1]
+            # of a drift, share and memory are found as well (BIC)
+            found.append((float(log_likelihood) - (np.log(count) if share else 0.0), noise.scaled(scale)))
+    return max(found, key=lambda each: each[0])[1]
+
+
+def _likeliest_scale(total: float, values: Numbers, squares: Numbers, count: int) -> tuple[float, float]:
+    """Variance at which a regression on points with a prior is likeliest, and the squares that are left then.
+
+    Of y = A s + noise, s ~ N(0, I): `total` = y.y, `values` of A'A and `squares` of A'y along its axes.
+    """
+    scale = 1.0
+    for _ in range(STEPS):
+        before = scale
+        explained = squares / (values + scale)
+        left = total - float(explained.sum())
+        errors = left - scale * float((explained / (values + scale)).sum())
+        scale = max(errors / max(count - float((values / (values + scale)).sum()), 1.0), ROUNDING * total)
+        if abs(scale - before) <= PRECISION * scale:
+            break
+    return scale, left

@@ -119,6 +119,8 @@ class Structure:
         `(n, 2)` px: position less prediction of each point when it was last an inlier.
     autocorrelation
         of innovations, from one frame to the next.
+    wander
+        px^2/s, in u and in v: how fast what a point is off by changes (see `offsets`).
     """
 
     identities: Identities
@@ -131,6 +133,17 @@ class Structure:
     noise_scale: float
     innovations: Numbers
     autocorrelation: float
+    wander: float
+
+    @property
+    def offsets(self) -> Numbers:
+        """`(n, 2)` px: what each point is taken to be off by, since what it was off by lasts.
+
+        The camera is not quite affine, the thing not quite rigid, and a tracker's patch drifts: where it was,
+        it is found again. With e = a + white noise and autocorrelation rho, the mean of a given e is rho e,
+        and its variance rho (1 - rho) that of e. By so much it is taken to grow in every further frame.
+        """
+        return self.autocorrelation * self.innovations
 
     def __len__(self) -> int:
         return len(self.identities)
@@ -161,7 +174,7 @@ class Registration:
         `(n, 2, 4)` and `(n,)`: for every known point the camera that the others show, and the variance (px^2,
         in u and in v) that its uncertainty gives the point's position.
     means, covariances
-        `(n, 2)` px and `(n, 2, 2)` px^2: where the point should be therefore, but for noise.
+        `(n, 2)` px and `(n, 2, 2)` px^2: where the point should be therefore, but for noise of one frame.
     places
         `(k,)` of the seen points among the known ones.
     positions, variances
@@ -228,14 +241,15 @@ def register(structure: Structure, seen: ObservedPoints) -> Registration:
     cameras[used] -= off[:, :, None] * pull[:, None, :]
     leverages[used] *= noise[inliers] / others
     leverages += _joint(motion, spreads)
+    wandered = structure.wander * structure.unseen
     return Registration(
         motion=motion,
         information=information,
         vector=vector,
         cameras=cameras,
         leverages=leverages,
-        means=(cameras @ all_points[:, :, None])[:, :, 0],
-        covariances=_seen_through(cameras[:, :, :3], spreads) + isotropic(leverages),
+        means=(cameras @ all_points[:, :, None])[:, :, 0] + structure.offsets,
+        covariances=_seen_through(cameras[:, :, :3], spreads) + isotropic(leverages + wandered),
         places=places,
         positions=positions,
         variances=variances,
@@ -322,6 +336,11 @@ def correlation_time(autocorrelation: float) -> float:
     return (1 + correlation) / (1 - correlation)
 
 
+def wandering(autocorrelation: float, variances: Numbers, elapsed: float) -> float:
+    """`Structure.wander` where errors have these variances, `elapsed` s after each other."""
+    return autocorrelation * (1 - autocorrelation) * float(np.median(variances)) / elapsed
+
+
 def camera_information(points: Numbers, positions: Numbers, precisions: Numbers) -> tuple[Numbers, Numbers]:
     """Information `(4, 4)` and vector `(2, 4)` of a camera from observed points `(k, 4)`, with a 1 last."""
     weighted = points.T * precisions
@@ -353,8 +372,10 @@ def _joint(motion: CameraMotion, spreads: Numbers) -> Numbers:
 def _with_learned_noise(structure: Structure, found: Registration, elapsed: float, time: float) -> Structure:
     """With what a frame says of the noise of positions and of the camera's motion."""
     places, count = found.places, len(found.places)
-    off = found.positions - found.means[places]
-    total = found.covariances[places] + isotropic(found.variances)
+    off = found.positions - found.means[places] + structure.offsets[places]
+    total = found.covariances[places] + isotropic(
+        found.variances - structure.wander * structure.unseen[places]
+    )
     trust = 2 * found.variances / np.trace(total, axis1=1, axis2=2)  # else points are off by their own error
     rate = LEARNING_RATE * count / (count + MANY)
     # A Newton step towards the scale at which half of the points are farther off than the median should be:
@@ -389,4 +410,5 @@ def _with_learned_noise(structure: Structure, found: Registration, elapsed: floa
         motion=replace(found.motion, noise=noise),
         innovations=innovations,
         autocorrelation=autocorrelation,
+        wander=wandering(autocorrelation, found.variances, elapsed),
     )

@@ -21,6 +21,7 @@ from .recursive import (
     Structure,
     camera_information,
     correlation_time,
+    wandering,
 )
 
 LEAST_SEEN = 6
@@ -161,6 +162,7 @@ def first_structure(window: Window) -> Structure | None:
         noise_scale=scale,
         innovations=np.zeros_like(shape[:, :2]),
         autocorrelation=autocorrelation ** (1 / window.stride),
+        wander=wandering(autocorrelation, scale * stated[seen], float(np.median(np.diff(times)))),
     )
 
 

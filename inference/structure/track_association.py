@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
 
 from ..factor_analysis.factorisation import Factorisation, factorise
 from ..factor_analysis.observations import Observations
+from ..factor_analysis.robust import factorise_robustly
 from .correlated_noise import CorrelatedNoise, estimate_correlated_noise
 from .joint_posterior import covariance_of_points
 from .kernels.track_association import assign_tracks, same_point_gains
@@ -22,19 +24,25 @@ from .kernels.track_association import assign_tracks, same_point_gains
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-NEW_POINT = 0.1
-"""Prior probability that a track which begins shows a point that was never seen before."""
+MOST_SHARE, LEAST_SHARE, SHARE_STEPS = 0.1, 1e-9, 50
+"""Of pairs that are at one place: at most, and to begin with; at the least; steps of EM."""
 
 MARGINS = (3.0, 1.5, 0.0)
 """Nats by which a union has to be likelier than what it excludes: round by round, as cameras get better."""
 
 MOST_ROUNDS = 10
 SOFT_ROUNDS = 4
-SURE = 0.99
+SURE = 0.9
 """Probability from which a track is said to show a point."""
 
 DETERMINED = 0.15
 """A point is one if its positions in all frames are known to this share of the spread of all points."""
+
+LOOSELY = 0.5
+"""The same of a point that a single short track shows, which no other one is judged by."""
+
+LEAST_VIEWS = 2
+"""Frames of a track that is a point of its own: fewer leave its depth open."""
 
 TORN = 0.05
 """Product of probabilities from which a track is torn between two points."""
@@ -60,12 +68,15 @@ class TrackAssociation:
         `(n_tracks, n_points)`, the probability that a track shows a point.
     noise
         errors of the tracks, px^2.
+    trusted
+        `(n_frames, n_tracks)` bool: positions that are taken to be right, and no outliers.
     """
 
     factorisation: Factorisation
     point_of_track: Indices
     membership: Numbers
     noise: CorrelatedNoise
+    trusted: NDArray[np.bool_]
 
 
 def associate_tracks(
@@ -91,17 +102,25 @@ def associate_tracks(
     where = np.asarray(positions, np.float64)
     weight = np.asarray(~np.isnan(where).any(axis=2) if weights is None else weights, np.float64)
     where = np.where(weight[..., None] > 0, where, 0.0)
-    association = _Association(where, weight, coherence)
+    robust = factorise_robustly(where, weight, coherence=coherence)
+    kept = robust.consistent
+    # what is trusted counts, so that no track is refused for a position that is wrong
+    association = _Association(
+        where[:, kept], (robust.weights * robust.trusted)[:, kept], robust.factorisation.of_points(kept)
+    )
     association.unite()
-    return association.soft_assignment()
+    found = association.soft_assignment()
+    point, membership = np.full(len(kept), -1), np.zeros((len(kept), found.membership.shape[1]))
+    point[kept], membership[kept] = found.point_of_track, found.membership
+    return replace(found, point_of_track=point, membership=membership, trusted=robust.trusted)
 
 
 class _Association:
     """State of the association, in the units of `Observations`."""
 
-    def __init__(self, positions: Numbers, weights: Numbers, coherence: bool) -> None:
+    def __init__(self, positions: Numbers, weights: Numbers, fit: Factorisation) -> None:
         self._positions, self._weights = positions, weights
-        self._coherence = coherence
+        self._fit = fit
         self._observations = Observations.from_arrays(positions, weights)
         self._tracks = self._observations.by_point
         n_tracks = positions.shape[1]
@@ -110,9 +129,7 @@ class _Association:
         self._seen[self._tracks.own, self._tracks.other] = 1
         self._point = np.arange(n_tracks)
         self._membership = np.eye(n_tracks)
-        self._fit = factorise(positions, weights, coherence=coherence)
-        at_once = np.bincount(self._observations.by_frame.own).max()
-        self._log_new = float(np.log(at_once * NEW_POINT / (1 - NEW_POINT)))
+        self._log_new = np.inf
         """Log prior odds of a new point against a certain one of those that there may be."""
 
     # --- what the present cameras say ---
@@ -158,9 +175,13 @@ class _Association:
         inside = place[self._point[self._tracks.own]]
         seen[inside[inside >= 0], self._tracks.other[inside >= 0]] = 1
         _, population = self._population()
-        group = unite_points(
-            self._fit.shape[chosen], covariance, seen @ seen.T > 0, 2 * population, self._log_new, margin
-        )
+        mean, apart, spread = self._fit.shape[chosen], seen @ seen.T > 0, 2 * population
+        gains = np.empty(apart.shape)
+        same_point_gains(mean, covariance, np.eye(len(mean), dtype=bool), spread, gains)
+        first, second = np.triu_indices(len(mean), 1)
+        # of all tracks: those that are one already are no longer among the pairs
+        self._log_new = min(self._log_new, log_odds_of_new(gains[first, second], apart[first, second]))
+        group = unite_points(mean, covariance, apart, spread, self._log_new, margin)
         target = np.arange(len(place))
         target[chosen] = chosen[group]
         return target[self._point]
@@ -206,7 +227,7 @@ class _Association:
         self._fit = factorise(
             positions,
             weights,
-            coherence=self._coherence,
+            coherence=self._fit.coherent,
             start=replace(self._fit, shape=shape, shape_covariance=spread),
         )
 
@@ -254,7 +275,9 @@ class _Association:
             membership[:, one] += membership[:, other]
             membership = np.delete(membership, other, axis=1)
 
-    def _determined(self, membership: Numbers, noise: CorrelatedNoise) -> NDArray[np.bool_]:
+    def _determined(
+        self, membership: Numbers, noise: CorrelatedNoise, share: float = DETERMINED
+    ) -> NDArray[np.bool_]:
         """Whether tracks say where each point is, in every frame."""
         information, _, _, _ = noise.information(self._tracks, self._cameras)
         _, covariance = self._population()
@@ -262,7 +285,7 @@ class _Association:
         rows = self._cameras[..., :3]
         variance = np.einsum("tcj,pjk,tck->tp", rows, np.linalg.inv(whole), rows, optimize=True)
         spread = np.einsum("tcj,jk,tck->t", rows, covariance, rows)
-        known: NDArray[np.bool_] = (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
+        known: NDArray[np.bool_] = (variance < share**2 * spread[:, None]).all(axis=0)
         return known
 
     def _result(self, noise: CorrelatedNoise) -> TrackAssociation:
@@ -274,12 +297,16 @@ class _Association:
         own = membership[anchors].argmax(axis=1) == columns
         sure[anchors[own], columns[own]] = True
         own &= self._determined(np.where(sure, 1.0, 0.0), noise)
-        sure &= own
-        point = np.where(sure.any(axis=1), sure.argmax(axis=1), -1)
-        point[point >= 0] = np.cumsum(own)[point[point >= 0]] - 1
-        fit = replace(self._fit, shape=self._fit.shape[own], shape_covariance=self._fit.shape_covariance[own])
+        sure = sure[:, own]
+        # what may well be a point that nothing else shows is one; what is torn between points is nothing
+        alone = ~sure.any(axis=1) & (membership[:, own].sum(axis=1) < SURE) & (self._counts >= LEAST_VIEWS)
+        alone[alone] = self._determined(np.eye(len(alone))[:, alone], noise, LOOSELY)
+        hard = np.concatenate([np.where(sure, 1.0, 0.0), np.eye(len(alone))[:, alone]], axis=1)
+        soft = np.concatenate([membership[:, own], np.eye(len(alone))[:, alone]], axis=1)
+        point = np.where(hard.any(axis=1), hard.argmax(axis=1), -1)
+        self._refit(hard)
         unit = self._observations.scale**2 * self._observations.weight_unit
-        return TrackAssociation(fit, point, membership[:, own], noise.scaled(unit))
+        return TrackAssociation(self._fit, point, soft, noise.scaled(unit), self._weights > 0)
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:
@@ -287,6 +314,32 @@ def log_partition(information: Numbers, vector: Numbers) -> Numbers:
     solved = np.linalg.solve(information, vector[..., None])[..., 0]
     result: Numbers = 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
     return result
+
+
+def log_odds_of_new(gains: Numbers, apart: NDArray[np.bool_]) -> float:
+    """Log prior odds that a pair of points is two and not one.
+
+    Which share of the pairs is at one place is learned by EM. Different points may be there, too, more often
+    than if they were draws from a Gaussian, as on surfaces: as often as pairs that are two for sure.
+
+    Parameters
+    ----------
+    gains
+        `(n_pairs,)`, log of how much likelier a pair is if it is at one place than if it is not.
+    apart
+        `(n_pairs,)`, whether it is two points for sure.
+    """
+    share = max(_share_in_one_place(gains[~apart]) - _share_in_one_place(gains[apart]), LEAST_SHARE)
+    return float(np.log((1 - share) / share))
+
+
+def _share_in_one_place(gains: Numbers) -> float:
+    share = MOST_SHARE if len(gains) else 0.0
+    for _ in range(SHARE_STEPS):
+        if share <= LEAST_SHARE:
+            break
+        share = min(float(expit(gains + np.log(share / (1 - share))).mean()), MOST_SHARE)
+    return share
 
 
 def unite_points(

@@ -56,6 +56,11 @@ class TexelNoise:
         return 0.5 * (change + float(np.sqrt(change**2 + 4 * self.rendering * change)))
 
     @property
+    def steady_gain(self) -> float:
+        """K_inf, from 0 to 1: of pictures of `USUAL_RATE`."""
+        return self.steady_variance / self.temperature
+
+    @property
     def temperature(self) -> float:
         """tau_inf = V_inf + sigma_w^2, squared grey levels (§4.1)."""
         return self.steady_variance + self.rendering

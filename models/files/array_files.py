@@ -1,4 +1,4 @@
-"""Files of arrays, `.npy` and `.npz`, from anybody: headers are judged before data, nothing is unpickled."""
+"""Files of arrays, `.npy`, `.npz`, `.mat`, from anybody: headers are judged first, nothing is unpickled."""
 
 import math
 import os
@@ -22,6 +22,8 @@ KINDS = "biufcSU"  # of numpy's types: numbers and text
 ARCHIVE = (b"PK\x03\x04", b"PK\x05\x06")  # how a zip file begins, and one without members
 PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # as numpy does; other ways unpack without bounds
 ENCRYPTED = 1  # flag of a member
+MATLAB = (b"MATL", bytes(4))  # how a file of MATLAB 5 and later begins, and one of MATLAB 4 with doubles
+MATLAB_KINDS = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -34,7 +36,8 @@ def read_arrays(
     Parameters
     ----------
     path
-        `.npz`, or `.npy` with one array, which is called `SINGLE`; the content tells which, not the name.
+        `.npz`, or `.npy` with one array, which is called `SINGLE`, or a `.mat` of MATLAB up to 7.2, of which
+        all that is no array of numbers is left out; the content tells which, not the name.
     expected
         what the file should hold, for messages: "expected ...".
     most
@@ -71,6 +74,8 @@ def _arrays(file: IO[bytes], most: int, shape_only: Collection[str]) -> Arrays:
     file.seek(0)
     if np.lib.format.MAGIC_PREFIX.startswith(beginning) and beginning:
         return {SINGLE: _array(file, "array", size, most)}
+    if beginning in MATLAB:
+        return _of_matlab(file, size, most)
     if beginning not in ARCHIVE:
         raise _WrongError("neither .npy nor .npz")
     arrays: Arrays = {}
@@ -90,6 +95,22 @@ def _arrays(file: IO[bytes], most: int, shape_only: Collection[str]) -> Arrays:
                 arrays[name] = _array(stream, f"array {name[:60]!r}", member.file_size, most)
             most -= _numbers(arrays[name].shape, arrays[name].dtype)
     return arrays
+
+
+def _of_matlab(file: IO[bytes], size: int, most: int) -> Arrays:
+    """The arrays of numbers of a file of MATLAB; `size` is the file's."""
+    from scipy.io import loadmat, whosmat
+
+    if file.read(8).startswith(b"MATLAB 7"):
+        raise _WrongError("a file of MATLAB 7.3 (HDF5), which save(..., '-v7') writes so that it can be read")
+    file.seek(0)
+    wanted = [(name, shape) for name, shape, kind in whosmat(file) if kind in MATLAB_KINDS]  # type: ignore[arg-type]
+    numbers = sum(math.prod(shape) for _, shape in wanted)
+    if numbers > most or size > NUMBER * most + LONGEST_HEADER:
+        raise _WrongError(f"{numbers} numbers in {size} bytes, more than are taken")
+    file.seek(0)
+    content = loadmat(file, variable_names=[name for name, _ in wanted])  # type: ignore[arg-type]
+    return {name: np.asarray(content[name]) for name, _ in wanted}
 
 
 def _array(stream: IO[bytes], what: str, size: int, most: int) -> NDArray[Any]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .kernels import alignment as alignment_kernels
+from .kernels.alignment import Expected, Light
 
 Numbers = NDArray[np.float64]
 
@@ -48,9 +49,15 @@ class Aligned:
 
 
 def align_patches(
-    grey: NDArray[np.uint8], patches: NDArray[np.float32], start: Numbers, farthest: float
+    grey: NDArray[np.uint8],
+    patches: NDArray[np.float32],
+    start: Numbers,
+    farthest: float,
+    expected: Expected | None = None,
 ) -> Aligned:
     """Move patches by Gauss-Newton steps to where the picture is like them.
+
+    What is expected of their places holds those that an edge lets slide. It is no part of the covariances.
 
     Parameters
     ----------
@@ -62,13 +69,17 @@ def align_patches(
         `(n, 2)` px, within a pixel of where they are.
     farthest
         px from there, along either axis, where they can be at most.
+    expected
+        of their places; nothing if not given.
     """
     position = np.array(start, np.float64)
+    expected = expected or Expected(position.copy(), np.zeros((len(position), 2, 2)))
     information = np.empty((len(position), 2, 2))
     residual, ncc = np.empty(len(position)), np.empty(len(position))
     deviations = np.array([LIGHTER, STRONGER, *[WARPED] * 4])
+    light = Light((PIXEL_NOISE / deviations) ** 2, SMOOTHED, ROUNDING)
     alignment_kernels.align_all(
-        grey, patches, position, (PIXEL_NOISE / deviations) ** 2, farthest, information, residual, ncc
+        grey, patches, position, expected, light, farthest, information, residual, ncc
     )
     covariance = (SMOOTHED * residual + ROUNDING)[:, None, None] * np.linalg.inv(information)
     return Aligned(position, covariance, ncc)

@@ -211,9 +211,12 @@ class PointTracks:
             return GaussianMessage.uniform(PLANE), NOWHERE
         identities, mean, covariance = identities[known], mean[known], covariance[known]
         patches = prior.patches.pixels[np.searchsorted(prior.patches.identities, identities)]
-        found = find_points(grey, patches, mean, covariance, self.false_alarms, self.farthest)
-        seen, position, spread = identities[found.seen], found.position, found.covariance
         before = prior.view
+        lost = (
+            None if before is None or before.grey is None else ~np.isin(identities, before.found.identities)
+        )
+        found = find_points(grey, patches, mean, covariance, self.false_alarms, self.farthest, lost)
+        seen, position, spread = identities[found.seen], found.position, found.covariance
         if before is not None and before.grey is not None:
             again = np.isin(seen, before.found.identities)
             origin = before.found.positions[np.searchsorted(before.found.identities, seen[again])]

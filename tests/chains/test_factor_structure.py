@@ -7,7 +7,8 @@ from rsmcm.apps.scenes import cylinder
 from rsmcm.chains import FactorStructure
 from rsmcm.chains.factor_structure import StructureTrajectory
 from rsmcm.inference import CoordinateAscent, MultiChain, Solution
-from rsmcm.inference.factor_analysis.factorisation import factorise
+from rsmcm.inference.factor_analysis.factorisation import predicted
+from rsmcm.inference.factor_analysis.robust import factorise_robustly
 from rsmcm.models import Frame
 from rsmcm.models.points.point_tracks import PointTracks
 
@@ -23,10 +24,37 @@ def test_without_association_it_is_factor_analysis_of_the_tracks() -> None:
     tracks = SCENE.tracks()
     solution = solved(FactorStructure(associate=False), frames_of_tracks(tracks))
     found: StructureTrajectory = solution["structure"]
-    expected = factorise(tracks, np.where(np.isnan(tracks[..., 0]), 0.0, 1e4), coherence=True)
+    weights = np.where(np.isnan(tracks[..., 0]), 0.0, 1e4)
+    expected = factorise_robustly(tracks, weights, coherence=True).factorisation
     np.testing.assert_allclose(found.factorisation.cameras, expected.cameras, rtol=1e-6, atol=1e-9)
     np.testing.assert_array_equal(found.point_of_track, np.arange(tracks.shape[1]))
+    assert (found.trusted == (weights > 0)).mean() > 0.99
     assert found.noise == pytest.approx(0.01**2, rel=0.3)
+
+
+@pytest.mark.parametrize("associate", [False, True])
+def test_wrong_places_are_no_part_of_the_shape(associate: bool) -> None:
+    """Every 12th track jumps to another place halfway: it is refused, or its place, and nothing else is."""
+    tracks = SCENE.tracks()
+    seen = ~np.isnan(tracks[..., 0])
+    wrong = np.flatnonzero(seen.sum(axis=0) >= 2)[::12]
+    for track in wrong:
+        frames = np.flatnonzero(seen[:, track])
+        tracks[frames[len(frames) // 2 :], track] += (0.4, -0.5)
+    found: StructureTrajectory = solved(FactorStructure(associate=associate), frames_of_tracks(tracks))[
+        "structure"
+    ]
+    right = np.ones(tracks.shape[1], bool)
+    right[wrong] = False
+    assert (found.point_of_track[right] >= 0).mean() >= 0.95
+    assert (found.trusted | ~seen)[:, wrong].all(axis=0).mean() <= 0.2
+    assert found.noise == pytest.approx(0.01**2, rel=0.3)
+    known = right & (found.point_of_track >= 0)
+    places, _ = predicted(found.factorisation)
+    off = (places[:, found.point_of_track[known]] - SCENE.positions[:, SCENE.point_of_track[known]])[
+        seen[:, known]
+    ]
+    assert np.sqrt(np.square(off).sum(axis=1).mean()) < 0.015
 
 
 def test_messages_predict_points_where_they_were_not_seen() -> None:

@@ -115,6 +115,7 @@ def some_structure(seed: int, n_points: int = 12, uncertain: float = 0.05) -> tu
         noise_scale=1.0,
         innovations=np.zeros((n_points, 2)),
         autocorrelation=0.0,
+        wander=0.0,
     )
     return structure, truth
 
@@ -505,6 +506,25 @@ def test_errors_that_last_make_it_less_sure() -> None:
     assert state.structure is not None
     assert 0.3 < state.structure.autocorrelation < 0.8
     assert found.others_normalised.mean() < 3
+
+
+def test_what_points_are_off_by_for_long_is_predicted() -> None:
+    """Each point drifts by 1 px about where the shape has it, over 2 s; some are hidden for half a second."""
+    scene, random = cylinder(18, p_loose=0.0), np.random.default_rng(0)
+    drift = np.zeros((100, 40, 2))
+    drift[0] = random.standard_normal((40, 2))
+    for t in range(1, 100):
+        drift[t] = 0.98 * drift[t - 1] + np.sqrt(1 - 0.98**2) * random.standard_normal((40, 2))
+    there = scene.positions + drift
+    scene = replace(scene, positions=there, observed=there + 0.2 * random.standard_normal((100, 40, 2)))
+    scene.visible[60:75, ::2] = False
+    scene.visible[85:, 1::2] = False
+    found, state = follow(scene, begin=62)
+    assert state.structure is not None
+    assert state.structure.autocorrelation > 0.5
+    assert np.sqrt(np.median(found.given_others)) < 0.5
+    assert 0.5 < found.others_normalised.mean() < 2
+    assert 0.4 < found.lost_normalised.mean() < 2
 
 
 def test_outliers_do_little_harm() -> None:

@@ -10,11 +10,12 @@ from rsmcm.apps.reports.record import Table
 
 from ..conftest import Command
 from ..support.browser import PHONE, Browser, landmarks, overflow
-from .test_same_bytes import background, body, face_of_a_film, structure
+from .test_same_bytes import background, body, face_of_a_film, shape, structure
 
 APPLICATIONS: dict[str, tuple[Callable[[Path], list[str]], list[str], set[str]]] = {
     "background": (background, ["--compare"], {"report.html", "compare.html", "view.html"}),
-    "structure": (structure, [], {"report.html"}),
+    "structure": (structure, [], {"report.html", "view.html"}),
+    "shape": (shape, [], {"report.html", "view.html"}),
     "face": (face_of_a_film, [], {"report.html", "view.html"}),
     "body": (body, [], {"report.html", "view.html"}),
 }

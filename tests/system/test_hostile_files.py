@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.background.parameters import read_parameters
+from scipy.io import savemat
 
 from ..conftest import Command
 
@@ -37,6 +38,12 @@ def npz(how: int = zipfile.ZIP_DEFLATED) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", how) as archive:
         archive.writestr("tracks.npy", npy())
+    return stream.getvalue()
+
+
+def mat() -> bytes:
+    stream = io.BytesIO()
+    savemat(stream, {"X": np.ones((3, 8, 6))}, do_compression=True)
     return stream.getvalue()
 
 
@@ -76,6 +83,9 @@ DAMAGED = {
     "bzip2.npz": lambda: npz(zipfile.ZIP_BZIP2),
     "bomb.npz": bomb,
     "cut.npz": lambda: npz()[:-30],
+    "cut.mat": lambda: mat()[:-30],
+    "zeros.mat": lambda: bytes(4000),
+    "new.mat": lambda: b"MATLAB 7.3 MAT-file" + bytes(500),
 }
 
 
@@ -85,7 +95,7 @@ def test_arrays(name: str, film: Path, tmp_path: Path, capfd: pytest.CaptureFixt
     path.write_bytes(DAMAGED[name]())
     for command, arguments in (
         ("structure", (path, "--out", out)),
-        ("shape", (path, "--bases", 2, "--out", tmp_path / "out.npz")),
+        ("shape", (path, "--bases", 2, "--out", out)),
         ("face", (film, "--landmarks", path, "--out", out)),
     ):
         assert f"{path}: got " in Command(command).complaint(capfd, *arguments)

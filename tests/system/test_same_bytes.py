@@ -15,6 +15,7 @@ from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.scenes import face, signer, sleeping_man
 from rsmcm.models.body.upper_body import JOINTS
 
+from ..support.deforming import deforming
 from ..support.reconstructions import write_film
 
 WAYS = {
@@ -46,6 +47,11 @@ def background(folder: Path) -> Arguments:
 def structure(folder: Path) -> Arguments:
     write_film(folder, n_frames=12)
     return [str(folder)]
+
+
+def shape(folder: Path) -> Arguments:
+    np.save(folder / "tracks.npy", deforming(n_frames=15)[0])
+    return [str(folder / "tracks.npy"), "--bases", "3"]
 
 
 def face_of_a_film(folder: Path) -> Arguments:
@@ -110,7 +116,13 @@ def results(out: Path) -> dict[str, Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "prepare"),
-    [("background", background), ("structure", structure), ("face", face_of_a_film), ("body", body)],
+    [
+        ("background", background),
+        ("structure", structure),
+        ("shape", shape),
+        ("face", face_of_a_film),
+        ("body", body),
+    ],
 )
 def test_threads_and_cores_change_no_byte(
     command: str, prepare: Callable[[Path], Arguments], tmp_path: Path
@@ -126,7 +138,7 @@ def test_threads_and_cores_change_no_byte(
         printed, _ = process.communicate(timeout=600)
         assert process.returncode == 0, printed
     first, *others = (results(tmp_path / way) for way in WAYS)
-    assert {"summary.json", "overlay.mp4"} <= set(first)
+    assert {"summary.json", "shapes.npz" if command == "shape" else "overlay.mp4"} <= set(first)
     for way, other in zip(list(WAYS)[1:], others, strict=True):
         assert set(other) == set(first), way
         assert [name for name in first if other[name] != first[name]] == [], way

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ....inference.structure.nonrigid import LEAST_FRAMES, NonrigidShape, learn_shape
+from ....inference.nonrigid.learning import LEAST_FRAMES, learn_shape
+from ....inference.nonrigid.shape import NonrigidShape
 from ...io.datasets import data_folder
 from ...reports import plots
 from ...reports.expectations import Expectation

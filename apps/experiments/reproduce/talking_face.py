@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ....chains.gflow import GFlow
 from ....inference import MultiChain, RecursiveBP
-from ....inference.structure.nonrigid import learn_shape
+from ....inference.nonrigid.learning import learn_shape
 from ....models.background.pixel_labels import PixelLabels
 from ....models.core.frame import Frame
 from ....models.core.grey import grey_of

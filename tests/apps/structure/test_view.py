@@ -13,6 +13,7 @@ from rsmcm.apps.structure import view as module
 from rsmcm.apps.structure.files import GREY, orthographic_parts
 from rsmcm.apps.structure.reconstruction import Reconstruction
 from rsmcm.apps.structure.view import film_of_tracks, structure_view, write_film
+from rsmcm.apps.view import points
 from rsmcm.apps.view.film import Film
 from rsmcm.apps.view.page import SEEN, write_view
 
@@ -65,7 +66,7 @@ def shown(browser: Browser, folder: Path) -> Iterator[ViewPage]:
 def layer_of(truth: Cylinder, found: Reconstruction, numbers: NDArray[np.int64]) -> dict[str, Any]:
     film = Film(None, SIZE, numbers, numbers / 25, numbers / 25)
     view = structure_view(pictures(truth, COLOURS), found, COLOURS, film)
-    layer: dict[str, Any] = view.layers["structure"]
+    layer: dict[str, Any] = {**view.layers["points"], **view.layers["structure"]}
     for row in view.rows:
         seen = np.zeros(len(numbers), np.bool_)
         for first, last, kind in row.spans.tolist():
@@ -95,8 +96,8 @@ def test_what_is_on_the_page(truth: Cylinder, found: Reconstruction, first: int)
 
 def test_a_page_is_bounded(truth: Cylinder, found: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST_POINTS", 10)
-    monkeypatch.setattr(module, "MOST_PLACES", 7 * N_FRAMES)
-    monkeypatch.setattr(module, "MOST_ROWS", 3)
+    monkeypatch.setattr(points, "MOST_PLACES", 7 * N_FRAMES)
+    monkeypatch.setattr(points, "MOST_ROWS", 3)
     layer = layer_of(truth, found, np.arange(1, N_FRAMES + 1))
     assert len(layer["space"]["places"]) == 10
     assert len(layer["tracked"]) == 7
@@ -226,8 +227,8 @@ def test_points_that_are_not_listed_have_a_row_while_selected(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(module, "MOST_ROWS", 2)
-    monkeypatch.setattr(module, "MOST_PLACES", 6 * N_FRAMES)
+    monkeypatch.setattr(points, "MOST_ROWS", 2)
+    monkeypatch.setattr(points, "MOST_PLACES", 6 * N_FRAMES)
     write_without_film(tmp_path, truth, found)
     with shown_page(browser, tmp_path, SIZE) as shown:
         rows = shown.page.locator("[role=option]")

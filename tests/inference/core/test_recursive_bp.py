@@ -224,6 +224,10 @@ class Listener(DiscreteChain):
         return super().update(state, incoming)
 
 
+class CavityListener(Listener):
+    ports = (Port(Categorical, Cavity.OTHERS, many=True),)
+
+
 def test_a_chain_gets_the_same_product_object_for_message_and_update() -> None:
     for sweeps in (1, 3):
         model = random_model(rng(), [("a", "f"), ("b", "f")], {"b": Listener})
@@ -268,7 +272,7 @@ class Looking(Categorical):
         return super().evidence(frame, prior)
 
 
-def test_evidence_is_asked_once_a_frame_with_what_the_quick_chains_say() -> None:
+def test_evidence_is_asked_once_a_frame_with_what_all_chains_predict() -> None:
     tables = random_model(rng(), [("a", "f"), ("b", "f"), ("c", "f")], {"b": CavityChain})
     node = tables.features["f"]
     looking = Looking("f", node.size, node.log_likelihood, [])
@@ -278,8 +282,25 @@ def test_evidence_is_asked_once_a_frame_with_what_the_quick_chains_say() -> None
     list(RecursiveBP(model, sweeps=3).run(FRAMES[:3]))
     assert looking.asked is not None
     assert len(looking.asked) == 2  # the third frame is missing
-    expected = [np.log(tables.chains[name].prior @ tables.chains[name].tables["f"]) for name in "ac"]
+    expected = [np.log(tables.chains[name].prior @ tables.chains[name].tables["f"]) for name in "acb"]
     np.testing.assert_array_equal(looking.asked[0].log_weights, sum(expected))
+
+
+def test_what_is_predicted_for_the_search_is_heard_by_nobody_else() -> None:
+    """Chains that listen are asked twice; they hear of each other what is said afterwards."""
+    kinds = {"b": CavityListener, "c": CavityListener}
+    tables = random_model(rng(), [("a", "f"), ("b", "f"), ("c", "f")], kinds)
+    node = tables.features["f"]
+    looking = Looking("f", node.size, node.log_likelihood, [])
+    model = MultiChain()
+    for name in "abc":
+        model.connect(tables.chains[name], looking)
+    belief = RecursiveBP(model).step(RunState(), Frame(image(1), 0.0, 1))
+    quick, seen, said = belief.message("a", looking), belief.evidence(looking), belief.message("b", looking)
+    for name, late in (("b", seen * quick), ("c", seen * quick * said)):
+        heard = [message for what, message in model.chains[name].heard if what == "message"]
+        np.testing.assert_allclose(heard[0].log_weights, quick.log_weights)
+        np.testing.assert_allclose(heard[-1].log_weights, late.log_weights)
 
 
 def test_what_nobody_hears_is_not_worked_out() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.points.alignment import align_patches, sample_patches
+from rsmcm.models.points.alignment import Expected, align_patches, sample_patches
 from rsmcm.models.points.patches import ncc, with_light_of
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, Texture, picture
@@ -120,3 +120,41 @@ def test_ncc_is_the_correlation_and_light_makes_no_difference() -> None:
     np.testing.assert_allclose(ncc(2 * one + 30, one), 1, atol=1e-6)
     assert ncc(one[:1], np.full((1, 5, 5), 3, np.float32)) == 0
     np.testing.assert_allclose(with_light_of(one, 0.5 * one + 20), 0.5 * one + 20, rtol=1e-5)
+
+
+def test_what_is_expected_holds_a_patch_on_an_edge() -> None:
+    """Along a straight edge the picture says next to nothing, across it nearly all."""
+    random = np.random.default_rng(6)
+    across = np.array([np.cos(0.4), np.sin(0.4)])
+    y, x = np.mgrid[:60, :60].astype(float)
+    edge = 128 + 60 * np.tanh((x - 30) * across[0] + (y - 30) * across[1])
+    one, other = (
+        np.clip(np.rint(edge + random.normal(0, 2, edge.shape)), 0, 255).astype(np.uint8) for _ in range(2)
+    )
+    along = np.array([-across[1], across[0]])
+    places = np.array([30.0, 30.0]) + random.uniform(-12, 12, (200, 1)) * along
+    patches, wrong = sample_patches(one, places, 5), 0.3 * across
+    free = align_patches(other, patches, places + wrong, 2.0)
+    expected = Expected(places + wrong, np.tile(np.eye(2) / 0.3**2, (200, 1, 1)))
+    held = align_patches(other, patches, places + wrong, 2.0, expected)
+    errors = held.position - places
+    assert np.abs(errors @ along).max() < 0.5
+    assert (np.abs((free.position - places) @ along) > 0.5).mean() > 0.3
+    assert np.sqrt(np.square(errors @ across).mean()) < 0.1
+    # what is expected is no part of what the picture says
+    assert np.median(along @ held.covariance @ along) > 0.3**2
+
+
+def test_a_clear_patch_hardly_hears_what_is_expected() -> None:
+    before, after = shifted(1.0)
+    start = places(300)
+    patches = sample_patches(before, start, 5)
+    alone = align_patches(after, patches, start + SHIFT, 1.0)
+    expected = Expected(start + SHIFT + 0.5, np.tile(np.eye(2), (300, 1, 1)))
+    held = align_patches(after, patches, start + SHIFT, 1.0, expected)
+    clear = (np.trace(alone.covariance, axis1=1, axis2=2) < 2 * 0.1**2) & (alone.ncc > 0.9)
+    assert clear.sum() > 30
+    pull = np.linalg.norm(held.position - alone.position, axis=1)[clear]
+    assert pull.max() < 0.05
+    nothing = align_patches(after, patches, start + SHIFT, 1.0, Expected(start, np.zeros((300, 2, 2))))
+    np.testing.assert_array_equal(nothing.position, alone.position)

@@ -189,15 +189,20 @@ def test_colour_is_seen_as_grey() -> None:
 
 
 def test_what_is_hidden_is_no_information() -> None:
-    before, after = film([STILL, MOVED])
-    (_, hidden) = hidden_by_a_bar([before, after], -20, 4.0, 60)  # columns 24 to 84
-    points = find_corners(before, 100, np.zeros((0, 2)), 8, 5)
-    behind = (points[:, 0] > 30) & (points[:, 0] < 70)
-    seen = NODE.evidence(frame(hidden), prior_at(before, points, points + SHIFT, 1.0, looks_back=True))
-    assert behind.sum() > 10
-    assert np.isin(seen.positions.identities, np.flatnonzero(behind)).sum() <= 0.15 * behind.sum()
-    free = (points[:, 0] < 15) | (points[:, 0] > 90)
-    assert np.isin(np.flatnonzero(free), seen.positions.identities).mean() > 0.8
+    found_behind, found_free = [], []
+    for seed in range(5):
+        before, after = film([STILL, MOVED], seed)
+        (_, hidden) = hidden_by_a_bar([before, after], -20, 4.0, 60)  # columns 24 to 84
+        points = find_corners(before, 100, np.zeros((0, 2)), 8, 5)
+        behind = (points[:, 0] > 30) & (points[:, 0] < 70)
+        seen = NODE.evidence(frame(hidden), prior_at(before, points, points + SHIFT, 1.0, looks_back=True))
+        found = np.isin(np.arange(len(points)), seen.positions.identities)
+        free = (points[:, 0] < 15) | (points[:, 0] > 90)
+        found_behind.append(found[behind])
+        found_free.append(found[free])
+    assert np.concatenate(found_behind).size > 60
+    assert np.concatenate(found_behind).mean() <= 0.15
+    assert np.concatenate(found_free).mean() > 0.8
 
 
 @pytest.mark.parametrize("deviation", [0.5, 2.0, 5.0])

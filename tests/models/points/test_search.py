@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from rsmcm.models.core.mahalanobis import squared_distances
 from rsmcm.models.points.alignment import align_patches, sample_patches
 from rsmcm.models.points.corners import find_corners
-from rsmcm.models.points.search import find_points, forward_backward_check, least_ncc, likeliest_places
+from rsmcm.models.points.search import (
+    UNLIKE,
+    find_points,
+    forward_backward_check,
+    least_ncc,
+    likeliest_places,
+    odds_over_chance,
+)
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, film
 
@@ -216,3 +223,39 @@ def test_an_edge_tells_nothing_along_it() -> None:
     sure, unsure = across @ covariance @ across, along @ covariance @ along
     assert (sure < 0.1**2).all()
     assert (unsure > 4 * sure).mean() > 0.9  # here and there noise is like noise
+
+
+# --- points that may be hidden ---
+
+
+def test_lost_points_are_found_where_they_are_and_rarely_where_they_are_not() -> None:
+    """Patches of one plane in pictures of it that moved on, and in pictures of other planes."""
+    before, after = before_and_after()
+    points = find_corners(before, 80, np.zeros((0, 2)), 8, 5)
+    points = points[((points > 15) & (points < [WIDTH - 15, HEIGHT - 15])).all(axis=1)]
+    patches, prior = sample_patches(before, points, 5), alike(0.7, len(points))
+    shares = []
+    for lost in (np.zeros(len(points), bool), np.ones(len(points), bool)):
+        there = find_points(after, patches, points + SHIFT, prior, 0.05, 24.0, lost).seen.mean()
+        others = [film([Pose(np.eye(2), np.zeros(2))], seed=seed, noise=0.0)[0] for seed in range(1, 31)]
+        wrong = [find_points(other, patches, points, prior, 0.05, 24.0, lost).seen for other in others]
+        shares.append((there, np.mean(wrong)))
+    (there, wrong), (there_again, rarely) = shares
+    assert there_again > there - 0.03
+    assert wrong > 0.01
+    assert rarely < 0.6 * wrong  # waves are more alike than pictures, for which the density is
+
+
+def test_odds_over_chance_are_a_ratio_of_densities() -> None:
+    """Both densities over correlation and place integrate to one point, and to the number that `least_ncc`
+    states."""
+    ncc, area, side = np.linspace(0.7, 0.999, 3000), 100.0, 5
+    wide = np.tile(0.5 * np.eye(2), (len(ncc), 1, 1))
+    odds = odds_over_chance(ncc, np.zeros(len(ncc)), wide, np.full(len(ncc), area), side)
+    of_point = np.exp(-(1 - ncc) / UNLIKE) / UNLIKE / (2 * np.pi * 0.5)
+    by_chance = of_point * np.exp(-odds) * area  # of the whole window
+    expected = np.trapezoid(by_chance[ncc >= 0.9], ncc[ncc >= 0.9])
+    # as `least_ncc` has it: at that correlation so many places are expected by chance
+    assert least_ncc(1 - np.exp(-expected), area, side) == pytest.approx(0.9, abs=0.01)
+    farther = odds_over_chance(ncc, np.full(len(ncc), 4.0), wide, np.full(len(ncc), area), side)
+    np.testing.assert_allclose(odds - farther, 2.0)

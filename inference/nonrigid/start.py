@@ -1,4 +1,4 @@
-"""Where EM for deforming shapes starts: a rigid shape, and modes that are added to it."""
+"""Where EM for deforming shapes starts: a rigid shape, modes that are added to it, or taken away."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...models.points.affine_camera import euclidean, scaled_rotations
 from ..factor_analysis.factorisation import factorise
-from .nonrigid_em import (
+from .em import (
     FIRST_DAMPING,
     LEAST_NOISE,
     Numbers,
@@ -16,7 +16,6 @@ from .nonrigid_em import (
     Tracks,
     chosen_poses,
     e_step,
-    log_likelihood,
     point_sums,
     run_em,
 )
@@ -24,7 +23,7 @@ from .nonrigid_em import (
 USUAL_DEPTH = 0.7
 """Of objects that do not turn enough to show it, in root mean squares of their width and height."""
 
-RIGID_ITERATIONS, MODE_ITERATIONS, TRIAL_ITERATIONS = 60, 25, 60
+RIGID_ITERATIONS = 60
 
 SMOOTH = np.radians(5)
 """Standard deviation of an object's turn from frame to frame, where it is doubtful which way it turns."""
@@ -39,12 +38,10 @@ TOLERANCE = 1e-5
 """Nats a coordinate, for what comes before the last climb."""
 
 
-def start(tracks: Tracks, positions: Numbers, bases: int, on_iteration: Callable[[], None]) -> State:
-    """The most likely of several states with so many bases.
+def rigid_states(tracks: Tracks, positions: Numbers, on_iteration: Callable[[], None]) -> list[State]:
+    """Rigid motions: as factorisation gives it, and with smooth turns where they are not.
 
-    Rigid motion is found twice, as factorisation gives it and with smooth turns instead of sudden ones of
-    about 180 degrees that explain a flat object's picture as well. Modes are added one after the other or all
-    at once. What is best differs between sequences, and the likelihood tells.
+    Sudden turns of about 180 degrees explain a flat object's picture as well.
 
     Parameters
     ----------
@@ -52,23 +49,22 @@ def start(tracks: Tracks, positions: Numbers, bases: int, on_iteration: Callable
         the same, `positions` `(n_frames, n_points, 2)` with NaN where not seen.
     """
     rigid, _ = run_em(tracks, rigid_start(positions), RIGID_ITERATIONS, TOLERANCE, on_iteration)
-    beginnings = [rigid]
     smooth = smoothed(tracks, rigid)
-    if smooth is not None:
-        beginnings.append(run_em(tracks, smooth, RIGID_ITERATIONS, TOLERANCE, on_iteration)[0])
-    best, best_likelihood = rigid, -np.inf
-    for beginning in beginnings:
-        for stride in sorted({1, bases - 1}):
-            state = beginning
-            while len(state.bases) < bases:
-                state = with_modes(tracks, state, stride)
-                enough = len(state.bases) == bases
-                rounds = TRIAL_ITERATIONS if enough else MODE_ITERATIONS
-                state, _ = run_em(tracks, state, rounds, TOLERANCE, on_iteration)
-            likelihood = log_likelihood(tracks, state)
-            if likelihood > best_likelihood:
-                best, best_likelihood = state, likelihood
-    return best
+    if smooth is None:
+        return [rigid]
+    return [rigid, run_em(tracks, smooth, RIGID_ITERATIONS, TOLERANCE, on_iteration)[0]]
+
+
+def shape_seen_from(positions: Numbers, rotations: Numbers) -> State:
+    """The rigid shape that fits best under given rotations; `positions` are complete and about middles."""
+    n_frames, n_points, _ = positions.shape
+    axes = rotations[:, :2].reshape(-1, 3)
+    rows = positions.transpose(0, 2, 1).reshape(-1, n_points)
+    shape: Numbers = np.asarray(np.linalg.lstsq(axes, rows)[0].T, np.float64)
+    left = positions - shape @ rotations[:, :2].transpose(0, 2, 1)
+    noise = max(float(np.mean(left**2)), LEAST_NOISE**2)
+    damping = np.full(n_frames, FIRST_DAMPING)
+    return State(shape[None].copy(), rotations, np.ones(n_frames), np.zeros((n_frames, 2)), noise, damping)
 
 
 def rigid_start(positions: Numbers) -> State:
@@ -115,6 +111,18 @@ def with_modes(tracks: Tracks, state: State, count: int) -> State:
     modes = (vectors * np.sqrt(np.maximum(values, 0)))[:, : -count - 1 : -1].T
     bases = np.concatenate([state.bases, modes.reshape(count, -1, 3)])
     return replace(state, bases=bases, damping=np.full(tracks.n_frames, FIRST_DAMPING))
+
+
+def without_modes(state: State, n_bases: int) -> State:
+    """The state with the largest modes only, so many bases in all."""
+    flat = state.bases[1:].reshape(len(state.bases) - 1, -1)
+    order = np.linalg.eigh(flat @ flat.T)[1][:, ::-1]
+    modes = np.tensordot(order.T[: n_bases - 1], state.bases[1:], 1)
+    return replace(
+        state,
+        bases=np.concatenate([state.bases[:1], modes]),
+        damping=np.full(len(state.scales), FIRST_DAMPING),
+    )
 
 
 # --- which way it turns -------------------------------------------------------------------------------------

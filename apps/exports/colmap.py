@@ -1,0 +1,83 @@
+"""Perspective cameras and points as COLMAP has them: a folder of three text files."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ...inference.perspective.structure import PerspectiveStructure
+from ...models.files.atomic_files import write_atomically
+
+FILES = ("cameras.txt", "images.txt", "points3D.txt")
+HALF = 0.5
+"""px: in COLMAP the middle of the upper left pixel is at (0.5, 0.5)."""
+
+
+def write_colmap(
+    folder: Path,
+    found: PerspectiveStructure,
+    places: NDArray[np.float64],
+    observed: NDArray[np.bool_],
+    colours: NDArray[np.uint8],
+    images: Sequence[tuple[int, str]],
+) -> None:
+    """Write `cameras.txt`, `images.txt` and `points3D.txt`, each whole or not at all.
+
+    Frames that show too little for a camera are left out, as COLMAP leaves out pictures that it cannot
+    register.
+
+    Parameters
+    ----------
+    folder
+        to write to; it is made.
+    found
+        cameras and points.
+    places, observed
+        `(n_frames, n_points, 2)` px and `(n_frames, n_points)`: where points were seen.
+    colours
+        `(n_points, 3)` BGR.
+    images
+        number and name of each frame's picture.
+
+    Raises
+    ------
+    OSError
+        if it cannot be written.
+    """
+    folder.mkdir(exist_ok=True)
+    cameras, (height, width) = found.cameras, found.size
+    middle = (cameras.principal + HALF).tolist()
+    lens = f"1 SIMPLE_PINHOLE {width} {height} {cameras.focal:.10g} {middle[0]:g} {middle[1]:g}"
+    _write(folder / FILES[0], ["# CAMERA_ID MODEL WIDTH HEIGHT F CX CY", lens])
+
+    seen = observed & found.frame_determined[:, None]
+    turns = Rotation.from_matrix(cameras.rotations).as_quat(canonical=True)[:, [3, 0, 1, 2]]
+    lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", "# POINTS2D[] as (X Y POINT3D_ID)"]
+    for index in np.flatnonzero(found.frame_determined).tolist():
+        number, name = images[index]
+        pose = " ".join(f"{value:.12g}" for value in (*turns[index], *cameras.translations[index]))
+        lines.append(f"{number} {pose} 1 {name}")
+        shown = np.flatnonzero(seen[index])
+        places_here = places[index, shown] + HALF
+        lines.append(
+            " ".join(f"{x:.4f} {y:.4f} {point + 1}" for (x, y), point in zip(places_here, shown, strict=True))
+        )
+    _write(folder / FILES[1], lines)
+
+    place_in_image = np.cumsum(seen, axis=1) - 1
+    lines = ["# POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX)"]
+    errors = np.linalg.norm(places - found.positions, axis=2)
+    for point in np.flatnonzero(seen.any(axis=0)).tolist():
+        frames = np.flatnonzero(seen[:, point]).tolist()
+        where = " ".join(f"{value:.10g}" for value in found.shape[point])
+        colour = " ".join(str(value) for value in colours[point, ::-1].tolist())
+        track = " ".join(f"{images[t][0]} {place_in_image[t, point]}" for t in frames)
+        lines.append(f"{point + 1} {where} {colour} {errors[frames, point].mean():.4f} {track}")
+    _write(folder / FILES[2], lines)
+
+
+def _write(path: Path, lines: Sequence[str]) -> None:
+    with write_atomically(path) as unfinished:
+        unfinished.write_text("\n".join([*lines, ""]), encoding="utf-8")

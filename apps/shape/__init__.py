@@ -1,0 +1,1 @@
+"""The shape application: from tracks of points to a thing that deforms."""

@@ -1,0 +1,165 @@
+"""The shape application: from tracks of points to a thing that deforms, and its motion."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...inference.nonrigid.choice import choose_bases
+from ...inference.nonrigid.comparison import shape_error
+from ...inference.nonrigid.learning import learn_shape
+from ...models.face.model_files import write_model
+from ..io.files import write_json
+from ..io.point_files import read_shapes
+from ..io.sources.open_source import Selection
+from ..io.track_files import read_track_file
+from ..runs.interruption import Interrupted, Outcome
+from ..runs.progress import Progress
+from ..runs.run import Run
+from ..view.page import VIEW, write_view
+from .files import MODEL, SHAPES, write_shapes
+from .job import AUTO, ShapeJob
+from .report import write_shape_report
+from .result import LearnedShape, Numbers
+from .view import shape_view
+
+MOST_LISTED = 20
+"""Frames, in a note."""
+
+
+def run_shape(job: ShapeJob) -> Outcome:
+    """Run the shape application; see `Run.carry_out`.
+
+    Nothing is saved before the end: a run takes seconds, and there is no `--resume`.
+    """
+    return ShapeRun(job).carry_out()
+
+
+class ShapeRun(Run[ShapeJob]):
+    """One run: tracks are read, a shape is learned, everything is written."""
+
+    application = "shape"
+    files = (SHAPES, MODEL)
+
+    def work(self) -> Outcome:
+        """Read, learn, write."""
+        job = self.job
+        selection = Selection(job.start, job.stop, job.step)
+        tracks, numbers = read_track_file(Path(job.source), selection)
+        truth = None if job.truth is None else _read_truth(job.truth, tracks, numbers)
+        results = list(self.interruption.items(self._learned(tracks, numbers)))
+        if not results:
+            assert self.interruption.signal is not None  # or there would be one
+            raise Interrupted(self.interruption.signal)
+        self.begin_results()
+        summary = self._written(results[0], truth)
+        return self.outcome(summary, signalled=self.interruption.signal is not None)
+
+    def _learned(self, tracks: Numbers, numbers: range) -> Iterator[LearnedShape]:
+        """The only item is what is found: a signal ends it at once, and later leaves complete results."""
+        job = self.job
+        with Progress(self.application, None, unit="iterations") as progress:
+            try:
+                choice = choose_bases(tracks, on_iteration=progress.update) if job.bases == AUTO else None
+                bases = choice.bases if choice is not None else int(job.bases)
+                learned = learn_shape(tracks, bases, on_iteration=progress.update)
+                yield LearnedShape(tracks, numbers, learned, choice)
+            except ValueError as error:
+                raise ValueError(f"{job.source}: {error}") from error
+
+    def _written(self, found: LearnedShape, truth: Numbers | None) -> dict[str, Any]:
+        """Write all results; return the content of `summary.json`."""
+        folder, learned = self.job.out, found.learned
+        self.notes += _notes(found)
+        write_shapes(folder / SHAPES, found)
+        write_model(learned.model(), folder / MODEL)
+        choice = found.choice
+        facts = {
+            "points": found.tracks.shape[1],
+            "bases": len(learned.bases),
+            "observations": int(np.count_nonzero(found.observed)),
+            "reprojection_rmse_px_per_point": math.sqrt(2) * learned.rmse,
+            "reprojection_rmse_px_per_coordinate": learned.rmse,
+            "reprojection_of_size": learned.relative_error,
+            "noise_px_per_coordinate": learned.noise,
+            "log_likelihood": learned.log_likelihood,
+            "iterations": len(learned.history),
+            "e3d": None if truth is None else shape_error(found.shapes, truth),
+            "rivals": [asdict(rival) for rival in learned.rivals],
+            "held_out": None
+            if choice is None
+            else [
+                {"bases": bases, "error_px_per_coordinate": error}
+                for bases, error in zip(choice.candidates, choice.errors.tolist(), strict=True)
+            ],
+            "notes": self.notes,
+            "seconds": self.seconds(),
+        }
+        summary = self.summary(self.job.source, found.numbers, [], facts)
+        title = f"{Path(self.job.source).name}: a shape that deforms"
+        film, view = shape_view(found)
+        write_view(folder / VIEW, title, film, len(found.numbers), view)
+        write_shape_report(folder / "report.html", found, summary, title)
+        write_json(folder / "summary.json", summary)
+        return summary
+
+    def in_words(self, summary: Mapping[str, Any]) -> list[str]:
+        """Points, and how well they fit."""
+        return [
+            f"{summary['frames']} frames, {summary['points']} points, {summary['bases']} bases",
+            f"reprojection error {summary['reprojection_rmse_px_per_point']:.3g} px per point, "
+            f"{summary['reprojection_rmse_px_per_coordinate']:.3g} px per coordinate, "
+            f"{summary['reprojection_of_size']:.2%} of the object's size; "
+            f"noise {summary['noise_px_per_coordinate']:.3g} px per coordinate",
+            f"log likelihood {summary['log_likelihood']:.6g} nats",
+            *([] if summary["e3d"] is None else [f"error in 3-D (e3D) {summary['e3d']:.4f}"]),
+        ]
+
+
+def _read_truth(path: Path, tracks: Numbers, numbers: range) -> Numbers:
+    """The true shapes of the frames that were selected.
+
+    Raises
+    ------
+    ValueError
+        if they are none, or of other frames or points.
+    OSError
+        if they cannot be read.
+    """
+    truth = read_shapes(path)
+    if len(truth) <= numbers[-1] - 1 or truth.shape[1] != tracks.shape[1]:
+        raise ValueError(
+            f"{path}: got {len(truth)} frames of {truth.shape[1]} points, expected {numbers[-1]} or more "
+            f"frames of {tracks.shape[1]} points, as the tracks have"
+        )
+    return truth[[number - 1 for number in numbers]]
+
+
+def _notes(found: LearnedShape) -> list[str]:
+    """What is to be said about the result, a sentence each."""
+    notes, learned = [], found.learned
+    unknown = [
+        number for number, known in zip(found.numbers, learned.frame_determined, strict=True) if not known
+    ]
+    if unknown:
+        frames = "1 frame shows" if len(unknown) == 1 else f"{len(unknown)} frames show"
+        listed = ", ".join(map(str, unknown[:MOST_LISTED])) + (", …" if len(unknown) > MOST_LISTED else "")
+        notes.append(f"{frames} too few points for a pose: {listed}.")
+    if learned.rivals:
+        most = max(rival.disagreement for rival in learned.rivals)
+        gap = min(rival.log_likelihood_gap for rival in learned.rivals)
+        notes.append(
+            f"{len(learned.rivals)} other shapes explain the tracks nearly as well ({gap:.3g} nats less) "
+            f"and disagree in depth: points lie up to {most:.0%} of the shape's standard deviation away "
+            "(e3D). "
+            "The reprojection error does not see that."
+        )
+    if found.choice is not None:
+        notes.append(
+            f"{found.choice.bases} bases: the fewest that predict held-out positions as well as any, by one "
+            "standard error."
+        )
+    return notes

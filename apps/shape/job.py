@@ -1,0 +1,39 @@
+"""What the shape application is asked for."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from ..options.job import Flag, Job, resolved
+
+AUTO: Literal["auto"] = "auto"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeJob(Job):
+    """Of what to learn a shape, and how.
+
+    Parameters
+    ----------
+    source
+        Tracks of its points: .npy, or .npz with an array tracks or a single one, (n_frames, n_points, 2) px,
+        NaN where missing; or as CoTracker or TAP-Vid have them; or motion capture (.mat).
+    bases
+        Number of shapes that are mixed, the mean among them: 2 or more; auto: as many as predict positions
+        best that were held out.
+    truth
+        Where the points really are in space: .npy or .npz, (n_frames, n_points, 3), or motion capture (.mat),
+        as many frames as the tracks. The error in 3-D is reported.
+    """
+
+    bases: int | Literal["auto"]
+    truth: Path | None = None
+    # there is nothing to go on with between the first step and the end, and tracks are no stream
+    resume: Annotated[Flag, Parameter(parse=False)] = False
+    reconnect: Annotated[float | None, Parameter(parse=False)] = None
+
+    def settings(self) -> dict[str, Any]:
+        """What the results depend on, beside the source."""
+        return {"bases": self.bases, "truth": resolved(self.truth), **super().settings()}

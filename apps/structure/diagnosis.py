@@ -1,0 +1,245 @@
+"""Why a run has found no structure: what is missing, the figures that show it, and what to do about it."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...chains import PointTracker
+from ...inference import CoordinateAscent, MultiChain, Solution
+from ...inference.structure.parallax import AS_WELL, MOST, Kind, Motion, motion_of, variance_over_shape
+from ...models.core.frame import Frame
+from ...models.core.grey import grey_of
+from ...models.points.point_tracks import PointTracks
+from .reconstruction import FEWEST_POINTS, Numbers, Reconstruction
+
+FEWEST_FRAMES = 3
+"""Two views of a rigid thing leave its depth open."""
+
+SHORT = 3.0
+"""Frames: of tracks that live no longer, most are in too few views to have depth."""
+FAST = 10.0
+"""px a frame, beyond which following by small patches loses points: twice their width."""
+CONTRAST = 4.0
+"""Grey levels (standard deviation): pictures with less are uniform, or so dark that noise is all there is."""
+
+LASTING = 0.5
+"""px per point: a tracker's errors, which last, move points by so much against each other."""
+
+MOST_LOOKED_AT = 8
+"""Pairs of pictures from which the motion is told where no track says it."""
+FEATURES = 500
+FEWEST_MATCHES = 10
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Why there is no structure.
+
+    Parameters
+    ----------
+    missing, why, advice
+        a sentence or two each.
+    figures
+        that show it, in px, frames and grey levels; `None` for what could not be measured.
+    """
+
+    missing: str
+    why: str
+    advice: str
+    figures: dict[str, float | None]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """All that is to be said."""
+        return self.missing, self.why, self.advice
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return asdict(self)
+
+
+def too_little(frames: Sequence[Frame], n_tracks: int | None) -> Diagnosis | None:
+    """Why frames, or tracks if there are `n_tracks` instead of pictures, are too few to begin with."""
+    present = sum(not frame.missing for frame in frames)
+    if present < FEWEST_FRAMES:
+        what = "frame" if present == 1 else "frames"
+        return Diagnosis(
+            f"No structure: {present} {what} to look at, and {FEWEST_FRAMES} are needed.",
+            "Depth shows only where a thing is seen from several sides.",
+            "Give a film, or a folder or glob of its pictures; --start, --stop and --step leave frames out.",
+            {"frames": present},
+        )
+    if n_tracks is None:
+        return None
+    seen = {int(point) for frame in frames if frame.points is not None for point in frame.points.identities}
+    if len(seen) < FEWEST_POINTS:
+        return Diagnosis(
+            f"No structure: {len(seen)} points with an observation in {present} frames, and {FEWEST_POINTS} "
+            "are needed.",
+            "With fewer, any motion of the camera fits.",
+            "Give tracks of more points.",
+            {"frames": present, "tracks": len(seen)},
+        )
+    return None
+
+
+def no_points(frames: Sequence[Frame], tracks: Numbers, reason: str) -> Diagnosis:
+    """Why none of the points that were followed became one of a shape.
+
+    Parameters
+    ----------
+    frames
+        all of them.
+    tracks
+        `(n_frames, n_tracks, 2)` px, NaN where not seen.
+    reason
+        what else is known of it, or nothing.
+    """
+    motion = motion_of(tracks)
+    pictures = [grey_of(frame.image) for frame in frames if frame.image is not None]
+    contrast = float(np.median([picture.std() for picture in pictures])) if pictures else math.nan
+    moved = picture_motion(pictures)
+    figures = {**_figures(motion), "picture_motion_px": _known(moved), "contrast": _known(contrast)}
+    missing = f"No structure: none of {motion.tracks} tracks became a point of a shape."
+    if contrast < CONTRAST and motion.tracks < FEWEST_POINTS:
+        return Diagnosis(
+            f"No structure: {motion.tracks} points can be followed, and {FEWEST_POINTS} are needed.",
+            f"The pictures are all but uniform: their grey levels deviate by {contrast:.2g} of 255.",
+            "Give pictures with texture, in focus and lit well enough.",
+            figures,
+        )
+    if motion.tracks < FEWEST_POINTS:
+        return Diagnosis(
+            f"No structure: {motion.tracks} points can be followed, and {FEWEST_POINTS} are needed.",
+            "Only corners can be followed, and what they show must stay in view for some frames.",
+            "Give pictures of a thing with more texture, or a closer view of it.",
+            figures,
+        )
+    if motion.life <= SHORT:
+        speed = motion.per_frame if math.isnan(moved) else moved
+        fast = f"; the pictures move by {speed:.3g} px a frame" if math.isfinite(speed) else ""
+        advice = "Give more frames of the same motion, or a slower one, or leave fewer frames out (--step)."
+        if not speed > FAST:
+            advice = "Give a film in which the same things stay in view, in focus and lit alike."
+        return Diagnosis(
+            missing, f"Half of the tracks live {motion.life:.3g} frames or fewer{fast}.", advice, figures
+        )
+    why = f"Half of them live {motion.life:.3g} frames or more, and move by {motion.per_frame:.3g} px a frame"
+    return Diagnosis(
+        missing,
+        f"{why}, but they are not of one rigid thing{f': {reason}' if reason else ''}.",
+        "Give a film of one rigid thing that turns, or of a scene in which nothing else moves.",
+        figures,
+    )
+
+
+WHY: dict[Kind, str] = {
+    "still": "nothing moves, neither the camera nor a thing before it",
+    "similarity": "shifts, turns and zooms of the whole picture explain all motion: the camera "
+    "only zooms, or turns a little, or looks straight at one plane",
+    "rotation": "a camera that turns and zooms where it stands, and sees no depth, explains all motion",
+    "plane": "one plane explains all motion",
+    "unknown": "tracks are too short to compare pictures that are far apart",
+}
+ADVICE: dict[Kind, str] = {
+    "still": "Move the camera sideways, or turn the thing.",
+    "similarity": "Move the camera sideways, by a tenth of the distance or more, or turn the thing.",
+    "rotation": "Move the camera sideways while it films; a tripod, or a pan from one place, shows no depth.",
+    "plane": "Film something that is not flat, or more than the wall, and move the camera sideways.",
+    "unknown": "Give more frames of the same motion, or leave fewer out (--step).",
+}
+
+
+def no_depth(found: Reconstruction) -> Diagnosis:
+    """Why a reconstruction has no depth."""
+    motion = motion_of(np.where(found.observed[..., None], found.places, np.nan))
+    parallax = ""
+    if math.isfinite(motion.parallax):
+        parallax = f" Homographies between pictures far apart leave {motion.parallax:.2g} px per point over"
+        parallax += ", no more than noise does: no parallax."
+    return Diagnosis(
+        f"The shape is undetermined, and none is given: {found.reason}.",
+        f"Points move by {motion.per_frame:.3g} px a frame, and {WHY[motion.kind]}.{parallax}",
+        ADVICE[motion.kind],
+        _figures(motion),
+    )
+
+
+def without_false_depth(found: Reconstruction, from_images: bool) -> Reconstruction:
+    """The reconstruction, without its shape if what was taken for depth is none.
+
+    Before affine cameras, perspective may have been: then homographies explain clearly more than the shape. A
+    perspective camera explains them too, with any depth if it stays where it is, or with any focal length if
+    it sees a plane: then homographies explain as much. Or, where tracks are `from_images` and the shape is
+    known up to an affine map only, there is less parallax than a tracker makes by itself.
+    """
+    if found.geometry == "none":
+        return found
+    places = np.where(found.observed[..., None], found.places, np.nan)
+    lens = found.perspective
+    ratio = variance_over_shape(places, found.residuals, MOST if lens is None else 1.0)
+    reason = ""
+    if lens is None and ratio * AS_WELL <= 1:
+        reason = "homographies, which know no depth, explain the tracks better than a shape does"
+    elif lens is not None and ratio <= AS_WELL:
+        known = lens.curvature_deviation == 0  # the focal length is given
+        if not (known and motion_of(places).kind == "plane"):
+            reason = "homographies, which know no depth, explain the tracks as well as a shape does"
+    elif from_images and found.geometry == "affine" and motion_of(places).parallax < LASTING:
+        reason = "points move against each other by less than a tracker errs"
+    if not reason:
+        return found
+    return replace(found, geometry="none", reason=reason, perspective=None, affine_reason="")
+
+
+def followed(frames: Sequence[Frame]) -> Numbers:
+    """Tracks `(n_frames, n_tracks, 2)` px as they are followed without a shape, NaN where they are not
+    seen."""
+    model = MultiChain().connect(PointTracker(), PointTracks())
+    return observations_of(CoordinateAscent(model, 1).run(frames))
+
+
+def observations_of(solution: Solution) -> Numbers:
+    """What the frames show of each track: `(n_frames, n_tracks, 2)` px, NaN where nothing."""
+    moments = [evidence.positions.moments for evidence in solution.evidence("points")]
+    everybody = np.unique(np.concatenate([identities for identities, _, _ in moments]))
+    tracks = np.full((len(moments), len(everybody), 2), np.nan)
+    for row, (identities, means, _) in zip(tracks, moments, strict=True):
+        row[np.searchsorted(everybody, identities)] = means
+    return tracks
+
+
+def picture_motion(pictures: Sequence[NDArray[np.uint8]]) -> float:
+    """Median px by which ORB features move from a picture to the next; NaN where hardly any are found
+    again."""
+    pairs = list(pairwise(pictures))
+    chosen = np.linspace(0, len(pairs) - 1, min(MOST_LOOKED_AT, len(pairs))).round().astype(int)
+    detector, matcher = cv2.ORB.create(FEATURES), cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
+    moved: list[float] = []
+    for one, other in (pairs[k] for k in chosen):
+        (places, words), (others, theirs) = (detector.detectAndCompute(image, None) for image in (one, other))
+        if words is not None and theirs is not None:
+            moved += [
+                math.dist(places[match.queryIdx].pt, others[match.trainIdx].pt)
+                for match in matcher.match(words, theirs)
+            ]
+    return float(np.median(moved)) if len(moved) >= FEWEST_MATCHES else math.nan
+
+
+def _figures(motion: Motion) -> dict[str, float | None]:
+    return {
+        "tracks": motion.tracks,
+        "median_life_frames": motion.life,
+        "motion_px_per_frame": _known(motion.per_frame),
+        "parallax_px_per_point": _known(motion.parallax),
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""Non-rigid structure from motion: shapes that deform, and their poses, from point tracks."""

@@ -1,0 +1,1 @@
+"""Structure from motion before a perspective camera of one focal length."""

@@ -1,0 +1,221 @@
+"""What the motion of tracks shows, and what it does not: parallax, a plane, or a camera that only turns.
+
+Pictures of a plane, and pictures that a camera takes which turns and zooms where it stands, are related by
+homographies (Hartley and Zisserman, Multiple View Geometry, 2nd edition, 13.1 and 8.4): each explains all
+tracks between two pictures, whatever their depth. Only what a homography leaves over, parallax, says
+something of depth.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from ...models.numerics.rotations import exponential
+
+Numbers = NDArray[np.float64]
+
+Kind = Literal["still", "similarity", "rotation", "plane", "unknown"]
+"""The plainest thing that explains tracks about as well as homographies do, however well that is: nothing
+moves; shifts, turns and zooms of the picture; a camera that turns and zooms where it stands; one plane; too
+few tracks are long enough to tell."""
+
+MOST_PAIRS = 12
+LEAST_SHARED = 8
+"""Tracks that two pictures have in common: twice those that a homography goes through whatever they
+do."""
+
+AS_WELL = 1.5
+"""Variance about a plainer map, in that about the best homography, up to which it explains as much: lenses
+are no pinholes, and the ratio of two estimates from a dozen points varies by a third."""
+NEARLY_ALL = 0.3
+"""Share of what shifts, turns and zooms of the picture leave that a camera which turns may leave. It leaves a
+tenth where the middle of its picture, which is not known, is some way off that of the points; of a plane it
+leaves two thirds and more."""
+
+MOST = 0.8
+"""Share of the tracks that are believed: some of a tracker's jump to other points."""
+TRIMMED_STEPS = 5
+ROUNDING = 1e-12
+"""Variance, in squares of the tracks' extent, that is none: of pictures that are all the same."""
+
+FOCAL_LENGTHS = (0.7, 3.0)
+"""In the tracks' extent: where the search for a camera that turns begins, wide and narrow."""
+SHORTEST, LONGEST = 0.4, 100.0
+"""In the tracks' extent: the shortest sees 100 degrees; wider, a camera that turns explains planes, too."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What tracks show.
+
+    Parameters
+    ----------
+    kind
+        see `Kind`.
+    tracks
+        that are seen at all.
+    life
+        median number of frames in which one is seen; 0 without tracks.
+    per_frame
+        median px by which a point moves from a frame to the next; NaN where none is seen in two.
+    parallax
+        px: root mean square distance between points and where the homographies have them that fit best,
+        median over pairs of pictures far apart; NaN where too few points are shared.
+    """
+
+    kind: Kind
+    tracks: int
+    life: float
+    per_frame: float
+    parallax: float
+
+
+def motion_of(tracks: Numbers) -> Motion:
+    """Say what tracks `(n_frames, n_tracks, 2)` px show, NaN where they are not seen."""
+    seen = ~np.isnan(tracks[..., 0])
+    lives = seen.sum(axis=0)
+    lives = lives[lives > 0]
+    steps = np.linalg.norm(np.diff(tracks, axis=0), axis=2)
+    steps = steps[np.isfinite(steps)]
+    pairs = far_pairs(seen)
+    kind, parallax = _kind(tracks, seen, pairs)
+    return Motion(
+        kind,
+        len(lives),
+        float(np.median(lives)) if len(lives) else 0.0,
+        float(np.median(steps)) if len(steps) else float("nan"),
+        parallax,
+    )
+
+
+def far_pairs(seen: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Pairs of frames as far apart as half of the usual number of tracks allows, evenly chosen.
+
+    Parameters
+    ----------
+    seen
+        `(n_frames, n_tracks)`.
+    """
+    enough = max(LEAST_SHARED, float(np.median(seen.sum(axis=1))) / 2)
+    lag = len(seen) // 2
+    while lag:
+        firsts = np.flatnonzero(np.count_nonzero(seen[:-lag] & seen[lag:], axis=1) >= enough)
+        if len(firsts):
+            chosen = np.linspace(0, len(firsts) - 1, min(MOST_PAIRS, len(firsts))).round().astype(int)
+            return [(int(first), int(first) + lag) for first in firsts[chosen]]
+        lag //= 2
+    return []
+
+
+def variance_over_shape(places: Numbers, residuals: Numbers, most: float = MOST) -> float:
+    """Variance about homographies between pictures, in that about a shape in depth; NaN if it is not known.
+
+    Homographies have a number fewer for each point, and as many for each picture. Where they do as well, what
+    was taken for depth is something else: of a plane, or a camera that turns, the perspective.
+
+    Parameters
+    ----------
+    places
+        `(n_frames, n_points, 2)` px where points were seen, NaN where not.
+    residuals
+        `(n_frames, n_points, 2)` px that the shape in depth leaves.
+    most
+        share of the points of a pair of pictures that counts, those that are explained best.
+    """
+    seen = ~np.isnan(places[..., 0])
+    left = in_depth = 0.0
+    for one, other in far_pairs(seen):
+        both = seen[one] & seen[other]
+        chosen, off = _homography(places[one, both], places[other, both], most)
+        left += float(np.sum(off**2)) * off.size / max(off.size - 8, 1)
+        squares = np.sum(residuals[[one, other]][:, both] ** 2, axis=(0, 2))
+        in_depth += float(np.sum(np.sort(squares)[: len(chosen)]))
+    return left / in_depth if in_depth > 0 else float("nan")
+
+
+def _kind(tracks: Numbers, seen: NDArray[np.bool_], pairs: list[tuple[int, int]]) -> tuple[Kind, float]:
+    """The plainest explanation, and the parallax."""
+    if not pairs:
+        return "unknown", float("nan")
+    known = tracks[seen]
+    low, high = known.min(axis=0), known.max(axis=0)
+    middle, size = (low + high) / 2, float(np.linalg.norm(high - low))
+    sums = np.zeros(4)  # variances about a homography, no motion, a similarity, a camera that turns
+    parallax = []
+    for one, other in pairs:
+        both = seen[one] & seen[other]
+        before, after = tracks[one, both] - middle, tracks[other, both] - middle
+        chosen, off = _homography(before, after)
+        before, after = before[chosen], after[chosen]
+        parallax.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
+        sums += [
+            np.sum(squares) / (off.size - freedom)
+            for squares, freedom in (
+                (off**2, 8),
+                ((after - before) ** 2, 0),
+                (_off_similarity(before, after) ** 2, 4),
+                (_off_rotation(before, after, size) ** 2, 5),
+            )
+        ]
+    homography, still, similarity, rotation = sums
+    amount = float(np.median(parallax))
+    none = ROUNDING * size**2 * len(pairs)
+    if similarity <= AS_WELL * max(homography, none):
+        return "still" if still <= AS_WELL * max(similarity, none) else "similarity", amount
+    if rotation - homography <= NEARLY_ALL * (similarity - homography):
+        return "rotation", amount
+    return "plane", amount
+
+
+def _homography(before: Numbers, after: Numbers, most: float = MOST) -> tuple[NDArray[np.intp], Numbers]:
+    """Most of the points, those that a homography explains best, and what it leaves of their second places.
+
+    Least trimmed squares (Rousseeuw 1984): beginning with the least median of squares, the homography of the
+    points that fitted best is fitted to those that fit best.
+    """
+    count = max(int(np.ceil(most * len(before))), min(len(before), LEAST_SHARED))
+    found, _ = cv2.findHomography(before, after, cv2.LMEDS)
+    chosen, off = np.arange(len(before)), np.zeros_like(after)
+    for _ in range(TRIMMED_STEPS):
+        if found is None:  # all in one place
+            break
+        off = after - np.asarray(cv2.perspectiveTransform(before[None], found)[0], np.float64)
+        chosen = np.argsort(np.sum(off**2, axis=1), kind="stable")[:count]
+        found, _ = cv2.findHomography(before[chosen], after[chosen], 0)
+    return chosen, off[chosen]
+
+
+def _off_similarity(before: Numbers, after: Numbers) -> Numbers:
+    """What the best shift, turn and zoom of the picture leaves."""
+    one, other = (places @ [1, 1j] for places in (before, after))
+    design = np.column_stack([one, np.ones(len(one))])
+    left = other - design @ np.linalg.lstsq(design, other)[0]
+    return np.column_stack([left.real, left.imag])
+
+
+def _off_rotation(before: Numbers, after: Numbers, size: float) -> Numbers:
+    """What the best camera leaves that turns and zooms where it stands, its middle at the origin.
+
+    After = f' (r_1 d, r_2 d) / (r_3 d) with d = (before, f): three angles, f and f' by least squares.
+    """
+
+    def off(parameters: Numbers, focal: float) -> Numbers:
+        first, second = focal * parameters[3:]
+        seen = np.column_stack([before, np.full(len(before), first)]) @ exponential(parameters[None, :3])[0].T
+        left: Numbers = second * seen[:, :2] / seen[:, 2:] - after
+        return left.ravel()
+
+    across, down = (after - before).mean(axis=0) / size
+    fits = []
+    for focal in FOCAL_LENGTHS:
+        turn = np.clip([-down / focal, across / focal, 0.0], -1.5, 1.5)
+        low, high = SHORTEST / focal, LONGEST / focal
+        bounds = ([-np.pi] * 3 + [low] * 2, [np.pi] * 3 + [high] * 2)
+        start = np.array([*turn, 1.0, 1.0])
+        fits.append(least_squares(off, start, bounds=bounds, args=(focal * size,), max_nfev=60))
+    best: Numbers = min(fits, key=lambda fit: fit.cost).fun
+    return best.reshape(-1, 2)

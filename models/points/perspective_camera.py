@@ -1,0 +1,100 @@
+"""Perspective cameras of one focal length, written so that the affine camera is one of them.
+
+A point p = R X before a camera with focal length f and translation T is seen at f (p_xy + T_xy) / (p_z + T_z)
+from the principal point. With a = f / T_z (the scale at the origin of the shape), u = f T_xy / T_z (where the
+origin is seen) and q = 1 / f that is
+
+    x = (a p_xy + u) / (1 + q a p_z),
+
+which for q = 0 is scaled orthography (Christy and Horaud, "Euclidean shape and motion from multiple
+perspective views by affine iterations", 1996, with their epsilon = q a p_z). How long the focal length is,
+is then a question about a number near 0, of which a film may say more or less. A mirrored shape (z is -z)
+with -q is seen in the same places: of the two shapes that an affine camera cannot tell apart, one has a
+negative focal length. The origin of the shape has to be before all cameras.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.short_repr import short_repr
+
+Numbers = NDArray[np.float64]
+
+MIRROR = np.diag([1.0, 1.0, -1.0])
+
+NEAREST = 1e-2
+"""Depth, of that of the shape's origin, from which a point is before a camera."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class PerspectiveCameras:
+    """Cameras of one focal length, square pixels, and a principal point that is known.
+
+    Parameters
+    ----------
+    rotations
+        `(n_frames, 3, 3)`, from the shape to the camera.
+    scales
+        `(n_frames,)` positive, px per unit of the shape at the depth of its origin.
+    shifts
+        `(n_frames, 2)` px from the principal point: where the shape's origin is seen.
+    curvature
+        1 / focal length, 1/px; 0 for a camera far away.
+    principal
+        `(2,)` px, the principal point.
+    """
+
+    rotations: Numbers
+    scales: Numbers
+    shifts: Numbers
+    curvature: float
+    principal: Numbers
+
+    @property
+    def focal(self) -> float:
+        """Focal length, px; infinite for a camera far away."""
+        return 1 / self.curvature if self.curvature else np.inf
+
+    @property
+    def translations(self) -> Numbers:
+        """`(n_frames, 3)` T of a focal length that is not infinite, in the shape's unit."""
+        depth = self.focal / self.scales[:, None]
+        return np.concatenate([self.shifts * self.curvature * depth, depth], axis=1)
+
+    @property
+    def affine(self) -> Numbers:
+        """`(n_frames, 2, 4)`: affine cameras that see the same at the depth of the shape's origin."""
+        rows = self.scales[:, None, None] * self.rotations[:, :2]
+        return np.concatenate([rows, (self.shifts + self.principal)[:, :, None]], axis=2)
+
+    @property
+    def centres(self) -> Numbers:
+        """`(n_frames, 3)`: where the cameras stand, in the shape's axes."""
+        places: Numbers = -np.einsum("tji,tj->ti", self.rotations, self.translations)
+        return places
+
+    def seen(self, shape: Numbers) -> tuple[Numbers, Numbers]:
+        """Positions `(n_frames, n_points, 2)` px of points `(n_points, 3)`, and their depths.
+
+        Depths `(n_frames, n_points)` are in those of the shape's origin; a point is before a camera from
+        `NEAREST` on, and its position means nothing where it is not.
+        """
+        turned = self.scales[:, None, None] * np.einsum("tjk,ik->tij", self.rotations, shape, optimize=True)
+        depths = 1 + self.curvature * turned[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            places = (turned[..., :2] + self.shifts[:, None]) / depths[..., None]
+        return places + self.principal, depths
+
+    def mirrored(self) -> Self:
+        """Cameras that see shape @ `MIRROR` where these see the shape."""
+        return replace(self, rotations=MIRROR @ self.rotations @ MIRROR, curvature=-self.curvature)
+
+    def of(self, frames: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
+        """Those of some frames."""
+        return replace(
+            self, rotations=self.rotations[frames], scales=self.scales[frames], shifts=self.shifts[frames]
+        )
