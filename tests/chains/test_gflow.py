@@ -184,15 +184,24 @@ def test_a_face_that_looks_like_another_is_found_by_a_detector(
 
 
 def test_a_detector_that_errs_once_is_not_believed(
-    scene: FaceScene, images: list[NDArray[np.uint8] | None]
+    scene: FaceScene, images: list[NDArray[np.uint8] | None], tmp_path: Path
 ) -> None:
-    """What it shows is not there in the next picture; the texture that is remembered comes back."""
+    """What it shows is not there in the next picture; the texture that is remembered comes back.
+
+    It is saved with the state.
+    """
     first = images[0]
     assert first is not None
     empty = [np.random.default_rng(k).integers(0, 255, first.shape).astype(np.uint8) for k in range(8)]
     finder = KnownFinder(scene, [empty[4]], [3])
     cut = states(chain_for(scene, finder=finder), [*images[:10], *empty, *images[10:16]])
     assert cut[14].trust.trial > 0
+    save(tmp_path / "state.npz", {"face": cut[14]}, {"face": GFlowState})
+    loaded = load(tmp_path / "state.npz", {"face": GFlowState})["face"]
+    assert loaded.trust == cut[14].trust
+    assert loaded.remembered is not None
+    assert cut[14].remembered is not None
+    np.testing.assert_array_equal(loaded.remembered.mean, cut[14].remembered.mean)
     assert cut[15].trust.trial == 0
     assert all(state.lost for state in cut[12:18])
     assert not cut[-1].lost
