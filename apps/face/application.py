@@ -42,6 +42,10 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 
+SMALL_EVERY = 25
+"""Frames without a face until small ones are looked for again, which takes long."""
+
+
 def run_face(job: FaceJob) -> Outcome:
     """Run the face application; see `FilmRun.carry_out`.
 
@@ -111,6 +115,8 @@ class FaceRun(FilmRun[FaceJob]):
             raise self.no_frame("no face is found in it, expected one, or --landmarks")
         found = "landmarks" if self._given else str(self.job.detector or "OpenCV's cascade of faces")
         _log.info("start in frame %d, by %s", first.number, found)
+        if start.misfit is not None:
+            self.notes.append(start.misfit)
         self._begin_with(start)
         return chain([first], frames)
 
@@ -218,7 +224,7 @@ class FaceRun(FilmRun[FaceJob]):
         if frame.image is None:
             return None
         if self._given is None:
-            box = find_face(frame, self._faces)
+            box = find_face(frame, self._faces, small=len(self.before) % SMALL_EVERY == 0)
             return None if box is None else start_from_box(self._model, box)
         landmarks = self._given.of_frame(frame.number)
         if landmarks is None:
@@ -243,6 +249,7 @@ class FaceRun(FilmRun[FaceJob]):
         return {
             "start": origin,
             "start_fit_error_px": start.fit_error,
+            "start_fit": None if np.isnan(record.start_fit) else record.start_fit,
             "landmarks": len(start.present),
             "vertices": start.model.n_vertices,
             "bases": start.model.n_bases,

@@ -24,8 +24,9 @@ class FaceJob(FilmJob):
         Text that says which landmark is which of the model's: a line per pair, index from 0 = number from 1.
         Not needed where the landmarks are in the order of the model's landmarks or vertices.
     detector
-        Without landmarks, the face is found by a detector: OpenCV's YuNet with this model file (.onnx), or
-        the Haar cascade that OpenCV 4 brings along.
+        Without landmarks, the face is found by a detector; it is also asked where a face is that is lost.
+        OpenCV's YuNet with this model file (.onnx), this cascade (.xml), or the Haar cascade that OpenCV 4
+        brings along.
     experts
         How many hypotheses are tracked.
     gain

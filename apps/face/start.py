@@ -1,13 +1,15 @@
 """Where the face is in the first frame: from landmarks, or from a face detector and a generic shape."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.face.recovery.finder import poses_in_boxes
+from ...inference.face.recovery.finder import AROUND, FACE, UprightView, poses_in_boxes
 from ...models.core.frame import BoundingBox, Frame
-from ...models.face.detectors import PartDetector
+from ...models.face.detectors import PartDetector, for_height, of_any_pose
+from ...models.face.landmark_fit import LANDMARK_NOISE
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.face.surface_points import SurfacePoints
@@ -16,6 +18,17 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 FEWEST_LANDMARKS = 4
+
+USUAL_MISFIT = 2 * LANDMARK_NOISE
+"""Distance of landmarks from a model that fits them, in its sizes: on a talking face at most 0.035."""
+
+LARGE_FACE, SMALLEST, OCTAVE = 0.16, 30.0, 2.0
+"""Heights of the faces that are looked for where none is found at first: below this share of the picture's
+shorter side, and down to a half of so many px, in steps; a cascade covers the factor between two of them."""
+
+SURELY = 6
+"""Neighbouring detections of a second cascade that confirm a small face. In 60 pictures without a face, none
+of what the first one saw was confirmed, and most faces of 23 px in others were."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +55,17 @@ class FaceStart:
     points: SurfacePoints
     present: NDArray[np.bool_]
     fit_error: float | None
+
+    @property
+    def misfit(self) -> str | None:
+        """What to say of landmarks that the model does not meet; `None` if it does."""
+        size = float(self.pose.sizes[0])
+        if self.fit_error is None or self.fit_error <= USUAL_MISFIT * size:
+            return None
+        return (
+            f"The start may be poor: the model misses the landmarks by {self.fit_error:.3g} px, "
+            f"{USUAL_MISFIT * size:.2g} px are usual. Are they this face's, in this order?"
+        )
 
 
 def start_from_landmarks(
@@ -127,9 +151,37 @@ def start_from_box(model: MorphableModel, box: BoundingBox) -> FaceStart:
     return FaceStart(person, pose, SurfacePoints.of_vertices([]), np.zeros(0, np.bool_), None)
 
 
-def find_face(frame: Frame, faces: PartDetector) -> BoundingBox | None:
-    """The largest face that a detector finds, `(x, y, width, height)` px; `None` if there is none."""
+def find_face(frame: Frame, faces: PartDetector, *, small: bool = True) -> BoundingBox | None:
+    """The largest face that a detector finds, `(x, y, width, height)` px; `None` if there is none.
+
+    Where it finds none, it is shown the picture larger, so that `small` faces have the size of those that
+    detectors know; this takes longer.
+    """
     boxes = faces(frame)
+    if len(boxes) or frame.image is None or not small:
+        return _largest(boxes)
+    finding, confirming = for_height(faces, FACE), of_any_pose(faces, FACE, SURELY)
+    height = LARGE_FACE * min(frame.image.shape[:2])
+    while height > SMALLEST:
+        height /= OCTAVE
+        scale = FACE / height
+        image = cv2.resize(frame.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
+        boxes = finding(replace(frame, image=np.asarray(image, np.uint8))) / scale
+        sure = [
+            len(confirming(Frame(_about(frame.image, box), frame.time, frame.number))) > 0 for box in boxes
+        ]
+        if any(sure):
+            return _largest(boxes[sure])
+    return None
+
+
+def _about(image: Image, box: Array) -> Image:
+    """The picture about a face, which has the size that detectors know."""
+    view = UprightView.of(box[:2] + box[2:] / 2, 0.0, FACE / box[2], (round(AROUND * FACE),) * 2)
+    return view.drawn(image)
+
+
+def _largest(boxes: Array) -> BoundingBox | None:
     if not len(boxes):
         return None
     x, y, width, height = boxes[np.prod(boxes[:, 2:], axis=1).argmax()].tolist()

@@ -2,7 +2,7 @@
 
 import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -302,7 +302,9 @@ class PoseFilter:
         last = state.trusted[best]
         remembered = replace(state, texture=state.texture.of(np.array([best])))
         likelihood = self._likelihood(remembered, pyramid, last)
-        places = likely_places(likelihood, last, n)
+        coarse = partial(likelihood.misfit, level=len(pyramid) - 1)
+        size = pyramid[0].image.shape[0], pyramid[0].image.shape[1]
+        places = likely_places(coarse, size, last, self.surface.positions(last)[0].mean(axis=0), n)
         if shown is not None and len(shown):
             places = Poses.concatenated([places, brought_to(self.surface.model, last, shown[:n])])
         every = np.full(len(places), best)

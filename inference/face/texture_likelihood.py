@@ -194,6 +194,11 @@ class TextureLikelihood:
         over_bands(work, len(poses))
         return sums
 
+    def misfit(self, poses: Poses, level: int) -> Array:
+        """`(n,)`: mean of e^2 / tau of the first expert's texture; infinite where nothing of it is seen."""
+        squares, _, areas, _ = self.sums(poses, np.zeros(len(poses), np.int64), level=level).T
+        return np.where(areas > 0, squares / np.maximum(areas, 1e-9), np.inf)
+
 
 @dataclass(frozen=True, eq=False)
 class Equations:

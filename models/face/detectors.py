@@ -36,7 +36,8 @@ import sys, cv2, numpy
 cascade = cv2.CascadeClassifier()
 content = open(sys.argv[1], encoding="utf-8").read()
 mode = cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY
-assert cascade.read(cv2.FileStorage(content, mode).getFirstTopLevelNode())
+storage = cv2.FileStorage(content, mode)
+assert cascade.read(storage.getFirstTopLevelNode())
 cascade.detectMultiScale(numpy.random.default_rng(0).integers(0, 255, (120, 160)).astype(numpy.uint8))
 """
 
@@ -235,6 +236,13 @@ def for_height(detector: PartDetector, height: float, agreeing: int = AGREEING) 
     if not isinstance(detector, HaarFaces):
         return detector
     return replace(detector, height=height, agreeing=agreeing, upright=True)
+
+
+def of_any_pose(detector: PartDetector, height: float, agreeing: int = AGREEING) -> PartDetector:
+    """The detector for faces about `height` px high, from the front or else from the side."""
+    if not isinstance(detector, HaarFaces):
+        return detector
+    return replace(detector, height=height, agreeing=agreeing)
 
 
 def _cascade(name: str) -> Any:

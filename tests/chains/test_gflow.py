@@ -135,6 +135,92 @@ def test_says_that_it_is_lost_and_finds_the_face_elsewhere(
     assert np.linalg.norm(seen - scene.vertices[-1], axis=1).mean() < 2.5
 
 
+class KnownFinder:
+    """Knows where the face of a scene is, from the number of the picture; else it has seen nothing."""
+
+    def __init__(self, scene: FaceScene, images: list[NDArray[np.uint8]], numbers: list[int]) -> None:
+        self.scene, self.images, self.numbers = scene, images, numbers
+
+    def _pose(self, image: NDArray[np.uint8]) -> Poses:
+        known = [k for k, each in zip(self.numbers, self.images, strict=True) if each is image]
+        return self.scene.poses[np.array(known[:1], np.int64)]
+
+    def confirms(self, image: NDArray[np.uint8], pose: Poses) -> bool:
+        true = self._pose(image)
+        if not len(true):
+            return False
+        off = self.scene.model.project(true) - self.scene.model.project(pose)
+        return bool(np.linalg.norm(off.mean(axis=1)) < 0.3 * pose.sizes[0])
+
+    def find(self, image: NDArray[np.uint8], last: Poses, attempt: int) -> Poses:
+        return self._pose(image)
+
+
+def test_a_face_that_looks_like_another_is_found_by_a_detector(
+    scene: FaceScene, images: list[NDArray[np.uint8] | None]
+) -> None:
+    """Nobody is there for some time, then somebody else: believed with a new texture, after a trial."""
+    other = face(N_FRAMES, seed=8)
+    numbers = list(range(12))
+    new = [np.roll(other.image(number), 40, axis=1) for number in numbers]
+    room = np.random.default_rng(0).integers(0, 255, (5, *new[0].shape)).astype(np.uint8)
+    film = [*images[:10], *room, *new]
+    alone = states(chain_for(scene), film)
+    assert all(state.lost for state in alone[12:])
+    shifted = replace(other.poses, translations=other.poses.translations + np.array([40.0, 0.0]))
+
+    class There(KnownFinder):
+        def _pose(self, image: NDArray[np.uint8]) -> Poses:
+            known = [k for k, each in zip(self.numbers, self.images, strict=True) if each is image]
+            return shifted[np.array(known[:1], np.int64)]
+
+    found = states(chain_for(scene, finder=There(other, new, numbers)), film)
+    assert all(state.lost for state in found[12:18]), "it is on trial for some pictures"
+    assert not any(state.lost for state in found[21:])
+    assert found[-1].relocations == 1
+    assert found[-1].remembered is None
+    seen = other.model.project(found[-1].poses.mean(found[-1].weights))[0]
+    assert np.linalg.norm(seen - other.model.project(shifted)[11], axis=1).mean() < 3
+
+
+def test_a_detector_that_errs_once_is_not_believed(
+    scene: FaceScene, images: list[NDArray[np.uint8] | None], tmp_path: Path
+) -> None:
+    """What it shows is not there in the next picture; the texture that is remembered comes back.
+
+    It is saved with the state.
+    """
+    first = images[0]
+    assert first is not None
+    empty = [np.random.default_rng(k).integers(0, 255, first.shape).astype(np.uint8) for k in range(8)]
+    finder = KnownFinder(scene, [empty[4]], [3])
+    cut = states(chain_for(scene, finder=finder), [*images[:10], *empty, *images[10:16]])
+    assert cut[14].trust.trial > 0
+    save(tmp_path / "state.npz", {"face": cut[14]}, {"face": GFlowState})
+    loaded = load(tmp_path / "state.npz", {"face": GFlowState})["face"]
+    assert loaded.trust == cut[14].trust
+    assert loaded.remembered is not None
+    assert cut[14].remembered is not None
+    np.testing.assert_array_equal(loaded.remembered.mean, cut[14].remembered.mean)
+    assert cut[15].trust.trial == 0
+    assert all(state.lost for state in cut[12:18])
+    assert not cut[-1].lost
+    assert error(chain_for(scene), scene, cut[-1], 15) < 2
+
+
+def test_a_change_that_a_detector_confirms_is_learned(
+    scene: FaceScene, images: list[NDArray[np.uint8] | None]
+) -> None:
+    """The face turns into its negative where it is: lost for good without a detector, not with one."""
+    flipped = [255 - image for image in images[10:22] if image is not None]
+    film = [*images[:10], *flipped]
+    assert states(chain_for(scene), film)[-1].lost
+    finder = KnownFinder(scene, flipped, list(range(10, 22)))
+    followed = states(chain_for(scene, finder=finder), film)
+    assert not followed[-1].lost
+    assert error(chain_for(scene), scene, followed[-1], 21) < 4
+
+
 @pytest.mark.parametrize("value", [0, 255])
 def test_blank_pictures_do_no_harm(
     scene: FaceScene, images: list[NDArray[np.uint8] | None], value: int

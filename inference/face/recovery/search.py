@@ -1,5 +1,6 @@
 """Where experts begin their search: apart about the last pose, or all over the picture."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,6 @@ from numpy.typing import NDArray
 from ....models.face.morphable_model import MorphableModel
 from ....models.face.pose import Poses
 from ....models.numerics.rotations import exponential
-from ..texture_likelihood import TextureLikelihood
 
 Array = NDArray[np.float64]
 
@@ -56,37 +56,37 @@ def apart(poses: Poses, motion: Array, walk: Array, random: np.random.Generator)
     return poses.moved(share[:, None] * motion + aside)
 
 
-def likely_places(likelihood: TextureLikelihood, last: Poses, n: int) -> Poses:
+def likely_places(
+    misfit: Callable[[Poses], Array], size: tuple[int, int], last: Poses, middle: Array, n: int
+) -> Poses:
     """The `n` poses, of a grid of places, sizes and turns, whose coarse texture fits the picture best.
 
     Parameters
     ----------
-    likelihood
-        of one expert.
+    misfit
+        of poses, `(n,)`, infinite where nothing of them is in the picture.
+    size
+        `(height, width)` px of the picture.
     last
         the pose in which it was seen last, which gives turns and shape.
+    middle
+        `(2,)` px of the object in that pose.
     n
         how many.
     """
-    coarsest = len(likelihood.levels) - 1
-    height, width = likelihood.levels[0].image.shape
+    height, width = size
     step = STEP * float(last.sizes[0])
     columns, rows = np.arange(step / 2, width, step), np.arange(step / 2, height, step)
     grid = np.stack(np.meshgrid(columns, rows, SIZES, TURNS, indexing="ij"), axis=-1).reshape(-1, 4)
-    centre = likelihood.surface.positions(last)[0].mean(axis=0) - last.translations[0]
+    centre = middle - last.translations[0]
     turns = exponential(grid[:, 3:] * np.array([0.0, 1.0, 0.0]))
     tried = Poses(
         turns @ last.rotations[0],
         grid[:, :2] - centre * grid[:, 2:3],
         last.morphs * grid[:, 2:3],
     )
-    sums = [
-        likelihood.sums(part, np.zeros(len(part), np.int64), level=coarsest)
-        for part in (tried[first : first + AT_ONCE] for first in range(0, len(tried), AT_ONCE))
-    ]
-    squares, _, areas, _ = np.concatenate(sums).T
-    misfit = np.where(areas > 0, squares / np.maximum(areas, 1e-9), np.inf)
-    return tried[np.argsort(misfit, kind="stable")[:n]]
+    parts = [misfit(tried[first : first + AT_ONCE]) for first in range(0, len(tried), AT_ONCE)]
+    return tried[np.argsort(np.concatenate(parts), kind="stable")[:n]]
 
 
 def brought_to(model: MorphableModel, last: Poses, shown: Poses) -> Poses:

@@ -27,6 +27,7 @@ from rsmcm.models.numerics.rotations import exponential
 
 from ...conftest import Command, names, summary_of
 from ...support.browser import browsing
+from ...support.signer_clip import signer_clip
 from ...support.view_page import shown_page
 
 run = Command("face")
@@ -557,6 +558,48 @@ def test_the_largest_face_is_taken(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     faces = default_faces(path)
     assert find_face(Frame(np.ones((90, 120), np.uint8), 0.0, 1), faces) == (5, 6, 50, 60)
     assert find_face(Frame(np.zeros((90, 120, 3), np.uint8), 0.0, 1), faces) is None
+
+
+@pytest.mark.skipif(not hasattr(cv2, "CascadeClassifier"), reason="OpenCV 5 has no cascades")
+@pytest.mark.parametrize("height", [23.0, 30.0])
+def test_small_faces(height: float) -> None:
+    """They are found in pictures in which large ones are looked for first; boxes are in the picture's px."""
+    scale = height / 74.0
+    found = 0
+    clip = signer_clip()[::12]
+    for image in clip:
+        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        picture = np.full((300, 400, 3), 120, np.uint8)
+        picture[100 : 100 + small.shape[0], 80 : 80 + small.shape[1]] = small
+        box = find_face(Frame(picture, 0.0, 1), default_faces())
+        if box is not None:
+            off = np.array(box[:2]) + np.array(box[2:]) / 2 - np.array([318, 90]) * scale - (80, 100)
+            found += bool(np.hypot(*off) < 0.6 * height)
+        assert find_face(Frame(picture, 0.0, 1), default_faces(), small=False) is None
+    assert found >= 0.6 * len(clip)
+    assert find_face(Frame(np.full((300, 400, 3), 120, np.uint8), 0.0, 1), default_faces()) is None
+
+
+def test_a_poor_start_is_said() -> None:
+    """By its fit in the first second, and by landmarks that the model does not meet."""
+    for fits, poor in ((0.97, False), (0.8, True)):
+        record = FaceRecord()
+        for number in range(1, 61):
+            fit = np.nan if number == 1 else fits if number <= 26 else 0.5
+            record.add(
+                Frame(np.zeros((48, 64, 3), np.uint8), number / 25, number),
+                Poses.upright(np.zeros((1, 2)), np.ones(1), 2),
+                np.ones(1), -1.0, fit, np.nan, 0.1, lost=False, restarted=False,
+                overlay=lambda: np.zeros((48, 64, 3), np.uint8),
+            )  # fmt: skip
+        assert record.start_fit == pytest.approx(fits)
+        assert any("start may be poor" in note for note in record.notes) == poor
+    model = face_model()
+    pose = Poses.upright(np.array([[100.0, 80.0]]), np.array([30.0]), model.n_bases)
+    true = model.project(pose)[0]
+    assert start_from_landmarks(model, true).misfit is None
+    mixed = np.random.default_rng(0).permutation(true)
+    assert "misses the landmarks" in (start_from_landmarks(model, mixed).misfit or "")
 
 
 def test_a_typical_shape_fills_the_box() -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face import detectors
-from rsmcm.models.face.detectors import HaarFaces, YuNetFaces, default_faces
+from rsmcm.models.face.detectors import HaarFaces, YuNetFaces, default_faces, for_height
 
 from ...fuzz.networks import tiny_network
 from ...support.signer_clip import signer_clip
@@ -124,6 +124,49 @@ def test_files_that_are_no_model(tmp_path: Path) -> None:
     bad.write_bytes(b"no network")
     with pytest.raises(ValueError, match=r"bad.onnx: is no model of OpenCV's face detector YuNet"):
         default_faces(bad)
+
+
+@needs_cascade
+def test_a_cascade_of_the_users(film: list[Image], tmp_path: Path) -> None:
+    """It is read from any file, and is the only one; a damaged one is refused, and ends no process."""
+    brought = Path(cv2.__file__).parent / "data" / detectors.FRONTAL
+    own = tmp_path / "größe.xml"
+    own.write_bytes(brought.read_bytes())
+    faces = default_faces(own)
+    frames = [Frame(image, 0.0, 1) for image in film]
+    for frame in frames:
+        np.testing.assert_array_equal(faces(frame), HaarFaces()(frame))
+    assert pickle.loads(pickle.dumps(faces)) == faces
+    for content in (
+        b"",
+        b"<a>",
+        brought.read_bytes()[:90_000],
+        b"<opencv_storage><cascade/></opencv_storage>",
+    ):
+        damaged = tmp_path / "damaged.xml"
+        damaged.write_bytes(content)
+        with pytest.raises(ValueError, match=r"damaged.xml: is no cascade of OpenCV's"):
+            default_faces(damaged)
+    with pytest.raises(FileNotFoundError, match=r"nowhere.xml: no such file"):
+        default_faces(tmp_path / "nowhere.xml")
+
+
+def test_a_cascade_where_opencv_knows_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "faces.xml"
+    path.touch()
+    monkeypatch.delattr(cv2, "CascadeClassifier", raising=False)
+    with pytest.raises(ValueError, match=r"faces.xml: OpenCV .* knows no cascades, expected a model file"):
+        default_faces(path)
+
+
+@needs_cascade
+def test_for_height(film: list[Image]) -> None:
+    """Upright faces of a known size: they are what a face that was lost is looked for as."""
+    scaled = [cv2.resize(image, None, fx=52 / 74, fy=52 / 74, interpolation=cv2.INTER_AREA) for image in film]
+    boxes = [for_height(HaarFaces(), 52.0, 1)(Frame(image, 0.0, 1)) * 74 / 52 for image in scaled]
+    assert hits(boxes)[0] >= 0.8 * len(film)
+    other = lambda frame: np.zeros((0, 4))  # noqa: E731
+    assert for_height(other, 52.0) is other
 
 
 class Network:
