@@ -136,7 +136,7 @@ def _seen(state: StructureState, others: PointMessage) -> ObservedPoints:
 
     What the tracker expects of a point comes from frames that the shape has been fitted to as well, and from
     this chain's own messages. Counted as one more observation it would be such errors' own confirmation, so
-    where the frame has a view, positions are those found in it.
+    where the frame has a view, positions are those found in it; of both coordinates.
     """
     identities, positions, covariances = others.positions.moments
     variances = 0.5 * np.trace(covariances, axis1=1, axis2=2)
@@ -148,6 +148,8 @@ def _seen(state: StructureState, others: PointMessage) -> ObservedPoints:
     common, here, there = np.intersect1d(
         identities, found.identities, assume_unique=True, return_indices=True
     )
+    whole = ~np.isnan(found.positions[there]).any(axis=1)
+    common, here, there = common[whole], here[whole], there[whole]
     return ObservedPoints(common, found.positions[there], variances[here])
 
 

@@ -51,7 +51,7 @@ LAYOUTS = (
 )
 
 
-def read_points(path: str | Path) -> NDArray[np.float64]:
+def read_points(path: str | Path, *, half: bool = False) -> NDArray[np.float64]:
     """Read points over time.
 
     Parameters
@@ -64,6 +64,8 @@ def read_points(path: str | Path) -> NDArray[np.float64]:
         n_frames, 2)`, from 0 at the left and upper edge of the picture to 1 at the others, `occluded
         (n_points, n_frames)`, and `video (n_frames, height, width, 3)`. A leading axis of length 1 goes. Or
         motion capture as of `read_shapes`, of which x and y are taken: as seen from far away.
+    half
+        whether one coordinate of a point may be missing while the other one is there.
 
     Returns
     -------
@@ -73,8 +75,8 @@ def read_points(path: str | Path) -> NDArray[np.float64]:
     Raises
     ------
     ValueError
-        naming what came and what was expected, if it is no such file or array, holds no point, infinities or
-        points of which one coordinate is missing.
+        naming what came and what was expected, if it is no such file or array, holds no point, infinities or,
+        unless they may be there, points of which one coordinate is missing.
     OSError
         if the file cannot be read.
     """
@@ -96,7 +98,7 @@ def read_points(path: str | Path) -> NDArray[np.float64]:
             raise _wrong(path, key, array, EXPECTED)
         points = _as_floats(array)
         points = points.reshape(-1, *points.shape[-2:])
-    check_points(str(path), points)
+    check_points(str(path), points, half=half)
     return points
 
 

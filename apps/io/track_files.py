@@ -10,12 +10,14 @@ from .point_files import read_points
 from .sources.open_source import DEFAULT_RATE, Selection
 
 
-def read_track_file(path: Path, selection: Selection) -> tuple[NDArray[np.float64], range]:
+def read_track_file(
+    path: Path, selection: Selection, *, half: bool = False
+) -> tuple[NDArray[np.float64], range]:
     """Read some frames of a file of tracks.
 
     Parameters
     ----------
-    path
+    path, half
         as for `read_points`.
     selection
         which of its frames.
@@ -32,7 +34,7 @@ def read_track_file(path: Path, selection: Selection) -> tuple[NDArray[np.float6
     OSError
         if the file cannot be read.
     """
-    tracks = read_points(path)
+    tracks = read_points(path, half=half)
     numbers = selection.numbers(len(tracks))
     if not numbers:
         raise ValueError(f"start: got {selection.start}, but {path} has only {len(tracks)} frames")
@@ -45,12 +47,12 @@ def frames_of_tracks(tracks: NDArray[np.float64], numbers: range | None = None) 
     Parameters
     ----------
     tracks
-        `(n_frames, n_tracks, 2)` px, NaN where missing.
+        `(n_frames, n_tracks, 2)` px, NaN where missing; one coordinate may be.
     numbers
         1-based number of each frame; default: 1, 2, ...
     """
     frames = []
     for number, points in zip(numbers or range(1, len(tracks) + 1), tracks, strict=True):
-        seen = np.flatnonzero(~np.isnan(points[:, 0])).astype(np.int64)
+        seen = np.flatnonzero(~np.isnan(points).all(axis=1)).astype(np.int64)
         frames.append(Frame(None, (number - 1) / DEFAULT_RATE, number, GivenPoints(points[seen], seen)))
     return frames

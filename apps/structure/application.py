@@ -298,8 +298,8 @@ def read_film(job: StructureJob) -> Film:
 
 
 def _tracks(job: StructureJob) -> Film:
-    tracks, numbers = read_track_file(Path(job.source), Selection(job.start, job.stop, job.step))
-    seen = ~np.isnan(tracks[:, :, 0])
+    tracks, numbers = read_track_file(Path(job.source), Selection(job.start, job.stop, job.step), half=True)
+    seen = ~np.isnan(tracks).all(axis=2)
     notes = []
     empty = [number for number, some in zip(numbers, seen, strict=True) if not some.any()]
     if empty:

@@ -207,7 +207,7 @@ def expectation_maximisation(
     """
     sums, by_point = Sums(observations), observations.by_point
     log_weight = float(np.log(observations.by_frame.weight).sum())
-    count = observations.count
+    count = 0.5 * observations.numbers  # what is filled in adds as much to the error as to what is divided by
     shape, covariance = posterior.shape, posterior.shape_covariance
     noise, prior = posterior.noise, posterior.prior
     log_determinant = np.linalg.slogdet(covariance)[1].sum()

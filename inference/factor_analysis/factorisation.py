@@ -3,6 +3,7 @@
 RSMCM eq. (18): position of point i in frame t = M_t (S_i, 1) + noise, M_t (2, 4), S_i (3,).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -10,17 +11,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...models.core.short_repr import short_repr
+from .anderson import Anderson
 from .connectivity import determined
 from .em import CameraPrior, Posterior, expectation_maximisation, first_prior
 from .initialisation import RANK, Mask, grown, mean_filled
 from .kernels.moments import squared_error
 from .kernels.variable_projection import eliminate_points
 from .moments import homogeneous
-from .observations import Numbers, Observations
-from .posterior import around_optimum, around_start
+from .observations import Numbers, Observations, as_arrays
+from .posterior import LOOSEST, around_optimum, around_start
 from .variable_projection import FAR, NEAR, least_squares
 
 Start = Literal["grow", "svd"]
+
+FILLED = 1e-3
+"""Mean change of coordinates that are filled in, in the noise's standard deviation, with which they are."""
+MOST_FILLINGS = 50
 
 
 @short_repr
@@ -86,10 +92,11 @@ def factorise(
     Parameters
     ----------
     positions
-        `(n_frames, n_points, 2)` px; anything where the weight is 0.
+        `(n_frames, n_points, 2)` px; NaN for a coordinate that is not known while the other one is; anything
+        where the weight is 0.
     weights
         `(n_frames, n_points)`, 1 / relative variance, 0 where nothing was seen; where left out, 1 wherever
-        the position is not NaN.
+        there is a coordinate.
     coherence
         whether cameras move by eq. (19) or each frame is on its own.
     start
@@ -106,10 +113,100 @@ def factorise(
     Raises
     ------
     ValueError
-        if shapes do not fit; numbers are not finite; fewer than 3 frames share 4 points; or, without
-        coherence, frames fall into sets that share fewer than 4 points.
+        if shapes do not fit; numbers are not finite; fewer than 3 frames share 4 points of which both
+        coordinates are known; or, without coherence, frames fall into sets that share fewer than 4 points.
     """
-    observations = Observations.from_arrays(positions, weights)
+    where, given = as_arrays(positions, weights)
+    known = ~np.isnan(where)
+    half = known.any(axis=2) & ~known.all(axis=2) & (given > 0)
+    settings = coherence, polish, iterations, tolerance
+    if not half.any():
+        return _factorised(Observations.from_arrays(where, given), start, *settings)
+    if not isinstance(start, Factorisation):
+        whole = Observations.from_arrays(where, np.where(half, 0.0, given))
+        start = _factorised(whole, start, *settings)
+    share = 1 - 0.5 * float(np.count_nonzero(half) / np.count_nonzero(given > 0))
+
+    def found(filled: Numbers, begin: Factorisation) -> Factorisation:
+        return _factorised(Observations.from_arrays(filled, given, known=share), begin, *settings)
+
+    return _with_filled(where, given, half, start, found)
+
+
+def _with_filled(
+    where: Numbers,
+    weights: Numbers,
+    half: Mask,
+    start: Factorisation,
+    found: Callable[[Numbers, Factorisation], Factorisation],
+) -> Factorisation:
+    """Cameras and shape given positions of which one coordinate is missing, by EM over those coordinates.
+
+    What is missing is expected where cameras and shape have it, which are found anew with that (Dempster,
+    Laird and Rubin, 1977); in the end it is where it no longer pulls at anything. Its variance is the noise's,
+    so that the noise is estimated from what was seen. Covariances do not count it.
+
+    Parameters
+    ----------
+    where, weights
+        of `factorise`.
+    half
+        `(n_frames, n_points)`: of which positions one coordinate is missing.
+    start
+        from which the first ones are foreseen.
+    found
+        gives cameras and shape of positions that are filled in, from an earlier result.
+    """
+    missing = np.isnan(where) & half[..., None]
+    filled, fit = where.copy(), start
+    filled[missing] = projected(fit.cameras, fit.shape)[missing]
+    acceleration, nearest = Anderson(), np.inf
+    for _ in range(MOST_FILLINGS):
+        fit = found(filled, fit)
+        before, expected = filled[missing], projected(fit.cameras, fit.shape)[missing]
+        off = float(np.sqrt(np.mean((expected - before) ** 2)))
+        if off <= FILLED * np.sqrt(fit.noise_variance):
+            break
+        if off > nearest:  # the last proposal went too far
+            acceleration.forget()
+            filled[missing] = expected
+        else:
+            filled[missing] = acceleration.propose(before, expected)
+        nearest = off
+    return _without_filled(fit, weights, half, missing)
+
+
+def _without_filled(fit: Factorisation, weights: Numbers, half: Mask, missing: Mask) -> Factorisation:
+    """The same with covariances that do not count coordinates which were filled in."""
+    points = half.any(axis=0)
+    rows = fit.cameras[..., :RANK]
+    second = rows[..., :, None] * rows[..., None, :] + fit.camera_covariance[:, None, :RANK, :RANK]
+    counted = np.where(missing, weights[..., None], 0.0)[:, points] / fit.noise_variance
+    information = np.linalg.inv(fit.shape_covariance[points])
+    information -= np.einsum("tic,tcjk->ijk", counted, second, optimize=True)
+    shape_covariance = fit.shape_covariance.copy()
+    # it is what the prior and all that was seen say, but for rounding
+    values, axes = np.linalg.eigh(0.5 * (information + information.transpose(0, 2, 1)))
+    values = np.maximum(values, 1 / LOOSEST**2)
+    shape_covariance[points] = (axes / values[:, None, :]) @ axes.transpose(0, 2, 1)
+    # rows of u and v share theirs: as if each frame had seen so much less of both
+    total = weights.sum(axis=1)
+    seen = 1 - 0.5 * np.where(half, weights, 0.0).sum(axis=1) / np.where(total > 0, total, 1.0)
+    return replace(
+        fit,
+        shape_covariance=shape_covariance,
+        camera_covariance=fit.camera_covariance / seen[:, None, None],
+    )
+
+
+def _factorised(
+    observations: Observations,
+    start: Start | Factorisation | Numbers,
+    coherence: bool,
+    polish: bool,
+    iterations: int,
+    tolerance: float,
+) -> Factorisation:
     frames, points = determined(observations, apart=coherence)
     part = observations.only(frames, points)
     beginning = _beginning(observations, part, start, coherence)
@@ -198,7 +295,7 @@ def _in_pixels(
         shape=posterior.shape @ axes,
         shape_covariance=axes.T @ posterior.shape_covariance @ axes,
         noise_variance=posterior.noise * square * observations.weight_unit,
-        rmse=scale * float(np.sqrt(error / (2 * observations.by_point.weight.sum()))),
+        rmse=scale * float(np.sqrt(error / (2 * observations.known * observations.by_point.weight.sum()))),
         coherent=posterior.prior.coherent,
         motion_noise=posterior.prior.variance * square,
         frame_determined=frames,

@@ -291,7 +291,7 @@ def freedom(observations: Observations) -> float:
     """Numbers observed minus those fitted: 8 a frame, 3 a point, without the 12 that no observation fixes."""
     frames = np.minimum(np.diff(observations.by_frame.edges), 4).sum()
     points = np.minimum(2 * np.diff(observations.by_point.edges), RANK).sum()
-    return float(2 * observations.count - 2 * frames - points + 12)
+    return float(observations.numbers - 2 * frames - points + 12)
 
 
 def whitened(cameras: Numbers, shape: Numbers, points: Mask) -> tuple[Numbers, Numbers]:

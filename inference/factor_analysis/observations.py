@@ -61,6 +61,24 @@ class Listed(NamedTuple):
         return self.sorted_by(self.own[keep], len(own), other_kept, x, y, weight)
 
 
+def as_arrays(positions: ArrayLike, weights: ArrayLike | None) -> tuple[Numbers, Numbers]:
+    """Positions `(n_frames, n_points, 2)`, weights `(n_frames, n_points)`: 1 by default where one is seen.
+
+    Raises
+    ------
+    ValueError
+        if shapes do not fit.
+    """
+    where = np.asarray(positions, np.float64)
+    if where.ndim != 3 or where.shape[2] != 2:
+        raise ValueError(f"positions: got {where.shape}, expected (n_frames, n_points, 2)")
+    seen = ~np.isnan(where).all(axis=2) if weights is None else weights
+    weight = np.asarray(seen, np.float64)
+    if weight.shape != where.shape[:2]:
+        raise ValueError(f"weights: got {weight.shape}, expected {where.shape[:2]}")
+    return where, weight
+
+
 @dataclass(frozen=True, eq=False)
 class Observations:
     """What was seen of points, moved and scaled so that numbers are around 1 whatever the units.
@@ -75,6 +93,8 @@ class Observations:
         px, root mean square of positions about the middle of their frame.
     weight_unit
         mean weight as given; in here the mean is 1.
+    known
+        share of the coordinates that were seen; others are only filled in, where a shape has them.
     """
 
     by_frame: Listed
@@ -82,9 +102,12 @@ class Observations:
     centre: Numbers
     scale: float
     weight_unit: float
+    known: float = 1.0
 
     @classmethod
-    def from_arrays(cls, positions: ArrayLike, weights: ArrayLike | None = None) -> Self:
+    def from_arrays(
+        cls, positions: ArrayLike, weights: ArrayLike | None = None, *, known: float = 1.0
+    ) -> Self:
         """List what was observed.
 
         Parameters
@@ -93,7 +116,9 @@ class Observations:
             `(n_frames, n_points, 2)` px; anything where the weight is 0.
         weights
             `(n_frames, n_points)`, 1 / relative variance, 0 where nothing was seen; where left out, 1
-            wherever the position is not NaN.
+            wherever there is a coordinate.
+        known
+            share of the coordinates that were seen.
 
         Raises
         ------
@@ -101,16 +126,8 @@ class Observations:
             if shapes do not fit, weights are negative or not finite, a position with weight is not finite, or
             there are fewer than 3 frames or 4 points.
         """
-        where = np.asarray(positions, np.float64)
-        if where.ndim != 3 or where.shape[2] != 2:
-            raise ValueError(f"positions: got {where.shape}, expected (n_frames, n_points, 2)")
-        n_frames, n_points = where.shape[:2]
-        if weights is None:
-            weight = np.asarray(~np.isnan(where).any(axis=2), np.float64)
-        else:
-            weight = np.asarray(weights, np.float64)
-            if weight.shape != (n_frames, n_points):
-                raise ValueError(f"weights: got {weight.shape}, expected {(n_frames, n_points)}")
+        where, weight = as_arrays(positions, weights)
+        n_frames, n_points = weight.shape
         bad = ~(np.isfinite(weight) & (weight >= 0))
         if bad.any():
             frame, point = np.argwhere(bad)[0]
@@ -151,7 +168,7 @@ class Observations:
         if scale <= ROUNDING * float(np.abs(centre).max() + np.sqrt(x @ x + y @ y)):
             raise ValueError("positions: got all points of a frame in one place, expected points that differ")
         by_frame = Listed.sorted_by(frames, n_frames, points, x / scale, y / scale, given / unit)
-        return cls(by_frame, by_frame.transposed(n_points), centre, scale, unit)
+        return cls(by_frame, by_frame.transposed(n_points), centre, scale, unit, known)
 
     @property
     def n_frames(self) -> int:
@@ -167,6 +184,11 @@ class Observations:
     def count(self) -> int:
         """Number of observations."""
         return len(self.by_frame.other)
+
+    @property
+    def numbers(self) -> float:
+        """How many coordinates were seen."""
+        return 2 * self.count * self.known
 
     def scaled(self, cameras: Numbers) -> Numbers:
         """Cameras `(n_frames, 2, 4)` given in px, in the units used in here."""

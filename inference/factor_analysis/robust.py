@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from .factorisation import Factorisation, factorise
-from .observations import Indices, Numbers
+from .observations import Indices, Numbers, as_arrays
 
 MOST_ROUNDS = 20
 SETTLED = 0.002
@@ -93,25 +93,27 @@ def factorise_robustly(
     ValueError
         as `factorise` does.
     """
-    where = np.asarray(positions, np.float64)
-    given = np.asarray(~np.isnan(where).any(axis=2) if weights is None else weights, np.float64)
+    where, given = as_arrays(positions, weights)
     fit = _roughly(where, given, coherence, "grow")
     frames, points = np.nonzero(given > 0)
     seen: tuple[Indices, Indices] = frames.astype(np.int64), points.astype(np.int64)
+    numbers = np.count_nonzero(~np.isnan(where[seen]), axis=1)
     right, weight = np.where(given > 0, 1.0, 0.0), given.copy()
     share, renewed = FIRST_SHARE, False
     for number in range(MOST_ROUNDS):
         squares: Numbers = given[seen] * _free_squares(fit, where[seen], weight[seen], seen)
         before = right[seen]
-        noise = _noise(squares, before, first=number < FIRST_ROUNDS)
+        noise = _noise(squares, before, numbers, first=number < FIRST_ROUNDS)
         wrong = 1 - before
         learned = (
-            float(wrong @ squares) / (2 * float(wrong.sum())) if wrong.any() else float(squares.mean()) / 2
+            float(wrong @ squares) / float((wrong * numbers).sum())
+            if wrong.any()
+            else float(squares.mean() / numbers.mean())
         )
         outlying = max(learned, FAREST * noise)
         odds = (
             np.log(1 / min(share, 0.5) - 1)
-            + np.log(outlying / noise)
+            + numbers / 2 * np.log(outlying / noise)
             - squares / 2 * (1 / noise - 1 / outlying)
         )
         right[seen] = expit(odds)
@@ -147,12 +149,12 @@ def _renewed(where: Numbers, weights: Numbers, coherence: bool, fit: Factorisati
     return min(fit, anew, key=lambda each: each.noise_variance)
 
 
-def _noise(squares: Numbers, right: Numbers, *, first: bool) -> float:
-    """Variance of right positions, in the unit of the squares."""
+def _noise(squares: Numbers, right: Numbers, numbers: Indices, *, first: bool) -> float:
+    """Variance of right positions, in the unit of the squares, of each the sum over so many numbers."""
     if first:
-        variance = float(np.median(squares[right > TRUSTED])) / MEDIAN
+        variance = float(np.median(squares[(right > TRUSTED) & (numbers == numbers.max())])) / MEDIAN
     else:
-        variance = float(right @ squares) / (2 * float(right.sum()))
+        variance = float(right @ squares) / float((right * numbers).sum())
     return max(variance, ROUNDING * float(squares.max()), TINY)
 
 
@@ -163,8 +165,10 @@ def _free_squares(
     frames, points = seen
     cameras = fit.cameras[frames]
     rows = cameras[..., :3]
-    off = where - np.einsum("ncj,nj->nc", rows, fit.shape[points]) - cameras[..., 3]
+    known = ~np.isnan(where)
+    off = np.where(known, where - np.einsum("ncj,nj->nc", rows, fit.shape[points]) - cameras[..., 3], 0)
+    rows = rows * known[..., None]
     spread = np.einsum("ncj,njk,nck->n", rows, fit.shape_covariance[points], rows, optimize=True)
-    free = 1 - 0.5 * weights * spread / fit.noise_variance
+    free = 1 - weights * spread / (np.count_nonzero(known, axis=1) * fit.noise_variance)
     squares: Numbers = np.square(off).sum(axis=1) / np.maximum(free, LEAST_FREE)
     return squares

@@ -173,7 +173,8 @@ def initial_states(state: TrackerState, view: View, mean: Numbers, covariance: N
     """
     known = state.known
     if view.grey is None:
-        extent = np.ptp(view.found.positions, axis=0).max()
+        places = view.found.positions
+        extent = (np.nanmax(places, axis=0) - np.nanmin(places, axis=0)).max()
         states = PointStates.at_rest(mean, 0.0, GIVEN_SPEED * max(extent, view.noise))
     else:
         states = PointStates.at_rest(mean, 0.0, FIRST_SPEED)
@@ -207,10 +208,12 @@ def _measured(state: TrackerState, message: PointMessage, elapsed: float, *, lea
         seen = np.isin(known.identities, view.found.identities)
         if learns:
             least = 0.0 if view.grey is None else LEAST_ACCELERATION
-            acceleration = _adapted_acceleration(state, positions, seen & known.alive, elapsed)
+            acceleration = _adapted_acceleration(
+                state, positions, seen & known.alive & positions.proper, elapsed
+            )
             state = replace(state, acceleration=max(acceleration, least))
     known = replace(known, states=states, unseen=np.where(seen, 0.0, known.unseen))
-    again = np.flatnonzero(seen & ~known.alive)
+    again = np.flatnonzero(seen & ~known.alive & positions.proper)
     if len(again) and view is not None:
         _, mean, covariance = positions.only(again).moments
         known = known.with_states(again, initial_states(state, view, mean, covariance))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, triu
 
 from ..factor_analysis.factorisation import Factorisation, factorise
-from ..factor_analysis.observations import Observations
+from ..factor_analysis.observations import Observations, as_arrays
 from ..factor_analysis.robust import factorise_robustly
 from .correlated_noise import CorrelatedNoise, estimate_correlated_noise
 from .joint_posterior import covariance_of_points
@@ -54,6 +54,9 @@ TORN = 0.05
 MOST_TOGETHER = 500
 """Tracks with most observations whose joint posterior is computed; others are only assigned at the end."""
 
+LEAST_WEIGHT = 1e-3
+"""Of a position that is pooled from tracks: less is none."""
+
 AT_ONCE = 0.05
 """Unions between two comparisons of all pairs, as a share of the points."""
 
@@ -91,10 +94,12 @@ def associate_tracks(
     Parameters
     ----------
     positions
-        `(n_frames, n_tracks, 2)` px; anything where the weight is 0.
+        `(n_frames, n_tracks, 2)` px; NaN for a coordinate that is not known while the other one is; anything
+        where the weight is 0. Who shows what is decided by positions that are known; cameras and points are
+        found from all.
     weights
         `(n_frames, n_tracks)`, 1 / relative variance, 0 where nothing was seen; where left out, 1 wherever
-        the position is not NaN.
+        there is a coordinate.
     coherence
         whether cameras move by eq. (19).
 
@@ -103,17 +108,16 @@ def associate_tracks(
     ValueError
         as `factorise` does.
     """
-    where = np.asarray(positions, np.float64)
-    weight = np.asarray(~np.isnan(where).any(axis=2) if weights is None else weights, np.float64)
+    where, weight = as_arrays(positions, weights)
     where = np.where(weight[..., None] > 0, where, 0.0)
     robust = factorise_robustly(where, weight, coherence=coherence)
-    kept, fit = robust.consistent, robust.factorisation
+    trusted = robust.weights * robust.trusted
+    whole = ~np.isnan(where).any(axis=2)
+    kept, fit = robust.consistent & (trusted * whole > 0).any(axis=0), robust.factorisation
     point, membership = np.full(len(kept), -1), np.zeros((len(kept), np.count_nonzero(kept)))
     try:
         # what is trusted counts, so that no track is refused for a position that is wrong
-        association = _Association(
-            where[:, kept], (robust.weights * robust.trusted)[:, kept], fit.of_points(kept)
-        )
+        association = _Association(where[:, kept], trusted[:, kept], fit.of_points(kept))
         association.unite()
         found = association.soft_assignment()
     except ValueError:  # what is joined is too little to be a structure, or falls apart: nothing is
@@ -130,7 +134,10 @@ class _Association:
     """State of the association, in the units of `Observations`."""
 
     def __init__(self, positions: Numbers, weights: Numbers, fit: Factorisation) -> None:
-        self._positions, self._weights = positions, weights
+        whole = ~np.isnan(positions).any(axis=2)
+        self._all = positions, weights
+        self._positions, self._weights = np.where(whole[..., None], positions, 0.0), weights * whole
+        positions, weights = self._positions, self._weights
         self._fit = self._apart = fit
         self._observations = Observations.from_arrays(positions, weights)
         self._tracks = self._observations.by_point
@@ -239,10 +246,7 @@ class _Association:
         self._refit(np.eye(self._point.max() + 1)[self._point])
 
     def _refit(self, membership: Numbers, iterations: int = ITERATIONS) -> None:
-        weights = pooled(membership, self._weights.T).T
-        sums = pooled(membership, (self._weights[..., None] * self._positions).transpose(1, 0, 2))
-        weights[weights < 1e-3] = 0
-        positions = sums.transpose(1, 0, 2) / np.maximum(weights, 1e-3)[..., None]
+        positions, weights = pooled_positions(membership, self._positions, self._weights)
         self._membership = membership
         shape, spread = self._points_given_cameras(membership)
         self._fit = factorise(
@@ -327,6 +331,7 @@ class _Association:
             point[unsure] = sure.shape[1] + np.arange(np.count_nonzero(unsure))
             membership = np.concatenate([np.where(sure, 1.0, 0.0), np.eye(len(point))[:, unsure]], axis=1)
             self._fit = self._apart  # its cameras have heard all of them
+        self._positions, self._weights = self._all
         self._refit(membership, LAST_ITERATIONS)
         unit = self._observations.scale**2 * self._observations.weight_unit
         return TrackAssociation(self._fit, point, membership, noise.scaled(unit), self._weights > 0)
@@ -336,6 +341,20 @@ def pooled(membership: Numbers, values: Numbers) -> Numbers:
     """Sums `(n_points, ...)` over tracks of what each of them says, `(n_tracks, ...)`, by memberships."""
     sums = np.asarray(csr_array(membership).T @ values.reshape(len(values), -1), np.float64)
     return sums.reshape(membership.shape[1], *values.shape[1:])
+
+
+def pooled_positions(membership: Numbers, positions: Numbers, weights: Numbers) -> tuple[Numbers, Numbers]:
+    """Positions `(n_frames, n_points, 2)` px and weights `(n_frames, n_points)` of points, of their tracks.
+
+    A coordinate that no track knows while one knows the other is NaN.
+    """
+    known = ~np.isnan(positions)
+    weight = weights[..., None] * known
+    each = pooled(membership, weight.transpose(1, 0, 2)).transpose(1, 0, 2)
+    sums = pooled(membership, (weight * np.where(known, positions, 0.0)).transpose(1, 0, 2))
+    each[each < LEAST_WEIGHT] = 0
+    with np.errstate(invalid="ignore"):
+        return sums.transpose(1, 0, 2) / np.where(each > 0, each, np.nan), each.max(axis=2)
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:

@@ -22,14 +22,14 @@ class GivenPoints:
     Parameters
     ----------
     positions
-        `(n, 2)` float64 px, columns and rows.
+        `(n, 2)` float64 px, columns and rows; NaN for one of them where only the other is known.
     identities
         `(n,)` int64, increasing: points of two frames with the same number belong to one track.
 
     Raises
     ------
     ValueError
-        if the shapes do not fit, a position is not finite or the identities do not increase.
+        if the shapes do not fit, a position is not finite or missing, or the identities do not increase.
     """
 
     positions: NDArray[np.float64]
@@ -41,7 +41,8 @@ class GivenPoints:
                 f"points: got positions {self.positions.shape} for {len(self.identities)} identities, "
                 f"expected ({len(self.identities)}, 2)"
             )
-        if not np.isfinite(self.positions).all():
+        missing = np.isnan(self.positions)
+        if np.isinf(self.positions).any() or missing.all(axis=1).any():
             raise ValueError("points: got a position that is not finite, expected finite ones")
         if (np.diff(self.identities) <= 0).any():
             raise ValueError("points: got identities that do not increase, expected each once, in order")

@@ -7,8 +7,17 @@ FARTHEST = 1e7
 """px: coordinates beyond are taken for damage; their squares would drown everything else."""
 
 
-def check_points(name: str, points: NDArray[np.float64]) -> None:
+def check_points(name: str, points: NDArray[np.float64], *, half: bool = False) -> None:
     """Refuse points `(n_frames, n_points, 2)` px that are neither positions nor missing, which is NaN twice.
+
+    Parameters
+    ----------
+    name
+        of the points, for the message.
+    points
+        to be judged.
+    half
+        whether one coordinate alone will do.
 
     Raises
     ------
@@ -19,7 +28,7 @@ def check_points(name: str, points: NDArray[np.float64]) -> None:
     missing = np.isnan(points)
     for wrong, expected in (
         (np.abs(points) > FARTHEST, f"finite px up to {FARTHEST:g}, NaN where missing"),
-        (missing[..., :1] != missing, "both coordinates or none"),
+        ((missing[..., :1] != missing) & (not half), "both coordinates or none"),
     ):
         if wrong.any():
             frame, point = np.argwhere(wrong.any(axis=2))[0]

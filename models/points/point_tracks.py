@@ -187,7 +187,8 @@ class PointTracks:
     def evidence(self, frame: Frame, prior: PointMessage) -> PointMessage:
         """Where the frame shows points of `prior`; or all points that are given with the frame.
 
-        A given point is N(z; F, noise^2 I), whatever the prior. Otherwise every point of which `prior` knows
+        A given point is N(z; F, noise^2 I), whatever the prior; one of which one coordinate is known says
+        nothing of the other. Otherwise every point of which `prior` knows
         the patch, and the place to a standard deviation of `farthest`, is searched for by normalised
         correlation. One that is found is area * N(z; F, R), as against being anywhere in the picture; one
         that is not found is no information.
@@ -226,8 +227,16 @@ class PointTracks:
             draw_region(picture, mean, covariance, COLOUR)
 
     def _given(self, points: GivenPoints, time: float) -> PointMessage:
-        covariance = np.broadcast_to(self.noise**2 * np.eye(PLANE), (len(points.identities), PLANE, PLANE))
-        positions = GaussianMessage.from_moments(points.identities, points.positions, covariance)
+        known = ~np.isnan(points.positions)
+        covariance = np.broadcast_to(self.noise**2 * np.eye(PLANE), (len(known), PLANE, PLANE))
+        whole = np.where(known, points.positions, 0.0)
+        positions = GaussianMessage.from_moments(points.identities, whole, covariance)
+        if not known.all():  # integrated over what is not known, which is 0 above
+            information = positions.information * (known[:, :, None] & known[:, None, :])
+            integrated = np.count_nonzero(~known, axis=1) * np.log(self.noise * np.sqrt(2 * np.pi))
+            positions = replace(
+                positions, information=information, log_scale=positions.log_scale + integrated
+            )
         return PointMessage(positions, view=View(time, points, None, self.noise, self.patch))
 
 
@@ -262,7 +271,7 @@ def noise_of_tracks(frames: Iterable[Frame]) -> float:
     if not any(len(points.identities) for points in given):
         raise ValueError("frames: got none with points, expected some")
     places = np.concatenate([points.positions for points in given])
-    spread = float(np.sqrt(places.var(axis=0).sum())) or 1.0
+    spread = float(np.sqrt(np.nanvar(places, axis=0).sum())) or 1.0
     off = []
     for four in zip(given, given[1:], given[2:], given[3:], strict=False):
         common = four[0].identities
@@ -271,6 +280,7 @@ def noise_of_tracks(frames: Iterable[Frame]) -> float:
         a, b, c, d = (points.positions[np.searchsorted(points.identities, common)] for points in four)
         off.append(np.abs(d - a + 3 * (b - c)).ravel())
     thirds = np.concatenate(off) if off else np.zeros(0)
+    thirds = thirds[~np.isnan(thirds)]
     if not len(thirds):
         return 0.01 * spread
     return float(max(np.median(thirds) / (0.6745 * np.sqrt(20)), 1e-6 * spread))
