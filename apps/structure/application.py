@@ -299,8 +299,14 @@ def read_film(job: StructureJob) -> Film:
 
 def _tracks(job: StructureJob) -> Film:
     tracks, numbers = read_track_file(Path(job.source), Selection(job.start, job.stop, job.step), half=True)
-    seen = ~np.isnan(tracks).all(axis=2)
+    known = ~np.isnan(tracks)
+    seen, whole = np.asarray(known.any(axis=2)), np.asarray(known.all(axis=2))
     notes = []
+    if n_half := int(np.count_nonzero(seen & ~whole)):
+        notes.append(
+            f"Positions of which one coordinate is known: {n_half}. Affine cameras and the shape are found "
+            "from them, too; errors, counts and perspective cameras are of the others."
+        )
     empty = [number for number, some in zip(numbers, seen, strict=True) if not some.any()]
     if empty:
         notes.append(f"No point is seen in {_listed('frame', empty)}; cameras there are only predicted.")

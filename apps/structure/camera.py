@@ -38,9 +38,8 @@ def lens_of(frames: Sequence[Frame], focal: float | None, picture: Path | None) 
         note = "" if stated is None else f"Focal length: {stated:.5g} px, as the pictures' files state."
         return Lens((size[0], size[1]), stated if focal is None else focal), note
     places = np.concatenate([frame.points.positions for frame in frames if frame.points is not None])
-    width, height = (
-        np.ceil(np.nanmax(places, axis=0) + np.minimum(np.nanmin(places, axis=0), 0) + 1).astype(int).tolist()
-    )
+    least, most = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+    width, height = np.ceil(most + np.minimum(least, 0) + 1).astype(int).tolist()
     note = (
         f"The picture is taken to be {width} x {height} px, with positions as far from the left and upper "
         "edge as from the others: a camera with perspective needs its middle."

@@ -143,8 +143,8 @@ def _with_filled(
     """Cameras and shape given positions of which one coordinate is missing, by EM over those coordinates.
 
     What is missing is expected where cameras and shape have it, which are found anew with that (Dempster,
-    Laird and Rubin, 1977); in the end it is where it no longer pulls at anything. Its variance is the noise's,
-    so that the noise is estimated from what was seen. Covariances do not count it.
+    Laird and Rubin, 1977); in the end it is where it no longer pulls at anything. Its variance is that of the
+    noise, which is so estimated from what was seen. Covariances do not count it.
 
     Parameters
     ----------

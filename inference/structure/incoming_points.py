@@ -41,4 +41,4 @@ def observations(
 def _told(message: GaussianMessage) -> NDArray[np.bool_]:
     """Of whom both coordinates are known, or one of them."""
     one = np.count_nonzero(message.information.any(axis=2), axis=1) == 1
-    return message.proper | one
+    return np.asarray(message.proper | one)

@@ -134,7 +134,7 @@ class _Association:
     """State of the association, in the units of `Observations`."""
 
     def __init__(self, positions: Numbers, weights: Numbers, fit: Factorisation) -> None:
-        whole = ~np.isnan(positions).any(axis=2)
+        whole = np.asarray(~np.isnan(positions).any(axis=2))
         self._all = positions, weights
         self._positions, self._weights = np.where(whole[..., None], positions, 0.0), weights * whole
         positions, weights = self._positions, self._weights

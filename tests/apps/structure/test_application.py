@@ -240,6 +240,33 @@ def test_points_seen_once_never_and_twice(
 
 
 @pytest.mark.parametrize("association", ["dual-chain", "none"])
+def test_one_coordinate_of_a_position_is_used(
+    association: str, truth: Cylinder, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A point that shows itself whole in two frames only is where it should be in all of them."""
+    lines, random = in_px(truth.observed), np.random.default_rng(0)
+    frames, points = np.nonzero(truth.visible & (random.random(truth.visible.shape) < 0.2))
+    lines[frames, points, random.integers(0, 2, len(frames))] = np.nan
+    seen = np.flatnonzero(truth.visible[:, 3])
+    lines[seen, 3] = in_px(truth.observed)[seen, 3]
+    lines[seen[2:], 3, seen[2:] % 2] = np.nan
+    n_half = int((np.isnan(lines).sum(axis=2) == 1).sum())
+    source = track_file(tmp_path / "t.npz", lines)
+    assert run(source, "--out", tmp_path / "out", "--association", association) == 0
+    assert f"one coordinate is known: {n_half}." in capfd.readouterr().out
+    with np.load(tmp_path / "out" / "tracks.npz") as content:
+        places, observed = content["position"][:, content["point_of_track"]], content["observed"]
+    off = np.linalg.norm(places - in_px(truth.positions), axis=2)
+    assert off[seen, 3].max() < 3
+    assert np.sqrt(np.mean(off**2)) < 1.0
+    assert observed.sum() == np.isfinite(lines).all(axis=2).sum()
+    # what is not made for it says so
+    assert "expected both coordinates or none" in Command("shape").complaint(
+        capfd, source, "--bases", "2", "--out", tmp_path / "shape"
+    )
+
+
+@pytest.mark.parametrize("association", ["dual-chain", "none"])
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_a_static_camera(
     association: str, noise: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from rsmcm.apps.experiments.bench.structure import bundle_adjustment, turning_points, turntable
 from rsmcm.apps.scenes import Cylinder, cylinder
 from rsmcm.inference.factor_analysis.connectivity import ranges
-from rsmcm.inference.factor_analysis.factorisation import Factorisation, factorise, predicted
+from rsmcm.inference.factor_analysis.factorisation import Factorisation, factorise, predicted, projected
 from rsmcm.inference.factor_analysis.kernels.moments import point_moments
 from rsmcm.inference.factor_analysis.moments import camera_moments
 from rsmcm.inference.factor_analysis.observations import Observations
 from rsmcm.inference.structure.depth_test import depth
+from scipy.optimize import least_squares
 
 from ...support.turning import rotation, through, turning
 
@@ -32,6 +33,32 @@ def well_known(found: Factorisation) -> NDArray[np.bool_]:
     """`(n_points,)`: known to half a spread of the shape (one standard deviation) or better."""
     known: NDArray[np.bool_] = np.linalg.eigvalsh(found.shape_covariance)[:, -1] < 0.5**2
     return known
+
+
+def test_one_coordinate_counts_for_itself() -> None:
+    """The least squares optimum over all coordinates that there are, with covariances from these."""
+    random = np.random.default_rng(1)
+    cameras, shape = random.normal(size=(10, 2, 4)), random.normal(size=(15, 3))
+    places = projected(10 * cameras, shape) + 0.2 * random.normal(size=(10, 15, 2))
+    weights = random.uniform(0.5, 2, (10, 15)) * (random.random((10, 15)) > 0.1)
+    frames, points = np.nonzero(random.random((10, 15)) < 0.3)
+    places[frames, points, random.integers(0, 2, len(frames))] = np.nan
+    known, roots = ~np.isnan(places) & (weights > 0)[..., None], np.sqrt(weights)[..., None]
+
+    def errors(numbers: Numbers) -> Numbers:
+        where = projected(numbers[:80].reshape(10, 2, 4), numbers[80:].reshape(15, 3))
+        return np.asarray((roots * (where - places))[known])
+
+    found = factorise(places, weights)
+    numbers = np.concatenate([found.cameras.ravel(), found.shape.ravel()])
+    dense = least_squares(errors, numbers, xtol=1e-12, ftol=1e-12)
+    error = float(np.sum(errors(numbers) ** 2))
+    assert error == pytest.approx(2 * dense.cost, rel=1e-4)
+    assert found.noise_variance == pytest.approx(error / (known.sum() - 8 * 10 - 3 * 15 + 12), rel=1e-3)
+    seen = known[:, 4]
+    rows = found.cameras[..., :3][seen] * np.sqrt(weights[:, 4])[seen.nonzero()[0], None]
+    expected = np.linalg.inv(rows.T @ rows) * found.noise_variance
+    np.testing.assert_allclose(found.shape_covariance[4], expected, rtol=1e-3, atol=1e-6)
 
 
 # --- exact --------------------------------------------------------------------------------------------------

@@ -75,3 +75,35 @@ def test_positions_without_noise_are_all_right() -> None:
 def _directions(random: np.random.Generator, n: int) -> np.ndarray:
     angle = random.uniform(0, 2 * np.pi, n)
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+@pytest.mark.parametrize("coherence", [False, True])
+def test_positions_of_one_coordinate_help(coherence: bool) -> None:
+    """A fifth of the positions has lost one of its coordinates: less is lost with what is left of them."""
+    errors = []
+    for seed in range(5):
+        scene = cylinder(n_points=25, n_frames=20, p_loose=0.15, p_drift=0.0, seed=seed)
+        random = np.random.default_rng(seed)
+        half = scene.visible & (random.random(scene.visible.shape) < 0.2)
+        positions = scene.observed.copy()
+        frames, points = np.nonzero(half)
+        positions[frames, points, random.integers(0, 2, len(frames))] = np.nan
+        found = factorise_robustly(positions, coherence=coherence)
+        assert found.trusted[half].mean() > 0.98
+        whole = np.where(half[..., None], np.nan, positions)
+        others = (factorise_robustly(each, coherence=coherence) for each in (whole, scene.observed))
+        fits = [found.factorisation, *(other.factorisation for other in others)]
+        errors.append([np.square(predicted(fit)[0] - scene.positions).mean() for fit in fits])
+    with_them, without, with_both = np.sqrt(np.mean(errors, axis=0))
+    assert with_them < 0.95 * without
+    assert with_them < 1.15 * with_both
+
+
+def test_an_outlier_of_one_coordinate_is_told() -> None:
+    positions = SCENE.observed.copy()
+    frames, points = np.nonzero(SCENE.visible & (np.random.default_rng(0).random(SCENE.visible.shape) < 0.2))
+    positions[frames, points, 0] = np.nan
+    positions[frames[::10], points[::10], 1] += 0.5
+    found = factorise_robustly(positions)
+    assert not found.trusted[frames[::10], points[::10]].any()
+    assert found.trusted[SCENE.visible].mean() > 0.97

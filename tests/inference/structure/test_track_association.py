@@ -255,3 +255,24 @@ def test_tracks_seen_together_are_never_one() -> None:
     seen = ~np.isnan(tracks[..., 0])
     for number in range(point.max() + 1):
         assert seen[:, point == number].sum(axis=1).max() <= 1
+
+
+def test_one_coordinate_counts_after_association() -> None:
+    """Which tracks are one is found without it, and where the points are then better with it."""
+    errors = []
+    for seed in range(2):
+        scene = cylinder(n_points=40, n_frames=24, p_loose=0.15, p_drift=0.0, seed=seed)
+        random, tracks = np.random.default_rng(seed), scene.tracks()
+        half = ~np.isnan(tracks[..., 0]) & (random.random(tracks.shape[:2]) < 0.2)
+        frames, columns = np.nonzero(half)
+        tracks[frames, columns, random.integers(0, 2, len(frames))] = np.nan
+        row = []
+        for each in (tracks, np.where(half[..., None], np.nan, tracks)):
+            found = associate_tracks(each, coherence=True)
+            positions = predicted(found.factorisation)[0]
+            scores = score_structure(positions, found.factorisation.shape, found.point_of_track, scene)
+            assert (scores.n_missing, scores.n_spurious, scores.purity) == (0, 0, 1.0)
+            row.append(scores.reprojection_error)
+        errors.append(row)
+    with_them, without = np.mean(errors, axis=0)
+    assert with_them < 0.99 * without

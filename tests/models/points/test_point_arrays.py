@@ -19,5 +19,10 @@ def test_damaged_points_are_named(place: tuple[float, float], expected: str) -> 
     points[0, 0], points[1, 1] = np.nan, FARTHEST
     check_points("some.npy", points)
     points[2, 3] = place
+    if "both" in expected:
+        check_points("some.npy", points, half=True)
+    else:
+        with pytest.raises(ValueError, match=expected):
+            check_points("some.npy", points, half=True)
     with pytest.raises(ValueError, match=f"some.npy: got .* at point 3 of frame 2 .*, expected {expected}"):
         check_points("some.npy", points)

@@ -15,6 +15,7 @@ from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.points.corners import find_corners
 from rsmcm.models.points.patches import Patches
 from rsmcm.models.points.point_tracks import PointMessage, View, noise_of_tracks
+from scipy.stats import norm
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, film, hidden_by_a_bar
 
@@ -145,6 +146,23 @@ def test_noise_of_tracks_is_found_in_any_unit_and_in_spite_of_jumps(scale: float
     assert 0 < noise_of_tracks(few) < 10 * scale  # no track of four frames: a guess
     with pytest.raises(ValueError, match="got none"):
         noise_of_tracks([Frame(None, 0.0, 1)])
+    for each in frames[::2]:
+        assert each.points is not None
+        each.points.positions[::3, 0] = np.nan
+    assert noise_of_tracks(frames) == pytest.approx(0.4 * scale, rel=0.1)
+
+
+def test_one_known_coordinate_says_nothing_of_the_other() -> None:
+    node = PointTracks(noise=0.5)
+    given = GivenPoints(np.array([[1.0, 2.0], [np.nan, 4.0]]), np.array([3, 7]))
+    said = node.evidence(Frame(None, 0.0, 1, given), node.uniform()).positions
+    # the integral of its product with any density is that density's value at the line
+    other = GaussianMessage.from_moments([3, 7], [[1.5, 2.5], [9.0, 3.0]], [np.eye(2), 4 * np.eye(2)])
+    expected = norm.logpdf([1.0, 2.0], [1.5, 2.5], np.sqrt(1.25)).sum() + norm.logpdf(4, 3, np.sqrt(4.25))
+    product = said * other
+    assert product.log_mass == pytest.approx(expected)
+    np.testing.assert_allclose(product.marginal(7)[0], [9.0, 3 + 4 / 4.25])
+    np.testing.assert_array_equal(said.moments[0], [3])
 
 
 # --- pictures ---
