@@ -140,17 +140,29 @@ class GaussianMessage:
     def log_mass(self) -> float:
         """Log of the integral over all things that the message knows something of.
 
-        A thing without any information counts with its scale alone, as if it were not mentioned; one with
-        information about some of its numbers has no finite integral.
+        A number without any information counts as if it were not mentioned, and so does a thing without any,
+        but for its scale; one with information about a direction between its numbers has no finite integral.
         """
         known = self.information.any(axis=(1, 2))
         if not self.proper[known].all():
-            return float("inf")
+            return self._without_unmentioned(known)
         _, means, covariances = self.moments
         _, log_determinants = np.linalg.slogdet(covariances)
         quadratic = (self.vector[self.proper] * means).sum(axis=1)
         gaussian = 0.5 * (self.dimension * np.log(2 * np.pi) + log_determinants + quadratic)
         return float(self.log_scale.sum() + gaussian.sum())
+
+    def _without_unmentioned(self, known: NDArray[np.bool_]) -> float:
+        """Log of the integral over those numbers of known things about which there is information."""
+        unmentioned = ~self.information[known].any(axis=2)
+        if not unmentioned.any():
+            return float("inf")
+        # each one as a standard normal, whose integral is 1
+        filled = self.information.copy()
+        filled[known] += unmentioned[:, :, None] * np.eye(self.dimension)
+        scales = self.log_scale.copy()
+        scales[known] -= 0.5 * np.log(2 * np.pi) * np.count_nonzero(unmentioned, axis=1)
+        return type(self)(self.identities, filled, self.vector, scales).log_mass
 
     def marginal(self, identity: int) -> tuple[Numbers, Numbers]:
         """Mean `(d,)` px and covariance `(d, d)` px^2 of one thing.

@@ -631,6 +631,28 @@ def test_tracker_and_shape_help_each_other() -> None:
     assert errors[False] > 2 * errors[True]
 
 
+def test_points_of_one_coordinate_are_followed() -> None:
+    """Of every fourth place one coordinate is known: nobody stumbles, and tracks are better than without."""
+    errors = {}
+    for kept in (True, False):
+        scene, points = cylinder(5, p_loose=0.02), PointTracks(noise=1.0)
+        random = np.random.default_rng(0)
+        frames, columns = np.nonzero(scene.visible & (random.random(scene.visible.shape) < 0.25))
+        if kept:
+            scene.observed[frames, columns, random.integers(0, 2, len(frames))] = np.nan
+        else:
+            scene.visible[frames, columns] = False
+        model = MultiChain().connect(PointTracker(), points).connect(RecursiveStructure(), points)
+        squares = []
+        for t, belief in enumerate(RecursiveBP(model).run(scene.frames())):
+            if t >= 40:
+                identities, means, _ = belief[points].positions.moments
+                squares.append(np.square(means - scene.positions[t, identities]))
+        errors[kept] = np.sqrt(np.concatenate(squares).mean())
+    assert errors[True] < 0.8
+    assert errors[True] < errors[False]
+
+
 def test_missing_frames_and_frames_without_points() -> None:
     scene = cylinder(9)
     frames = list(scene.frames())

@@ -163,6 +163,7 @@ def test_one_known_coordinate_says_nothing_of_the_other() -> None:
     assert product.log_mass == pytest.approx(expected)
     np.testing.assert_allclose(product.marginal(7)[0], [9.0, 3 + 4 / 4.25])
     np.testing.assert_array_equal(said.moments[0], [3])
+    assert said.log_mass == pytest.approx(0)  # a density of what is known
 
 
 # --- pictures ---
