@@ -143,7 +143,7 @@ class GaussianMessage:
         A number without any information counts as if it were not mentioned, and so does a thing without any,
         but for its scale; one with information about a direction between its numbers has no finite integral.
         """
-        known = self.information.any(axis=(1, 2))
+        known = np.asarray(self.information.any(axis=(1, 2)))
         if not self.proper[known].all():
             return self._without_unmentioned(known)
         _, means, covariances = self.moments
@@ -154,7 +154,7 @@ class GaussianMessage:
 
     def _without_unmentioned(self, known: NDArray[np.bool_]) -> float:
         """Log of the integral over those numbers of known things about which there is information."""
-        unmentioned = ~self.information[known].any(axis=2)
+        unmentioned = np.asarray(~self.information[known].any(axis=2))
         if not unmentioned.any():
             return float("inf")
         # each one as a standard normal, whose integral is 1
