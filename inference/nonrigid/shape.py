@@ -13,6 +13,7 @@ from .uncertainty import frame_changes, without_triangles
 Numbers = NDArray[np.float64]
 
 
+@short_repr
 @dataclass(frozen=True)
 class Rival:
     """Another optimum, from another start, that explains the tracks nearly as well.
