@@ -48,6 +48,9 @@ MOSTLY = 0.5
 LEAST_VIEWS = 2
 """Frames of a track that is a point of its own: fewer leave its depth open."""
 
+FAR = 64.0
+"""Squared standard deviations: a point is not tried for a track whose middle is farther than eight."""
+
 TORN = 0.05
 """Product of probabilities from which a track is torn between two points."""
 
@@ -68,8 +71,6 @@ class TrackAssociation:
         cameras and points.
     point_of_track
         `(n_tracks,)` int64; -1 where it is not sure enough what a track shows.
-    membership
-        `(n_tracks, n_points)`, the probability that a track shows a point.
     noise
         errors of the tracks, px^2.
     trusted
@@ -78,7 +79,6 @@ class TrackAssociation:
 
     factorisation: Factorisation
     point_of_track: Indices
-    membership: Numbers
     noise: CorrelatedNoise
     trusted: NDArray[np.bool_]
 
@@ -108,7 +108,7 @@ def associate_tracks(
     where = np.where(weight[..., None] > 0, where, 0.0)
     robust = factorise_robustly(where, weight, coherence=coherence)
     kept, fit = robust.consistent, robust.factorisation
-    point, membership = np.full(len(kept), -1), np.zeros((len(kept), np.count_nonzero(kept)))
+    point = np.full(len(kept), -1)
     try:
         # what is trusted counts, so that no track is refused for a position that is wrong
         association = _Association(
@@ -117,13 +117,11 @@ def associate_tracks(
         association.unite()
         found = association.soft_assignment()
     except ValueError:  # what is joined is too little to be a structure, or falls apart: nothing is
-        point[kept] = np.arange(membership.shape[1])
-        membership[kept] = np.eye(membership.shape[1])
+        point[kept] = np.arange(np.count_nonzero(kept))
         noise = CorrelatedNoise(fit.noise_variance, 0.0, 1.0)
-        return TrackAssociation(fit.of_points(kept), point, membership, noise, robust.trusted)
-    membership = np.zeros((len(kept), found.membership.shape[1]))
-    point[kept], membership[kept] = found.point_of_track, found.membership
-    return replace(found, point_of_track=point, membership=membership, trusted=robust.trusted)
+        return TrackAssociation(fit.of_points(kept), point, noise, robust.trusted)
+    point[kept] = found.point_of_track
+    return replace(found, point_of_track=point, trusted=robust.trusted)
 
 
 class _Association:
@@ -139,7 +137,7 @@ class _Association:
         self._seen = np.zeros((n_tracks, self._observations.n_frames))
         self._seen[self._tracks.own, self._tracks.other] = 1
         self._point = np.arange(n_tracks)
-        self._membership = np.eye(n_tracks)
+        self._membership = certain(self._point, n_tracks)
         self._log_new = np.inf
         """Log prior odds of a new point against a certain one of those that there may be."""
 
@@ -205,40 +203,52 @@ class _Association:
 
     # --- assignment given cameras ---
 
-    def _assigned(self, membership: Numbers, noise: CorrelatedNoise, *, hard: bool) -> Numbers:
+    def _assigned(self, membership: csr_array, noise: CorrelatedNoise, *, hard: bool) -> csr_array:
         """Membership after one turn of all tracks, short ones first."""
         tracks = self._tracks
         information, vector, _, _ = noise.information(tracks, self._cameras)
         mean, covariance = self._population()
         prior = np.linalg.inv(covariance)
-        membership = np.ascontiguousarray(membership)
-        busy = pooled(membership, self._seen)
         order = np.argsort(self._counts, kind="stable")
         # a track is the only one of a point as often as others are
-        alone = np.count_nonzero((membership > TORN).sum(axis=0) == 1)
-        odds = max((alone + 1) / (len(membership) - alone + 1), NEW_POINT / (1 - NEW_POINT))
-        log_new = float(np.log(membership.shape[1] * odds))
-        assign_tracks(
-            order, tracks, information, vector, prior, prior @ mean, log_new, hard, membership, busy
+        alone = np.count_nonzero(np.bincount(membership.indices[membership.data > TORN]) == 1)
+        n, n_points = membership.shape
+        odds = max((alone + 1) / (n - alone + 1), NEW_POINT / (1 - NEW_POINT))
+        points, shares, counts = assign_tracks(
+            order,
+            tracks,
+            np.ascontiguousarray(self._cameras),
+            noise.white + noise.drift,
+            information,
+            vector,
+            prior,
+            prior @ mean,
+            float(np.log(n_points * odds)),
+            FAR,
+            hard,
+            (membership.indptr.astype(np.int64), membership.indices.astype(np.int64), membership.data),
+            pooled(membership, self._seen),
         )
-        return membership
+        own = np.repeat(order, counts[order])
+        return csr_array((shares, (own, points)), shape=membership.shape)
 
     def _reassign(self) -> None:
         """Move tracks to the points that they fit best."""
         membership, noise = self._membership, self._noise()
         for _ in range(3):
-            membership = self._assigned(membership.copy(), noise, hard=True)
-        point = membership.argmax(axis=1)
-        alone = membership.max(axis=1) == 0
+            membership = self._assigned(membership, noise, hard=True)
+        alone = np.diff(membership.indptr) == 0
+        point = np.empty(len(alone), np.int64)
+        point[~alone] = membership.indices
         point[alone] = membership.shape[1] + np.arange(np.count_nonzero(alone))
         self._regroup(point)
 
     def _regroup(self, point: Indices) -> None:
         """Number the points anew, and fit again."""
         _, self._point = np.unique(point, return_inverse=True)
-        self._refit(np.eye(self._point.max() + 1)[self._point])
+        self._refit(certain(self._point, self._point.max() + 1))
 
-    def _refit(self, membership: Numbers, iterations: int = ITERATIONS) -> None:
+    def _refit(self, membership: csr_array, iterations: int = ITERATIONS) -> None:
         weights = pooled(membership, self._weights.T).T
         sums = pooled(membership, (self._weights[..., None] * self._positions).transpose(1, 0, 2))
         weights[weights < 1e-3] = 0
@@ -253,7 +263,7 @@ class _Association:
             start=replace(self._fit, shape=shape, shape_covariance=spread),
         )
 
-    def _points_given_cameras(self, membership: Numbers) -> tuple[Numbers, Numbers]:
+    def _points_given_cameras(self, membership: csr_array) -> tuple[Numbers, Numbers]:
         information, vector, _, _ = self._white_noise.information(self._tracks, self._cameras)
         whole = np.eye(3) + pooled(membership, information)
         inverse = np.asarray(np.linalg.inv(whole), np.float64)
@@ -275,14 +285,14 @@ class _Association:
             self._refit(membership[:, membership.sum(axis=0) > 0.5])
         return self._result(noise)
 
-    def _without_duplicates(self, membership: Numbers, noise: CorrelatedNoise) -> Numbers:
+    def _without_duplicates(self, membership: csr_array, noise: CorrelatedNoise) -> csr_array:
         """Memberships after points between which the same tracks are torn have become one."""
         information, vector, _, _ = noise.information(self._tracks, self._cameras)
         mean, covariance = self._population()
         prior = np.asarray(np.linalg.inv(covariance), np.float64)
         pull: Numbers = prior @ mean
         while True:
-            shared = triu(csr_array(membership).T @ csr_array(membership), 1)
+            shared = triu(membership.T @ membership, 1).tocoo()
             torn = shared.data > TORN
             first, second = shared.row[torn], shared.col[torn]
             whole, sums = pooled(membership, information), pooled(membership, vector)
@@ -291,14 +301,19 @@ class _Association:
             together = log_partition(whole[first] + whole[second] + prior, sums[first] + sums[second] + pull)
             gains = together - alone[first] - alone[second] + log_partition(prior, pull)
             gains[(busy[first] * busy[second]).sum(axis=1) > 0.5] = -np.inf
-            if not len(gains) or gains.max() < self._log_new:
+            target, touched = np.arange(membership.shape[1]), np.zeros(membership.shape[1], bool)
+            for k in np.argsort(-gains, kind="stable"):
+                if gains[k] < self._log_new:
+                    break
+                if not touched[[first[k], second[k]]].any():
+                    target[second[k]] = first[k]
+                touched[[first[k], second[k]]] = True
+            if not touched.any():
                 return membership
-            one, other = int(first[gains.argmax()]), int(second[gains.argmax()])
-            membership = membership.copy()
-            membership[:, one] += membership[:, other]
-            membership = np.delete(membership, other, axis=1)
+            kept, number = np.unique(target, return_inverse=True)
+            membership = membership @ certain(number, len(kept))
 
-    def _determined(self, membership: Numbers, noise: CorrelatedNoise) -> NDArray[np.bool_]:
+    def _determined(self, membership: csr_array, noise: CorrelatedNoise) -> NDArray[np.bool_]:
         """Whether tracks say where each point is, in every frame."""
         information, _, _, _ = noise.information(self._tracks, self._cameras)
         _, covariance = self._population()
@@ -311,30 +326,40 @@ class _Association:
 
     def _result(self, noise: CorrelatedNoise) -> TrackAssociation:
         membership = self._membership
-        sure = membership > SURE
-        columns = np.arange(membership.shape[1])
+        point = membership.argmax(axis=1)
+        sure = membership.max(axis=1).toarray() > SURE
         # of points that are alike tracks are never sure: the one that says most stays with its point
-        anchors = (membership * self._counts[:, None]).argmax(axis=0)
-        own = membership[anchors].argmax(axis=1) == columns
-        sure[anchors[own], columns[own]] = True
-        own &= self._determined(np.where(sure, 1.0, 0.0), noise)
-        sure = sure[:, own]
-        point = np.where(sure.any(axis=1), sure.argmax(axis=1), -1)
+        anchors = membership.multiply(self._counts[:, None]).tocsr().argmax(axis=0)
+        own = point[anchors] == np.arange(membership.shape[1])
+        sure[anchors[own]] = True
+        point = np.where(sure, point, -1)
+        own &= self._determined(certain(point, membership.shape[1]), noise)
+        point = np.where(sure & own[point], (np.cumsum(own) - 1)[point], -1)
         membership = membership[:, own]
         unsure = (point < 0) & (self._counts >= LEAST_VIEWS)
-        if np.count_nonzero(sure.sum(axis=0) == 1) + np.count_nonzero(unsure) > MOSTLY * len(point):
+        if np.count_nonzero(np.bincount(point[point >= 0]) == 1) + np.count_nonzero(unsure) > MOSTLY * len(
+            point
+        ):
             # where most tracks are the only ones of their points, so is one of which nothing is sure
-            point[unsure] = sure.shape[1] + np.arange(np.count_nonzero(unsure))
-            membership = np.concatenate([np.where(sure, 1.0, 0.0), np.eye(len(point))[:, unsure]], axis=1)
+            n_points = membership.shape[1] + np.count_nonzero(unsure)
+            point[unsure] = np.arange(membership.shape[1], n_points)
+            membership = certain(point, n_points)
             self._fit = self._apart  # its cameras have heard all of them
         self._refit(membership, LAST_ITERATIONS)
         unit = self._observations.scale**2 * self._observations.weight_unit
-        return TrackAssociation(self._fit, point, membership, noise.scaled(unit), self._weights > 0)
+        return TrackAssociation(self._fit, point, noise.scaled(unit), self._weights > 0)
 
 
-def pooled(membership: Numbers, values: Numbers) -> Numbers:
+def certain(point: Indices, n_points: int) -> csr_array:
+    """Memberships `(n_tracks, n_points)` of tracks that show a point for sure, or none where it is -1."""
+    shown = point >= 0
+    edges = np.concatenate([[0], np.cumsum(shown)])
+    return csr_array((np.ones(edges[-1]), point[shown], edges), shape=(len(point), n_points))
+
+
+def pooled(membership: csr_array, values: Numbers) -> Numbers:
     """Sums `(n_points, ...)` over tracks of what each of them says, `(n_tracks, ...)`, by memberships."""
-    sums = np.asarray(csr_array(membership).T @ values.reshape(len(values), -1), np.float64)
+    sums = np.asarray(membership.T @ values.reshape(len(values), -1), np.float64)
     return sums.reshape(membership.shape[1], *values.shape[1:])
 
 
