@@ -17,6 +17,8 @@ MEMORIES = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)
 
 STEPS, PRECISION = 50, 1e-3
 """Of the variance of the noise: at most so many, and until it changes by no more than this share."""
+MOST_RESIDUALS = 10_000
+"""Of more, about so many are asked, those of every n-th point: they say variances to a hundredth or two."""
 ROUNDING = 1e-12
 """Share of the squares of positions below which errors are rounding."""
 
@@ -93,6 +95,10 @@ def estimate_correlated_noise(
     prior
         `(3, 3)`, covariance of the points about the origin.
     """
+    every = int(np.ceil(2 * len(tracks.x) / MOST_RESIDUALS))
+    if every > 1:
+        tracks = tracks.only(point_of_track % every == 0, np.ones(len(cameras), np.bool_))
+        point_of_track = point_of_track // every
     n_points = int(point_of_track.max()) + 1
     count = 2 * len(tracks.x)
     root = np.linalg.cholesky(prior)
