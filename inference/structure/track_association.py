@@ -171,17 +171,18 @@ class _Association:
 
     def unite(self) -> None:
         """Take tracks for one point, round by round, until nothing changes."""
-        for number in range(MOST_ROUNDS):
-            margin = MARGINS[min(number, len(MARGINS) - 1)]
+        number = -1
+        for _ in range(MOST_ROUNDS):
             before = self._point
-            self._regroup(self._united(margin))
-            if margin == 0:
+            point, number = self._united(min(number + 1, len(MARGINS) - 1))
+            self._regroup(point)
+            if MARGINS[number] == 0:
                 self._reassign()
                 if np.array_equal(self._point, before):
                     return
 
-    def _united(self, margin: float) -> Indices:
-        """Point of each track after all unions that are surer than `margin`."""
+    def _united(self, number: int) -> tuple[Indices, int]:
+        """Point of each track after all unions of the next margin that allows any, and which one this is."""
         chosen = np.sort(np.argsort(-(self._membership.T @ self._counts), kind="stable")[:MOST_TOGETHER])
         covariance = covariance_of_points(self._observations, self._fit, self._point, self._noise(), chosen)
         seen = np.zeros((len(chosen), self._observations.n_frames))
@@ -196,10 +197,13 @@ class _Association:
         first, second = np.triu_indices(len(mean), 1)
         # of all tracks: those that are one already are no longer among the pairs
         self._log_new = min(self._log_new, log_odds_of_new(gains[first, second], apart[first, second]))
-        group = unite_points(mean, covariance, apart, spread, self._log_new, margin)
+        group = unite_points(mean, covariance, apart, spread, self._log_new, MARGINS[number])
+        while MARGINS[number] > 0 and (group == np.arange(len(group))).all():
+            number += 1
+            group = unite_points(mean, covariance, apart, spread, self._log_new, MARGINS[number])
         target = np.arange(len(place))
         target[chosen] = chosen[group]
-        return target[self._point]
+        return target[self._point], number
 
     # --- assignment given cameras ---
 
@@ -244,8 +248,9 @@ class _Association:
         self._regroup(point)
 
     def _regroup(self, point: Indices) -> None:
-        """Number the points anew, and fit again."""
-        _, self._point = np.unique(point, return_inverse=True)
+        """Number the points anew, in the order of their first tracks, and fit again."""
+        _, first, number = np.unique(point, return_index=True, return_inverse=True)
+        self._point = np.argsort(np.argsort(first))[number]
         self._refit(certain(self._point, self._point.max() + 1))
 
     def _refit(self, membership: csr_array, iterations: int = ITERATIONS) -> None:
