@@ -20,6 +20,7 @@ from ..factor_analysis.robust import factorise_robustly
 from .correlated_noise import CorrelatedNoise, estimate_correlated_noise
 from .joint_posterior import covariance_of_points
 from .kernels.track_association import assign_tracks, same_point_gains
+from .memberships import certain, pooled
 from .pair_odds import log_odds_of_new
 
 Numbers = NDArray[np.float64]
@@ -221,14 +222,10 @@ class _Association:
         points, shares, counts = assign_tracks(
             order,
             tracks,
-            np.ascontiguousarray(self._cameras),
-            noise.white + noise.drift,
-            information,
-            vector,
-            prior,
-            prior @ mean,
+            (information, vector),
+            (prior, prior @ mean),
+            (np.ascontiguousarray(self._cameras), noise.white + noise.drift, FAR),
             float(np.log(n_points * odds)),
-            FAR,
             hard,
             (membership.indptr.astype(np.int64), membership.indices.astype(np.int64), membership.data),
             pooled(membership, self._seen),
@@ -353,19 +350,6 @@ class _Association:
         self._refit(membership, LAST_ITERATIONS)
         unit = self._observations.scale**2 * self._observations.weight_unit
         return TrackAssociation(self._fit, point, noise.scaled(unit), self._weights > 0)
-
-
-def certain(point: Indices, n_points: int) -> csr_array:
-    """Memberships `(n_tracks, n_points)` of tracks that show a point for sure, or none where it is -1."""
-    shown = point >= 0
-    edges = np.concatenate([[0], np.cumsum(shown)])
-    return csr_array((np.ones(edges[-1]), point[shown], edges), shape=(len(point), n_points))
-
-
-def pooled(membership: csr_array, values: Numbers) -> Numbers:
-    """Sums `(n_points, ...)` over tracks of what each of them says, `(n_tracks, ...)`, by memberships."""
-    sums = np.asarray(membership.T @ values.reshape(len(values), -1), np.float64)
-    return sums.reshape(membership.shape[1], *values.shape[1:])
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:

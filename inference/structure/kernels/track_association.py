@@ -151,27 +151,14 @@ def same_point_gains(mean, covariance, apart, spread, gains):
 
 
 @compiled
-def assign_tracks(
-    order,
-    tracks,
-    cameras,
-    variance,
-    information,
-    vector,
-    prior_information,
-    prior_vector,
-    log_new,
-    far,
-    hard,
-    membership,
-    busy,
-):
+def assign_tracks(order, tracks, said, prior, near, log_new, hard, membership, busy):
     """Probabilities that tracks show points, track after track, each left out of what it is tested on.
 
-    `order` names the tracks in turn; information (n, 3, 3) and vector (n, 3) are what they say; `log_new` is
-    the log prior odds that a track shows none of the points against that it shows a certain one. A point is
-    tried if the middle observation of the track, of `variance`, is at most `far` squared standard deviations
-    from where `cameras` show it, or if the track was its own before.
+    `order` names tracks in turn; `said` are information (n, 3, 3) and vector (n, 3) of each, `prior` those
+    of any point; `log_new` is the log prior odds that a track shows none of the points against that it shows
+    a certain one. `near` are cameras (n_frames, 2, 4), a variance and a limit: a point is tried if the middle
+    observation of the track, of that variance, is at most so many squared standard deviations from where
+    cameras show the point, or if the track was its own before.
 
     `membership` are edges (n + 1,), points and probabilities, track by track. busy (n_points, n_frames), how
     many of its observations each point has in a frame, is changed in place; `hard` makes each track a member
@@ -181,29 +168,20 @@ def assign_tracks(
     """
     edges, _, frame, x, y, weight = tracks
     of_track, member, shares = membership
+    cameras, variance, far = near
+    information, vector = said
     n, n_points = information.shape[0], busy.shape[0]
-    whole, covariance = np.empty((n_points, 3, 3)), np.empty((n_points, 3, 3))
-    sums, mean = np.empty((n_points, 3)), np.empty((n_points, 3))
-    before = np.empty(n_points)
-    others = np.zeros(n_points)  # tracks that each point has
-    for p in range(n_points):
-        whole[p] = prior_information
-        sums[p] = prior_vector
-    for k in range(n):
-        for e in range(of_track[k], of_track[k + 1]):
-            p = member[e]
-            others[p] += shares[e]
-            whole[p] += shares[e] * information[k]
-            sums[p] += shares[e] * vector[k]
+    others, whole, sums = _told(said, prior, membership, n_points)
+    mean, covariance, before = np.empty((n_points, 3)), np.empty((n_points, 3, 3)), np.empty(n_points)
     for p in range(n_points):
         before[p] = _settle(whole[p], sums[p], mean[p], covariance[p])
-    nothing = _log_partition(prior_information, prior_vector)
+    nothing = _log_partition(prior[0], prior[1])
     tried, scores = np.empty(n_points, np.int64), np.empty(n_points)
     counts = np.zeros(n, np.int64)
     points, probabilities = np.empty(2 * n, np.int64), np.empty(2 * n)
     end = 0
     for k in order:
-        alone = _log_partition(prior_information + information[k], prior_vector + vector[k])
+        alone = _log_partition(prior[0] + information[k], prior[1] + vector[k])
         own, most = -1, 0.0  # the point that would be left without a track
         for e in range(of_track[k], of_track[k + 1]):
             p, share = member[e], shares[e]
@@ -265,6 +243,24 @@ def assign_tracks(
             for o in range(edges[k], edges[k + 1]):
                 busy[p, frame[o]] += share
     return points[:end], probabilities[:end], counts
+
+
+@compiled
+def _told(said, prior, membership, n_points):
+    """Sum what tracks say of points: how many tell (n_points,), information and vector, with the prior."""
+    information, vector = said
+    of_track, member, shares = membership
+    others, whole, sums = np.zeros(n_points), np.empty((n_points, 3, 3)), np.empty((n_points, 3))
+    for p in range(n_points):
+        whole[p] = prior[0]
+        sums[p] = prior[1]
+    for k in range(information.shape[0]):
+        for e in range(of_track[k], of_track[k + 1]):
+            p = member[e]
+            others[p] += shares[e]
+            whole[p] += shares[e] * information[k]
+            sums[p] += shares[e] * vector[k]
+    return others, whole, sums
 
 
 @compiled
