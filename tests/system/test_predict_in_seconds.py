@@ -127,7 +127,7 @@ SAMPLED: dict[str, Callable[[int], Any]] = {
     "ArticulatedPose": lambda seed: ArticulatedPose(BODY, 4000, start=STANDING, seed=seed),
     "Condensation": lambda seed: Condensation(BODY, 4000, start=STANDING, seed=seed),
 }
-BATCH_ONLY = {"FactorStructure", "ObjectTrajectories", "SceneFilter"}
+BATCH_ONLY = {"FactorStructure", "FeatureMatcher", "NonrigidStructure", "ObjectTrajectories", "SceneFilter"}
 
 
 def assert_close(one: Any, other: Any, place: str = "state") -> None:
