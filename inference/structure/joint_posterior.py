@@ -58,9 +58,9 @@ def covariance_of_points(
     inverse = np.linalg.inv(whole)
     own += camera_precision(fit, n_frames) * observations.scale**2
     size = 4 * n_frames
-    coupling = cross.reshape(2 * size, n_points, 3)
-    through = np.einsum("anj,njk->ank", coupling, inverse)
-    marginal = -through.reshape(2 * size, -1) @ coupling.reshape(2 * size, -1).T
+    coupling = cross.reshape(2 * size, n_points, 3).transpose(1, 0, 2)
+    halves = np.matmul(coupling, np.linalg.cholesky(inverse)).transpose(1, 0, 2).reshape(2 * size, -1)
+    marginal = -(halves @ halves.T)
     marginal[:size, :size] += own
     marginal[size:, size:] += own
     # all cameras can move together with all points, which only the points' prior limits
@@ -68,7 +68,8 @@ def covariance_of_points(
     marginal *= unit[:, None] * unit
     marginal[np.diag_indices(2 * size)] += RIDGE
     root = np.linalg.cholesky(marginal)
-    part = solve_triangular(root, unit[:, None] * through[:, chosen].reshape(2 * size, -1), lower=True)
+    through = np.matmul(coupling[chosen], inverse[chosen]).transpose(1, 0, 2).reshape(2 * size, -1)
+    part = solve_triangular(root, unit[:, None] * through, lower=True)
     covariance = (part.T @ part).reshape(len(chosen), 3, len(chosen), 3)
     diagonal = np.arange(len(chosen))
     covariance[diagonal, :, diagonal] += inverse[chosen]

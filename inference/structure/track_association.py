@@ -20,6 +20,7 @@ from ..factor_analysis.robust import factorise_robustly
 from .correlated_noise import CorrelatedNoise, estimate_correlated_noise
 from .joint_posterior import covariance_of_points
 from .kernels.track_association import assign_tracks, same_point_gains
+from .memberships import certain, pooled, pooled_positions
 from .pair_odds import log_odds_of_new
 
 Numbers = NDArray[np.float64]
@@ -48,14 +49,14 @@ MOSTLY = 0.5
 LEAST_VIEWS = 2
 """Frames of a track that is a point of its own: fewer leave its depth open."""
 
+FAR = 64.0
+"""Squared standard deviations: a point is not tried for a track whose middle is farther than eight."""
+
 TORN = 0.05
 """Product of probabilities from which a track is torn between two points."""
 
 MOST_TOGETHER = 500
 """Tracks with most observations whose joint posterior is computed; others are only assigned at the end."""
-
-LEAST_WEIGHT = 1e-3
-"""Of a position that is pooled from tracks: less is none."""
 
 AT_ONCE = 0.05
 """Unions between two comparisons of all pairs, as a share of the points."""
@@ -71,8 +72,6 @@ class TrackAssociation:
         cameras and points.
     point_of_track
         `(n_tracks,)` int64; -1 where it is not sure enough what a track shows.
-    membership
-        `(n_tracks, n_points)`, the probability that a track shows a point.
     noise
         errors of the tracks, px^2.
     trusted
@@ -81,7 +80,6 @@ class TrackAssociation:
 
     factorisation: Factorisation
     point_of_track: Indices
-    membership: Numbers
     noise: CorrelatedNoise
     trusted: NDArray[np.bool_]
 
@@ -114,20 +112,18 @@ def associate_tracks(
     trusted = robust.weights * robust.trusted
     whole = ~np.isnan(where).any(axis=2)
     kept, fit = robust.consistent & (trusted * whole > 0).any(axis=0), robust.factorisation
-    point, membership = np.full(len(kept), -1), np.zeros((len(kept), np.count_nonzero(kept)))
+    point = np.full(len(kept), -1)
     try:
         # what is trusted counts, so that no track is refused for a position that is wrong
         association = _Association(where[:, kept], trusted[:, kept], fit.of_points(kept))
         association.unite()
         found = association.soft_assignment()
     except ValueError:  # what is joined is too little to be a structure, or falls apart: nothing is
-        point[kept] = np.arange(membership.shape[1])
-        membership[kept] = np.eye(membership.shape[1])
+        point[kept] = np.arange(np.count_nonzero(kept))
         noise = CorrelatedNoise(fit.noise_variance, 0.0, 1.0)
-        return TrackAssociation(fit.of_points(kept), point, membership, noise, robust.trusted)
-    membership = np.zeros((len(kept), found.membership.shape[1]))
-    point[kept], membership[kept] = found.point_of_track, found.membership
-    return replace(found, point_of_track=point, membership=membership, trusted=robust.trusted)
+        return TrackAssociation(fit.of_points(kept), point, noise, robust.trusted)
+    point[kept] = found.point_of_track
+    return replace(found, point_of_track=point, trusted=robust.trusted)
 
 
 class _Association:
@@ -146,7 +142,7 @@ class _Association:
         self._seen = np.zeros((n_tracks, self._observations.n_frames))
         self._seen[self._tracks.own, self._tracks.other] = 1
         self._point = np.arange(n_tracks)
-        self._membership = np.eye(n_tracks)
+        self._membership = certain(self._point, n_tracks)
         self._log_new = np.inf
         """Log prior odds of a new point against a certain one of those that there may be."""
 
@@ -180,17 +176,18 @@ class _Association:
 
     def unite(self) -> None:
         """Take tracks for one point, round by round, until nothing changes."""
-        for number in range(MOST_ROUNDS):
-            margin = MARGINS[min(number, len(MARGINS) - 1)]
+        number = -1
+        for _ in range(MOST_ROUNDS):
             before = self._point
-            self._regroup(self._united(margin))
-            if margin == 0:
+            point, number = self._united(min(number + 1, len(MARGINS) - 1))
+            self._regroup(point)
+            if MARGINS[number] == 0:
                 self._reassign()
                 if np.array_equal(self._point, before):
                     return
 
-    def _united(self, margin: float) -> Indices:
-        """Point of each track after all unions that are surer than `margin`."""
+    def _united(self, number: int) -> tuple[Indices, int]:
+        """Point of each track after all unions of the next margin that allows any, and which one this is."""
         chosen = np.sort(np.argsort(-(self._membership.T @ self._counts), kind="stable")[:MOST_TOGETHER])
         covariance = covariance_of_points(self._observations, self._fit, self._point, self._noise(), chosen)
         seen = np.zeros((len(chosen), self._observations.n_frames))
@@ -205,47 +202,59 @@ class _Association:
         first, second = np.triu_indices(len(mean), 1)
         # of all tracks: those that are one already are no longer among the pairs
         self._log_new = min(self._log_new, log_odds_of_new(gains[first, second], apart[first, second]))
-        group = unite_points(mean, covariance, apart, spread, self._log_new, margin)
+        group = unite_points(mean, covariance, apart, spread, self._log_new, MARGINS[number])
+        while MARGINS[number] > 0 and (group == np.arange(len(group))).all():
+            number += 1
+            group = unite_points(mean, covariance, apart, spread, self._log_new, MARGINS[number])
         target = np.arange(len(place))
         target[chosen] = chosen[group]
-        return target[self._point]
+        return target[self._point], number
 
     # --- assignment given cameras ---
 
-    def _assigned(self, membership: Numbers, noise: CorrelatedNoise, *, hard: bool) -> Numbers:
+    def _assigned(self, membership: csr_array, noise: CorrelatedNoise, *, hard: bool) -> csr_array:
         """Membership after one turn of all tracks, short ones first."""
         tracks = self._tracks
         information, vector, _, _ = noise.information(tracks, self._cameras)
         mean, covariance = self._population()
         prior = np.linalg.inv(covariance)
-        membership = np.ascontiguousarray(membership)
-        busy = pooled(membership, self._seen)
         order = np.argsort(self._counts, kind="stable")
         # a track is the only one of a point as often as others are
-        alone = np.count_nonzero((membership > TORN).sum(axis=0) == 1)
-        odds = max((alone + 1) / (len(membership) - alone + 1), NEW_POINT / (1 - NEW_POINT))
-        log_new = float(np.log(membership.shape[1] * odds))
-        assign_tracks(
-            order, tracks, information, vector, prior, prior @ mean, log_new, hard, membership, busy
+        alone = np.count_nonzero(np.bincount(membership.indices[membership.data > TORN]) == 1)
+        n, n_points = membership.shape
+        odds = max((alone + 1) / (n - alone + 1), NEW_POINT / (1 - NEW_POINT))
+        points, shares, counts = assign_tracks(
+            order,
+            tracks,
+            (information, vector),
+            (prior, prior @ mean),
+            (np.ascontiguousarray(self._cameras), noise.white + noise.drift, FAR),
+            float(np.log(n_points * odds)),
+            hard,
+            (membership.indptr.astype(np.int64), membership.indices.astype(np.int64), membership.data),
+            pooled(membership, self._seen),
         )
-        return membership
+        own = np.repeat(order, counts[order])
+        return csr_array((shares, (own, points)), shape=membership.shape)
 
     def _reassign(self) -> None:
         """Move tracks to the points that they fit best."""
         membership, noise = self._membership, self._noise()
         for _ in range(3):
-            membership = self._assigned(membership.copy(), noise, hard=True)
-        point = membership.argmax(axis=1)
-        alone = membership.max(axis=1) == 0
+            membership = self._assigned(membership, noise, hard=True)
+        alone = np.diff(membership.indptr) == 0
+        point = np.empty(len(alone), np.int64)
+        point[~alone] = membership.indices
         point[alone] = membership.shape[1] + np.arange(np.count_nonzero(alone))
         self._regroup(point)
 
     def _regroup(self, point: Indices) -> None:
-        """Number the points anew, and fit again."""
-        _, self._point = np.unique(point, return_inverse=True)
-        self._refit(np.eye(self._point.max() + 1)[self._point])
+        """Number the points anew, in the order of their first tracks, and fit again."""
+        _, first, number = np.unique(point, return_index=True, return_inverse=True)
+        self._point = np.argsort(np.argsort(first))[number]
+        self._refit(certain(self._point, self._point.max() + 1))
 
-    def _refit(self, membership: Numbers, iterations: int = ITERATIONS) -> None:
+    def _refit(self, membership: csr_array, iterations: int = ITERATIONS) -> None:
         positions, weights = pooled_positions(membership, self._positions, self._weights)
         self._membership = membership
         shape, spread = self._points_given_cameras(membership)
@@ -257,7 +266,7 @@ class _Association:
             start=replace(self._fit, shape=shape, shape_covariance=spread),
         )
 
-    def _points_given_cameras(self, membership: Numbers) -> tuple[Numbers, Numbers]:
+    def _points_given_cameras(self, membership: csr_array) -> tuple[Numbers, Numbers]:
         information, vector, _, _ = self._white_noise.information(self._tracks, self._cameras)
         whole = np.eye(3) + pooled(membership, information)
         inverse = np.asarray(np.linalg.inv(whole), np.float64)
@@ -279,14 +288,14 @@ class _Association:
             self._refit(membership[:, membership.sum(axis=0) > 0.5])
         return self._result(noise)
 
-    def _without_duplicates(self, membership: Numbers, noise: CorrelatedNoise) -> Numbers:
+    def _without_duplicates(self, membership: csr_array, noise: CorrelatedNoise) -> csr_array:
         """Memberships after points between which the same tracks are torn have become one."""
         information, vector, _, _ = noise.information(self._tracks, self._cameras)
         mean, covariance = self._population()
         prior = np.asarray(np.linalg.inv(covariance), np.float64)
         pull: Numbers = prior @ mean
         while True:
-            shared = triu(csr_array(membership).T @ csr_array(membership), 1)
+            shared = triu(membership.T @ membership, 1).tocoo()
             torn = shared.data > TORN
             first, second = shared.row[torn], shared.col[torn]
             whole, sums = pooled(membership, information), pooled(membership, vector)
@@ -295,14 +304,19 @@ class _Association:
             together = log_partition(whole[first] + whole[second] + prior, sums[first] + sums[second] + pull)
             gains = together - alone[first] - alone[second] + log_partition(prior, pull)
             gains[(busy[first] * busy[second]).sum(axis=1) > 0.5] = -np.inf
-            if not len(gains) or gains.max() < self._log_new:
+            target, touched = np.arange(membership.shape[1]), np.zeros(membership.shape[1], bool)
+            for k in np.argsort(-gains, kind="stable"):
+                if gains[k] < self._log_new:
+                    break
+                if not touched[[first[k], second[k]]].any():
+                    target[second[k]] = first[k]
+                touched[[first[k], second[k]]] = True
+            if not touched.any():
                 return membership
-            one, other = int(first[gains.argmax()]), int(second[gains.argmax()])
-            membership = membership.copy()
-            membership[:, one] += membership[:, other]
-            membership = np.delete(membership, other, axis=1)
+            kept, number = np.unique(target, return_inverse=True)
+            membership = membership @ certain(number, len(kept))
 
-    def _determined(self, membership: Numbers, noise: CorrelatedNoise) -> NDArray[np.bool_]:
+    def _determined(self, membership: csr_array, noise: CorrelatedNoise) -> NDArray[np.bool_]:
         """Whether tracks say where each point is, in every frame."""
         information, _, _, _ = noise.information(self._tracks, self._cameras)
         _, covariance = self._population()
@@ -315,46 +329,29 @@ class _Association:
 
     def _result(self, noise: CorrelatedNoise) -> TrackAssociation:
         membership = self._membership
-        sure = membership > SURE
-        columns = np.arange(membership.shape[1])
+        point = membership.argmax(axis=1)
+        sure = membership.max(axis=1).toarray() > SURE
         # of points that are alike tracks are never sure: the one that says most stays with its point
-        anchors = (membership * self._counts[:, None]).argmax(axis=0)
-        own = membership[anchors].argmax(axis=1) == columns
-        sure[anchors[own], columns[own]] = True
-        own &= self._determined(np.where(sure, 1.0, 0.0), noise)
-        sure = sure[:, own]
-        point = np.where(sure.any(axis=1), sure.argmax(axis=1), -1)
+        anchors = membership.multiply(self._counts[:, None]).tocsr().argmax(axis=0)
+        own = point[anchors] == np.arange(membership.shape[1])
+        sure[anchors[own]] = True
+        point = np.where(sure, point, -1)
+        own &= self._determined(certain(point, membership.shape[1]), noise)
+        point = np.where(sure & own[point], (np.cumsum(own) - 1)[point], -1)
         membership = membership[:, own]
         unsure = (point < 0) & (self._counts >= LEAST_VIEWS)
-        if np.count_nonzero(sure.sum(axis=0) == 1) + np.count_nonzero(unsure) > MOSTLY * len(point):
+        if np.count_nonzero(np.bincount(point[point >= 0]) == 1) + np.count_nonzero(unsure) > MOSTLY * len(
+            point
+        ):
             # where most tracks are the only ones of their points, so is one of which nothing is sure
-            point[unsure] = sure.shape[1] + np.arange(np.count_nonzero(unsure))
-            membership = np.concatenate([np.where(sure, 1.0, 0.0), np.eye(len(point))[:, unsure]], axis=1)
+            n_points = membership.shape[1] + np.count_nonzero(unsure)
+            point[unsure] = np.arange(membership.shape[1], n_points)
+            membership = certain(point, n_points)
             self._fit = self._apart  # its cameras have heard all of them
         self._positions, self._weights = self._all
         self._refit(membership, LAST_ITERATIONS)
         unit = self._observations.scale**2 * self._observations.weight_unit
-        return TrackAssociation(self._fit, point, membership, noise.scaled(unit), self._weights > 0)
-
-
-def pooled(membership: Numbers, values: Numbers) -> Numbers:
-    """Sums `(n_points, ...)` over tracks of what each of them says, `(n_tracks, ...)`, by memberships."""
-    sums = np.asarray(csr_array(membership).T @ values.reshape(len(values), -1), np.float64)
-    return sums.reshape(membership.shape[1], *values.shape[1:])
-
-
-def pooled_positions(membership: Numbers, positions: Numbers, weights: Numbers) -> tuple[Numbers, Numbers]:
-    """Positions `(n_frames, n_points, 2)` px and weights `(n_frames, n_points)` of points, of their tracks.
-
-    A coordinate that no track knows while one knows the other is NaN.
-    """
-    known = ~np.isnan(positions)
-    weight = weights[..., None] * known
-    each = pooled(membership, weight.transpose(1, 0, 2)).transpose(1, 0, 2)
-    sums = pooled(membership, (weight * np.where(known, positions, 0.0)).transpose(1, 0, 2))
-    each[each < LEAST_WEIGHT] = 0
-    with np.errstate(invalid="ignore"):
-        return sums.transpose(1, 0, 2) / np.where(each > 0, each, np.nan), each.max(axis=2)
+        return TrackAssociation(self._fit, point, noise.scaled(unit), self._weights > 0)
 
 
 def log_partition(information: Numbers, vector: Numbers) -> Numbers:

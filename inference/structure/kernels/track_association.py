@@ -151,82 +151,157 @@ def same_point_gains(mean, covariance, apart, spread, gains):
 
 
 @compiled
-def assign_tracks(
-    order, tracks, information, vector, prior_information, prior_vector, log_new, hard, membership, busy
-):
+def assign_tracks(order, tracks, said, prior, near, log_new, hard, membership, busy):
     """Probabilities that tracks show points, track after track, each left out of what it is tested on.
 
-    `order` names the tracks in turn; information (n, 3, 3) and vector (n, 3) are what they say; `log_new` is
-    the log prior odds that a track shows none of the points against that it shows a certain one.
-    membership (n, n_points), the probabilities, and busy (n_points, n_frames), how many of its observations
-    each point has in a frame, are changed in place; `hard` makes each track a member of one point or none.
+    `order` names tracks in turn; `said` are information (n, 3, 3) and vector (n, 3) of each, `prior` those
+    of any point; `log_new` is the log prior odds that a track shows none of the points against that it shows
+    a certain one. `near` are cameras (n_frames, 2, 4), a variance and a limit: a point is tried if the middle
+    observation of the track, of that variance, is at most so many squared standard deviations from where
+    cameras show the point, or if the track was its own before.
+
+    `membership` are edges (n + 1,), points and probabilities, track by track. busy (n_points, n_frames), how
+    many of its observations each point has in a frame, is changed in place; `hard` makes each track a member
+    of one point or none.
+
+    Returns the new points and probabilities, in the order of the turns, and how many each turn has.
     """
-    edges, frame = tracks.edges, tracks.other
-    n, n_points = membership.shape
-    whole = np.empty((n_points, 3, 3))
-    sums = np.empty((n_points, 3))
-    before = np.empty(n_points)
-    others = np.zeros(n_points)  # tracks that each point has
+    edges, _, frame, x, y, weight = tracks
+    of_track, member, shares = membership
+    cameras, variance, far = near
+    information, vector = said
+    n, n_points = information.shape[0], busy.shape[0]
+    others, whole, sums = _told(said, prior, membership, n_points)
+    mean, covariance, before = np.empty((n_points, 3)), np.empty((n_points, 3, 3)), np.empty(n_points)
     for p in range(n_points):
-        whole[p] = prior_information
-        sums[p] = prior_vector
-    for k in range(n):
-        for p in range(n_points):
-            if membership[k, p] > 0.0:
-                others[p] += membership[k, p]
-                whole[p] += membership[k, p] * information[k]
-                sums[p] += membership[k, p] * vector[k]
-    for p in range(n_points):
-        before[p] = _log_partition(whole[p], sums[p])
-    nothing = _log_partition(prior_information, prior_vector)
-    scores = np.empty(n_points)
+        before[p] = _settle(whole[p], sums[p], mean[p], covariance[p])
+    nothing = _log_partition(prior[0], prior[1])
+    tried, scores = np.empty(n_points, np.int64), np.empty(n_points)
+    counts = np.zeros(n, np.int64)
+    points, probabilities = np.empty(2 * n, np.int64), np.empty(2 * n)
+    end = 0
     for k in order:
-        alone = _log_partition(prior_information + information[k], prior_vector + vector[k])
+        alone = _log_partition(prior[0] + information[k], prior[1] + vector[k])
         own, most = -1, 0.0  # the point that would be left without a track
+        for e in range(of_track[k], of_track[k + 1]):
+            p, share = member[e], shares[e]
+            others[p] -= share
+            if others[p] < 0.5 and share > most:
+                own, most = p, share
+            whole[p] -= share * information[k]
+            sums[p] -= share * vector[k]
+            before[p] = _settle(whole[p], sums[p], mean[p], covariance[p])
+            for o in range(edges[k], edges[k + 1]):
+                busy[p, frame[o]] -= share
+        middle = (edges[k] + edges[k + 1]) // 2
+        noise = variance / weight[middle]
+        n_tried = _near(cameras[frame[middle]], x[middle], y[middle], noise, far, mean, covariance, tried)
+        for e in range(of_track[k], of_track[k + 1]):
+            known = False
+            for i in range(n_tried):
+                known = known or tried[i] == member[e]
+            if not known:
+                tried[n_tried] = member[e]
+                n_tried += 1
         highest = log_new
-        for p in range(n_points):
-            share = membership[k, p]
-            if share > 0.0:
-                others[p] -= share
-                if others[p] < 0.5 and share > most:
-                    own, most = p, share
-                whole[p] -= share * information[k]
-                sums[p] -= share * vector[k]
-                before[p] = _log_partition(whole[p], sums[p])
-                for o in range(edges[k], edges[k + 1]):
-                    busy[p, frame[o]] -= share
+        for i in range(n_tried):
+            p = tried[i]
             free = 1.0
             for o in range(edges[k], edges[k + 1]):
                 free = min(free, 1.0 - busy[p, frame[o]])
             if free < 1e-3:
-                scores[p] = -1e30
+                scores[i] = -1e30
             else:
                 together = _log_partition(whole[p] + information[k], sums[p] + vector[k])
-                scores[p] = together - before[p] - alone + nothing + np.log(free)
-            highest = max(highest, scores[p])
-        if own >= 0:  # which is what "new" means then
-            scores[own] = max(scores[own], log_new)
+                scores[i] = together - before[p] - alone + nothing + np.log(free)
+            highest = max(highest, scores[i])
+            if p == own:  # which is what "new" means then
+                scores[i] = max(scores[i], log_new)
         total = 0.0 if own >= 0 else np.exp(log_new - highest)
         best = -1
-        for p in range(n_points):
-            if scores[p] == highest:
-                best = p
-            total += np.exp(max(scores[p] - highest, -80.0))
-        for p in range(n_points):
+        for i in range(n_tried):
+            if scores[i] == highest:
+                best = i
+            total += np.exp(max(scores[i] - highest, -80.0))
+        if end + n_tried > len(points):
+            points = np.concatenate((points, np.empty(len(points) + n_tried, np.int64)))
+            probabilities = np.concatenate((probabilities, np.empty(len(probabilities) + n_tried)))
+        for i in range(n_tried):
+            p = tried[i]
+            share = np.exp(max(scores[i] - highest, -80.0)) / total
             if hard:
-                share = 1.0 if p == best else 0.0
-            else:
-                share = np.exp(max(scores[p] - highest, -80.0)) / total
-                if share < 1e-4:
-                    share = 0.0
-            membership[k, p] = share
-            if share > 0.0:
-                others[p] += share
-                whole[p] += share * information[k]
-                sums[p] += share * vector[k]
-                before[p] = _log_partition(whole[p], sums[p])
-                for o in range(edges[k], edges[k + 1]):
-                    busy[p, frame[o]] += share
+                share = 1.0 if i == best else 0.0
+            if share < 1e-4:
+                continue
+            points[end], probabilities[end] = p, share
+            end += 1
+            counts[k] += 1
+            others[p] += share
+            whole[p] += share * information[k]
+            sums[p] += share * vector[k]
+            before[p] = _settle(whole[p], sums[p], mean[p], covariance[p])
+            for o in range(edges[k], edges[k + 1]):
+                busy[p, frame[o]] += share
+    return points[:end], probabilities[:end], counts
+
+
+@compiled
+def _told(said, prior, membership, n_points):
+    """Sum what tracks say of points: how many tell (n_points,), information and vector, with the prior."""
+    information, vector = said
+    of_track, member, shares = membership
+    others, whole, sums = np.zeros(n_points), np.empty((n_points, 3, 3)), np.empty((n_points, 3))
+    for p in range(n_points):
+        whole[p] = prior[0]
+        sums[p] = prior[1]
+    for k in range(information.shape[0]):
+        for e in range(of_track[k], of_track[k + 1]):
+            p = member[e]
+            others[p] += shares[e]
+            whole[p] += shares[e] * information[k]
+            sums[p] += shares[e] * vector[k]
+    return others, whole, sums
+
+
+@compiled
+def _near(camera, x, y, noise, far, mean, covariance, tried):
+    """Fill `tried` with the points that a camera (2, 4) shows near a place, and say how many they are."""
+    a, b = camera[0], camera[1]
+    q00, q11, q22 = a[0] * a[0] + b[0] * b[0], a[1] * a[1] + b[1] * b[1], a[2] * a[2] + b[2] * b[2]
+    q01 = 2.0 * (a[0] * a[1] + b[0] * b[1])
+    q02 = 2.0 * (a[0] * a[2] + b[0] * b[2])
+    q12 = 2.0 * (a[1] * a[2] + b[1] * b[2])
+    count = 0
+    for p in range(mean.shape[0]):
+        s, c = mean[p], covariance[p]
+        u = x - a[3] - a[0] * s[0] - a[1] * s[1] - a[2] * s[2]
+        v = y - b[3] - b[0] * s[0] - b[1] * s[1] - b[2] * s[2]
+        # variances of both coordinates together are no less than that of any direction
+        spread = q00 * c[0, 0] + q11 * c[1, 1] + q22 * c[2, 2]
+        spread += q01 * c[0, 1] + q02 * c[0, 2] + q12 * c[1, 2]
+        if u * u + v * v <= far * (spread + noise):
+            tried[count] = p
+            count += 1
+    return count
+
+
+@compiled
+def _settle(information, vector, mean, covariance):
+    """Fill mean (3,) and covariance (3, 3) of what is known of a point; returns its log partition."""
+    a, b, c = information[0, 0], information[0, 1], information[0, 2]
+    d, e, f = information[1, 1], information[1, 2], information[2, 2]
+    covariance[0, 0], covariance[0, 1], covariance[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
+    covariance[1, 1], covariance[1, 2], covariance[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
+    determinant = a * covariance[0, 0] + b * covariance[0, 1] + c * covariance[0, 2]
+    for i in range(3):
+        for j in range(i, 3):
+            covariance[i, j] /= determinant
+            covariance[j, i] = covariance[i, j]
+    for i in range(3):
+        mean[i] = 0.0
+        for j in range(3):
+            mean[i] += covariance[i, j] * vector[j]
+    return _log_partition(information, vector)
 
 
 @compiled

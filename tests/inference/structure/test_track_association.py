@@ -8,6 +8,7 @@ from rsmcm.apps.structure.metrics import score_structure
 from rsmcm.inference.factor_analysis.factorisation import factorise, predicted
 from rsmcm.inference.factor_analysis.observations import Observations
 from rsmcm.inference.factor_analysis.robust import factorise_robustly
+from rsmcm.inference.structure import track_association
 from rsmcm.inference.structure.correlated_noise import CorrelatedNoise, estimate_correlated_noise
 from rsmcm.inference.structure.joint_posterior import motion_precision
 from rsmcm.inference.structure.kernels.track_association import camera_coupling
@@ -180,6 +181,26 @@ def test_partial_tracks_are_joined(seed: int, coherence: bool) -> None:
     assert measures.reprojection_error <= 1.2 * error
     assert measures.n_points == 40
     assert measures.purity >= 0.97
+
+
+def test_points_far_off_need_not_be_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracks = cylinder(p_loose=0.1, p_drift=0.0, n_frames=40, seed=5).tracks()
+    near = associate_tracks(tracks, coherence=True)
+    monkeypatch.setattr(track_association, "FAR", 1e30)
+    every = associate_tracks(tracks, coherence=True)
+    np.testing.assert_array_equal(near.point_of_track, every.point_of_track)
+    np.testing.assert_allclose(near.factorisation.rmse, every.factorisation.rmse, rtol=1e-6)
+
+
+def test_noise_of_many_points_is_that_of_some() -> None:
+    """Every third point is asked; its residuals, about 11000, say the variance to a hundredth or two."""
+    scene = cylinder(n_points=270, n_frames=60, p_loose=0.0, p_drift=0.0, seed=1)
+    observations = Observations.from_arrays(scene.observed)
+    found = estimate_correlated_noise(
+        observations.by_point, observations.scaled(scene.cameras.copy()), np.arange(270), np.eye(3)
+    )
+    total = (found.white + found.drift) * observations.scale**2
+    assert total == pytest.approx(0.01**2, rel=0.06)
 
 
 def test_short_tracks_of_white_noise_have_no_drift() -> None:
