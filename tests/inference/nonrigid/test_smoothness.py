@@ -38,10 +38,10 @@ def test_weights_and_likelihood_are_those_of_the_joint_gaussian_of_all_frames() 
         state, em.point_sums(tracks, state.bases), correlations
     )
     lags = np.abs(np.subtract.outer(np.arange(N), np.arange(N)))
-    prior = np.zeros((N, MODES, N, MODES))
+    by_modes = np.zeros((N, MODES, N, MODES))
     for mode, correlation in enumerate(correlations):
-        prior[:, mode, :, mode] = correlation**lags
-    prior = prior.reshape(N * MODES, -1)
+        by_modes[:, mode, :, mode] = correlation**lags
+    prior = by_modes.reshape(N * MODES, -1)
     rows, observed = [], []
     for frame, axes in enumerate(state.seen_axes):
         seen = tracks.seen[frame] > 0
