@@ -65,7 +65,7 @@ class ShapeRun(Run[ShapeJob]):
             try:
                 choice = choose_bases(tracks, on_iteration=progress.update) if job.bases == AUTO else None
                 bases = choice.bases if choice is not None else int(job.bases)
-                learned = learn_shape(tracks, bases, on_iteration=progress.update)
+                learned = learn_shape(tracks, bases, smooth=job.smooth, on_iteration=progress.update)
                 yield LearnedShape(tracks, numbers, learned, choice)
             except ValueError as error:
                 raise ValueError(f"{job.source}: {error}") from error

@@ -23,12 +23,16 @@ class ShapeJob(Job):
     bases
         Number of shapes that are mixed, the mean among them: 2 or more; auto: as many as predict positions
         best that were held out.
+    smooth
+        The tracks are a film, its frames are successive: weights and turns change smoothly, by as much as the
+        tracks tell. Noisy tracks gain by it.
     truth
         Where the points really are in space: .npy or .npz, (n_frames, n_points, 3), or motion capture (.mat),
         as many frames as the tracks. The error in 3-D is reported.
     """
 
     bases: int | Literal["auto"]
+    smooth: Flag = False
     truth: Path | None = None
     # there is nothing to go on with between the first step and the end, and tracks are no stream
     resume: Annotated[Flag, Parameter(parse=False)] = False
@@ -36,4 +40,9 @@ class ShapeJob(Job):
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source."""
-        return {"bases": self.bases, "truth": resolved(self.truth), **super().settings()}
+        return {
+            "bases": self.bases,
+            "smooth": self.smooth,
+            "truth": resolved(self.truth),
+            **super().settings(),
+        }

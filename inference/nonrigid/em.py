@@ -208,11 +208,37 @@ def e_step(state: State, sums: PointSums) -> WeightPosterior:
 
 
 def pose_step(state: State, sums: PointSums, found: WeightPosterior) -> tuple[State, WeightPosterior]:
-    """One damped Gauss-Newton step of every pose, taken where the likelihood gains by it.
+    """One damped Gauss-Newton step of every pose, taken where the likelihood gains by it."""
+    normal, pull = pose_equations(state, sums, found)
+    every = np.arange(6)
+    diagonal = normal[:, every, every]
+    normal[:, every, every] += state.damping[:, None] * diagonal + RIDGE * diagonal.max(axis=1)[:, None]
+    step: Numbers = np.linalg.solve(normal, pull[..., None])[..., 0].astype(np.float64)
+    moved = replace(moved_poses(state, step), damping=np.maximum(state.damping / 10, LEAST_DAMPING))
+    reached = e_step(moved, sums)
+    better = reached.log_likelihood >= found.log_likelihood
+    stay = replace(state, damping=np.minimum(state.damping * 10, MOST_DAMPING))
+    return chosen_poses(better, moved, stay), found.replaced(better, reached)
 
-    Rotations move on SO(3), R <- exp([w]x) R; scales by their logarithm. The gradient is that of the
-    likelihood without the weights (Fisher's identity), the curvature that of poses after the weights are
-    eliminated from a joint step.
+
+def moved_poses(state: State, step: Numbers) -> State:
+    """The state after a step `(n_frames, 6)`, which is cut to `LONGEST_TURN` and `LONGEST_GROWTH`."""
+    length = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
+    turns = step[:, :3] * np.minimum(1, LONGEST_TURN / np.maximum(length, LONGEST_TURN))
+    return replace(
+        state,
+        rotations=exponential(turns) @ state.rotations,
+        scales=state.scales * np.exp(np.clip(step[:, 3], -LONGEST_GROWTH, LONGEST_GROWTH)),
+        translations=state.translations + step[:, 4:],
+    )
+
+
+def pose_equations(state: State, sums: PointSums, found: WeightPosterior) -> tuple[Numbers, Numbers]:
+    """Curvature `(n_frames, 6, 6)` and gradient `(n_frames, 6)` of log likelihoods, times the noise.
+
+    By turn, logarithm of scale and translation. Rotations move on SO(3), R <- exp([w]x) R. The gradient is
+    that of the likelihood without the weights (Fisher's identity), the curvature that of poses after the
+    weights are eliminated from a joint step.
     """
     n, n_bases = len(state.scales), len(state.bases)
     axes, extended = state.seen_axes, found.extended
@@ -240,25 +266,7 @@ def pose_step(state: State, sums: PointSums, found: WeightPosterior) -> tuple[St
     )
     uncertain = _uncertain_shape(sums, found, n_bases)
     pull[:, :4] -= np.einsum("nca,nab,nicb->ni", axes, uncertain, changes, optimize=True)
-
-    every = np.arange(6)
-    diagonal = normal[:, every, every]
-    normal[:, every, every] += state.damping[:, None] * diagonal + RIDGE * diagonal.max(axis=1)[:, None]
-    step = np.linalg.solve(normal, pull[..., None])[..., 0]
-    length = np.linalg.norm(step[:, :3], axis=1)
-    step *= np.minimum(1, LONGEST_TURN / np.maximum(length, LONGEST_TURN))[:, None]
-    growth = np.clip(step[:, 3], -LONGEST_GROWTH, LONGEST_GROWTH)
-    moved = replace(
-        state,
-        rotations=exponential(step[:, :3]) @ state.rotations,
-        scales=state.scales * np.exp(growth),
-        translations=state.translations + step[:, 4:],
-        damping=np.maximum(state.damping / 10, LEAST_DAMPING),
-    )
-    reached = e_step(moved, sums)
-    better = reached.log_likelihood >= found.log_likelihood
-    stay = replace(state, damping=np.minimum(state.damping * 10, MOST_DAMPING))
-    return chosen_poses(better, moved, stay), found.replaced(better, reached)
+    return normal, pull
 
 
 def _uncertain_shape(sums: PointSums, found: WeightPosterior, n_bases: int) -> Numbers:

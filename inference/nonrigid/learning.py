@@ -1,6 +1,7 @@
 """Non-rigid structure from motion: the shape of a deforming object, and its poses, from 2-D point tracks."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,8 +10,10 @@ from ...models.numerics.rotations import nearest_rotation
 from ...models.points.point_arrays import check_points
 from .comparison import MIRRORED, shape_error
 from .em import Numbers, State, Tracks, WeightPosterior, e_step, point_sums
-from .search import Found, search, whole_shapes
+from .search import Found, search, shapes_of, whole_shapes
 from .shape import NonrigidShape, Rival, convex, posed
+from .smoothness import LEAST_FRAMES as SMOOTH_FRAMES
+from .smoothness import smoothed
 from .uncertainty import basis_covariances, frame_covariances
 
 LEAST_FRAMES = 3
@@ -25,13 +28,14 @@ def learn_shape(
     *,
     iterations: int = 300,
     tolerance: float = 1e-6,
+    smooth: bool = False,
     on_iteration: Callable[[], None] = lambda: None,
 ) -> NonrigidShape:
     """Learn a deformable shape by EM for probabilistic PCA (Torresani, Hertzmann and Bregler 2008).
 
     See `em` for the model and the steps, `search` for where they start, and for modes beyond those that are
-    asked for. The frames' order matters only where a flat object's turns are doubtful. Equal tracks give
-    equal bytes.
+    asked for. Without `smooth` the frames' order matters only where a flat object's turns are doubtful. Equal
+    tracks give equal bytes.
 
     Parameters
     ----------
@@ -41,6 +45,9 @@ def learn_shape(
         number of morph bases with the mean shape, 2 or more: one less than modes of deformation.
     iterations, tolerance
         of the last climb: at most so many, until one gains less than so many nats a coordinate.
+    smooth
+        frames are successive: weights and turns are smoothed at the end, by as much as the tracks tell, see
+        `smoothness`. Covariances, history and log likelihood are of frames by themselves.
     on_iteration
         is called after every iteration.
 
@@ -48,11 +55,16 @@ def learn_shape(
     ------
     ValueError
         if tracks have another shape, infinities, or half positions; there are fewer than 3 frames with 4
-        points, or points seen in fewer than 3 of them; or bases are fewer than 2, or more than the tracks can
-        tell apart, min(2 n_frames, n_points - 1) / 3.
+        points (5 for `smooth`), or points seen in fewer than 3 of them; or bases are fewer than 2, or more
+        than the tracks can tell apart, min(2 n_frames, n_points - 1) / 3.
     """
     positions = np.array(tracks, np.float64)
     determined = _check(positions, bases)
+    if smooth and determined.sum() < SMOOTH_FRAMES:
+        raise ValueError(
+            f"tracks: got {determined.sum()} frames that show {LEAST_POINTS} points or more, expected "
+            f"{SMOOTH_FRAMES} at least for smooth weights and turns"
+        )
     middles = np.nanmean(positions[determined], axis=1)
     centred = positions[determined] - middles[:, None]
     unit = float(np.sqrt(np.nanmean(centred**2)))
@@ -61,7 +73,12 @@ def learn_shape(
     centred /= unit
     observed = Tracks.of(centred)
     found = search(observed, centred, bases, most_bases(centred), iterations, tolerance, on_iteration)
-    return _in_pixels(observed, found, bases, unit, middles, determined)
+    state = found.state
+    if smooth:
+        state, weights = smoothed(observed, state, on_iteration)
+    else:
+        weights = e_step(state, point_sums(observed, state.bases))
+    return _in_pixels(observed, replace(found, state=state), weights, bases, unit, middles, determined)
 
 
 def _check(positions: Numbers, bases: int) -> NDArray[np.bool_]:
@@ -97,11 +114,16 @@ def most_bases(positions: Numbers) -> int:
 
 
 def _in_pixels(
-    tracks: Tracks, search: Found, n_bases: int, unit: float, middles: Numbers, determined: NDArray[np.bool_]
+    tracks: Tracks,
+    search: Found,
+    found: WeightPosterior,
+    n_bases: int,
+    unit: float,
+    middles: Numbers,
+    determined: NDArray[np.bool_],
 ) -> NonrigidShape:
     """The result in px and in the axes and order that `NonrigidShape` promises."""
     state = search.state
-    found = e_step(state, point_sums(tracks, state.bases))
     turn = nearest_rotation(state.rotations.mean(axis=0))
     bases, rotations = state.bases @ turn.T, state.rotations @ turn.T
     centroids = bases.mean(axis=1)
@@ -123,7 +145,7 @@ def _in_pixels(
     translations = translations * unit + middles
     seen = tracks.seen > 0
     poses = posed(rotations, translations, scales, weights)
-    shapes = whole_shapes(tracks, state)
+    shapes = shapes_of(state, found)
 
     def everywhere(values: Numbers) -> Numbers:
         whole = np.full((len(determined), *values.shape[1:]), np.nan)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .comparison import shape_error
-from .em import State, Tracks, e_step, log_likelihood, point_sums, run_em
+from .em import State, Tracks, WeightPosterior, e_step, log_likelihood, point_sums, run_em
 from .orthonormality import rotations_of_rank
 from .start import TOLERANCE, rigid_states, shape_seen_from, with_modes, without_modes
 
@@ -127,7 +127,11 @@ def _filled(tracks: Tracks, state: State) -> Numbers:
 
 def whole_shapes(tracks: Tracks, state: State) -> Numbers:
     """`(n_frames, n_points, 3)` in the camera's axes, with all modes, from the object's origin."""
-    found = e_step(state, point_sums(tracks, state.bases))
+    return shapes_of(state, e_step(state, point_sums(tracks, state.bases)))
+
+
+def shapes_of(state: State, found: WeightPosterior) -> Numbers:
+    """The same for weights that are known."""
     shapes = np.tensordot(found.extended, state.bases, 1) @ state.rotations.transpose(0, 2, 1)
     scaled: Numbers = state.scales[:, None, None] * shapes
     return scaled

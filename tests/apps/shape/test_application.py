@@ -59,6 +59,13 @@ def finished(source: Path, truth: Numbers, tmp_path_factory: pytest.TempPathFact
 # --- what a run leaves --------------------------------------------------------------------------------------
 
 
+def test_smooth_is_what_the_command_asks_for(source: Path, tracks: Numbers, tmp_path: Path) -> None:
+    assert run(source, "--bases", N_BASES, "--smooth", "--out", tmp_path / "out") == 0
+    with np.load(tmp_path / "out" / "shapes.npz") as found:
+        np.testing.assert_array_equal(found["shapes"], learn_shape(tracks, N_BASES, smooth=True).shapes())
+        assert not np.allclose(found["shapes"], learn_shape(tracks, N_BASES).shapes(), equal_nan=True)
+
+
 def test_files_and_what_is_said(source: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new" / "out"
     assert run(source, "--bases", N_BASES, "--out", out) == 0
