@@ -243,9 +243,9 @@ def test_what_the_face_hid_at_first_is_learned_when_it_leaves() -> None:
     off = np.abs(belief[background].picture().astype(float) - scene._room)[left]
     assert left.sum() > 300
     assert np.median(off) < 6
-    trust = belief[chain].trust
-    assert trust is not None
-    assert np.median(trust[left]) > 0.5
+    known = belief[chain].known
+    assert known is not None
+    assert np.median(known[left]) > 0.5
 
 
 def test_the_layer_is_what_experts_cover() -> None:
@@ -273,7 +273,7 @@ def test_a_tracker_that_knows_nothing_says_nothing() -> None:
     nothing = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage()}))
     assert nothing.layers.layers == ()
     assert nothing.image is None
-    lost = replace(state, doubt=9.0, frames_seen=5)
+    lost = replace(state, trust=replace(state.trust, doubt=9.0), frames_seen=5)
     others = Incoming({PIXELS: PixelMessage(image=scene.image(0))})
     message = chain.message(lost, PIXELS, others)
     assert lost.lost
