@@ -36,10 +36,6 @@ FIRST_GAIN = 0.05
 RETURN = 0.3
 """s in which what sets a texel apart from its lasting texture decays to 1/e."""
 
-FIRST_LOOK = 20.0
-"""Pictures, of the usual rate, that a texel's first one is worth to its lasting texture. Where it lies on the
-object was given there; in each later one the texture so far has said so, errors included."""
-
 LEAST_INSIDE = 0.4
 """Share of the visible texels that has to lie in the picture, if a texture is to explain it."""
 
@@ -114,7 +110,9 @@ class LastingTexture:
 
     A departure from the paper, whose texels walk at random. There, errors of the pose add up: the texture is
     seen a little off, is learned so, and holds the next poses there. Here it is a mean over all that was
-    seen, which forgets with the square of the gain, so that flow (gain 1) remains flow.
+    seen, which forgets with the square of the gain, so that flow (gain 1) remains flow. The first picture
+    counts for as many as the filter remembers, 1 / gain: where texels lie on the object was given there, and
+    in each later one the texture so far has said so, errors included.
 
     Parameters
     ----------
@@ -132,10 +130,10 @@ class LastingTexture:
         return replace(self, mean=self.mean[parents], looks=self.looks[parents])
 
     def updated(self, observed: Map, seen: NDArray[np.bool_], gain: Map | np.float32, elapsed: float) -> Self:
-        """With a picture `elapsed` s after the last one, under a filter of steady `gain`."""
+        """With a picture `elapsed` s after the last one, under a filter of steady `gain` above 0."""
         weight = np.float32(max(elapsed, SHORTEST) * USUAL_RATE)
         first = self.looks == 0
-        looks = self.looks + np.where(seen, np.where(first, np.float32(FIRST_LOOK), weight), np.float32(0))
+        looks = self.looks + np.where(seen, np.where(first, 1 / gain, weight), np.float32(0))
         share = np.maximum(weight / np.maximum(looks, weight), 1 - (1 - gain**2) ** weight)
         share = np.where(first, np.float32(1), share)
         mean = self.mean + np.where(seen, share * (observed - self.mean), np.float32(0))
@@ -195,12 +193,11 @@ class Texture:
 
     def predicted(self, noise: TexelNoise, elapsed: float) -> Self:
         """The texture `elapsed` s later, eq. (12), on its way to the lasting one if anything changes."""
-        process = self._noises(noise)[1]
-        variance = self.variance + process * np.float32(max(elapsed, SHORTEST))
+        variance = self.variance + self._noises(noise)[1] * np.float32(max(elapsed, SHORTEST))
         mean = self.mean
         if self.lasting is not None:
             returned = np.float32(-np.expm1(-max(elapsed, SHORTEST) / RETURN))
-            there = (self.lasting.looks > 0) & (process > 0)
+            there = self.lasting.looks > 0
             mean = mean.copy()
             mean[:, 0] += np.where(there, returned * (self.lasting.mean - mean[:, 0]), np.float32(0))
         return replace(self, mean=mean, variance=np.minimum(variance, np.float32(UNKNOWN_VARIANCE)))
@@ -225,7 +222,7 @@ class Texture:
         mean[:, 0] = self.mean[:, 0] + gain * innovation
         learned = None if self.learned is None else self.learned.updated(innovation, seen & ~unknown, elapsed)
         lasting = self.lasting
-        if lasting is not None:
+        if lasting is not None and (self.learned is not None or noise.process > 0):
             steady = np.float32(noise.steady_gain) if self.learned is None else self.learned.gain
             lasting = lasting.updated(observed[:, 0], seen, steady, elapsed)
         return replace(self, mean=mean, variance=variance, learned=learned, lasting=lasting)
