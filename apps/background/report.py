@@ -13,6 +13,7 @@ from ..drawing.boxes import identity_colour
 from ..events.drawing import draw_zones
 from ..events.report import Happened
 from ..events.zones import Zones
+from ..reports.frame_lists import shortened
 from ..reports.page import Section, cards, flat, paragraph, picture, picture_grid, table, write_run_page
 from ..reports.plots import figure
 from .record import RunRecord, Snapshot, TrackHistory
@@ -125,8 +126,8 @@ def _summary(record: RunRecord, background: Image, detections: Mapping[str, int]
         figures["frames with a detector"] = f"{detections['frames']}"
     note = Markup("")
     if record.missing:
-        listed = ", ".join(map(str, record.missing[:20])) + (", …" if len(record.missing) > 20 else "")
-        note = paragraph(f"Missing or unreadable frames, over which the chains only predicted: {listed}.")
+        missing = shortened(record.missing)
+        note = paragraph(f"Missing or unreadable frames, over which the chains only predicted: {missing}.")
     return Markup(cards(figures) + note)
 
 

@@ -89,10 +89,7 @@ def read_points(path: str | Path, *, half: bool = False) -> NDArray[np.float64]:
     elif captured is not None:
         points = captured[..., :2]
     else:
-        key = KEY if KEY in arrays or len(arrays) != 1 else next(iter(arrays))
-        if key not in arrays:
-            listed = ", ".join(map(repr, arrays))[:60] or "none"
-            raise ValueError(f"{path}: got arrays {listed}, expected {KEY!r} or a single one, {EXPECTED[9:]}")
+        key = _named_or_single(path, arrays, KEY, f", {EXPECTED[9:]}")
         array = _single_film(arrays[key], 3)
         if array.ndim not in (2, 3) or not _are_places(array):
             raise _wrong(path, key, array, EXPECTED)
@@ -128,10 +125,7 @@ def read_shapes(path: str | Path) -> NDArray[np.float64]:
     arrays = read_arrays(path, EXPECTED_SHAPES)
     shapes = _motion_capture(arrays)
     if shapes is None:
-        key = SHAPES if SHAPES in arrays or len(arrays) != 1 else next(iter(arrays))
-        if key not in arrays:
-            listed = ", ".join(map(repr, arrays))[:60] or "none"
-            raise ValueError(f"{path}: got arrays {listed}, expected {SHAPES!r} or a single one")
+        key = _named_or_single(path, arrays, SHAPES)
         array = arrays[key]
         if array.ndim != 3 or array.shape[2] != 3 or array.dtype.kind not in "iuf" or not array.size:
             raise _wrong(path, key, array, EXPECTED_SHAPES)
@@ -139,6 +133,16 @@ def read_shapes(path: str | Path) -> NDArray[np.float64]:
     if not np.isfinite(shapes).all():
         raise ValueError(f"{path}: got shapes that are not finite, {EXPECTED_SHAPES}")
     return shapes
+
+
+def _named_or_single(path: Path, arrays: Arrays, name: str, form: str = "") -> str:
+    """The array of that name, or else the only one; where there is none, what is expected has a `form`."""
+    if name in arrays:
+        return name
+    if len(arrays) == 1:
+        return next(iter(arrays))
+    listed = ", ".join(map(repr, arrays))[:60] or "none"
+    raise ValueError(f"{path}: got arrays {listed}, expected {name!r} or a single one{form}")
 
 
 def _motion_capture(arrays: Arrays) -> NDArray[np.float64] | None:

@@ -1,4 +1,4 @@
-"""Numbers of frames in words, and as periods."""
+"""Numbers of frames, and of other things, in words, and as periods."""
 
 from collections.abc import Sequence
 
@@ -7,10 +7,15 @@ import numpy as np
 MOST = 20  # that are listed
 
 
-def listed(numbers: Sequence[object]) -> str:
+def listed(numbers: Sequence[object], thing: str = "frame") -> str:
     """For instance "frames 3, 4, 7"; long lists are cut short."""
-    text = ", ".join(map(str, numbers[:MOST])) + (", …" if len(numbers) > MOST else "")
-    return f"frame{'s' if len(numbers) > 1 or ' ' in text else ''} {text}"
+    text = shortened(numbers)
+    return f"{thing}{'s' if len(numbers) > 1 or ' ' in text else ''} {text}"
+
+
+def shortened(numbers: Sequence[object]) -> str:
+    """For instance "3, 4, 7"; of long lists the beginning."""
+    return ", ".join(map(str, numbers[:MOST])) + (", …" if len(numbers) > MOST else "")
 
 
 def periods(all_numbers: Sequence[int], chosen: Sequence[int]) -> list[tuple[int, int]]:

@@ -16,6 +16,7 @@ from ..io.files import write_json
 from ..io.point_files import read_shapes
 from ..io.sources.open_source import Selection
 from ..io.track_files import read_track_file
+from ..reports.frame_lists import shortened
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.progress import Progress
 from ..runs.run import Run
@@ -25,9 +26,6 @@ from .job import AUTO, ShapeJob
 from .report import write_shape_report
 from .result import LearnedShape, Numbers
 from .view import shape_view
-
-MOST_LISTED = 20
-"""Frames, in a note."""
 
 
 def run_shape(job: ShapeJob) -> Outcome:
@@ -146,8 +144,7 @@ def _notes(found: LearnedShape) -> list[str]:
     ]
     if unknown:
         frames = "1 frame shows" if len(unknown) == 1 else f"{len(unknown)} frames show"
-        listed = ", ".join(map(str, unknown[:MOST_LISTED])) + (", …" if len(unknown) > MOST_LISTED else "")
-        notes.append(f"{frames} too few points for a pose: {listed}.")
+        notes.append(f"{frames} too few points for a pose: {shortened(unknown)}.")
     if learned.rivals:
         most = max(rival.disagreement for rival in learned.rivals)
         gap = min(rival.log_likelihood_gap for rival in learned.rivals)

@@ -19,6 +19,7 @@ from ..exports.colmap import write_colmap
 from ..io.files import write_json
 from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
 from ..io.track_files import frames_of_tracks, read_track_file
+from ..reports.frame_lists import listed
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, check_memory
 from ..runs.progress import Progress
@@ -309,7 +310,7 @@ def _tracks(job: StructureJob) -> Film:
         )
     empty = [number for number, some in zip(numbers, seen, strict=True) if not some.any()]
     if empty:
-        notes.append(f"No point is seen in {_listed('frame', empty)}; cameras there are only predicted.")
+        notes.append(f"No point is seen in {listed(empty)}; cameras there are only predicted.")
     frames = frames_of_tracks(tracks, numbers)
     digest = hashlib.sha256(Path(job.source).read_bytes()).hexdigest()
     fingerprint = {"kind": "tracks", "name": job.source, "sha256": digest}
@@ -331,7 +332,7 @@ def _images(job: StructureJob) -> Film:
                 progress.update()
         notes = source.notes
         if source.skipped:
-            notes.append(f"Missing or unreadable: {_listed('frame', source.skipped)}.")
+            notes.append(f"Missing or unreadable: {listed(source.skipped)}.")
         if source.truncated:
             notes.append("The source ends before its announced end.")
         rate, fingerprint = source.rate / job.step, source.fingerprint()
@@ -352,14 +353,8 @@ def _notes(found: Reconstruction, diagnosis: Diagnosis | None, given: bool) -> l
         notes.append(f"The shape is known up to an affine map only: {found.reason}.")
     rejected = np.flatnonzero(found.point_of_track < 0).tolist()
     if rejected:
-        which = f": {_listed('track', rejected)}" if given else ""
+        which = f": {listed(rejected, 'track')}" if given else ""
         notes.append(f"{len(rejected)} of {len(found.point_of_track)} tracks belong to no point{which}.")
     if not found.converged:
         notes.append("The ascent was ended before it converged.")
     return notes
-
-
-def _listed(thing: str, numbers: Sequence[int], most: int = 20) -> str:
-    """For instance "frames 3, 4, 7"; long lists are cut short."""
-    listed = ", ".join(map(str, numbers[:most])) + (", …" if len(numbers) > most else "")
-    return f"{thing}{'s' if len(numbers) > 1 else ''} {listed}"

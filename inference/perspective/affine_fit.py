@@ -8,16 +8,14 @@ from numpy.typing import ArrayLike, NDArray
 from ..factor_analysis.connectivity import determined
 from ..factor_analysis.factorisation import projected
 from ..factor_analysis.observations import Numbers, Observations
-from ..factor_analysis.student_noise import StudentNoise
 from ..factor_analysis.variable_projection import NEAR, least_squares
+from .student_noise import StudentNoise
 
 MOST_ROUNDS = 15
 SETTLED = 1e-3
 """Nats an observation: a round that gains less is the last."""
 PRECISION, MOST_STEPS = 1e-3, 20
 """Of the least squares of a round: the next one has other weights."""
-LEAST_VARIANCE = 1e-8
-"""px^2, below which rounding decides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ def affine_fit(positions: ArrayLike, weights: ArrayLike, cameras: Numbers, shape
     counted = given
     for _ in range(MOST_ROUNDS):
         squares = np.sum((where - projected(cameras, shape)) ** 2, axis=2)[seen]
-        noise = StudentNoise.of_errors(squares, given[seen], LEAST_VARIANCE)
+        noise = StudentNoise.of_errors(squares, given[seen])
         likelihood = noise.log_likelihood(squares, given[seen])
         before = -np.inf if best is None else best.log_likelihood
         counted = given.copy()

@@ -14,18 +14,15 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from ...models.numerics.rotations import exponential
 from ...models.points.perspective_camera import NEAREST, PerspectiveCameras
 from ..factor_analysis.observations import Listed, Numbers
-from ..factor_analysis.student_noise import StudentNoise
 from .kernels.bundle_adjustment import CAMERA, eliminated, normal_equations, put_in, squared_distances
 from .kernels.triangulation import triangulate
+from .student_noise import StudentNoise
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e8
 """Share of the diagonal that is added to it."""
 
 BEHIND = 1e6
 """px^2: the squared distance that stands for a point behind a camera, and the largest that is told apart."""
-
-LEAST_VARIANCE = 1e-8
-"""px^2, below which rounding decides."""
 
 GAUGE = 7
 """Numbers of a shape's place, turn and size, which no film shows."""
@@ -113,7 +110,7 @@ def adjust(
         at most so many, and until three in a row gain less than so many nats each.
     """
     squares = squares_of(listed, cameras, shape)
-    noise = StudentNoise.of_errors(squares, listed.weight, LEAST_VARIANCE)
+    noise = StudentNoise.of_errors(squares, listed.weight)
     likelihood = noise.log_likelihood(squares, listed.weight)
     damping, small, sums, steps = FIRST_DAMPING, 0, None, 0
     for steps in range(1, most_steps + 1):  # noqa: B007
@@ -127,7 +124,7 @@ def adjust(
                 break
             continue
         (cameras, shape), squares, sums = moved, reached, None
-        noise = noise.rescaled(squares, listed.weight, LEAST_VARIANCE)
+        noise = noise.rescaled(squares, listed.weight)
         better = noise.log_likelihood(squares, listed.weight)
         small = small + 1 if better - likelihood < tolerance else 0
         likelihood, damping = better, max(damping / 10, LEAST_DAMPING)

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from ...models.numerics.rotations import exponential
 from ...models.points.perspective_camera import PerspectiveCameras
 from ..factor_analysis.observations import Listed, Numbers
-from ..factor_analysis.student_noise import StudentNoise
 from .bundle_adjustment import Bundle, adjust, retriangulated, squares_of
+from .student_noise import StudentNoise
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]

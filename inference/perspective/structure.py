@@ -12,11 +12,11 @@ from ...models.core.short_repr import short_repr
 from ...models.points.affine_camera import euclidean
 from ...models.points.perspective_camera import PerspectiveCameras
 from ..factor_analysis.observations import Listed, Numbers
-from ..factor_analysis.student_noise import StudentNoise
 from .affine_fit import AffineFit
 from .bundle_adjustment import Bundle, about, freedom, retriangulated
 from .covariance import BundleCovariance, covariance_of, predicted
 from .search import affine_starts, best_bundle, grown_starts
+from .student_noise import StudentNoise
 
 Mask = NDArray[np.bool_]
 

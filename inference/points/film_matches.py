@@ -163,12 +163,12 @@ def _alike(pictures: Sequence[Features], tried: set[tuple[int, int]]) -> list[tu
     rarity = np.log(len(pictures) / np.maximum(np.count_nonzero(shares, axis=0), 1)) + 1
     shares *= rarity
     shares /= np.maximum(np.linalg.norm(shares, axis=1, keepdims=True), 1e-12)
+    known = np.eye(len(pictures), dtype=np.bool_)
+    for one, other in tried:
+        known[one, other] = known[other, one] = True
     chosen = set()
     for one, share in enumerate(shares):
-        alike = shares @ share
-        alike[one] = -1
-        neighbours = [b if a == one else a for a, b in tried if one in (a, b)]
-        alike[neighbours] = -1
+        alike = np.where(known[one], -1.0, shares @ share)
         best = np.argsort(-alike, kind="stable")[:LOOPS]
         chosen |= {(min(one, other), max(one, other)) for other in best[alike[best] > 0].tolist()}
     return sorted(chosen)

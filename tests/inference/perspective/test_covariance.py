@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rsmcm.inference.factor_analysis.student_noise import StudentNoise
 from rsmcm.inference.perspective.bundle_adjustment import Bundle, adjust
 from rsmcm.inference.perspective.covariance import covariance_of, gauge_of, predicted
+from rsmcm.inference.perspective.student_noise import StudentNoise
 from rsmcm.models.numerics.rotations import exponential
 
 from ...support.perspective_films import PerspectiveFilm, table_top

@@ -15,6 +15,9 @@ HEAVIEST, LIGHTEST = 3.0, 100.0
 HARDLY = 0.1
 """Share of its weight that is left to an outlier; with the heaviest tails it is reached at 5 deviations."""
 
+LEAST_VARIANCE = 1e-8
+"""px^2, below which rounding decides."""
+
 MOST_ROUNDS = 50
 ACCURACY = 1e-4
 """Of the logarithm of the variance."""
@@ -40,7 +43,7 @@ class StudentNoise:
     freedom: float
 
     @classmethod
-    def of_errors(cls, squares: Numbers, weight: Numbers, least: float) -> "StudentNoise":
+    def of_errors(cls, squares: Numbers, weight: Numbers) -> "StudentNoise":
         """The noise under which errors are likeliest.
 
         Parameters
@@ -49,16 +52,14 @@ class StudentNoise:
             `(n,)` squared distances, px^2.
         weight
             `(n,)` 1 / relative variance of the observations.
-        least
-            px^2, below which the variance does not fall.
         """
         middle = float(np.median(weight * squares))
 
         def of_freedom(log_freedom: float) -> "StudentNoise":
             freedom = float(np.exp(log_freedom))
             # the median of d^2 is nu s^2 (2^(2 / nu) - 1)
-            start = cls(max(middle / (freedom * (2 ** (2 / freedom) - 1)), least), freedom)
-            return start.rescaled(squares, weight, least)
+            start = cls(max(middle / (freedom * (2 ** (2 / freedom) - 1)), LEAST_VARIANCE), freedom)
+            return start.rescaled(squares, weight)
 
         found = minimize_scalar(
             lambda at: -of_freedom(at).log_likelihood(squares, weight),
@@ -68,12 +69,12 @@ class StudentNoise:
         )
         return of_freedom(float(found.x))
 
-    def rescaled(self, squares: Numbers, weight: Numbers, least: float) -> "StudentNoise":
+    def rescaled(self, squares: Numbers, weight: Numbers) -> "StudentNoise":
         """The likeliest variance for these degrees of freedom, by EM; arguments as of `of_errors`."""
         weighted, variance = weight * squares, self.variance
         for _ in range(MOST_ROUNDS):
             shares = (self.freedom + 2) / (self.freedom + weighted / variance)
-            better = max(float(np.mean(shares * weighted)) / 2, least)
+            better = max(float(np.mean(shares * weighted)) / 2, LEAST_VARIANCE)
             change, variance = abs(math.log(better / variance)), better
             if change < ACCURACY:
                 break
