@@ -81,9 +81,10 @@ class BlobScene:
         """Planes of the remembered background in a box."""
         background = self.pixels.background
         assert background is not None
-        planes = background.mean.reshape(-1, *self.size)
+        window = (slice(max(top, 0), max(top + shape[0], 0)), slice(max(left, 0), max(left + shape[1], 0)))
+        planes = background.planes(window)
         out = np.zeros((len(planes), *shape), np.float32)
-        paste(out, top, left, planes, 0, 0)
+        paste(out, top, left, planes, max(top, 0), max(left, 0))
         return out
 
     def entered(self, blob: Blob) -> Map | None:

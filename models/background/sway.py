@@ -32,6 +32,7 @@ def learned_rates(
     image: NDArray[np.uint8],
     before: Gaussians,
     light: Light,
+    log_odds: NDArray[np.int8],
     covered: NDArray[np.uint8],
     times: tuple[float, float],
 ) -> NDArray[np.float32]:
@@ -43,11 +44,13 @@ def learned_rates(
         predicted.
     image
         uint8 `(height, width[, 3])`.
+    log_odds
+        `(n_pixels,)` int8, of each pixel by itself.
     times
         s for which the scene has been seen, and s since the frame before.
     """
     counts = np.empty((*sway.rates.shape, 4), np.float32)
-    count_moved(np.ascontiguousarray(image).reshape(-1), before, light, covered, sway.reach, counts)
+    count_moved(np.ascontiguousarray(image).reshape(-1), before, light, log_odds, covered, sway.reach, counts)
     age, elapsed = times
     share = 1 - math.exp(-elapsed / (min(age, SWAY_TIME) + FIRST_TIME))
     around = 9 * cv2.blur(counts, (3, 3), borderType=cv2.BORDER_REPLICATE)
