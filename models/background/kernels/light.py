@@ -156,16 +156,21 @@ def share_covered(covered, sampled, shares):
     """Share of every block of `covered` `(height, width)`, of one in `sampled` pixels along either axis."""
     height, width = covered.shape
     rows, columns = shares.shape
-    counts = np.zeros((2, rows, columns), np.int32)
+    per_row, per_column = np.zeros(rows, np.int32), np.zeros(columns, np.int32)
+    column_of = np.empty(width, np.int64)
+    for x in range(0, width, sampled):
+        column_of[x] = x * columns // width
+        per_column[column_of[x]] += 1
+    shares[:] = 0
     for y in range(0, height, sampled):
         row = y * rows // height
+        per_row[row] += 1
         for x in range(0, width, sampled):
-            column = x * columns // width
-            counts[0, row, column] += 1
-            counts[1, row, column] += covered[y, x] == 255
+            if covered[y, x] == 255:
+                shares[row, column_of[x]] += 1
     for row in range(rows):
         for column in range(columns):
-            shares[row, column] = counts[1, row, column] / max(counts[0, row, column], 1)
+            shares[row, column] /= max(per_row[row] * per_column[column], 1)
 
 
 @compiled

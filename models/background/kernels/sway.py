@@ -167,30 +167,68 @@ def count_moved(pixels, before, light_field, log_odds, covered, reach, counts):
     size = height, width = light_field.positions.size, light_field.rows.shape[1]
     block_rows, block_columns = counts.shape[:2]
     columns = np.empty(width, np.int64)
+    per_column = np.zeros(block_columns, np.float32)
     for x in range(width):
         columns[x] = x * block_columns // width
+        per_column[columns[x]] += x % SAMPLED == SAMPLED // 2
     counts[:] = 0
     for y in range(SAMPLED // 2, height, SAMPLED):
         row = counts[y * block_rows // height]
+        row[:, 0] += per_column
         upper, lower, below_share = light_beside(light_field, y)
-        for x in range(SAMPLED // 2, width, SAMPLED):
-            i = y * width + x
-            if covered[i] != 0:
+        for left in range(0, width, SPAN):
+            right = min(left + SPAN, width)
+            behind = covered[y * width + left : y * width + right]
+            sure = _all_alike(log_odds[y * width + left : y * width + right], SURE)
+            if sure and _all_alike(behind, np.uint8(0)):
                 continue
-            block = row[columns[x]]
-            block[0] += 1
-            if log_odds[i] == SURE:
-                continue
-            light = upper[x] + below_share * (lower[x] - upper[x])
-            spread = noise_of(before.noise[i]) + light * light * variance_of(before.variance[i])
-            shown = _planes_of_pixel(pixels, i, mean.shape[0])
-            if _squared_gap(shown, mean, i, light) <= _f4(SURPRISE) * spread:
-                continue
-            if _least_gap(shown, mean, y, x, reach, light, size) < _f4(SURPRISE) * spread:
-                brighter = shown[0] - light * mean_of(mean[0, i])
-                block[1] += 1
-                block[2] += brighter
-                block[3] += abs(brighter)
+            for x in range(left + (SAMPLED // 2 - left) % SAMPLED, right, SAMPLED):
+                i, block = y * width + x, row[columns[x]]
+                if behind[x - left] != 0:
+                    block[0] -= 1
+                    continue
+                if log_odds[i] == SURE:
+                    continue
+                light = upper[x] + below_share * (lower[x] - upper[x])
+                spread = noise_of(before.noise[i]) + light * light * variance_of(before.variance[i])
+                shown = _planes_of_pixel(pixels, i, mean.shape[0])
+                if _squared_gap(shown, mean, i, light) <= _f4(SURPRISE) * spread:
+                    continue
+                if _least_gap(shown, mean, y, x, reach, light, size) < _f4(SURPRISE) * spread:
+                    brighter = shown[0] - light * mean_of(mean[0, i])
+                    block[1] += 1
+                    block[2] += brighter
+                    block[3] += abs(brighter)
+
+
+@compiled
+def learn_rates(counts, rates, share, least_seen, after):
+    """Rates of blocks `after` a frame, of the counts in 3 x 3 blocks about each; `share` is that of the frame.
+
+    Leaves change places, some get brighter and some darker; a shade and a person change all one way.
+    """
+    rows, columns = rates.shape
+    for row in range(rows):
+        for column in range(columns):
+            seen = moved = brighter = changed = _f4(0)
+            for k in range(9):
+                y, x = row + k // 3 - 1, column + k % 3 - 1
+                block = counts[min(max(y, 0), rows - 1), min(max(x, 0), columns - 1)]
+                seen, moved = seen + block[0], moved + block[1]
+                brighter, changed = brighter + block[2], changed + block[3]
+            own = rates[row, column]
+            if seen > least_seen:
+                now = moved * (_f4(1) - abs(brighter) / max(changed, _f4(1e-6))) / seen
+                own += share * (now - own)
+            after[row, column] = own
+
+
+@inlined
+def _all_alike(values, wanted):
+    different = np.int32(0)
+    for k in range(values.size):
+        different += np.int32(values[k] != wanted)
+    return different == 0
 
 
 @inlined
