@@ -10,8 +10,7 @@ from .gaussian import (
     ODDS_STEPS,
     VARIANCE_STEPS,
     Gaussians,
-    other_rows_of_colour,
-    other_rows_of_grey,
+    other_rows,
     smooth_log_odds,
     usual_rows_of_colour,
     usual_rows_of_grey,
@@ -23,7 +22,7 @@ HALO = 2
 """Rows beyond a band that its own log odds depend on."""
 
 
-BLOCK = 16
+BLOCK = 32
 """Rows that are worked on at a time: small enough to stay in the cache."""
 
 
@@ -88,8 +87,6 @@ def _rows(first, end, pixels, before, light_field, models, rounding, to, after, 
     model, certain = models
     if before.mean.shape[0] == 3:
         usual_rows_of_colour(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds)
-        return other_rows_of_colour(
-            first, end, pixels, before, light_field, model, rounding, to, after, log_odds
-        )
-    usual_rows_of_grey(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds)
-    return other_rows_of_grey(first, end, pixels, before, light_field, model, rounding, to, after, log_odds)
+    else:
+        usual_rows_of_grey(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds)
+    return other_rows(first, end, pixels, before, light_field, model, rounding, to, after, log_odds)
