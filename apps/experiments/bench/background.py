@@ -1,12 +1,7 @@
 """Background and tracking beside OpenCV's subtractors, masks included, at equal numbers of threads."""
 
-import itertools
-import resource
-import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -42,9 +37,6 @@ MIDDLE, FEW, MANY = (1280, 720), 10, 100
 CROWD_TURN, CROWD_WARM_UP = 6, 30
 """Frames, of scenes with a crowd, which is found in the first second."""
 
-MANY_FRAMES, SOME_FRAMES = 10_000, 1_500
-"""Frames over which time and memory are watched."""
-
 Image = NDArray[np.uint8]
 
 
@@ -57,7 +49,7 @@ def speeds() -> Experiment:
         spent, limit = _spent(frames), _limit(frames, threads)
         expectations += over_rounds(partial(_of_speeds, _on(threads), wanted, limit), spent)
     film = f"{len(frames)} frames of {label}, {SIZE[0]}x{SIZE[1]} colour, preloaded"
-    where = shares(stages(build_model(), frames)[WARM_UP:])
+    where = shares(stages(build_model(), frames)[0][WARM_UP:])
     table = Table(("stage", "ms", "share, %"), where, f"Where the time of a frame goes, two threads; {film}.")
     return Experiment("Background and tracking beside MOG2", [table], expectations)
 
@@ -68,7 +60,7 @@ def large() -> Experiment:
     expectations: list[Expectation] = []
     for threads, wanted in WANTED_LARGE.items():
         set_threads(threads)
-        steps = {"MOG2": _subtractor(cv2.createBackgroundSubtractorMOG2()), "three": in_steps(build_model())}
+        steps = {"MOG2": subtracting(cv2.createBackgroundSubtractorMOG2()), "three": in_steps(build_model())}
         spent, limit = over_frames(steps, frames, CROWD_TURN, CROWD_WARM_UP), _limit(frames, threads)
         at = f"{_on(threads)}, {LARGE[0]}x{LARGE[1]}, {N_OBJECTS} objects"
         expectations += over_rounds(partial(_of_large, at, wanted, limit), spent)
@@ -81,7 +73,7 @@ def objects() -> Experiment:
     spent = {}
     for count in (FEW, MANY):
         frames = list(crowd(count, CROWD_WARM_UP + ROUNDS * CROWD_TURN, MIDDLE[::-1]))
-        seconds = [of_chain("blobs", each) for each in stages(build_model(), frames)[CROWD_WARM_UP:]]
+        seconds = [of_chain("blobs", each) for each in stages(build_model(), frames)[0][CROWD_WARM_UP:]]
         spent[count] = np.reshape(seconds, (ROUNDS, CROWD_TURN)).mean(axis=1).tolist()
     return Experiment("Many objects", [], over_rounds(_of_objects, {str(n): spent[n] for n in spent}))
 
@@ -135,14 +127,15 @@ def background_and_blobs() -> MultiChain:
     return model.connect(build_chain("blobs", {}), pixels)
 
 
-def _subtractor(subtractor: cv2.BackgroundSubtractor) -> Callable[[Frame], object]:
+def subtracting(subtractor: cv2.BackgroundSubtractor) -> Callable[[Frame], object]:
+    """OpenCV's masks of frame after frame."""
     return lambda frame: subtractor.apply(_image(frame))
 
 
 def _spent(frames: Sequence[Frame]) -> Spent:
     steps = {
-        "MOG2": _subtractor(cv2.createBackgroundSubtractorMOG2()),
-        "KNN": _subtractor(cv2.createBackgroundSubtractorKNN()),
+        "MOG2": subtracting(cv2.createBackgroundSubtractorMOG2()),
+        "KNN": subtracting(cv2.createBackgroundSubtractorKNN()),
         "alone": in_steps(build_model("stand-alone")),
         "two": in_steps(background_and_blobs()),
         "feed-forward": in_steps(build_model("feed-forward")),
@@ -160,7 +153,7 @@ def _limit(frames: Sequence[Frame], threads: int) -> float:
 
 def pass_bytes(state: int, image: Image) -> int:
     """Bytes that a frame moves at least: a state in and out, the picture in, a mask of bytes out."""
-    return 2 * state + image.nbytes + image.shape[0] * image.shape[1]
+    return 2 * state + int(image.nbytes) + int(image[..., 0].size)
 
 
 # --- what is wanted -----------------------------------------------------------------------------------------
@@ -205,45 +198,6 @@ def _of_large(at: str, wanted: float, limit: float, seconds: Mapping[str, float]
         Expectation(f"{at}: all chains, ms a frame", 1e3 * ours, limit=1e3 * limit),
         Expectation(f"{at}: all chains over MOG2", ours / mog2, "<=", wanted, limit=limit / mog2),
     ]
-
-
-# --- over a long time ---------------------------------------------------------------------------------------
-
-
-def over_time(count: int) -> Experiment:
-    """Growth of time and memory over a clip that runs to and fro, so many frames long."""
-    frames, _ = preloaded()
-    set_threads(1)
-    step = in_steps(build_model())
-    order = [*frames, *reversed(frames[1:-1])]
-    part = count // 5 if count < MANY_FRAMES else 1000
-    spent: list[float] = []
-    early = 0.0
-    with Progress(f"{count} frames", count) as progress:
-        for number, frame in enumerate(itertools.islice(itertools.cycle(order), count), start=1):
-            again = Frame(frame.image, number / 10, number)
-            started = time.perf_counter()
-            step(again)
-            spent.append(time.perf_counter() - started)
-            if number == part:
-                early = _megabytes()
-            progress.update()
-    growth = float(np.median(spent[-part:]) / np.median(spent[:part]))
-    expectations = [
-        Expectation(f"time a frame, last {part} over first {part} of {count}", growth, "<=", 1.1, ratio=True),
-        Expectation(f"memory grown after frame {part} of {count}, MB", _megabytes() - early, "<=", 32),
-        Expectation("memory with the preloaded frames, MB", _megabytes()),
-    ]
-    return Experiment("Over a long time", [], expectations)
-
-
-def _megabytes() -> float:
-    """Memory in use by this process; where the system does not tell, the most that it ever was."""
-    pages = Path("/proc/self/statm")
-    if pages.exists():
-        return int(pages.read_text().split()[1]) * resource.getpagesize() / 2**20
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
 def _image(frame: Frame) -> Image:

@@ -43,12 +43,6 @@ def _objects(_: bool) -> Experiment:
     return objects()
 
 
-def _frames(long: bool) -> Experiment:
-    from .background import MANY_FRAMES, SOME_FRAMES, over_time
-
-    return over_time(MANY_FRAMES if long else SOME_FRAMES)
-
-
 def _points(_: bool) -> Experiment:
     from .points import point_expectations
 
@@ -84,16 +78,22 @@ def _exactness(_: bool) -> Experiment:
     return Experiment("Exactness", [], [Expectation(what, enumeration_error(), "<=", 1e-12)])
 
 
+def _curves(long: bool) -> Experiment:
+    from ..scale.curves import MANY_FRAMES, SOME_FRAMES, curves
+
+    return curves(MANY_FRAMES if long else SOME_FRAMES)
+
+
 PARTS: dict[str, Callable[[bool], Experiment]] = {
     "background": _background,
     "large": _large,
     "objects": _objects,
-    "frames": _frames,
     "points": _points,
     "structure": _structure,
     "faces": _faces,
     "bodies": _bodies,
     "exactness": _exactness,
+    CURVES: _curves,
 }
 """What each of them measures; `True` for longer. What they need is imported when they run."""
 

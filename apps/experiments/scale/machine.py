@@ -15,6 +15,9 @@ LEAST = 1 << 12
 SIDE = 768
 """Of the matrices that are multiplied."""
 
+DRAWN = 1 << 14
+"""Numbers at a time."""
+
 TRIES = 9
 MOMENT = 2e-3
 """s that a try takes, at least."""
@@ -36,6 +39,11 @@ def multiplying(n_operations: float) -> float:
     They are of single precision; a multiplication with an addition counts as two.
     """
     return n_operations / _operations_per_second()
+
+
+def drawing(n_numbers: float) -> float:
+    """Seconds in which one core draws so many normal numbers."""
+    return n_numbers / _drawn_per_second()
 
 
 def bandwidth(n_bytes: float, threads: int = 1) -> float:
@@ -69,6 +77,12 @@ def _operations_per_second() -> float:
     matrix = np.ones((SIDE, SIDE), np.float32)
     result = np.empty_like(matrix)
     return 2 * SIDE**3 / _fastest(lambda: np.matmul(matrix, matrix, out=result))
+
+
+@cache
+def _drawn_per_second() -> float:
+    random, numbers = np.random.default_rng(0), np.empty(DRAWN)
+    return DRAWN / _fastest(lambda: random.standard_normal(out=numbers))
 
 
 def _fastest(work: Callable[[], object]) -> float:

@@ -43,23 +43,24 @@ class Timed:
         return timed
 
 
-def stages(model: MultiChain, frames: Sequence[Frame]) -> list[dict[str, float]]:
-    """Seconds of each stage in every frame, mask included; `whole` is all of it.
-
-    Parameters
-    ----------
-    model
-        of the background application.
-    frames
-        in order.
-    """
+def timed(model: MultiChain) -> tuple[MultiChain, dict[str, float]]:
+    """The same model, and seconds that its chains and features have taken so far, by name and method."""
     spent: dict[str, float] = {}
     nodes = {name: Timed(node, spent) for name, node in {**model.chains, **model.features}.items()}
-    timed = MultiChain()
+    same = MultiChain()
     for name in model.chains:
         for feature in model.features_of(name):
-            timed.connect(nodes[name], nodes[feature], feedback=name in model.senders(feature))
-    engine, state, found = RecursiveBP(timed), RunState(), []
+            same.connect(nodes[name], nodes[feature], feedback=name in model.senders(feature))
+    return same, spent
+
+
+def stages(model: MultiChain, frames: Sequence[Frame]) -> tuple[list[dict[str, float]], RunState]:
+    """Seconds of each stage of the background application in every frame, mask included, and the last state.
+
+    `whole` is all of it.
+    """
+    same, spent = timed(model)
+    engine, state, found = RecursiveBP(same), RunState(), []
     for frame in frames:
         spent.clear()
         started = time.perf_counter()
@@ -71,7 +72,7 @@ def stages(model: MultiChain, frames: Sequence[Frame]) -> list[dict[str, float]]
         spent["mask"] = ended - stepped
         rest = stepped - started - sum(value for name, value in spent.items() if name != "mask")
         found.append({**spent, "engine and the rest": rest, "whole": ended - started})
-    return found
+    return found, state
 
 
 def of_chain(name: str, stages_of_frame: Mapping[str, float]) -> float:

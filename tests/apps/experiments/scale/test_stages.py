@@ -11,8 +11,9 @@ from rsmcm.apps.scenes import sleeping_man
 
 
 def test_stages_add_up_to_the_whole() -> None:
-    found = stages(build_model(), list(sleeping_man(6, size=(96, 72))))
+    found, state = stages(build_model(), list(sleeping_man(6, size=(96, 72))))
     assert len(found) == 6
+    assert n_bytes(state.states["background"]) > 10 * 96 * 72
     for each in found:
         whole = each["whole"]
         assert sum(seconds for name, seconds in each.items() if name != "whole") == pytest.approx(whole)
