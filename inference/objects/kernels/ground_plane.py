@@ -143,9 +143,10 @@ def _learn_height(below, place, own, height, noise, scene, covariance):
         gain[i] = covariance[0, i] + below * covariance[1, i] + own * covariance[k, i]
     total, off = variance + noise, height - mean
     for i in range(size):
-        scene[i] += gain[i] * off / total
+        share, row = gain[i] / total, covariance[i]
+        scene[i] += share * off
         for j in range(size):
-            covariance[i, j] -= gain[i] * gain[j] / total
+            row[j] -= share * gain[j]
 
 
 @compiled
