@@ -2,7 +2,10 @@
 
 import sys
 from collections.abc import Callable
+from functools import partial
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from ...reports.expectations import Expectation
 from ...reports.experiment import Experiment, run_and_publish
@@ -11,7 +14,7 @@ from ...reports.record import Table
 FOLDER = Path("results") / "bench"
 LONG = "--long"
 CURVES = "curves"
-"""The part that is a record of its own: nothing in it is beside a peer."""
+"""The part that is a record of its own: there nothing is beside a peer."""
 
 
 def folder_of(name: str) -> Path:
@@ -25,50 +28,33 @@ def main(name: str, *options: str) -> None:
     run_and_publish(name, command, folder_of(name), lambda: PARTS[name](LONG in options))
 
 
-def _background(_: bool) -> Experiment:
-    from .background import speeds
-
-    return speeds()
-
-
-def _large(_: bool) -> Experiment:
-    from .background import large
-
-    return large()
+def _function(name: str) -> Any:
+    """`module.function` of the bench; what that needs is imported now."""
+    module, function = name.split(".")
+    return getattr(import_module(f".{module}", __package__), function)
 
 
-def _objects(_: bool) -> Experiment:
-    from .background import objects
+def _whole(name: str, _: bool) -> Experiment:
+    """A function that gives an experiment."""
+    found: Experiment = _function(name)()
+    return found
 
-    return objects()
 
-
-def _points(_: bool) -> Experiment:
-    from .points import point_expectations
-
-    return Experiment("Points", [], point_expectations())
+def _figures(title: str, name: str, _: bool) -> Experiment:
+    """A function that gives expectations."""
+    return Experiment(title, [], _function(name)())
 
 
 def _structure(long: bool) -> Experiment:
-    from .structure import structure_expectations
-
-    return Experiment("Structure", [], structure_expectations(100 if long else 25))
-
-
-def _faces(_: bool) -> Experiment:
-    from .face import face_expectations
-
-    return Experiment("Faces", [], face_expectations())
+    return Experiment("Structure", [], _function("structure.structure_expectations")(100 if long else 25))
 
 
 def _bodies(_: bool) -> Experiment:
-    from .body_samples import bootstrap_times
-    from .body_tracker import body_expectations
-
-    expectations, stages = body_expectations()
-    caption = "Where the time of the body tracker goes, two threads."
-    table = Table(("stage", "ms", "share, %"), stages, caption)
-    return Experiment("Bodies", [table], [*expectations, *bootstrap_times()])
+    expectations, stages = _function("body_tracker.body_expectations")()
+    table = Table(
+        ("stage", "ms", "share, %"), stages, "Where the time of the body tracker goes, two threads."
+    )
+    return Experiment("Bodies", [table], [*expectations, *_function("body_samples.bootstrap_times")()])
 
 
 def _exactness(_: bool) -> Experiment:
@@ -85,17 +71,19 @@ def _curves(long: bool) -> Experiment:
 
 
 PARTS: dict[str, Callable[[bool], Experiment]] = {
-    "background": _background,
-    "large": _large,
-    "objects": _objects,
-    "points": _points,
+    "background": partial(_whole, "background.speeds"),
+    "large": partial(_whole, "background.large"),
+    "objects": partial(_whole, "background.objects"),
+    "command": partial(_figures, "The whole command", "whole_command.whole_command_expectations"),
+    "start": partial(_figures, "Time to the first frame", "start.start_expectations"),
+    "points": partial(_figures, "Points", "points.point_expectations"),
     "structure": _structure,
-    "faces": _faces,
+    "faces": partial(_figures, "Faces", "face.face_expectations"),
     "bodies": _bodies,
     "exactness": _exactness,
     CURVES: _curves,
 }
-"""What each of them measures; `True` for longer. What they need is imported when they run."""
+"""What each of them measures; `True` for longer."""
 
 
 if __name__ == "__main__":
