@@ -77,6 +77,9 @@ LEAST_EDGES, LEAST_ALIKE = 0.2, 0.25
 EDGE_SHARPNESS = 4.0
 """Concentration (von Mises) of twice the angle between an edge and the outline."""
 
+EDGE_DIRECTIONS = np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)])
+"""The same, and what the density is divided by."""
+
 NO_EDGE = 0.4
 """Probability that a point of the outline shows no edge of its own."""
 
@@ -120,7 +123,10 @@ class BodyLikelihood:
     body: UpperBody
 
     def __call__(self, image: BodyImage) -> "ImageLikelihood":
-        """The likelihood of this image, ready for any number of poses."""
+        """The likelihood of this image, ready for any number of poses; its maps are worked out once."""
+        return image.once(self, self._of)
+
+    def _of(self, image: BodyImage) -> "ImageLikelihood":
         unit, skin, head = self.body.head_height, None, None
         if image.skin is not None and image.moving_skin is not None:
             skin = skin_maps(image.moving_skin, self.body.hand)
@@ -164,7 +170,7 @@ class ImageLikelihood:
         outlines = silhouettes(self.body, poses)
         edge_terms(
             outlines.points, outlines.normals, outlines.visible, self.edges, EDGE_POINTS,
-            np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)]), NO_EDGE, terms[2],
+            EDGE_DIRECTIONS, NO_EDGE, terms[2],
         )  # fmt: skip
         return terms
 

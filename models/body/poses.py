@@ -59,7 +59,15 @@ class BodyPoses:
 
     def take(self, chosen: Any) -> Self:
         """The poses chosen by a slice, a mask or indices."""
-        return type(self)(self.roots[chosen], self.torsos[chosen], self.necks[chosen], self.arms[chosen])
+        if isinstance(chosen, slice):
+            return type(self)(self.roots[chosen], self.torsos[chosen], self.necks[chosen], self.arms[chosen])
+        rows = np.asarray(chosen)
+        if rows.dtype == np.bool_:
+            rows = np.flatnonzero(rows)
+        # several times faster than `[rows]`
+        return type(self)(
+            self.roots.take(rows, 0), self.torsos.take(rows, 0), self.necks.take(rows, 0), self.arms.take(rows, 0)
+        )
 
     def replaced(self, where: NDArray[np.bool_], others: "BodyPoses") -> Self:
         """The same, but for poses `where` `(n,)`, which are those of `others`."""

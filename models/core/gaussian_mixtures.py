@@ -7,8 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
 
+from ..numerics.log_sums import log_sums
 from .kernels.gaussian_mixtures import products, sums_of_densities
 from .short_repr import short_repr
 
@@ -216,7 +216,7 @@ class GaussianMixtures:
     def log_masses(self) -> Array:
         """`(n_parts,)` logs of the integrals; infinite with a flat component."""
         improper = (self.flat & np.isfinite(self.log_weights)).any(axis=1)
-        return np.where(improper, np.inf, logsumexp(self.log_weights, axis=1))
+        return np.where(improper, np.inf, log_sums(self.log_weights))
 
     def log_values(self, points: Array) -> Array:
         """`(n, n_parts)` logs of the functions at `points`, `(n, n_parts, 2)` px."""
@@ -250,7 +250,7 @@ class GaussianMixtures:
         step = means[:, :, None] - self.means[:, None]
         overlap = _log_density(step, covariances[:, :, None] + self.covariances[:, None])
         overlap = np.where(self.flat[:, None], 0.0, overlap)
-        return np.asarray(logsumexp(self.log_weights[:, None] + overlap, axis=2))
+        return log_sums(self.log_weights[:, None] + overlap)
 
     def moments(self, area: float, centre: ArrayLike) -> tuple[Array, Array]:
         """Means `(n_parts, 2)` px and covariances `(n_parts, 2, 2)` px^2.
@@ -258,7 +258,7 @@ class GaussianMixtures:
         Flat components count over a square region of `area` px^2 about `centre`.
         """
         weights = self.log_weights + np.where(self.flat, np.log(area), 0.0)
-        share = np.exp(weights - logsumexp(weights, axis=1, keepdims=True))
+        share = np.exp(weights - log_sums(weights)[:, None])
         means = np.where(self.flat[..., None], np.asarray(centre, np.float64), self.means)
         spreads = np.where(self.flat[..., None, None], area / 12 * np.eye(2), self.covariances)
         mean = (share[..., None] * means).sum(axis=1)
