@@ -252,7 +252,7 @@ def _gaps(seen: list[bool]) -> int:
     return int(np.count_nonzero(np.diff(places) > 1))
 
 
-def _assigned(costs: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _assigned(costs: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns of the pairs with the least sum of costs."""
     from scipy.optimize import linear_sum_assignment  # slow to import, and only the truth needs it
 

@@ -77,7 +77,8 @@ class Zone:
         along = np.minimum(np.maximum((offsets * ways).sum(axis=-1) / (ways * ways).sum(axis=1), 0), 1)
         off = offsets - along[..., None] * ways
         nearest = np.sqrt((off * off).sum(axis=-1)).min(axis=-1, initial=np.inf)
-        return np.where(inside, nearest, -nearest)
+        distances: NDArray[np.float64] = np.where(inside, nearest, -nearest)
+        return distances
 
 
 @short_repr
