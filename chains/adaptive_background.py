@@ -227,8 +227,8 @@ class AdaptiveBackground:
         composed = others.layers.composition(image, state.size)
         if len(composed.boxes):
             update_behind(
-                composed.boxes, composed.shift, flat, subtraction.smoothed, prediction.pixels, light, prediction.model, prediction.rounding,
-                colour.to_pixels(channels), after, second, covered,
+                composed.boxes, composed.shift, flat, subtraction.smoothed, prediction.pixels, light,
+                prediction.model, prediction.rounding, colour.to_pixels(channels), after, second, covered,
             )  # fmt: skip
         times = state.age, state.elapsed
         sway = learned_rates(
