@@ -1,7 +1,7 @@
 """Work that threads share: bands of rows, and pieces that do not wait for each other.
 
-It pays where kernels release the interpreter's lock. OpenCV's own threads are another matter: to wake them for
-calls as short as most are here costs half of a frame's time, so that it has one in all commands.
+It pays where kernels release the interpreter's lock. OpenCV's own threads are another matter: most calls here are
+too short for them, so that it has one in all commands.
 """
 
 import itertools
