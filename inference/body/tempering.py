@@ -136,7 +136,12 @@ def temper(
         total = log_sum(log_weights)
         choice = Strata.of(dynamics.body, poses).balanced(log_weights)
         chosen = systematic(choice, n, random)
-        poses, first, likelihood, owners = poses.take(chosen), first[chosen], likelihood[chosen], owners[chosen]
+        poses, first, likelihood, owners = (
+            poses.take(chosen),
+            first[chosen],
+            likelihood[chosen],
+            owners[chosen],
+        )
         log_weights = normalised(log_weights[chosen] - choice[chosen]) + total
         prior = log_prior(poses, owners)
         for _ in range(MOVES):

@@ -70,7 +70,10 @@ class BodyPoses:
             rows = np.flatnonzero(rows)
         # several times faster than `[rows]`
         return type(self)(
-            self.roots.take(rows, 0), self.torsos.take(rows, 0), self.necks.take(rows, 0), self.arms.take(rows, 0)
+            self.roots.take(rows, 0),
+            self.torsos.take(rows, 0),
+            self.necks.take(rows, 0),
+            self.arms.take(rows, 0),
         )
 
     def replaced(self, where: NDArray[np.bool_], others: "BodyPoses") -> Self:
