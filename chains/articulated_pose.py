@@ -143,6 +143,7 @@ class ArticulatedPose:
         if not np.isfinite(candidates.log_weights).any():
             return stationary(state, np.zeros(len(state.poses)))
         likelihood = (self.likelihood or BodyLikelihood(self.body))(image)
+
         def log_prior(poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
             return candidates.log_prior(poses, owners) + message.log_values(self.body.parts(poses))
 

@@ -21,7 +21,7 @@ from .part_message import PartMessage
 from .person.bare_arms import bare_probability, hand_area
 from .person.clothes import ClothesColour
 from .person.faces import OtherFaces, face_at, largest_face, one_person
-from .skin.colour import HIGHEST, SkinColour
+from .skin.colour import HIGHEST, SkinColour, smoothed
 from .skin.static import static_skin
 from .skin_blobs import SkinBlobs, skin_blobs
 from .upper_body import PARTS
@@ -199,11 +199,12 @@ class BodyParts:
         if image is None:
             return self.uniform()
         height = self.head_height
-        skin = None if self.skin is None else self.skin.log_odds(image)
+        colours = None if self.skin is None else smoothed(image)
+        skin = None if self.skin is None or colours is None else self.skin.log_odds_of(colours)
         works: list[Callable[[], Any]] = [
             partial(self._faces, frame, prior),
             partial(edge_distances, image, EDGE_REACH * height),
-            partial(self._arms, image, skin),
+            partial(self._arms, colours, skin),
         ]
         faces, (edges, directions), arms = side_by_side(works)
         centres = faces[:, :2] + faces[:, 2:] * (0.5, CENTRE_OF_BOX)
@@ -277,10 +278,14 @@ class BodyParts:
         if isinstance(self.detector, HaarFaces) and frame.number % ANYWHERE:
             for x, y in self._known_head(prior, image.shape):
                 reach = SOUGHT * self.head_height
-                left, top, right, bottom = (int(max(end, 0)) for end in (x - reach, y - reach, x + reach, y + reach))
+                left, top, right, bottom = (
+                    int(max(end, 0)) for end in (x - reach, y - reach, x + reach, y + reach)
+                )
                 about = np.ascontiguousarray(image[top:bottom, left:right])
                 if min(about.shape[:2]) > self.head_height:
-                    found = self.detector(replace(frame, image=about, boxes=None, points=None, keypoints=None))
+                    found = self.detector(
+                        replace(frame, image=about, boxes=None, points=None, keypoints=None)
+                    )
                     if len(found):
                         return found + np.array([left, top, 0, 0])
         return self.detector(frame)
@@ -294,10 +299,12 @@ class BodyParts:
             cv2.ellipse(still, ((x, y), (2 * across, 2 * down), 0.0), 0.0, cv2.FILLED)
         return np.asarray(np.maximum(skin - still, np.float32(-HIGHEST)))
 
-    def _arms(self, image: NDArray[np.uint8], skin: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-        if self.clothes is None or skin is None:
+    def _arms(
+        self, colours: NDArray[np.uint8] | None, skin: NDArray[np.float32] | None
+    ) -> NDArray[np.float32] | None:
+        if self.clothes is None or colours is None or skin is None:
             return None
-        return self.clothes.arm_map(image, self.head_height, skin, self.bare)
+        return self.clothes.arm_map(colours, self.head_height, skin, self.bare)
 
     def _heads(self, faces: Array, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: where the head is by what the chains know, or else by faces `(k, 2)`."""

@@ -88,17 +88,28 @@ def guided_values(hands, chosen, walks, completions, sides, means, precisions, h
     values
         `(n,)` filled in.
     """
-    for i in range(len(hands)):
+    n = len(hands)
+    totals, limits = np.empty(n), np.empty(n)
+    gains, xs, ys = np.empty((2, n)), np.empty((2, n)), np.empty((2, n))
+    for i in range(n):
         left, right = completions[i, 0] - walks[i, 0], completions[i, 1] - walks[i, 1]
         peak = max(max(left, right), 0.0)
-        total = heights[len(sides)] * np.exp(-peak)
-        gains = (np.exp(left - peak), np.exp(right - peak))
-        for k in range(len(sides)):
-            side = sides[k]
-            x, y = hands[i, side, 0] - means[k, 0], hands[i, side, 1] - means[k, 1]
-            square = (
-                precisions[k, 0, 0] * x * x + 2 * precisions[k, 0, 1] * x * y + precisions[k, 1, 1] * y * y
-            )
-            if square < 2.0 * peak + 90.0:  # of farther ones all digits are lost
-                total += gains[side] * heights[k] * closeness[k, chosen[i]] * np.exp(-0.5 * square)
-        values[i] = peak + np.log(total) + walks[i, 0] + walks[i, 1]
+        totals[i] = heights[len(sides)] * np.exp(-peak)
+        gains[0, i], gains[1, i] = np.exp(left - peak), np.exp(right - peak)
+        limits[i] = 2.0 * peak + 90.0  # of farther ones all digits are lost
+        xs[0, i], ys[0, i], xs[1, i], ys[1, i] = (
+            hands[i, 0, 0],
+            hands[i, 0, 1],
+            hands[i, 1, 0],
+            hands[i, 1, 1],
+        )
+    for k in range(len(sides)):
+        side, x0, y0 = sides[k], means[k, 0], means[k, 1]
+        xx, xy, yy = precisions[k, 0, 0], precisions[k, 0, 1], precisions[k, 1, 1]
+        for i in range(n):
+            x, y = xs[side, i] - x0, ys[side, i] - y0
+            square = xx * x * x + 2 * xy * x * y + yy * y * y
+            if square < limits[i]:
+                totals[i] += gains[side, i] * heights[k] * closeness[k, chosen[i]] * np.exp(-0.5 * square)
+    for i in range(n):
+        values[i] = 0.5 * limits[i] - 45.0 + np.log(totals[i]) + walks[i, 0] + walks[i, 1]
