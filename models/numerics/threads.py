@@ -77,7 +77,8 @@ def side_by_side(works: Sequence[Callable[[], Result]]) -> list[Result]:
     if count == 1:
         return [work() for work in works]
     if count not in _workers:
-        _workers[count] = ThreadPoolExecutor(count - 1, thread_name_prefix="rsmcm-band")
+        # twice as many as work at a time: a piece of work that shares its own finds one that is free
+        _workers[count] = ThreadPoolExecutor(2 * count - 2, thread_name_prefix="rsmcm-band")
     waiting = dict(enumerate(works))
     turns = itertools.count()  # taking the next one is a single step, whichever thread does it
     results: dict[int, Result] = {}
