@@ -83,8 +83,8 @@ def normal_equations(level, number, texels, pairs, textures, owner, positions, r
     """Normal equations of the texels' weighted squared differences, for poses of experts.
 
     Pose m is that of expert `owner[m]`, whose texture on level `number` is taken; `rows` `(n, n_used, 2,
-    width)` are d x / d u of the vertices, of which the first `dimension` columns are the pose's. Writes `sums`
-    (`NormalSums`).
+    width)` are d x / d u of the vertices, of which the first `dimension` columns are the pose's. Writes
+    `sums` (`NormalSums`).
     Visible texels off the picture count with `OFF_PICTURE` and have no slope.
     """
     height, width = level.image.shape
