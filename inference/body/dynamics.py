@@ -1,6 +1,7 @@
 """How a person's upper body moves from frame to frame: p(x_t | x_t-1), to draw from and to evaluate."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -289,7 +290,7 @@ class BodyDynamics:
     def _rates(self, dt: float) -> tuple[float, Array, float]:
         """Standard deviation of place (px), concentrations of the arms' directions, chance of a jump."""
         place = self.place * self.body.head_height * float(np.sqrt(dt))
-        concentrations = concentration(np.array([self.upper_arm, self.forearm]) ** 2 * dt)
+        concentrations = _concentrations(self.upper_arm, self.forearm, dt)
         jump = min(float(-np.expm1(-self.jumps * dt)), MOST_JUMPS)
         return place, concentrations, jump
 
@@ -306,6 +307,14 @@ def concentration(elapsed: Array) -> Array:
         rest = 2 / np.expm1(np.minimum(2 * kappa, 700.0))  # the mean cosine is 1 + rest - 1 / kappa
         kappa += (1 / kappa - rest - gap) / (1 / kappa**2 - rest * (rest + 2))
     return np.asarray(kappa)
+
+
+@lru_cache(maxsize=64)
+def _concentrations(upper_arm: float, forearm: float, dt: float) -> Array:
+    """`(2,)` of both segments' directions after `dt` s: films have few different steps, which all ask for."""
+    concentrations = concentration(np.array([upper_arm, forearm]) ** 2 * dt)
+    concentrations.flags.writeable = False
+    return concentrations
 
 
 def around(directions: Array, concentration: Array | float, random: np.random.Generator) -> Array:

@@ -1,10 +1,19 @@
-"""Bands of rows on several threads, for kernels that release the interpreter's lock."""
+"""Work that threads share: bands of rows, and pieces that do not wait for each other.
 
+It pays where kernels release the interpreter's lock.
+"""
+
+import itertools
 import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import partial
+from itertools import pairwise
+from typing import TypeVar
 
 import cv2
+
+Result = TypeVar("Result")
 
 _settings = {"threads": min(2, os.cpu_count() or 1)}
 _workers: dict[int, ThreadPoolExecutor] = {}
@@ -53,13 +62,36 @@ def thread_count() -> int:
 def over_bands(work: Callable[[int, int], None], n_rows: int) -> None:
     """Call `work(first_row, end_row)` on consecutive bands that together cover `n_rows` rows."""
     count = min(_settings["threads"], n_rows)
+    edges = [n_rows * k // count for k in range(count + 1)]
+    side_by_side([partial(work, first, end) for first, end in pairwise(edges)])
+
+
+def side_by_side(works: Sequence[Callable[[], Result]]) -> list[Result]:
+    """Results of independent pieces of work, in their order, on as many threads as are set and free.
+
+    The caller's thread takes part, and does all of it where the others are busy, so that a piece of work may
+    itself have some to share. What one raises is raised here, when those that have begun have ended.
+    """
+    count = min(_settings["threads"], len(works))
     if count == 1:
-        work(0, n_rows)
-        return
+        return [work() for work in works]
     if count not in _workers:
         _workers[count] = ThreadPoolExecutor(count - 1, thread_name_prefix="rsmcm-band")
-    edges = [n_rows * k // count for k in range(count + 1)]
-    waiting = [_workers[count].submit(work, edges[k], edges[k + 1]) for k in range(1, count)]
-    work(edges[0], edges[1])
-    for future in waiting:
-        future.result()
+    waiting = dict(enumerate(works))
+    turns = itertools.count()  # taking the next one is a single step, whichever thread does it
+    results: dict[int, Result] = {}
+
+    def take() -> None:
+        while work := waiting.pop(turn := next(turns), None):
+            results[turn] = work()
+
+    helpers = [_workers[count].submit(take) for _ in range(count - 1)]
+    try:
+        take()
+    finally:
+        begun = [helper for helper in helpers if not helper.cancel()]
+        wait(begun)
+        waiting.clear()  # helpers that were not needed keep nothing alive
+    for helper in begun:
+        helper.result()
+    return [results[turn] for turn in range(len(works))]

@@ -18,14 +18,18 @@ from ....inference.factor_analysis.factorisation import factorise
 from ....inference.factor_analysis.initialisation import mean_filled
 from ....inference.factor_analysis.observations import Observations
 from ....inference.factor_analysis.posterior import around_start
+from ...io.track_files import frames_of_tracks
 from ...reports.expectations import Expectation
-from .timing import in_turns, medians, over_rounds
+from ...scenes import cylinder
+from ...structure.reconstruction import engine_for
+from .timing import Spent, in_turns, medians, over_rounds
 
 Numbers = NDArray[np.float64]
 
 N_FRAMES, N_POINTS = 300, 2000
 ROUNDS = 7
 SEEN_THROUGH = 30  # frames
+PX = 100.0  # per radius of the cylinder
 SAME = 5e-6
 """Relative difference of errors that agree to five digits."""
 
@@ -36,6 +40,7 @@ def structure_expectations(n_starts: int = 100) -> list[Expectation]:
         *iteration_expectations(),
         *solve_expectations(),
         *linearity_expectations(),
+        *feedback_expectations(),
         *start_expectations(n_starts),
     ]
 
@@ -228,6 +233,23 @@ def linearity_expectations(sizes: Sequence[int] = (10**3, 10**4, 10**5, 10**6)) 
         *expectations,
         Expectation("EM: time grows with the number of observations to the power", slope, "<=", 1.1),
     ]
+
+
+# --- feedback ----------------------------------------------------------------------------------------------
+
+
+def feedback_expectations() -> list[Expectation]:
+    """A round of coordinate ascent in which the tracker hears the shape, beside one in which it does not."""
+    frames = frames_of_tracks(PX * cylinder(p_loose=0.1, p_drift=0.1, seed=0).tracks())
+    spent: Spent = {"without": [], "with": []}
+    for _ in range(ROUNDS):
+        rounds = engine_for(frames, "second-order", "dual-chain").rounds(frames)
+        for name in spent:
+            started = time.perf_counter()
+            next(rounds)
+            spent[name].append(time.perf_counter() - started)
+    what = "structure: a round with feedback over one without, time"
+    return over_rounds(lambda of: [Expectation(what, of["with"] / of["without"], "<=", 1.1)], spent)
 
 
 # --- starts that succeed ------------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ def collect(folder: Path, kept: Path) -> None:
     OSError, ValueError
         if a record cannot be read or written.
     """
-    for path in sorted(folder.glob("*/results.json")):
+    for path in sorted([*folder.glob("*/results.json"), *folder.glob("*/benchmarks.json")]):
         record = Record.read(path)
         place = kept / f"{record.name}.json"
         if not place.exists() or Record.read(place).made.date < record.made.date:

@@ -1,12 +1,13 @@
 """Records as Markdown: the page of results, and the figures in README."""
 
+import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from ...reports.expectations import Expectation, rounded
+from ...reports.expectations import Expectation, columns, rounded
 from ...reports.record import Provenance, Record
 
 BEGIN, END = "<!-- figures -->", "<!-- /figures -->"
@@ -21,9 +22,14 @@ every sequence.
 
 ± is the standard error of a figure over its n seeds, found by drawing the seeds anew (200 times); tables of
 methods say what they give. Seeds are those of a generated scene, or of noise on a film (one grey level in a
-thousandth of its pixels), for us and for all peers; of speeds, n is how often a method had its turn. Figures
-of one film without noise have none. "Of an earlier state" is what was measured before the last change of a
-file that it takes in `models`, `inference` or `chains`. What falls short is marked, and below it stands why.
+thousandth of its pixels), for us and for all peers. Figures of one film without noise have none. "Of an
+earlier state" is what was measured before the last change of a file that it takes in `models`, `inference`
+or `chains`. What falls short is marked, and below it stands why.
+
+Speeds are medians over n rounds in which all methods had their turn, with quartiles; a ratio is that of every
+round. The limit is what would be left if the bytes that must be moved, or the operations that must be done,
+took no longer than in a plain copy or a product of matrices on the same machine in the same run. "Loaded" is
+what was measured while other processes kept more than half a core busy.
 """
 BY_HAND = """\
 ## Measured by hand, in earlier states
@@ -110,12 +116,11 @@ def results_page(documents: Documents, root: Path) -> str:
 
 def figures(record: Record) -> str:
     """What an experiment measured, beside what is wanted of it."""
-    rows = []
-    for each in record.expectations:
-        what, wanted, measured, error, _ = each.cells
-        seeds = str(each.seeds) if each.seeds > 1 else ""
-        rows.append([what, _bound(wanted), measured, error, seeds, _verdict(each)])
-    return table(("measure", "wanted", "measured", "±", "n", ""), rows)
+    header, rows = columns(record.expectations)
+    for row, each in zip(rows, record.expectations, strict=True):
+        row[1], row[-1] = _bound(row[1]), _verdict(each)
+        row.insert(4, str(each.seeds) if each.seeds > 1 else "")
+    return table([*header[:4], "n", *header[4:]], rows)
 
 
 def _section(record: Record, note: str, root: Path) -> str:
@@ -123,7 +128,7 @@ def _section(record: Record, note: str, root: Path) -> str:
     parts = [
         f"## {record.title}\n",
         f"`{record.command}`; {_when(made, root)}; {made.machine}; {_duration(made.seconds)}, "
-        f"load before it {made.load:.1f}; {_versions(made)}.\n",
+        f"load before it {made.load:.1f}{_others(made)}; {_versions(made)}.\n",
         figures(record),
     ]
     if note:
@@ -186,7 +191,8 @@ def _cell(value: object) -> str:
 
 
 def _verdict(figure: Expectation) -> str:
-    return {"pass": "holds", "short": "**short**", "": ""}[figure.verdict]
+    words = {"pass": "holds", "short": "**short**", "": ""}[figure.verdict]
+    return ", ".join(filter(None, (words, "loaded" if figure.loaded else "")))
 
 
 def _bound(wanted: str) -> str:
@@ -211,6 +217,10 @@ def _versions(made: Provenance) -> str:
 def _duration(seconds: float) -> str:
     minutes = round(seconds / 60)
     return f"{seconds:.0f} s" if minutes < 2 else f"{minutes} min"
+
+
+def _others(made: Provenance) -> str:
+    return "" if math.isnan(made.others) else f", meanwhile {made.others:.1f} cores busy with others"
 
 
 def _anchor(title: str) -> str:
