@@ -1,6 +1,6 @@
 """What a picture says of poses, given the textures that experts remember: p(y_t | u_1:t, y_1:t-1)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +11,7 @@ from ...models.face.image_pyramid import Level
 from ...models.face.kernels import normal_equations as newton_kernels
 from ...models.face.kernels import warp as warp_kernels
 from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses
+from ...models.face.pose import RIGID, Poses
 from ...models.face.surface_texels import SurfaceTexels
 from ...models.face.visibility import visible
 from ...models.numerics.threads import over_bands
@@ -44,7 +44,11 @@ class TexturedObject:
 
     @cached_property
     def _bases(self) -> Map:
-        return np.ascontiguousarray(self.model.bases[:, self._used], np.float32)
+        """`(n_used, 3, width)`: the bases of the vertices used, in the columns of a pose's change."""
+        dimension = RIGID + self.model.n_bases
+        bases = np.zeros((len(self._used), 3, -(-dimension // LANES) * LANES), np.float32)
+        bases[:, :, RIGID:dimension] = np.moveaxis(self.model.bases[:, self._used], 0, 2)
+        return bases
 
     @cached_property
     def used_texels(self) -> warp_kernels.Texels:
@@ -77,20 +81,23 @@ class TexturedObject:
 
         The width is the poses' dimension rounded up to whole vectors, filled with zeros.
         """
-        n, width = len(poses), -(-poses.dimension // LANES) * LANES
+        positions, rows, write = self.rows_to_write(poses)
+        over_bands(write, len(poses))
+        return positions, rows
+
+    def rows_to_write(self, poses: Poses) -> tuple[Map, Map, Callable[[int, int], None]]:
+        """The same before they are known, and what writes them of poses from one number to another."""
+        n, width = len(poses), self._bases.shape[2]
         positions = np.empty((n, len(self._used), 2), np.float32)
         rows = np.zeros((n, len(self._used), 2, width), np.float32)
-        single = [
-            np.ascontiguousarray(part, np.float32)
-            for part in (poses.rotations, poses.translations, poses.morphs)
-        ]
-        over_bands(
-            lambda a, b: newton_kernels.vertex_rows(
+        single = [part.astype(np.float32) for part in (poses.rotations, poses.translations, poses.morphs)]
+
+        def write(a: int, b: int) -> None:
+            newton_kernels.vertex_rows(
                 *(part[a:b] for part in single), self._bases, positions[a:b], rows[a:b]
-            ),
-            n,
-        )
-        return positions, rows
+            )
+
+        return positions, rows, write
 
     def positions(self, poses: Poses) -> Map:
         """`(n, n_used, 2)` px: of the vertices used."""
@@ -191,12 +198,13 @@ class TextureLikelihood:
 
     def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
         """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
-        positions, rows = self.surface.rows(poses)
+        positions, rows, write_rows = self.surface.rows_to_write(poses)
         n, width, dimension = len(poses), rows.shape[3], poses.dimension
         matrices, vectors = np.empty((n, width, width), np.float32), np.empty((n, width), np.float32)
         totals = np.empty((n, 3))
 
         def work(a: int, b: int) -> None:
+            write_rows(a, b)
             newton_kernels.normal_equations(
                 self.levels[level], level, self.surface.used_texels, self.surface._pairs,
                 self._textures, owner[a:b], positions[a:b], rows[a:b], dimension,
