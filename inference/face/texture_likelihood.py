@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 NO_MAP: Map = np.zeros((0, 0), np.float32)
 
+WORTH = 50_000
+"""Texels from which on another thread is woken for them."""
+
 
 @dataclass(frozen=True, eq=False)
 class TexturedObject:
@@ -82,7 +85,7 @@ class TexturedObject:
         The width is the poses' dimension rounded up to whole vectors, filled with zeros.
         """
         positions, rows, write = self.rows_to_write(poses)
-        over_bands(write, len(poses))
+        write(0, len(poses))
         return positions, rows
 
     def rows_to_write(self, poses: Poses) -> tuple[Map, Map, Callable[[int, int], None]]:
@@ -127,13 +130,20 @@ class TexturedObject:
         size = np.array(levels[0].image.shape[::-1])
         within = bool((positions > margin).all() and (positions < size - 1 - margin).all())
         values = np.zeros((len(poses), len(levels), len(self.texels)), np.float32)
-        area = np.empty(visible.shape, np.float32)
-        seen = visible
-        for number, level in enumerate(levels):
-            share = 4**number if within else 1
-            self._sample(level, number, share, positions, visible, values, area)
-            if number == 0 or not within:
-                seen = seen & (area > 0)
+        seen = np.empty(visible.shape, np.bool_)
+
+        def work(a: int, b: int) -> None:
+            area, here = np.empty(visible[a:b].shape, np.float32), visible[a:b]
+            for number, level in enumerate(levels):
+                warp_kernels.sample_texels(
+                    level, number, 4**number if within else 1, self.used_texels, visible[a:b],
+                    positions[a:b], values[a:b], area,
+                )  # fmt: skip
+                if number == 0 or not within:
+                    here = here & (area > 0)
+            seen[a:b] = here
+
+        over_bands(work, len(poses), worth=values.size > 3 * WORTH)
         return values, seen
 
     def sampled(self, level: Level, poses: Poses, visible: NDArray[np.bool_]) -> tuple[Map, Map]:
@@ -144,25 +154,10 @@ class TexturedObject:
         """
         shape = (len(poses), len(self.texels))
         values, area = np.empty((shape[0], 1, shape[1]), np.float32), np.empty(shape, np.float32)
-        self._sample(level, 0, 1, self.positions(poses), visible, values, area)
+        warp_kernels.sample_texels(
+            level, 0, 1, self.used_texels, visible, self.positions(poses), values, area
+        )
         return values[:, 0], area
-
-    def _sample(
-        self,
-        level: Level,
-        number: int,
-        share: int,
-        positions: Map,
-        visible: NDArray[np.bool_],
-        values: Map,
-        area: Map,
-    ) -> None:
-        def work(a: int, b: int) -> None:
-            warp_kernels.sample_texels(
-                level, number, share, self.used_texels, visible[a:b], positions[a:b], values[a:b], area[a:b]
-            )
-
-        over_bands(work, len(positions))
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +206,7 @@ class TextureLikelihood:
                 newton_kernels.NormalSums(matrices[a:b], vectors[a:b], totals[a:b]),
             )  # fmt: skip
 
-        over_bands(work, n)
+        over_bands(work, n, worth=n * len(self.surface.texels) > WORTH * 4**level)
         return Equations(
             matrices[:, :dimension, :dimension].astype(np.float64),
             vectors[:, :dimension].astype(np.float64),
@@ -233,7 +228,7 @@ class TextureLikelihood:
                 positions[a:b], background, sums[a:b],
             )  # fmt: skip
 
-        over_bands(work, len(poses))
+        over_bands(work, len(poses), worth=len(poses) * len(self.surface.texels) > WORTH * 4**level)
         return sums
 
     def misfit(self, poses: Poses, level: int) -> Array:

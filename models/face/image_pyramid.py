@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.grey import grey_of
-from ..numerics.threads import over_bands
+from ..numerics.threads import side_by_side
 
 Picture = NDArray[np.float32]
 
@@ -57,22 +57,19 @@ def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local
     if min(image.shape[:2]) < least:
         raise ValueError(f"image: got {image.shape[:2]}, expected at least {least} px either way")
     raw = grey_of(image).astype(np.float32)
-    levels: list[Level] = []
-    coarse: list[Level] = []
 
-    def work(a: int, b: int) -> None:
-        if a == 0:
-            picture = without_light(raw, FINE_LIGHT_REACH * size) if local_mean else raw
-            levels.append(Level(smoothed(picture, SMOOTHING[0] * size), 1.0))
-        if b == 2:
-            coarse.extend(_coarse_levels(raw, size, n_levels=n_levels, local_mean=local_mean))
+    def fine() -> list[Level]:
+        picture = without_light(raw, FINE_LIGHT_REACH * size) if local_mean else raw
+        return [Level(smoothed(picture, SMOOTHING[0] * size), 1.0)]
 
-    over_bands(work, 2 if n_levels > 1 else 1)
-    return levels + coarse
+    def coarse() -> list[Level]:
+        return list(_coarse_levels(raw, size, n_levels=n_levels, local_mean=local_mean))
+
+    return [level for part in side_by_side([fine, coarse]) for level in part]
 
 
 def _coarse_levels(picture: Picture, size: float, *, n_levels: int, local_mean: bool) -> Iterator[Level]:
-    if local_mean:
+    if local_mean and n_levels > 1:
         picture = without_light(picture, COARSE_LIGHT_REACH * size)
     already = 0.0
     for number in range(1, n_levels):
