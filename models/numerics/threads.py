@@ -60,9 +60,12 @@ def thread_count() -> int:
     return _settings["threads"]
 
 
-def over_bands(work: Callable[[int, int], None], n_rows: int) -> None:
-    """Call `work(first_row, end_row)` on consecutive bands that together cover `n_rows` rows."""
-    count = min(_settings["threads"], n_rows)
+def over_bands(work: Callable[[int, int], None], n_rows: int, *, worth: bool = True) -> None:
+    """Call `work(first_row, end_row)` on consecutive bands that together cover `n_rows` rows.
+
+    Where all of it takes less than about 0.2 ms, waking another thread is not `worth` it.
+    """
+    count = min(_settings["threads"], n_rows) if worth else 1
     edges = [n_rows * k // count for k in range(count + 1)]
     side_by_side([partial(work, first, end) for first, end in pairwise(edges)])
 
