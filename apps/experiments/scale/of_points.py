@@ -94,7 +94,7 @@ def over_observations() -> list[Curve]:
         held = n_bytes(observations)
         limit = moving(BYTES_READ * observations.count)
         points.append(Measured.of(observations.count, each.tolist(), limit, held))
-    return [Curve("factor analysis, an iteration of EM", "observations", points)]
+    return [Curve("an iteration of EM", "observations", points)]
 
 
 def _iterations(observations: Observations, start: Posterior, count: int) -> object:
