@@ -144,7 +144,7 @@ class ArticulatedPose:
             return stationary(state, np.zeros(len(state.poses)))
         likelihood = (self.likelihood or BodyLikelihood(self.body))(image)
         if isinstance(likelihood, ImageLikelihood):
-            first_look = likelihood.inner_terms(candidates.poses).sum(axis=0)
+            first_look = likelihood.first(candidates.poses)
             candidates = candidates.take(
                 *preselected(
                     self.body,

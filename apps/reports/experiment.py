@@ -4,14 +4,15 @@ import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from .expectations import Expectation, columns, in_columns
 from .page import Section, table, write_page
 from .plots import figure, write_figure
 from .record import Record, Stopwatch, Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +20,7 @@ class Plot:
     """A plot: its file's name, what draws it, its size in inches, and what is said below it."""
 
     name: str
-    draw: Callable[[Figure], None]
+    draw: Callable[["Figure"], None]
     size: tuple[float, float]
     caption: str
 

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.face.image_pyramid import Level
+from ...models.face.kernels import normal_equations as newton_kernels
 from ...models.face.kernels import warp as warp_kernels
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.face.surface_texels import SurfaceTexels
 from ...models.face.visibility import visible
 from ...models.numerics.threads import over_bands
+from ...models.numerics.vectors import LANES
 
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
@@ -47,20 +49,35 @@ class TexturedObject:
     @cached_property
     def used_texels(self) -> warp_kernels.Texels:
         """The texels as loops take them, with numbers of vertices among those used."""
-        groups = np.searchsorted(self._used, self.texels.groups).astype(np.int32)
+        groups = np.searchsorted(self._used, self.texels.groups).astype(np.uint32)
         texels = self.texels
-        return warp_kernels.Texels(groups, texels.first, texels.weights, texels.offsets, texels.areas)
+        start = texels.first[:-1]
+        return warp_kernels.Texels(
+            groups,
+            texels.first,
+            texels.counts.astype(np.int32),
+            texels.weights[start],
+            texels.offsets[start],
+            texels.areas,
+        )
 
     @cached_property
-    def _corners(self) -> NDArray[np.int64]:
-        return self.texels.groups[self.texels.group_of_texel].astype(np.int64)
+    def _pairs(self) -> newton_kernels.Pairs:
+        """Pairs of the vertices used that have texels in common."""
+        n = len(self._used)
+        ends = self.used_texels.groups[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
+        edges, number = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
+        of_group = np.concatenate([self.used_texels.groups.T, n + number.reshape(-1, 3).T])
+        every = np.arange(n)
+        all_ends = np.concatenate([np.stack([every, every], axis=1), edges])
+        return newton_kernels.Pairs(all_ends.astype(np.uint32), of_group.astype(np.uint32))
 
     def rows(self, poses: Poses) -> tuple[Map, Map]:
         """Positions `(n, n_used, 2)` px of the vertices used, and their rows `(n, n_used, 2, width)`.
 
         The width is the poses' dimension rounded up to whole vectors, filled with zeros.
         """
-        n, width = len(poses), -(-poses.dimension // 8) * 8
+        n, width = len(poses), -(-poses.dimension // LANES) * LANES
         positions = np.empty((n, len(self._used), 2), np.float32)
         rows = np.zeros((n, len(self._used), 2, width), np.float32)
         single = [
@@ -68,7 +85,7 @@ class TexturedObject:
             for part in (poses.rotations, poses.translations, poses.morphs)
         ]
         over_bands(
-            lambda a, b: warp_kernels.vertex_rows(
+            lambda a, b: newton_kernels.vertex_rows(
                 *(part[a:b] for part in single), self._bases, positions[a:b], rows[a:b]
             ),
             n,
@@ -89,12 +106,7 @@ class TexturedObject:
         """`(n, n_texels)`: whether texels face the viewer with nothing before them."""
         if not len(self.model.triangles):
             return np.ones((len(poses), len(self.texels)), np.bool_)
-        return visible(
-            self.model.positions(poses),
-            self.model.triangles,
-            self._corners,
-            self.texels.weights.astype(np.float64),
-        )
+        return visible(self.model.positions(poses), self.model.triangles, self.texels)
 
     def observe(
         self, levels: Sequence[Level], poses: Poses, visible: NDArray[np.bool_]
@@ -115,7 +127,7 @@ class TexturedObject:
 
         def work(a: int, b: int) -> None:
             warp_kernels.sample_texels(
-                level, self.used_texels, visible[a:b], positions[a:b], values[a:b], area[a:b]
+                level, 1, self.used_texels, visible[a:b], positions[a:b], values[a:b], area[a:b]
             )
 
         over_bands(work, len(poses))
@@ -163,10 +175,10 @@ class TextureLikelihood:
         totals = np.empty((n, 3))
 
         def work(a: int, b: int) -> None:
-            warp_kernels.normal_equations(
-                self.levels[level], 4**level, self.surface.used_texels, self._textures[level], owner[a:b],
-                positions[a:b], rows[a:b], dimension,
-                warp_kernels.NormalSums(matrices[a:b], vectors[a:b], totals[a:b]),
+            newton_kernels.normal_equations(
+                self.levels[level], 4**level, self.surface.used_texels, self.surface._pairs,
+                self._textures[level], owner[a:b], positions[a:b], rows[a:b], dimension,
+                newton_kernels.NormalSums(matrices[a:b], vectors[a:b], totals[a:b]),
             )  # fmt: skip
 
         over_bands(work, n)
@@ -174,7 +186,7 @@ class TextureLikelihood:
             matrices[:, :dimension, :dimension].astype(np.float64),
             vectors[:, :dimension].astype(np.float64),
             totals,
-            rows[..., :dimension],
+            rows,
         )
 
     def sums(self, poses: Poses, owner: NDArray[np.int64], background: Map = NO_MAP, level: int = 0) -> Array:
@@ -211,7 +223,7 @@ class Equations:
     sums
         `(n, 3)`: of a e^2 / tau, a log tau and a.
     rows
-        `(n, n_used, 2, dimension)` float32: how vertices move with the pose.
+        `(n, n_used, 2, width)` float32: how vertices move with the pose; columns past its dimension are 0.
     """
 
     matrices: Array

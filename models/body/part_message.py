@@ -92,13 +92,7 @@ class PartMessage:
 
     def log_values(self, places: Array) -> Array:
         """`(n,)` nats: what chains say of parts at `places`, `(n, 3, 2)` px."""
-        return log_sums(self.log_values_each(places))
-
-    def log_values_each(self, places: Array) -> Array:
-        """`(n, H)` nats: the same of each hypothesis, with its weight."""
-        n_hypotheses = len(self.log_hypotheses)
-        values = self.stacked.log_values(np.tile(places, (1, n_hypotheses, 1)))
-        return np.asarray(values.reshape(-1, n_hypotheses, N_PARTS).sum(axis=2) + self.log_hypotheses)
+        return self.stacked.log_joint_values(places, self.log_hypotheses)
 
     def __mul__(self, other: Self) -> Self:
         """Every hypothesis of one with every one of the other; the `MOST_HYPOTHESES` of the greatest mass."""

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.log_sums import log_sums
-from .kernels.gaussian_mixtures import products, sums_of_densities
+from ..numerics.threads import over_bands
+from .kernels.gaussian_mixtures import products, sums_of_densities, sums_over_hypotheses
 from .short_repr import short_repr
 
 Array = NDArray[np.float64]
@@ -19,6 +20,9 @@ MOST_COMPONENTS = 32
 
 NO_LABEL = -1
 LOG_TWO_PI = float(np.log(2 * np.pi))
+
+WORTH_THREADS = 1000
+"""Points from which several threads are faster than one."""
 
 NO_WEIGHT = -1e30
 """Log weight of a filler in kernels, where nothing is infinite."""
@@ -225,6 +229,29 @@ class GaussianMixtures:
         values = peaks + np.log(sums)
         values[peaks < 0.5 * NO_WEIGHT] = -np.inf
         return values
+
+    def log_joint_values(self, points: Array, log_hypotheses: Array) -> Array:
+        """`(n,)` logs of a sum over hypotheses of the product of its parts' functions.
+
+        Parameters
+        ----------
+        points
+            `(n, k, 2)` px, of k parts.
+        log_hypotheses
+            `(h,)` log weights; these mixtures are those of the k parts of each, one after the other.
+        """
+        logs = np.empty(len(points))
+        weights = np.maximum(log_hypotheses, NO_WEIGHT)
+
+        def work(first: int, end: int) -> None:
+            sums_over_hypotheses(points[first:end], weights, *self._middles, logs[first:end])
+
+        if len(points) < WORTH_THREADS:
+            work(0, len(points))
+        else:
+            over_bands(work, len(points))
+        logs[logs < 0.5 * NO_WEIGHT] = -np.inf
+        return logs
 
     @cached_property
     def _middles(self) -> tuple[Array, Array, Array]:

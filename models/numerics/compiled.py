@@ -17,7 +17,10 @@ def compiled(function: Function) -> Function:
     Fast-math is on (sums may be reordered, as vector units need), so kernels must not rely on NaN or
     infinity; results are still the same on every run of the same machine code.
     """
-    jitted: Function = numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")(function)
+    # nothing calls them from C, and every function that is not made shortens the first start
+    jitted: Function = numba.njit(
+        cache=True, nogil=True, fastmath=True, error_model="numpy", no_cfunc_wrapper=True
+    )(function)
     return jitted
 
 

@@ -15,9 +15,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ...options.library_threads import thread_limits
 from ...reports.expectations import Expectation
 from ...reports.record import ROOT, Record, Stopwatch
-from ...runs.parallel import OF_LIBRARIES
 from ..results.regressions import joined, regressions
 from .part import CURVES, FOLDER, LONG, PARTS, folder_of
 
@@ -60,8 +60,8 @@ def _run(name: str, long: bool) -> bool:
     """Run a part in a process of its own; one that fails leaves a record that says so."""
     options = [LONG] if long else []
     command = [sys.executable, "-m", f"{__package__}.part", name, *options]
-    watch, threads = Stopwatch(), {f"{library}_NUM_THREADS": "1" for library in OF_LIBRARIES}
-    code = subprocess.run(command, env={**os.environ, **threads}).returncode
+    watch = Stopwatch()
+    code = subprocess.run(command, env={**os.environ, **thread_limits(1)}).returncode
     if code == 0:
         return True
     what = Expectation(f"part {name}: failed, exit code {code}", float("nan"), "<=", 0)

@@ -136,7 +136,7 @@ def _by_remap(
     triangles = positions[0][surface.used_texels.groups]
     edges = triangles[:, 1:] - triangles[:, :1]
     size = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
-    area = (size / np.maximum(np.diff(texels.first), 1))[texels.group_of_texel]
+    area = (size / texels.counts)[texels.group_of_texel]
     weight = area * likelihood.visible[0] / likelihood.temperature[0]
     weighted = jacobian * weight[:, None]
     return weighted.T @ jacobian, weighted.T @ (value - likelihood.mean[0, 0])
