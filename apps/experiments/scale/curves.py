@@ -9,14 +9,14 @@ from ...reports.record import Table
 from .curve import tables
 from .machine import bandwidth, drawing, operations
 from .of_pictures import over_frames_of_a_film, over_objects, over_pixels
-from .of_points import over_observations, over_points
+from .of_points import over_observations, over_points, over_tracks
 from .of_poses import over_experts, over_samples, over_texels
 from .picture import draw, size
 
 MANY_FRAMES, SOME_FRAMES = 10_000, 1_500
 """Of the film over which time and memory are watched."""
 
-WANTED: Mapping[str, float] = {"frames so far": 0.05}
+WANTED: Mapping[str, float] = {"frames so far": 0.05, "tracks": 1.2}
 """Powers by unit; of all others `LINEAR`."""
 
 LINEAR = 1.1
@@ -41,6 +41,7 @@ def curves(n_frames: int) -> Experiment:
         *over_time,
         *over_points(),
         *over_observations(),
+        *over_tracks(),
         *over_samples(),
         *over_experts(),
         *over_texels(),
