@@ -111,10 +111,23 @@ class TexturedObject:
     def observe(
         self, levels: Sequence[Level], poses: Poses, visible: NDArray[np.bool_]
     ) -> tuple[Map, NDArray[np.bool_]]:
-        """What texels look like on each level `(n, n_levels, n_texels)`, and which are in the picture."""
-        sampled = [self.sampled(level, poses, visible) for level in levels]
-        seen = np.all([area > 0 for _, area in sampled], axis=0)
-        return np.stack([values for values, _ in sampled], axis=1), visible & seen
+        """What texels look like on each level `(n, n_levels, n_texels)`, and which are in the picture.
+
+        On coarse levels only those that are used there are sure to be looked at; others may have 0.
+        """
+        positions = self.positions(poses)
+        margin = np.abs(self.texels.offsets).max(initial=0) + 2 ** len(levels)
+        size = np.array(levels[0].image.shape[::-1])
+        within = bool((positions > margin).all() and (positions < size - 1 - margin).all())
+        values = np.zeros((len(poses), len(levels), len(self.texels)), np.float32)
+        area = np.empty(visible.shape, np.float32)
+        seen = visible
+        for number, level in enumerate(levels):
+            share = 4**number if within else 1
+            self._sample(level, number, share, positions, visible, values, area)
+            if number == 0 or not within:
+                seen = seen & (area > 0)
+        return values, seen
 
     def sampled(self, level: Level, poses: Poses, visible: NDArray[np.bool_]) -> tuple[Map, Map]:
         """Grey levels of all texels on a level `(n, n_texels)`, and the areas that they stand for.
@@ -122,16 +135,27 @@ class TexturedObject:
         The area, px squared of the picture, is 0 of texels that are not `visible`, and not above 0 of those
         off the picture.
         """
-        positions, shape = self.positions(poses), (len(poses), len(self.texels))
-        values, area = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        shape = (len(poses), len(self.texels))
+        values, area = np.empty((shape[0], 1, shape[1]), np.float32), np.empty(shape, np.float32)
+        self._sample(level, 0, 1, self.positions(poses), visible, values, area)
+        return values[:, 0], area
 
+    def _sample(
+        self,
+        level: Level,
+        number: int,
+        share: int,
+        positions: Map,
+        visible: NDArray[np.bool_],
+        values: Map,
+        area: Map,
+    ) -> None:
         def work(a: int, b: int) -> None:
             warp_kernels.sample_texels(
-                level, 1, self.used_texels, visible[a:b], positions[a:b], values[a:b], area[a:b]
+                level, number, share, self.used_texels, visible[a:b], positions[a:b], values[a:b], area[a:b]
             )
 
-        over_bands(work, len(poses))
-        return values, area
+        over_bands(work, len(positions))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,13 +183,11 @@ class TextureLikelihood:
     visible: NDArray[np.bool_]
 
     @cached_property
-    def _textures(self) -> list[warp_kernels.Textures]:
-        """For every level."""
-        precision, log_temperature = np.reciprocal(self.temperature), np.log(self.temperature)
-        return [
-            warp_kernels.Textures(self.mean[:, level], precision, log_temperature, self.visible)
-            for level in range(len(self.levels))
-        ]
+    def _textures(self) -> warp_kernels.Textures:
+        mean = np.ascontiguousarray(self.mean)
+        return warp_kernels.Textures(
+            mean, np.reciprocal(self.temperature), np.log(self.temperature), self.visible
+        )
 
     def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
         """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
@@ -176,8 +198,8 @@ class TextureLikelihood:
 
         def work(a: int, b: int) -> None:
             newton_kernels.normal_equations(
-                self.levels[level], 4**level, self.surface.used_texels, self.surface._pairs,
-                self._textures[level], owner[a:b], positions[a:b], rows[a:b], dimension,
+                self.levels[level], level, self.surface.used_texels, self.surface._pairs,
+                self._textures, owner[a:b], positions[a:b], rows[a:b], dimension,
                 newton_kernels.NormalSums(matrices[a:b], vectors[a:b], totals[a:b]),
             )  # fmt: skip
 
@@ -199,7 +221,7 @@ class TextureLikelihood:
 
         def work(a: int, b: int) -> None:
             warp_kernels.texel_densities(
-                self.levels[level], 4**level, self.surface.used_texels, self._textures[level], owner[a:b],
+                self.levels[level], level, self.surface.used_texels, self._textures, owner[a:b],
                 positions[a:b], background, sums[a:b],
             )  # fmt: skip
 

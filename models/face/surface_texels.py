@@ -59,6 +59,11 @@ class SurfaceTexels:
         """`(n_groups,)`: how many texels each group has, falling."""
         return np.bincount(self.group_of_texel, minlength=len(self.groups)).astype(np.int64)
 
+    def used_on(self, level: int) -> NDArray[np.bool_]:
+        """`(n_texels,)`: which are used on a level of the picture, a fourth of those of the level before."""
+        most = -(-self.counts // 4**level)
+        return self.row_of_texel < most[self.group_of_texel]
+
     @classmethod
     def dense(cls, model: MorphableModel, n_texels: int) -> Self:
         """About `n_texels` texels over all triangles, in proportion to their area on the typical shape.

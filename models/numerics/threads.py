@@ -1,17 +1,17 @@
 """Work that threads share: bands of rows, and pieces that do not wait for each other.
 
-It pays where kernels release the interpreter's lock.
+It pays where kernels release the interpreter's lock. OpenCV's own threads are another matter: to wake them for
+calls as short as most are here costs half of a frame's time, so that it has one in all commands.
 """
 
 import itertools
 import os
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from itertools import pairwise
 from typing import TypeVar
-
-import cv2
 
 Result = TypeVar("Result")
 
@@ -21,12 +21,14 @@ _workers: dict[int, ThreadPoolExecutor] = {}
 
 def _before_fork() -> None:
     """Have OpenCV end its threads: one that held a lock would leave it locked in the child for ever."""
-    _settings["opencv"] = cv2.getNumThreads()
-    cv2.setNumThreads(1)
+    if (opencv := sys.modules.get("cv2")) is not None:
+        _settings["opencv"] = opencv.getNumThreads()
+        opencv.setNumThreads(1)
 
 
 def _after_fork() -> None:
-    cv2.setNumThreads(_settings["opencv"])
+    if (opencv := sys.modules.get("cv2")) is not None:
+        opencv.setNumThreads(_settings["opencv"])
 
 
 def _after_fork_in_child() -> None:
@@ -39,7 +41,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def set_threads(count: int) -> None:
-    """Use `count` threads in the kernels that work on bands of rows and in OpenCV; results do not change.
+    """Use `count` threads in the kernels that work on bands of rows; results do not change.
 
     With 1, all work stays in the caller's thread.
 
@@ -51,7 +53,6 @@ def set_threads(count: int) -> None:
     if count < 1:
         raise ValueError(f"threads: got {count}, expected 1 or more")
     _settings["threads"] = count
-    cv2.setNumThreads(count)
 
 
 def thread_count() -> int:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ....inference import MultiChain, RecursiveBP, RunState
 from ....models import Frame
+from ....models.numerics.threads import thread_count
 from ...background.application import build_model
 from ...runs.progress import Progress
 from ..bench.background import in_steps, pass_bytes, preloaded, subtracting
@@ -47,7 +48,7 @@ def over_pixels() -> list[Curve]:
         steps = {
             "alone": in_steps(build_model("stand-alone")),
             "all": in_steps(build_model()),
-            "MOG2": subtracting(cv2.createBackgroundSubtractorMOG2()),
+            "MOG2": subtracting(cv2.createBackgroundSubtractorMOG2(), thread_count()),
         }
         spent = over_frames(steps, frames, TURN, WARM_UP)
         image = _image(frames[0])

@@ -79,16 +79,17 @@ def vertex_rows(rotations, translations, morphs, bases, positions, rows):
 
 
 @compiled
-def normal_equations(level, share, texels, pairs, textures, owner, positions, rows, dimension, sums):
+def normal_equations(level, number, texels, pairs, textures, owner, positions, rows, dimension, sums):
     """Normal equations of the texels' weighted squared differences, for poses of experts.
 
-    Pose m is that of expert `owner[m]`, whose texture is taken; `rows` `(n, n_used, 2, width)` are d x / d u
-    of the vertices, of which the first `dimension` columns are the pose's. Writes `sums` (`NormalSums`).
+    Pose m is that of expert `owner[m]`, whose texture on level `number` is taken; `rows` `(n, n_used, 2,
+    width)` are d x / d u of the vertices, of which the first `dimension` columns are the pose's. Writes `sums`
+    (`NormalSums`).
     Visible texels off the picture count with `OFF_PICTURE` and have no slope.
     """
     height, width = level.image.shape
     image, scale = level.image.reshape(-1), _f4(level.scale)
-    first, n_groups, n_used = texels.first, len(texels.groups), rows.shape[1]
+    first, n_groups, n_used, share = texels.first, len(texels.groups), rows.shape[1], 4**number
     corners = np.zeros((7, MOST), _f4)
     each = corners[6]
     at, inside, cells = own_array(np.uint32), own_array(_f4), np.zeros(4 * MOST, _f4)
@@ -113,7 +114,7 @@ def normal_equations(level, share, texels, pairs, textures, owner, positions, ro
                 start, lanes = first[row] + block, whole_vectors(n)
                 place_row(texels, row, lanes, scale, corners, (height, width), at, inside, fx, fy)
                 fetch(image, width, at, n, cells)
-                mean, precision = textures.mean[d, start:], textures.precision[d, start:]
+                mean, precision = textures.mean[d, number, start:], textures.precision[d, start:]
                 log_temperature, visible = textures.log_temperature[d, start:], textures.visible[d, start:]
                 its_squares = its_logs = its_total = _f4(0)
                 for g in range(n):

@@ -37,7 +37,8 @@ class Texels(NamedTuple):
 
 
 class Textures(NamedTuple):
-    """What experts expect on a level, each `(n_experts, n_texels)`; `precision` is 1 / tau."""
+    """What experts expect: `mean` `(n_experts, n_levels, n_texels)`, the others `(n_experts, n_texels)`;
+    `precision` is 1 / tau."""
 
     mean: Map
     precision: Map
@@ -116,16 +117,16 @@ def fetch(image, width, at, n, cells):
 
 
 @compiled
-def texel_densities(level, share, texels, textures, owner, positions, extra, sums):
+def texel_densities(level, number, texels, textures, owner, positions, extra, sums):
     """Sums of a_i e_i^2 / tau_i, a_i log tau_i, a_i, and a_i times `extra` at x_i, for poses of owners.
 
-    Pose m is judged with the texture and the visibility of expert `owner[m]`; `extra`, of the shape of the
-    level's image or empty, is a map of which the sum over the covered pixels is wanted (a background's log
-    density). Visible texels off the picture count with `OFF_PICTURE`.
+    Pose m is judged with the texture and the visibility of expert `owner[m]` on level `number`; `extra`,
+    of the shape of the level's image or empty, is a map of which the sum over the covered pixels is wanted (a
+    background's log density). Visible texels off the picture count with `OFF_PICTURE`.
     """
     height, width = level.image.shape
     image, other, scale = level.image.reshape(-1), extra.reshape(-1), _f4(level.scale)
-    first, n_groups = texels.first, len(texels.groups)
+    first, n_groups, share = texels.first, len(texels.groups), 4**number
     corners = np.zeros((7, MOST), _f4)
     each = corners[6]
     at, inside, cells = own_array(np.uint32), own_array(_f4), np.zeros(4 * MOST, _f4)
@@ -142,7 +143,7 @@ def texel_densities(level, share, texels, textures, owner, positions, extra, sum
                 start = first[row] + block
                 place_row(texels, row, whole_vectors(n), scale, corners, (height, width), at, inside, fx, fy)
                 fetch(image, width, at, n, cells)
-                mean, precision = textures.mean[d, start:], textures.precision[d, start:]
+                mean, precision = textures.mean[d, number, start:], textures.precision[d, start:]
                 log_temperature, visible = textures.log_temperature[d, start:], textures.visible[d, start:]
                 its_squares = its_logs = its_total = its_other = _f4(0)
                 for g in range(n):
@@ -170,8 +171,8 @@ def texel_densities(level, share, texels, textures, owner, positions, extra, sum
 
 
 @compiled
-def sample_texels(level, share, texels, visible, positions, values, area):
-    """What texels look like in the picture: `values`, and `area` `(n, n_texels)` of those seen.
+def sample_texels(level, number, share, texels, visible, positions, values, area):
+    """What texels look like in the picture: `values[:, number]`, and `area` `(n, n_texels)` of those seen.
 
     The area is 0 of hidden ones and below 0 of those off the picture. Of every group the first part is
     sampled, one `share`-th; what belongs to the others is left alone.
@@ -193,7 +194,7 @@ def sample_texels(level, share, texels, visible, positions, values, area):
                 start = first[row] + block
                 place_row(texels, row, whole_vectors(n), scale, corners, (height, width), at, inside, fx, fy)
                 fetch(image, width, at, n, cells)
-                seen, value, its_area = visible[m, start:], values[m, start:], area[m, start:]
+                seen, value, its_area = visible[m, start:], values[m, number, start:], area[m, start:]
                 for g in range(n):
                     p00, p10 = cells[4 * g], cells[4 * g + 2]
                     above = p00 + fx[g] * (cells[4 * g + 1] - p00)
