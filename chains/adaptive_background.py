@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..inference.core.protocols import Cavity, Incoming, Port
 from ..models.background import colour
-from ..models.background.gaussian import BackgroundPrediction, fixed_point, mean_planes
+from ..models.background.gaussian import BackgroundPrediction, fixed_point, stored_planes
 from ..models.background.kernels.behind import update_behind
 from ..models.background.kernels.gaussian import Gaussians
 from ..models.background.kernels.second_colours import (
@@ -110,7 +110,7 @@ class BackgroundState:
 
     def planes(self) -> Planes:
         """The scene's colours, `(channels, height, width)` float32 grey levels."""
-        return mean_planes(self.mean, self.size)
+        return stored_planes(self.mean, self.size).grey_levels()
 
     def picture(self) -> NDArray[np.uint8]:
         """The empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
@@ -224,12 +224,11 @@ class AdaptiveBackground:
         second = SecondColours(state.candidate.copy(), state.seen.copy())
         channels = len(state.mean)
         flat = np.ascontiguousarray(image).reshape(-1)
-        if others.regions:
+        composed = others.layers.composition(image, state.size)
+        if len(composed.boxes):
             update_behind(
-                np.array([region.box for region in others.regions]),
-                np.concatenate([region.shift.reshape(-1) for region in others.regions]),
-                flat, subtraction.smoothed, prediction.pixels, light, prediction.model, prediction.rounding,
-                colour.to_pixels(channels), after, second, covered,
+                composed.boxes, composed.shift, flat, subtraction.smoothed, prediction.pixels, light,
+                prediction.model, prediction.rounding, colour.to_pixels(channels), after, second, covered,
             )  # fmt: skip
         times = state.age, state.elapsed
         sway = learned_rates(

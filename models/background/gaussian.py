@@ -29,6 +29,7 @@ from .kernels.gaussian import (
     Certain,
     Gaussians,
     PixelModel,
+    StoredPlanes,
     log_evidence,
     smooth_log_odds,
 )
@@ -38,9 +39,6 @@ from .kernels.sway import Sway
 from .light import LightField
 
 Planes = NDArray[np.float32]
-Window = tuple[slice, slice]
-
-EVERYWHERE: Window = np.s_[:, :]
 
 CERTAIN = 6.0
 """Nats: the bound of the log odds of a pixel by itself."""
@@ -74,8 +72,9 @@ class BackgroundFactor(Protocol):
         """`(height, width)` px."""
         ...
 
-    def planes(self, window: Window = EVERYWHERE, /) -> Planes:
-        """`(channels, height, width)` float32, the scene's usual colours in the planes of `colour`."""
+    @property
+    def colours(self) -> StoredPlanes:
+        """What the scene usually shows."""
         ...
 
     @property
@@ -146,9 +145,10 @@ class BackgroundPrediction:
     _compared: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
     _updates: dict[int, Gaussians] = field(default_factory=dict)
 
-    def planes(self, window: Window = EVERYWHERE) -> Planes:
-        """`(channels, height, width)` float32 grey levels."""
-        return mean_planes(self.pixels.mean, self.size, window)
+    @property
+    def colours(self) -> StoredPlanes:
+        """Means of all pixels."""
+        return stored_planes(self.pixels.mean, self.size)
 
     @property
     def channels(self) -> int:
@@ -238,10 +238,9 @@ def fixed_point(mean: Planes, variance: Planes, noise: Planes) -> Gaussians:
     )
 
 
-def mean_planes(mean: NDArray[np.int16], size: tuple[int, int], window: Window = EVERYWHERE) -> Planes:
-    """Means that are stored, `(channels, n_pixels)`, as `(channels, height, width)` float32 grey levels."""
-    planes: Planes = mean.reshape(-1, *size)[:, *window] * np.float32(1 / MEAN_STEPS)
-    return planes
+def stored_planes(mean: NDArray[np.int16], size: tuple[int, int]) -> StoredPlanes:
+    """Means `(channels, n_pixels)` of 16 bits as planes of a picture of this size."""
+    return StoredPlanes(mean.reshape(-1, *size), np.float32(1 / MEAN_STEPS))
 
 
 def rounding_of(width: int, frames: int) -> Planes:

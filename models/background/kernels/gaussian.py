@@ -65,6 +65,21 @@ class Gaussians(NamedTuple):
     noise: NDArray[np.uint16]
 
 
+class StoredPlanes(NamedTuple):
+    """Colours of a whole picture as they are stored: `values` of so many grey levels (`step`) each.
+
+    `values` is `(channels, height, width)` of any type of numbers, in the planes of `colour`.
+    """
+
+    values: NDArray[np.generic]
+    step: np.float32
+
+    def grey_levels(self) -> Planes:
+        """`(channels, height, width)` float32."""
+        levels: Planes = self.values * self.step
+        return levels
+
+
 class Light(NamedTuple):
     """Today's light relative to that of the mean, interpolated along x.
 

@@ -194,7 +194,7 @@ def test_log_mass_is_the_sum_over_labels(name, channels):
     image, scene = image_of(0, channels), background(channels)
     clear, explained = weights(layers, image)
     seen, covariance = colour.to_planes(image).astype(float), 111.0 * np.eye(channels)
-    away = (seen - scene.planes().reshape(channels, -1)).T
+    away = (seen - scene.colours.grey_levels().reshape(channels, -1)).T
     density = colour.VOLUME[channels] * multivariate_normal.pdf(away, np.zeros(channels), covariance)
     labels = 0.8 * density * clear.reshape(-1) + 0.2 / 256**channels * explained.reshape(-1)
     message = PixelMessage(scene, LayerStack(layers), image)
@@ -367,7 +367,7 @@ def test_the_background_behind_layers_is_updated_with_what_they_say(channels, un
     told, light = shift.astype(float), light[box]
     odds = pooled.reshape(SIZE)[box] / 20 + told
     weight = 1 / (1 + np.exp(-odds))
-    mean = scene.planes()[:, *box].astype(float)
+    mean = scene.colours.grey_levels()[:, *box].astype(float)
     difference = colour.to_planes(image).reshape(-1, *SIZE)[:, *box] - light * mean
     square = (difference**2).mean(axis=0)
     variance = np.where(scene.pixels.variance > 60 * 256, 3000, 10).reshape(SIZE)[box].astype(float)

@@ -7,7 +7,7 @@ from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import PixelLabels
 from rsmcm.models.background import colour
-from rsmcm.models.background.gaussian import fixed_point, log_prior_odds, mean_planes
+from rsmcm.models.background.gaussian import fixed_point, log_prior_odds, stored_planes
 from rsmcm.models.background.kernels.gaussian import PixelModel
 from rsmcm.models.background.kernels.sway import LEAST_RATE, Sway, recall_moved
 from rsmcm.models.background.light import LightField
@@ -84,7 +84,7 @@ def test_the_likelihood_is_that_of_the_best_place_within_reach():
     odds = np.where(rng.random(4800) < 0.5, -100, 50).astype(np.int8)
     after = odds.copy()
     recall_moved(0, image.reshape(-1), before, light(), model, Sway(rates, 3), after)
-    shown, mean = colour.to_planes(image).reshape(3, *SIZE), mean_planes(before.mean, SIZE)
+    shown, mean = colour.to_planes(image).reshape(3, *SIZE), stored_planes(before.mean, SIZE).grey_levels()
     padded = np.pad(mean, ((0, 0), (3, 3), (3, 3)), constant_values=1e6)
     gaps = [
         ((shown - padded[:, y : y + 60, x : x + 80]) ** 2).sum(axis=0) for y in range(7) for x in range(7)
