@@ -83,7 +83,7 @@ class BlobScene:
         background = self.pixels.background
         assert background is not None
         scene = Scene(
-            background.mean.reshape(-1, *self.size),
+            background.colours,
             composed.boxes,
             composed.starts,
             composed.explained,

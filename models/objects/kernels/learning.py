@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...background.kernels.gaussian import StoredPlanes
 from ...numerics.compiled import compiled, exponential
 from .masks import fade_beyond, measure
 from .outlines import outline_evidence
@@ -41,12 +42,12 @@ MOST_EVIDENCE = 20.0
 class Scene(NamedTuple):
     """What is known of a frame beside the picture.
 
-    `background` are the planes `(channels, height, width)` of the picture of the empty scene; `boxes`
+    `background` is the picture of the empty scene; `boxes`
     `(n, 4)` and `starts` `(n,)` say where regions are (see `Composition`) whose pixels are `explained`;
     `sizes` `(n, 2)` px are heights and widths as they are usual for blobs, and expected by others.
     """
 
-    background: NDArray[np.float32]
+    background: StoredPlanes
     boxes: NDArray[np.int64]
     starts: NDArray[np.int64]
     explained: NDArray[np.float32]

@@ -77,11 +77,12 @@ def outline_contrasts(planes, top, left, other, free, mask, within, reach, out):
                     middle = planes[channel, y2, x2]
                     across += (planes[channel, y1, x1] - middle) ** 2
                     outside += (planes[channel, y3, x3] - middle) ** 2
-                    middle = other[channel, top + y2, left + x2]
-                    other_across += (other[channel, top + y1, left + x1] - middle) ** 2
-                    other_outside += (other[channel, top + y3, left + x3] - middle) ** 2
+                    middle = _f4(other.values[channel, top + y2, left + x2])
+                    other_across += (_f4(other.values[channel, top + y1, left + x1]) - middle) ** 2
+                    other_outside += (_f4(other.values[channel, top + y3, left + x3]) - middle) ** 2
                 out[0, count], out[1, count] = np.sqrt(across), np.sqrt(outside)
-                out[2, count], out[3, count] = np.sqrt(other_across), np.sqrt(other_outside)
+                out[2, count] = other.step * np.sqrt(other_across)
+                out[3, count] = other.step * np.sqrt(other_outside)
                 count += 1
     return count
 
@@ -140,7 +141,7 @@ def outline_evidence(planes, top, left, picture, free, mask, within, scratch):
     top, left
         px, where that is in the background's picture.
     picture
-        `(channels, height, width)` planes of the whole background.
+        `StoredPlanes` of the whole background.
     free
         `(height, width)`, what nothing in front covers, 0 outside of the picture.
     mask

@@ -5,6 +5,7 @@ import pytest
 from rsmcm.inference.objects import ghosts
 from rsmcm.inference.objects.blob_table import Blobs
 from rsmcm.inference.objects.blobs import Blob
+from rsmcm.models.background.kernels.gaussian import StoredPlanes
 from rsmcm.models.objects.kernels.learning import MOST_EVIDENCE, Learning, weigh
 from rsmcm.models.objects.kernels.outlines import outline_evidence
 from rsmcm.models.objects.kernels.records import box_of, length_of
@@ -27,7 +28,8 @@ def pair(seed, contrast, noise, texture=6.0):
 
 def evidence(image, picture, free=1):
     open_ = np.full(SIZE, free, F4)
-    return outline_evidence(image, 0, 0, picture, open_, outline(), (0, 0, *SIZE), np.empty(100_000, F4))
+    behind = StoredPlanes(picture, F4(1))
+    return outline_evidence(image, 0, 0, behind, open_, outline(), (0, 0, *SIZE), np.empty(100_000, F4))
 
 
 def outline():
