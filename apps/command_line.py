@@ -21,6 +21,7 @@ from .face.job import FaceJob
 from .io.sources.quiet import own_standard_error
 from .options.complaints import about_options, convert_strictly, one_line
 from .options.job import Flag, Job
+from .options.library_threads import have_one_thread
 from .options.opencv_packages import opencv_hint
 from .options.settings import options_from_file
 from .runs.interruption import SIGNALLED, Outcome
@@ -317,6 +318,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; whatever is wrong with it is one line on standard error and exit code 2."""
     if isinstance(sys.stdout, TextIOWrapper):  # what its encoding lacks must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")
+    have_one_thread()
     with own_standard_error():
         code = _exit_code(sys.argv[1:] if arguments is None else arguments)
     sys.exit(code)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from ..inference.body.flesh.assignment import VISIBLE, Answers, PartOptions, Things
 from ..inference.body.flesh.clutter import Clutter, ClutterMatch
@@ -26,6 +25,7 @@ from ..models.body.upper_body import UpperBody
 from ..models.core.frame import Frame
 from ..models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
 from ..models.core.short_repr import short_repr
+from ..models.numerics.log_sums import log_sums
 
 Array = NDArray[np.float64]
 
@@ -166,7 +166,7 @@ class FleshTracker:
         no_labels = np.full(shares.shape, NO_LABEL, np.int64)
         mixtures = GaussianMixtures(shares, means, spreads, np.zeros(shares.shape, np.bool_), no_labels)
         flat = FLATTENED * state.log_weights
-        return PartMessage(mixtures, None, flat - logsumexp(flat))
+        return PartMessage(mixtures, None, flat - log_sums(flat))
 
     def smooth(
         self, incoming_over_time: Sequence[BatchIncoming], current: FleshTrajectory | None = None

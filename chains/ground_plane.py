@@ -20,18 +20,11 @@ from numpy.typing import NDArray
 
 from ..inference.core.protocols import Incoming, Port
 from ..inference.filters.linear_motion import kinematic
-from ..inference.objects.ground_plane import (
-    HALF_HIDDEN,
-    GroundState,
-    Numbers,
-    design_matrix,
-    good_over_bad,
-    probability,
-    usual_heights,
-)
+from ..inference.objects.ground_plane import GroundState, Numbers
+from ..inference.objects.kernels.ground_plane import GroundModel, Objects, Observed, observe
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
-from ..models.objects.box_detector import FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from ..models.objects.box_detector import HEIGHT, WIDTH
 from ..models.objects.box_message import BoxMessage
 from ..models.objects.object_boxes import ObjectBoxes
 
@@ -140,91 +133,26 @@ class GroundPlane:
         state = self._joined(state, identities, boxes)
         if not len(identities):
             return state
-        seen = np.searchsorted(state.identities, identities)
-        y, height = boxes[:, FOOT_Y], boxes[:, HEIGHT]
-        slope = state.scene[1]
-        # Variance of the height less what an error of the foot's row would change it by along the plane.
-        noise = covariances[:, HEIGHT, HEIGHT] + slope * (
-            slope * covariances[:, FOOT_Y, FOOT_Y] - 2 * covariances[:, FOOT_Y, HEIGHT]
+        places = np.searchsorted(state.identities, identities)
+        existence = message.existence.of(identities) if len(message.existence) else None
+        certainty = np.ones(len(identities)) if existence is None else 1 / (1 + np.exp(-existence))
+        scene, scene_covariance = state.scene.copy(), state.scene_covariance.copy()
+        objects = Objects(*(array.copy() for array in state.objects))
+        rows, columns = map(float, state.size)
+        model = GroundModel(
+            rows, columns, self.spread, self.foot_spread, self.outliers, self.observation_time, MOST_TRUST
         )
-        heights = usual_heights(state, y, height)
-        noise = noise + (self.spread * heights) ** 2
-
-        own = np.zeros(len(state.identities))
-        own[seen] = heights
-        design = design_matrix(y - state.middle, own, seen)
-        gain = design @ state.scene_covariance
-        off = height - design @ state.scene
-        covariance = gain @ design.T
-        ratio = good_over_bad(off**2, covariance.diagonal() + noise, (HALF_HIDDEN * heights) ** 2)
-        good = probability(np.log(ratio * (1 / self.outliers - 1)))
-        whole = state.whole(boxes)
-        on_plane = probability(state.trust[seen])
-        if len(message.existence):
-            on_plane *= probability(message.existence.of(identities))
-        worth = np.minimum(np.maximum(state.unseen[seen], 1e-6) / self.observation_time, 1.0)
-
-        weight = np.maximum(whole * on_plane * good * worth, 1e-9)
-        solved = np.linalg.solve(covariance + np.diag(noise / weight), gain)
-        scene = state.scene + off @ solved
-        scene_covariance = state.scene_covariance - gain.T @ solved
-        trust, all_heights, unseen = state.trust.copy(), state.heights.copy(), state.unseen.copy()
-        surprise = np.log((1 - self.outliers) * ratio + self.outliers)
-        trust[seen] += whole * worth * surprise
-        all_heights[seen] = heights
-        unseen[seen] = 0.0
-        aspects, aspect_variances = state.aspects.copy(), state.aspect_variances.copy()
-        observed = boxes[:, WIDTH] / np.maximum(height, 1.0)
-        rate = 0.3 * whole * good * worth
-        change = observed - aspects[seen]
-        aspects[seen] += rate * change
-        aspect_variances[seen] = (1 - rate) * (aspect_variances[seen] + rate * change**2)
-        reliable = np.where(whole, 1 - on_plane * (1 - good), 0.0)
-        feet, feet_covariance = self._walked(state, seen, boxes, covariances, heights, reliable, worth)
+        shown = observe(
+            Observed(places, boxes, covariances, certainty), model, state.everybody[1], scene,
+            scene_covariance, objects,
+        )  # fmt: skip
         return replace(
             state,
             scene=scene,
             scene_covariance=0.5 * (scene_covariance + scene_covariance.T),
-            everybody=_with(state.everybody, observed, whole * on_plane * good * worth),
-            feet=feet,
-            feet_covariance=feet_covariance,
-            heights=all_heights,
-            aspects=aspects,
-            aspect_variances=aspect_variances,
-            trust=np.minimum(np.maximum(trust, -MOST_TRUST), MOST_TRUST),
-            unseen=unseen,
+            everybody=_with(state.everybody, *shown),
+            **objects._asdict(),
         )
-
-    def _walked(
-        self,
-        state: GroundState,
-        seen: NDArray[np.intp],
-        boxes: Numbers,
-        covariances: Numbers,
-        heights: Numbers,
-        reliable: Numbers,
-        worth: Numbers,
-    ) -> tuple[Numbers, Numbers]:
-        """Feet and their covariances after observations that show them as likely as `reliable`.
-
-        What hides feet does so for a while: of their row such observations are `worth` a part of a new one.
-        """
-        feet, feet_covariance = state.feet[seen], state.feet_covariance[seen]
-        off = boxes[:, :WIDTH] - feet[:, :, 0]
-        sway = (self.foot_spread * heights[:, None]) ** 2
-        noise = covariances.diagonal(axis1=1, axis2=2)[:, :WIDTH] + sway
-        noise[:, FOOT_X] += (1 - reliable) * (HALF_HIDDEN * boxes[:, WIDTH]) ** 2
-        noise[:, FOOT_Y] += (1 - reliable) / worth * (HALF_HIDDEN * boxes[:, HEIGHT]) ** 2
-        variance = feet_covariance[:, :, 0, 0] + noise
-        # People do not jump: a box that does has lost its object, or part of it.
-        ratio = good_over_bad(off**2, variance, (heights**2)[:, None]).prod(axis=1)
-        good = probability(np.log(ratio * (1 / self.outliers - 1)))
-        variance += noise * (1 / np.maximum(good, 1e-3) - 1)[:, None]
-        gain = feet_covariance[:, :, :, 0] / variance[:, :, None]
-        new_feet, new_covariance = state.feet.copy(), state.feet_covariance.copy()
-        new_feet[seen] = feet + gain * off[:, :, None]
-        new_covariance[seen] = feet_covariance - gain[:, :, :, None] * feet_covariance[:, :, None, 0]
-        return new_feet, new_covariance
 
     def _joined(self, state: GroundState, identities: NDArray[np.int64], boxes: Numbers) -> GroundState:
         """The state without who was not heard of for long, and with who is new.
@@ -232,10 +160,14 @@ class GroundPlane:
         Somebody new starts where they are first observed with next to no information, so that the
         observation counts once.
         """
-        if np.array_equal(identities, state.identities):
+        place = np.searchsorted(state.identities, identities)
+        known = np.zeros(len(identities), np.bool_)
+        inside = place < len(state.identities)
+        known[inside] = state.identities[place[inside]] == identities[inside]
+        stays, new = state.unseen <= self.patience, ~known
+        stays[place[known]] = True
+        if stays.all() and not new.any():
             return state
-        stays = (state.unseen <= self.patience) | np.isin(state.identities, identities)
-        new = ~np.isin(identities, state.identities)
         heights, n_new, n_stay = boxes[new, HEIGHT], int(new.sum()), int(stays.sum())
         heights = np.maximum(heights, 1.0)
         numbers = np.concatenate([state.identities[stays], identities[new]])
@@ -271,13 +203,13 @@ class GroundPlane:
         )
 
 
-def _with(moments: Numbers, values: Numbers, weights: Numbers) -> Numbers:
-    """Weight, mean and variance of what was observed, with more values; the last `MOST_ASPECTS` count."""
+def _with(moments: Numbers, added: float, off: float, squares: float) -> Numbers:
+    """Weight, mean and variance of what was observed, with more; the last `MOST_ASPECTS` count.
+
+    `off` and `squares` are weighted sums of the differences from the mean and of their squares.
+    """
     weight, mean, variance = moments.tolist()
-    added = float(weights.sum())
     share = added / (weight + added)
-    off = values - mean
-    shift = share * float((weights * off).sum()) / max(added, 1e-9)
-    squares = float((weights * off**2).sum()) / max(added, 1e-9)
-    variance = (1 - share) * variance + share * squares - shift**2
+    shift = share * off / max(added, 1e-9)
+    variance = (1 - share) * variance + share * squares / max(added, 1e-9) - shift**2
     return np.array([min(weight + added, MOST_ASPECTS), mean + shift, variance])

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar, get_args
 
@@ -64,7 +64,7 @@ CHANNELS = 3
 SAMPLE = 300
 """Bytes per pixel, of the pictures in which the empty scene is found."""
 
-EVIDENCE_EVERY = 10
+EVIDENCE_EVERY = 25
 """Frames between two values of log p(I) in the report: nothing else needs that pass over the pixels."""
 
 
@@ -179,6 +179,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         "scores": Any,
         "trajectories": ObjectsOverTime | None,
         "predictions": Any,
+        "camera": Any,
     }
 
     def __init__(self, job: BackgroundJob) -> None:
@@ -236,13 +237,14 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         return self.job.engine != "stand-alone" and not self.begins_settled
 
     def memory(self) -> dict[str, Any]:
-        """Record and scores, who was where in a film that was read as a whole, and what was predicted."""
+        """Record and scores, who was where in a film that was read as a whole, predictions, the camera."""
         scores = None if self._scoring is None else self._scoring.saved()
         return {
             "record": self.record.saved(),
             "scores": scores,
             "trajectories": self._trajectories,
             "predictions": None if self._predictions is None else self._predictions.saved(),
+            "camera": self._camera.saved(),
         }
 
     def known(self, frames: Iterator[Frame]) -> Iterator[Frame]:
@@ -260,6 +262,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         """Read region and ground truth; find the empty scene, where that is asked for."""
         job, model = self.job, self.engine.model
         self._read_masks()
+        self.record.expect(self.source.n_frames)
         if job.engine == WHOLE_FILM:
             self.state, self._trajectories = read_whole(
                 job, self.source, model, self._with_detections, self.interruption
@@ -285,6 +288,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self.record = RunRecord.restored(memory["record"])
         said = any(note.startswith(MOVES) for note in self.notes)
         self._camera = CameraWatch(noticed=said or self.job.camera == "moving")
+        self._camera.restore(memory["camera"])
         if self._scoring is not None:
             self._scoring.restore(memory["scores"])
         if self._predictions is not None:
@@ -369,7 +373,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         given = None
         if self._detections is not None:
             given = self._detections.counted(set(self.record.numbers) - set(self.record.missing))
-        happened = self._happened()
+        happened = self._happened
         events = None if happened is None else happened.counts()
         return {
             "tracks": len(self.record.tracks),
@@ -378,8 +382,9 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             "events": events,
         }
 
+    @cached_property
     def _happened(self) -> Happened | None:
-        """To zones, up to the last frame so far."""
+        """To zones, when all frames are done."""
         if self._zones is None:
             return None
         times = self.record.times
@@ -402,7 +407,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
                 summary["metrics"],
                 self.title,
                 summary["detections"],
-                self._happened(),
+                self._happened,
                 COMPARISON[-1:] if job.compare else (),
             )
 
@@ -421,7 +426,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     def view(self, film: Film) -> View:
         """Tracks over the film."""
-        return tracks_view(film, self._happened())
+        return tracks_view(film, self._happened)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Tracks, and measures against ground truth."""

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
@@ -31,6 +30,9 @@ from .application import COMPARISON, BackgroundRun, Found
 from .job import BackgroundJob, Camera
 from .methods import Method, Model, Usual
 from .parameters import Parameters, read_parameters
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Image = NDArray[np.uint8]
 
@@ -249,7 +251,7 @@ def write_comparison(
     )
 
 
-def _draw_errors(canvas: Figure, lines: Sequence[dict[str, Any]]) -> None:
+def _draw_errors(canvas: "Figure", lines: Sequence[dict[str, Any]]) -> None:
     """Stacked bars of the error classes, one for each method."""
     axes = canvas.subplots()
     left = np.zeros(len(lines))

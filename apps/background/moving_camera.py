@@ -1,6 +1,7 @@
 """Notice that a camera moves which is taken to stand still."""
 
 import logging
+from collections.abc import Sequence
 from math import inf
 
 import numpy as np
@@ -20,7 +21,10 @@ SUSPICIOUS = 0.02
 """Share of the picture that is foreground from which on the camera may be the cause."""
 
 LOOK_TIME = 0.3
-"""s between two looks at the camera, as long as there is that much foreground."""
+"""s between the first two looks at the camera, while so much is foreground; then a third more every time."""
+
+MOST_LOOK_TIME = 3.0
+"""s between two looks at most."""
 
 MOST = 0.5
 """Share of the differences between frame and empty scene that one map has to explain."""
@@ -43,20 +47,29 @@ class CameraWatch:
 
     def __init__(self, *, noticed: bool = False) -> None:
         self.noticed = noticed
-        self._looked = -inf
+        self._due, self._wait = -inf, LOOK_TIME
+
+    def saved(self) -> list[float] | None:
+        """When it looks again, as plain JSON."""
+        return None if self._due == -inf else [self._due, self._wait]
+
+    def restore(self, saved: Sequence[float] | None) -> None:
+        """Take up what `saved` gave."""
+        if saved is not None:
+            self._due, self._wait = saved
 
     def take_in(self, belief: Belief, foreground: NDArray[np.uint8]) -> str | None:
         """What is to be said, and is logged, after this frame with its mask `(height, width)`."""
         frame = belief.frame
-        if self.noticed or frame.image is None or frame.time < self._looked + LOOK_TIME:
+        if self.noticed or frame.image is None or frame.time < self._due:
             return None
         if np.count_nonzero(foreground) < SUSPICIOUS * foreground.size:
             return None
-        self._looked = frame.time
+        self._due, self._wait = frame.time + self._wait, min(self._wait * 4 / 3, MOST_LOOK_TIME)
         background = belief["pixels"].background
         if is_thin(background.size):
             return None
-        empty = background.mean[0].reshape(background.size)
+        empty = background.colours.grey_levels()[0]
         found = ScenePicture(empty).register(grey_of(frame.image), AffineMap.identity(background.size))
         moved = found.map.displacement
         if found.explained < MOST or moved < LEAST_MOTION:

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ..drawing.boxes import identity_colour
@@ -17,6 +17,9 @@ from ..reports.frame_lists import shortened
 from ..reports.page import Section, cards, flat, paragraph, picture, picture_grid, table, write_run_page
 from ..reports.plots import figure
 from .record import RunRecord, Snapshot, TrackHistory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Image = NDArray[np.uint8]
 
@@ -187,7 +190,7 @@ def _plots(record: RunRecord) -> Markup:
         ("frames a second, model", np.where(spent > 0, widths / np.maximum(spent, 1e-9), np.nan)),
     ]
 
-    def draw(canvas: Figure) -> None:
+    def draw(canvas: "Figure") -> None:
         axes = canvas.subplots(len(curves), sharex=True)
         for axis, (name, values) in zip(axes, curves, strict=True):
             known = np.isfinite(values)

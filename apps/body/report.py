@@ -5,11 +5,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ...inference.body.hindsight.labelling import ExchangeEvidence, HandLabels, hand_labels
@@ -24,6 +23,9 @@ from ..reports.time_plots import BLUE, GREEN, ORANGE, RED, Line, over_time
 from ..runs.frame_record import FrameRecord
 from .hypotheses import WORTH_SAYING, Hypotheses
 from .relabelling import EXCHANGED_PARTS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -310,7 +312,7 @@ def _seen(record: BodyRecord) -> Markup:
     time_of = dict(zip(record.numbers, times, strict=True))
     each = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
 
-    def draw(canvas: Figure) -> None:
+    def draw(canvas: "Figure") -> None:
         axis = canvas.subplots()
         for part, colour in enumerate(COLOURS):
             there = [

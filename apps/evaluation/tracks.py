@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from ..io.ground_truth import BoxTruth, Kind, MaskTruth
 from .masks import ratio
@@ -120,7 +119,7 @@ def evaluate_tracks(
         overlap_sum += float(overlap[still].sum())
 
     n_truth, n_found = (sum(len(one[side]) for one in seen) for side in (0, 1))
-    paired = linear_sum_assignment(common, maximize=True)
+    paired = _assigned(-common)
     true_identities = int(common[paired].sum())
     misses, false_positives = n_truth - matches, n_found - matches
     share = np.array([np.mean(times) for times in history if times])
@@ -186,7 +185,7 @@ def _hota(seen: Sequence[Seen], n_objects: int, n_tracks: int) -> tuple[float, f
     for objects, found, overlap in seen:
         common = shared[np.ix_(objects, found)]
         union = lengths[0][objects][:, None] + lengths[1][found] - common
-        row, column = linear_sum_assignment(common / union * overlap, maximize=True)
+        row, column = _assigned(-common / union * overlap)
         pairs.append(objects[row] * n_tracks + found[column])
         overlaps.append(overlap[row, column])
     pair, paired_overlap = np.concatenate(pairs), np.concatenate(overlaps)
@@ -236,7 +235,7 @@ def _match(overlap: NDArray[np.float64], least: float) -> tuple[NDArray[np.int64
     """Pair rows with columns that overlap by `least` or more: most pairs, then the greatest overlap."""
     # One forbidden pair costs more than all allowed ones together.
     forbidden = min(overlap.shape) + 1.0
-    rows, columns = linear_sum_assignment(np.where(overlap >= least, 1 - overlap, forbidden))
+    rows, columns = _assigned(np.where(overlap >= least, 1 - overlap, forbidden))
     good = overlap[rows, columns] >= least
     return rows[good], columns[good]
 
@@ -251,3 +250,11 @@ def _gaps(seen: list[bool]) -> int:
     """Count the losses between the first and the last time that something was found."""
     places = np.flatnonzero(seen)
     return int(np.count_nonzero(np.diff(places) > 1))
+
+
+def _assigned(costs: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the pairs with the least sum of costs."""
+    from scipy.optimize import linear_sum_assignment  # slow to import, and only the truth needs it
+
+    rows, columns = linear_sum_assignment(costs)
+    return rows, columns

@@ -3,16 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import mean
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from ..reports.page import Section, paragraph, table
 from ..reports.plots import figure
 from ..reports.time_plots import BLUE, ORANGE
 from .watch import Event, Kind
 from .zones import Line, Zones
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_ROWS = 100  # of a table
 MOST_PLOTS = 12
@@ -101,7 +103,7 @@ class Happened:
                 )
             )
 
-        def draw(canvas: Figure) -> None:
+        def draw(canvas: "Figure") -> None:
             axes = canvas.subplots(len(curves), sharex=True, squeeze=False)[:, 0]
             for axis, (name, of) in zip(axes, curves, strict=True):
                 for label, colour, steps in of:

@@ -13,7 +13,7 @@ where the way last met the border. All this is in heights and seconds, and the s
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
@@ -196,15 +196,15 @@ class _Track:
         self._stillness = Stillness(zones.still_after)
         self._stands_in: list[str] = []
 
-    def take_in(self, now: Moment, height: float, seen: bool) -> Iterator[Event]:
-        """What happens on the way from where it was to where it is now."""
+    def take_in(self, now: Moment, height: float, seen: bool, inside: Sequence[float]) -> Iterator[Event]:
+        """What happens on the way from where it was to where it is now, so far `inside` of each zone."""
         if seen:
             self.seen = now.time
         deviation = height * math.sqrt(ERROR**2 + MOTION * (now.time - self.seen) ** 3 / 3)
         place, before, self.last = (now.x, now.y), self.last, now
         for k, (zone, border) in enumerate(zip(self._zones.zones, self._inside, strict=True)):
             side = border.side
-            if border.take_in(zone.distance(place), deviation, before, now):
+            if border.take_in(inside[k], deviation, before, now):
                 when = border.met if side and border.met is not None else self.first
                 if border.side > 0:
                     self._entered[k] = when
@@ -267,11 +267,15 @@ class Watch:
         for track in self._by_age():
             if time - track.last.time > self._zones.patience + CLOCK:
                 found += self._tracks.pop(track.identity).end(Kind.DISAPPEARED)
-        for identity, x, y, height, seen in sorted(sightings):
+        there = sorted(sightings)
+        places = np.array([(x, y) for _, x, y, _, _ in there], np.float64).reshape(-1, 2)
+        zones = self._zones.zones
+        inside = np.array([zone.distance(places) for zone in zones]).reshape(len(zones), len(there)).T
+        for (identity, x, y, height, seen), distances in zip(there, inside.tolist(), strict=True):
             now = Moment(time, number, x, y)
             if identity not in self._tracks:
                 self._tracks[identity] = _Track(identity, self._zones, now)
-            found += self._tracks[identity].take_in(now, height, seen)
+            found += self._tracks[identity].take_in(now, height, seen, distances)
         return found
 
     def end(self, last: int) -> list[Event]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...models.core.short_repr import short_repr
 
@@ -51,27 +51,34 @@ class Zone:
         object.__setattr__(self, "_ways", ends - starts)
         object.__setattr__(self, "_inner", ~on_edge.any(axis=1))
 
-    def distance(self, place: tuple[float, float]) -> float:
-        """How far a place is inside of the border, px; negative outside, infinite where there is no border.
+    def distance(self, places: ArrayLike) -> NDArray[np.float64]:
+        """How far places are inside of the border, px; negative outside, infinite where there is no border.
 
-        A place out of the picture counts as the nearest one in it.
+        Parameters
+        ----------
+        places
+            `(..., 2)` px; one out of the picture counts as the nearest one in it.
+
+        Returns
+        -------
+        distances
+            `(...)`.
         """
-        x, y = (
-            min(max(value, WITHIN * side), (1 - WITHIN) * side)
-            for value, side in zip(place, self.size, strict=True)
-        )
-        offsets, ways = np.array([x, y]) - self._starts, self._ways
+        size = np.array(self.size, np.float64)
+        within = np.minimum(np.maximum(places, WITHIN * size), (1 - WITHIN) * size)
+        offsets, ways = within[..., None, :] - self._starts, self._ways
         # a ray to the right crosses the border an odd number of times
-        above = offsets[:, 1] < 0
-        below = np.concatenate([above[1:], above[:1]])
-        side = ways[:, 0] * offsets[:, 1] - ways[:, 1] * offsets[:, 0]
+        above = offsets[..., 1] < 0
+        below = np.roll(above, -1, axis=-1)
+        side = ways[:, 0] * offsets[..., 1] - ways[:, 1] * offsets[..., 0]
         crosses = (above != below) & ((side < 0) == (ways[:, 1] < 0))
-        inside = bool(crosses.sum() % 2)
-        offsets, ways = offsets[self._inner], ways[self._inner]
-        along = np.minimum(np.maximum((offsets * ways).sum(axis=1) / (ways * ways).sum(axis=1), 0), 1)
-        off = offsets - along[:, None] * ways
-        nearest = float(np.sqrt((off * off).sum(axis=1)).min(initial=np.inf))
-        return nearest if inside else -nearest
+        inside = crosses.sum(axis=-1) % 2 > 0
+        offsets, ways = offsets[..., self._inner, :], ways[self._inner]
+        along = np.minimum(np.maximum((offsets * ways).sum(axis=-1) / (ways * ways).sum(axis=1), 0), 1)
+        off = offsets - along[..., None] * ways
+        nearest = np.sqrt((off * off).sum(axis=-1)).min(axis=-1, initial=np.inf)
+        distances: NDArray[np.float64] = np.where(inside, nearest, -nearest)
+        return distances
 
 
 @short_repr

@@ -277,8 +277,7 @@ def _from_the_front(
     """Vertices `(n_vertices, 3)`, which texels are seen, and the places `(n_seen, 2)` of these, px."""
     frontal = Poses(exponential(FRONT), np.zeros((1, 2)), morphs[None])
     positions = model.positions(frontal)
-    corners = texels.groups[texels.group_of_texel].astype(np.int64)
-    shown = visible(positions, model.triangles, corners, texels.weights.astype(np.float64))[0]
+    shown = visible(positions, model.triangles, texels)[0]
     return positions[0], shown, (_places(texels, positions[0, :, :2]) + texels.offsets)[shown]
 
 

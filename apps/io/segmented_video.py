@@ -32,12 +32,13 @@ class VideoForm:
 
 # Without B frames, packets lie in the order of their time stamps, so segments join end to end; the file is a
 # little larger. A picture has as many slices as there are threads: two on any machine, for the same bytes.
-# `faststart` lets a browser play before it has everything.
+# `ultrafast` takes little more than half the time of the next preset, for the same error and a third more
+# bytes (measured once). `faststart` lets a browser play before it has everything.
 PLAYABLE = VideoForm(
     "mp4",
     "libx264",
     "yuv420p",
-    {"preset": "superfast", "crf": "23", "bf": "0", "threads": "2"},
+    {"preset": "ultrafast", "crf": "23", "bf": "0", "threads": "2"},
     {"movflags": "+faststart"},
 )
 PLAYABLE_SIDE = 16384  # px, the longest that libx264 encodes

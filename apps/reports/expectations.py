@@ -25,6 +25,15 @@ class Expectation:
         what is wanted of it; `None` where nothing is, and the value only informs.
     spread, seeds
         standard error of the value, and the number of seeds that it comes from; NaN where there is but one.
+        Of speeds, the seeds are rounds.
+    quartiles
+        of speeds, between which half of the rounds lie; the value is their median.
+    limit
+        what the value could be at best on this machine, NaN where nobody has worked it out.
+    ratio
+        whether it stays the same on a machine that does everything twice as fast.
+    loaded
+        whether other processes ran meanwhile, so that a speed says little.
     """
 
     what: str
@@ -33,6 +42,10 @@ class Expectation:
     bound: float | None = None
     spread: float = math.nan
     seeds: int = 1
+    quartiles: tuple[float, float] | None = None
+    limit: float = math.nan
+    ratio: bool = False
+    loaded: bool = False
 
     @property
     def verdict(self) -> str:
@@ -44,13 +57,25 @@ class Expectation:
 
     @property
     def cells(self) -> tuple[str, str, str, str, str]:
-        """What, wanted, measured, its standard error, verdict."""
+        """What, wanted, measured, its standard error or quartiles, verdict."""
         wanted = "" if self.bound is None else f"{self.relation} {self.bound:g}"
         error = "" if math.isnan(self.spread) else rounded(self.spread, 2)
+        if self.quartiles is not None:
+            error = "–".join(map(rounded, self.quartiles))
         return self.what, wanted, rounded(self.measured), error, self.verdict
 
 
 HEADER = ("measure", "wanted", "measured", "±", "")
+
+
+def columns(expectations: Sequence[Expectation]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of a table of expectations; with their limits, where there are any."""
+    rows = [list(each.cells) for each in expectations]
+    if all(math.isnan(each.limit) for each in expectations):
+        return list(HEADER), rows
+    for row, each in zip(rows, expectations, strict=True):
+        row.insert(4, "" if math.isnan(each.limit) else rounded(each.limit))
+    return ["measure", "wanted", "measured", "± or quartiles", "limit", ""], rows
 
 
 def over_seeds(judge: Callable[[Any], Sequence[Expectation]], found: Mapping[Any, Any]) -> list[Expectation]:

@@ -4,14 +4,15 @@ import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from matplotlib.figure import Figure
-
-from .expectations import HEADER, Expectation, in_columns
+from .expectations import Expectation, columns, in_columns
 from .page import Section, table, write_page
 from .plots import figure, write_figure
 from .record import Record, Stopwatch, Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +20,7 @@ class Plot:
     """A plot: its file's name, what draws it, its size in inches, and what is said below it."""
 
     name: str
-    draw: Callable[[Figure], None]
+    draw: Callable[["Figure"], None]
     size: tuple[float, float]
     caption: str
 
@@ -74,12 +75,12 @@ def run_and_publish(name: str, command: str, out: Path, run: Callable[[], Experi
     record.write(out / "results.json", found.runs)
     for each in found.tables:
         print(*textwrap.wrap(each.caption, 110), in_columns(each.header, each.rows), "", sep="\n")
-    wanted = [expectation.cells for expectation in found.expectations]
-    print(in_columns(HEADER, wanted))
+    header, wanted = columns(found.expectations)
+    print(in_columns(header, wanted))
     for plot in found.plots:
         write_figure(out / plot.name, plot.draw, plot.size)
     figures = [figure(plot.draw, plot.size, plot.caption) for plot in found.plots]
-    first: list[Section] = [("", [table(HEADER, wanted)]), *([("Figures", figures)] if figures else [])]
+    first: list[Section] = [("", [table(header, wanted)]), *([("Figures", figures)] if figures else [])]
     measured = [table(each.header, each.rows, each.caption) for each in found.tables]
     write_page(out / "index.html", found.title, [*first, ("Measured", measured), *found.sections])
     print(f"\npage: {out / 'index.html'}")

@@ -6,19 +6,20 @@ import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 from markupsafe import Markup, escape
-from matplotlib.figure import Figure
 
 from ...models.files.atomic_files import write_atomically
 from .page import captioned
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 INK = "#0a0b0c"  # stands for the reader's text colour in plots
 
 
-def figure(draw: Callable[[Figure], None], size: tuple[float, float], caption: str = "") -> Markup:
+def figure(draw: Callable[["Figure"], None], size: tuple[float, float], caption: str = "") -> Markup:
     """A plot as inline SVG, in the reader's text colour.
 
     Parameters
@@ -28,6 +29,8 @@ def figure(draw: Callable[[Figure], None], size: tuple[float, float], caption: s
     size
         `(width, height)` inches.
     """
+    from matplotlib.figure import Figure
+
     with _plot_style(caption), warnings.catch_warnings():
         # the text stays text, and is shown in a font of the reader's, which has more letters
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font")
@@ -44,7 +47,7 @@ def figure(draw: Callable[[Figure], None], size: tuple[float, float], caption: s
     return captioned(Markup(svg), caption)
 
 
-def write_figure(path: Path, draw: Callable[[Figure], None], size: tuple[float, float]) -> None:
+def write_figure(path: Path, draw: Callable[["Figure"], None], size: tuple[float, float]) -> None:
     """Write a plot as PNG, whole or not at all; parameters as of `figure`.
 
     Raises
@@ -52,6 +55,8 @@ def write_figure(path: Path, draw: Callable[[Figure], None], size: tuple[float, 
     OSError
         if the file cannot be written.
     """
+    from matplotlib.figure import Figure
+
     with _plot_style(path.name):
         canvas = Figure(figsize=size, layout="constrained")
         draw(canvas)
@@ -61,6 +66,8 @@ def write_figure(path: Path, draw: Callable[[Figure], None], size: tuple[float, 
 
 def _plot_style(salt: str) -> AbstractContextManager[None]:
     """Settings of matplotlib; the salt makes the same page on every run."""
+    import matplotlib
+
     style: dict[Any, object] = {
         "svg.fonttype": "none",
         "svg.hashsalt": salt or "plot",

@@ -9,7 +9,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from functools import cached_property
@@ -28,6 +28,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 TRACKING = ("models", "inference", "chains")
 """Packages on whose code measurements depend."""
+
+NOT_BUSY = ("idle", "iowait", "guest", "guest_nice")
+"""Times of processors that are none, or are counted as a user's already."""
 
 PLUMBING = "models/files/"
 """What of it reads and writes files, and tracks nothing."""
@@ -58,6 +61,8 @@ class Provenance:
         of our loops in this process.
     versions
         of Python, this package and others, by name.
+    others
+        mean number of cores that other processes kept busy meanwhile; NaN where that was not noted.
     """
 
     date: str
@@ -72,6 +77,7 @@ class Provenance:
     load: float
     threads: int
     versions: Mapping[str, str]
+    others: float = math.nan
 
     @property
     def machine(self) -> str:
@@ -80,14 +86,14 @@ class Provenance:
 
     def is_of(self, root: Path) -> bool:
         """Whether the code that tracks is the same in a checkout."""
-        return self.state == _joint_digest({name: _digest(root / name) for name in self.modules})
+        return self.state == joint_state(root, self.modules)
 
 
 class Stopwatch:
     """Notes where and when it was made; `provenance` adds how long it took since."""
 
     def __init__(self) -> None:
-        self._started = time.perf_counter()
+        self._started, self._busy = time.perf_counter(), _busy_elsewhere()
         commit, changed = _commit()
         files = [path for package in TRACKING for path in sorted((ROOT / package).rglob("*.py"))]
         named = {path.relative_to(ROOT).as_posix(): path for path in files}
@@ -111,10 +117,18 @@ class Stopwatch:
         return Provenance(
             **self._known,
             seconds=seconds,
+            others=max(0.0, _busy_elsewhere() - self._busy) / seconds,
             threads=thread_count(),
             modules=list(taken),
             state=_joint_digest(taken),
         )
+
+
+def _busy_elsewhere() -> float:
+    """Core seconds that all other processes have used so far, and those that the machine's host has taken."""
+    of_all, ours = psutil.cpu_times()._asdict(), os.times()
+    busy = sum(seconds for name, seconds in of_all.items() if name not in NOT_BUSY)
+    return float(busy - ours.user - ours.system - ours.children_user - ours.children_system)
 
 
 def _file(module: object) -> str | None:
@@ -135,6 +149,11 @@ def _digest(path: Path) -> str:
             for number in range(documented.lineno - 1, documented.end_lineno or 0):
                 lines[number] = ""
     return hashlib.sha256("\n".join(filter(None, lines)).encode()).hexdigest()
+
+
+def joint_state(root: Path, modules: Iterable[str]) -> str:
+    """Digest of files below a checkout's root, as `Provenance.state` has it."""
+    return _joint_digest({name: _digest(root / name) for name in modules})
 
 
 def _joint_digest(digests: Mapping[str, str]) -> str:
@@ -234,7 +253,7 @@ class Record:
                 content["name"],
                 content["title"],
                 content["command"],
-                Provenance(**content["made"]),
+                Provenance(**_with_numbers(content["made"], "others")),
                 [_expectation(each) for each in content["expectations"]],
                 [Table(**each) for each in content["tables"]],
             )
@@ -244,7 +263,11 @@ class Record:
 
 def _expectation(content: Mapping[str, Any]) -> Expectation:
     known = {name: value for name, value in content.items() if name != "verdict"}
-    for name in ("measured", "spread"):
-        if known[name] is None:  # JSON knows no NaN
-            known[name] = math.nan
-    return Expectation(**known)
+    if known.get("quartiles") is not None:
+        known["quartiles"] = tuple(known["quartiles"])
+    return Expectation(**_with_numbers(known, "measured", "spread", "limit"))
+
+
+def _with_numbers(content: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """With NaN, which JSON does not know, in the place of nothing."""
+    return {name: math.nan if name in names and value is None else value for name, value in content.items()}

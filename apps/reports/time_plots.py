@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from .plots import figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -52,7 +55,7 @@ def over_time(
     """
     half = 0.5 * float(np.median(np.diff(times))) if len(times) > 1 else 0.5
 
-    def draw(canvas: Figure) -> None:
+    def draw(canvas: "Figure") -> None:
         axes = canvas.subplots(len(plots), sharex=True, squeeze=False)[:, 0]
         for panel, (name, lines) in zip(axes, plots, strict=True):
             for line in lines:

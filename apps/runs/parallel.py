@@ -19,14 +19,12 @@ from joblib import cpu_count
 from joblib.externals.loky import ProcessPoolExecutor
 
 from ...models.numerics.threads import set_threads
+from ..options.library_threads import thread_limits
 from .interruption import Interruption
 from .progress import Progress, show_messages
 
 Task = tuple[Callable[..., Any], tuple[Any, ...]]
 """A function and its arguments, all of which can be sent to another process."""
-
-OF_LIBRARIES = ("OMP", "OPENBLAS", "MKL", "BLIS", "VECLIB_MAXIMUM", "NUMEXPR", "NUMBA")
-"""Whose threads are limited by a variable `..._NUM_THREADS` that they read when they are loaded."""
 
 PATIENCE = 20.0
 """Seconds for which a cluster may have no worker."""
@@ -142,9 +140,11 @@ def _executor(workers: Workers, tasks: int) -> Iterator[Executor]:
         with _cluster(workers.dask) as executor:
             yield executor
         return
-    limits = {f"{library}_NUM_THREADS": str(workers.threads) for library in OF_LIBRARIES}
     executor = ProcessPoolExecutor(
-        min(workers.jobs, max(tasks, 1)), initializer=_settle, initargs=(os.getpid(),), env=limits
+        min(workers.jobs, max(tasks, 1)),
+        initializer=_settle,
+        initargs=(os.getpid(),),
+        env=thread_limits(workers.threads),
     )
     completed = False
     try:
@@ -190,7 +190,10 @@ def _end_with(parent: int) -> None:
 
 
 def _alone(threads: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    set_threads(threads)  # of our own loops, and of OpenCV
+    import cv2
+
+    set_threads(threads)
+    cv2.setNumThreads(1)  # a worker of a cluster was not started with our limits
     show_messages(ERROR)  # progress is the parent's
     return function(*arguments)
 

@@ -2,14 +2,11 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from markupsafe import Markup
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from ...inference.nonrigid.choice import BasesChoice
@@ -19,6 +16,10 @@ from ..reports.page import Section, cards, moving_picture, write_run_page
 from ..reports.plots import figure
 from ..reports.time_plots import BLUE, RED, Line, over_time
 from .result import LearnedShape, Numbers
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Image = NDArray[np.uint8]
 
@@ -119,7 +120,7 @@ def modes(found: LearnedShape) -> Markup:
     bases = found.learned.bases
     shown = min(len(bases) - 1, MOST_MODES)
 
-    def draw(canvas: Figure) -> None:
+    def draw(canvas: "Figure") -> None:
         grid = canvas.subplots(shown, len(SIDES), squeeze=False)
         for k, row in enumerate(grid, start=1):
             ends = bases[0] + SWING * np.array([-1, 1])[:, None, None] * bases[k]
@@ -145,13 +146,15 @@ def modes(found: LearnedShape) -> Markup:
 def held_out(choice: BasesChoice) -> Markup:
     """Errors at positions that were withheld, over the number of bases."""
 
-    def draw(canvas: Figure) -> None:
+    def draw(canvas: "Figure") -> None:
         axis: Axes = canvas.subplots()
         axis.plot(choice.candidates, choice.errors, color=BLUE, marker="o", markersize=4)
         at = choice.candidates.index(choice.bases)
         axis.plot(choice.bases, choice.errors[at], color=RED, marker="o", markersize=8, fillstyle="none")
         axis.set_xlabel("bases")
         axis.set_ylabel("error of a coordinate, px")
+        from matplotlib.ticker import MaxNLocator
+
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
 
     caption = (

@@ -3,12 +3,10 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
@@ -21,6 +19,10 @@ from .camera import camera_in_words
 from .reconstruction import Numbers, Reconstruction
 from .surface_views import surface_views
 from .track_overlay import draw_points
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MOST_DRAWN = 300  # tracks in a plot without images
 BLUE = "#2f7fc1"
@@ -151,7 +153,7 @@ def _three_sides(found: Reconstruction, colours: NDArray[np.uint8], title: str) 
     reach = 1.1 * np.abs(centred[shown]).max(axis=0)
     ink = colours[shown, ::-1] / 255
 
-    def draw(canvas: Figure) -> None:
+    def draw(canvas: "Figure") -> None:
         for axis, (side, across, along) in zip(canvas.subplots(1, len(SIDES)), SIDES, strict=True):
             axis.scatter(
                 *centred[shown][:, [across, along]].T, s=16, c=ink, linewidths=0.3, edgecolors="#808080",
@@ -199,7 +201,7 @@ def _tracks_alone(found: Reconstruction) -> Markup:
     """Paths of the points in the plane of the picture; what was not seen is dashed."""
     drawn = evenly_spread(found.n_points, MOST_DRAWN)
 
-    def draw(canvas: Figure) -> None:
+    def draw(canvas: "Figure") -> None:
         axis: Axes = canvas.subplots()
         for point in drawn:
             blue, green, red = identity_colour(point)
@@ -223,7 +225,7 @@ def _over_time(numbers: NDArray[np.int64], found: Reconstruction) -> Markup:
         ("points seen", np.count_nonzero(found.observed, axis=1).astype(np.float64)),
     )
 
-    def draw(canvas: Figure) -> None:
+    def draw(canvas: "Figure") -> None:
         axes = canvas.subplots(len(curves), sharex=True)
         for axis, (name, values) in zip(axes, curves, strict=True):
             axis.plot(numbers, values, color=BLUE, linewidth=1.2)
@@ -240,11 +242,13 @@ def _rounds(found: Reconstruction) -> Markup:
     values: Numbers = np.array(found.objective)
     ended = "It ended by itself." if found.converged else "It was ended before it converged."
 
-    def draw(canvas: Figure) -> None:
+    def draw(canvas: "Figure") -> None:
         axis: Axes = canvas.subplots()
         axis.plot(np.arange(1, len(values) + 1), values, color=BLUE, marker="o", markersize=4)
         axis.set_xlabel("round")
         axis.set_ylabel("objective, nats")
+        from matplotlib.ticker import MaxNLocator
+
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
 
     return figure(draw, (7, 3), f"Log density of the model after each round of coordinate ascent. {ended}")

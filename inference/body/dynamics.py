@@ -1,6 +1,7 @@
 """How a person's upper body moves from frame to frame: p(x_t | x_t-1), to draw from and to evaluate."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -139,8 +140,8 @@ class BodyDynamics:
         arms = np.stack(
             [around(poses.arms[:, :, part], concentrations[part], random) for part in (0, 1)], axis=2
         )
-        jumping = random.random((n, 2)) < jump
-        arms[jumping] = usual_arms(n, random)[jumping]
+        jumping = np.nonzero(random.random((n, 2)) < jump)
+        arms[jumping] = usual_arms(jumping[1], random)
         return BodyPoses(roots, torsos, necks, arms)
 
     def log_density(self, poses: BodyPoses, ancestors: Ancestors) -> Array:
@@ -264,7 +265,7 @@ class BodyDynamics:
         while len(wrong):
             turns = self.turn_spreads * random.standard_normal((len(wrong), 6))
             poses.torsos[wrong], poses.necks[wrong] = turns[:, :3], turns[:, 3:]
-            poses.arms[wrong] = usual_arms(len(wrong), random)
+            poses.arms[wrong] = usual_arms(np.tile([0, 1], (len(wrong), 1)), random)
             wrong = wrong[~self.body.allowed(poses.take(wrong))]
         return poses
 
@@ -289,7 +290,7 @@ class BodyDynamics:
     def _rates(self, dt: float) -> tuple[float, Array, float]:
         """Standard deviation of place (px), concentrations of the arms' directions, chance of a jump."""
         place = self.place * self.body.head_height * float(np.sqrt(dt))
-        concentrations = concentration(np.array([self.upper_arm, self.forearm]) ** 2 * dt)
+        concentrations = _concentrations(self.upper_arm, self.forearm, dt)
         jump = min(float(-np.expm1(-self.jumps * dt)), MOST_JUMPS)
         return place, concentrations, jump
 
@@ -308,6 +309,14 @@ def concentration(elapsed: Array) -> Array:
     return np.asarray(kappa)
 
 
+@lru_cache(maxsize=64)
+def _concentrations(upper_arm: float, forearm: float, dt: float) -> Array:
+    """`(2,)` of both segments' directions after `dt` s: films have few different steps, which all ask for."""
+    concentrations = concentration(np.array([upper_arm, forearm]) ** 2 * dt)
+    concentrations.flags.writeable = False
+    return concentrations
+
+
 def around(directions: Array, concentration: Array | float, random: np.random.Generator) -> Array:
     """Draw unit vectors from von Mises and Fisher's density about `directions`, `(..., 3)`.
 
@@ -322,12 +331,10 @@ def around(directions: Array, concentration: Array | float, random: np.random.Ge
     return drawn
 
 
-def usual_arms(n: int, random: np.random.Generator) -> Array:
-    """`(n, 2, 2, 3)`: arms of which nothing is known but that upper arms mostly hang down."""
-    arms = np.empty((n, 2, 2, 3))
-    arms[:, :, 0] = around(np.broadcast_to(USUAL_UPPER_ARMS, (n, 2, 3)), USUAL, random)
-    arms[:, :, 1] = anywhere((n, 2), random)
-    return arms
+def usual_arms(sides: NDArray[np.int64], random: np.random.Generator) -> Array:
+    """`(..., 2, 3)`: arms of `sides`, 0 for the left, of which nothing is known but that upper arms mostly
+    hang down."""
+    return np.stack([around(USUAL_UPPER_ARMS[sides], USUAL, random), anywhere(sides.shape, random)], axis=-2)
 
 
 def _log_usual(arms: Array) -> Array:

@@ -7,6 +7,7 @@ be left.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,34 @@ BLOCKS = 6
 the torso while both hands and the swivels of the elbows stay."""
 
 
+@runtime_checkable
+class StagedLikelihood(Protocol):
+    """The log likelihood of poses as a sum of two terms, of which the second one is expensive."""
+
+    def first(self, poses: BodyPoses, /) -> Array:
+        """`(n,)` nats."""
+        ...
+
+    def rest(self, poses: BodyPoses, /) -> Array:
+        """`(n,)` nats."""
+        ...
+
+
+@dataclass(frozen=True)
+class AtOnce:
+    """A likelihood that has no stages."""
+
+    log_likelihood: LogDensity
+
+    def first(self, poses: BodyPoses) -> Array:
+        """`(n,)` nats: all of it."""
+        return self.log_likelihood(poses)
+
+    def rest(self, poses: BodyPoses) -> Array:
+        """`(n,)` nats: nothing."""
+        return np.zeros(len(poses))
+
+
 @dataclass(frozen=True, eq=False)
 class Tempered:
     """Samples of the posterior.
@@ -70,20 +99,23 @@ def temper(
     poses: BodyPoses,
     log_weights: Array,
     log_prior: Callable[[BodyPoses, Indices], Array],
-    log_likelihood: LogDensity,
+    log_likelihood: LogDensity | StagedLikelihood,
     n: int,
     random: np.random.Generator,
+    looked_at: int | None = None,
 ) -> Tempered:
     """Bring weighted samples of a prior to the posterior in a few steps.
 
     In each step the likelihood is taken to a power b that grows to 1, by as much as leaves enough samples
     with weight; samples are drawn again, from all `Strata`, and moved by Metropolis steps that keep prior
-    times likelihood^b as it is.
+    times likelihood^b as it is. They are accepted in two stages, so that what is expensive in a likelihood is
+    worked out only for moves that the rest of it allows (Christen and Fox, "Markov chain Monte Carlo using an
+    approximation", 2005).
 
     Parameters
     ----------
     poses, log_weights
-        m samples of the prior, with weights of sum 1, or some of these (`preselected`).
+        m samples of the prior, with weights of sum 1.
     log_prior
         of poses and the numbers of the samples, 0 to m - 1, that they go back to: up to a constant of such a
         number, minus infinity where a pose is impossible.
@@ -91,9 +123,16 @@ def temper(
         of poses.
     n
         samples that are left.
+    looked_at
+        samples of the prior for which all of a likelihood in stages is worked out, chosen by the first one
+        (`preselected`); without, all of them.
     """
-    likelihood = log_likelihood(poses)
-    owners = np.arange(len(poses))
+    staged = log_likelihood if isinstance(log_likelihood, StagedLikelihood) else AtOnce(log_likelihood)
+    first, owners = staged.first(poses), np.arange(len(poses))
+    if looked_at is not None and staged is log_likelihood:
+        owners, log_weights = preselected(dynamics.body, poses, log_weights, first, looked_at, random)
+        poses, first = poses.take(owners), first[owners]
+    likelihood = first + staged.rest(poses)
     power, moves, accepted = 0.0, 0, 0
     for step in range(MOST_STEPS):
         rest = 1 - power
@@ -103,27 +142,31 @@ def temper(
         total = log_sum(log_weights)
         choice = Strata.of(dynamics.body, poses).balanced(log_weights)
         chosen = systematic(choice, n, random)
-        poses, likelihood, owners = poses.take(chosen), likelihood[chosen], owners[chosen]
+        poses, first, likelihood, owners = (
+            poses.take(chosen),
+            first[chosen],
+            likelihood[chosen],
+            owners[chosen],
+        )
         log_weights = normalised(log_weights[chosen] - choice[chosen]) + total
         prior = log_prior(poses, owners)
         for _ in range(MOVES):
             moved, correction = perturbed(dynamics, poses, random)
             new_prior = log_prior(moved, owners)
-            possible = np.flatnonzero(np.isfinite(new_prior) & np.isfinite(correction))
-            new_likelihood = np.full(n, -np.inf)
-            new_likelihood[possible] = log_likelihood(moved.take(possible))
-            gain = np.full(n, -np.inf)
-            gain[possible] = (
-                new_prior[possible]
-                - prior[possible]
-                + power * (new_likelihood[possible] - likelihood[possible])
-                + correction[possible]
-            )
-            takes = np.log(random.random(n)) < gain
-            poses = poses.replaced(takes, moved)
-            likelihood = np.where(takes, new_likelihood, likelihood)
-            prior = np.where(takes, new_prior, prior)
-            moves, accepted = moves + n, accepted + int(np.count_nonzero(takes))
+            gain = new_prior - prior + correction
+            thresholds = np.log(random.random((2, n)))
+            rows = np.flatnonzero(np.isfinite(gain))
+            new_first = staged.first(moved.take(rows))
+            allowed = thresholds[0, rows] < gain[rows] + power * (new_first - first[rows])
+            rows, new_first = rows[allowed], new_first[allowed]
+            moved = moved.take(rows)
+            rest, new_rest = likelihood[rows] - first[rows], staged.rest(moved)
+            takes = thresholds[1, rows] < power * (new_rest - rest)
+            rows, moved = rows[takes], moved.take(takes)
+            poses = poses.with_rows(rows, moved)
+            first[rows], likelihood[rows] = new_first[takes], new_first[takes] + new_rest[takes]
+            prior[rows] = new_prior[rows]
+            moves, accepted = moves + n, accepted + len(rows)
         if power >= 1:
             break
     return Tempered(poses, normalised(log_weights), log_sum(log_weights), accepted / max(moves, 1))

@@ -180,6 +180,11 @@ class Incoming:
             raise KeyError(f"{asked}: got {len(found)} such nodes among {names}, expected one")
         return found[0]
 
+    def work_out(self) -> None:
+        """Work out all messages now, which later costs nothing to ask for."""
+        for node in self._messages:
+            self._messages[node]
+
     def __iter__(self) -> Iterator[Named]:
         return iter(self._messages)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints, overload
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
+from ...models.numerics.threads import side_by_side
 from . import checkpoint
 from .graph import IMAGE, MultiChain, require_model
 from .protocols import Chain, FeatureNode, MessageType, Named, name_of, require
@@ -255,11 +256,16 @@ class RecursiveBP:
         time_slice = TimeSlice(self.model, predictions, frame)
         for sender, feature in self._schedule * self.sweeps:
             time_slice.send(sender, feature)
+        # what chains hear is there before they update, so that none of them waits for another
+        incoming = {name: time_slice.incoming(name) for name in chains}
+        for heard in incoming.values():
+            heard.work_out()
+        updated = side_by_side(
+            [partial(chain.update, predictions[name], incoming[name]) for name, chain in chains.items()]
+        )
         states = {
-            name: _following(
-                chain, "update", predictions[name], chain.update(predictions[name], time_slice.incoming(name))
-            )
-            for name, chain in chains.items()
+            name: _following(chain, "update", predictions[name], state)
+            for (name, chain), state in zip(chains.items(), updated, strict=True)
         }
         return Belief(frame, RunState(states, frame.number, frame.time, shape), time_slice)
 

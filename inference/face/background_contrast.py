@@ -18,11 +18,11 @@ from ...models.background.kernels.gaussian import ODDS_STEPS
 from ...models.background.pixel_labels import PixelMessage
 from ...models.core.grey import grey_of
 from ...models.face.image_pyramid import DARKEST, FINE_LIGHT_REACH, MIDDLE_GREY, blurred
+from ...models.face.kernels import warp as warp_kernels
 from ...models.face.outline import Box
 from ...models.face.pose import Poses
 from ...models.face.visibility import visible
 from ...models.numerics.threads import over_bands
-from .kernels import pose_terms as place_kernels
 from .texture_likelihood import TexturedObject, TextureLikelihood
 
 Array = NDArray[np.float64]
@@ -109,11 +109,8 @@ class OccludedBackground:
 
     def around(self, poses: Poses) -> "OccludedBackground":
         """As it is about one pose an expert."""
-        texels, model = self.surface.texels, self.surface.model
-        corners = texels.groups[texels.group_of_texel].astype(np.int64)
-        covering = visible(
-            model.positions(poses), model.triangles, corners, texels.weights.astype(np.float64), facing=0.0
-        )
+        model = self.surface.model
+        covering = visible(model.positions(poses), model.triangles, self.surface.texels, facing=0.0)
         return replace(self, covering=covering)
 
     def hidden_contrast(self, poses: Poses, owner: NDArray[np.int64]) -> Array:
@@ -143,10 +140,10 @@ def _integral(
 ) -> Array:
     """`(n,)`: integral of a map of the box over the texels that are `on` `(n_experts, n_texels)`."""
     sums = np.empty(len(poses))
-    positions = surface.positions(poses)
+    positions = surface.positions(poses) - np.array([box.left, box.top], np.float32)
 
     def work(a: int, b: int) -> None:
-        place_kernels.map_sums(positions[a:b], owner[a:b], surface.used_texels, on, map_, box, sums[a:b])
+        warp_kernels.map_sums(map_, surface.used_texels, on, owner[a:b], positions[a:b], sums[a:b])
 
     over_bands(work, len(poses))
     return sums

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.face.pose import Poses
+from .kernels import newton as kernels
 from .pose_dynamics import PosePrior
 from .pose_terms import PoseEvidence, PoseTerm
 from .texture_likelihood import Equations
@@ -76,74 +77,79 @@ def find_modes(
     With a turn w of the object as the camera sees it and p = r h c, dx/dw = -g [p]x, dx/dl = 1 and
     dx/dc = g r h; with J = (grad y)' dx/du the curvature is beta sum a_i J_i' J_i / tau_i and the prior's.
     """
-    n, poses = len(start), start
     unit = float(start.sizes.mean()) / REFERENCE_SIZE
+    climb = _start_of_climb(start)
     for level in range(coarsest, -1, -1):
-        active = np.arange(n)
-        damping = np.full(n, FIRST_DAMPING)
-        terms = [evidence.around(poses, level) for evidence in more]
-        equations = likelihood.equations(level, poses, active)
-        energy, gradient, curvature = _system(equations, prior, poses, active, effective_pixels, terms)
-        for _ in range(MOST_STEPS[level] - 1):
-            step = _step(gradient[active], curvature[active], damping[active])
-            moves = np.einsum("nvad,nd->nva", equations.rows[active], step)
-            longest = np.sqrt((moves**2).sum(axis=2).max(axis=1))
-            step *= np.minimum(1, LONGEST_STEP[level] * unit / np.maximum(longest, 1e-9))[:, None]
-            going = longest > SHORTEST_STEP * unit
-            if not going.any():
+        active, tried = np.arange(len(start)), Poses(*(part.copy() for part in climb.poses))
+        terms = [evidence.around(tried, level) for evidence in more]
+        climb.damping[:] = FIRST_DAMPING
+        for number in range(MOST_STEPS[level]):
+            pace = kernels.Pace(LONGEST_STEP[level] * unit, SHORTEST_STEP * unit, number == 0)
+            equations = likelihood.equations(level, tried, active)
+            belief = _belief(equations, tried, active, effective_pixels, terms)
+            if number == 0:
+                climb = climb._replace(rows=belief.rows.copy())
+            active, tried = _advanced(climb, tried, active, belief, prior, pace)
+            if not len(active):
                 break
-            active, step = active[going], step[going]
-            tried = poses[active].moved(step)
-            there = likelihood.equations(level, tried, active)
-            its_energy, its_gradient, its_curvature = _system(
-                there, prior, tried, active, effective_pixels, terms
-            )
-            better = its_energy < energy[active]
-            won = active[better]
-            poses = poses.replaced(won, tried[better])
-            damping[won] *= 0.3
-            damping[active[~better]] *= 10
-            energy[won], gradient[won] = its_energy[better], its_gradient[better]
-            curvature[won] = its_curvature[better]
-            equations.rows[won] = there.rows[better]
     # single precision sums may miss positive definiteness by a rounding
-    diagonal = np.arange(curvature.shape[1])
-    precision = 0.5 * (curvature + np.swapaxes(curvature, 1, 2))
+    precision = climb.curvature
+    diagonal = np.arange(precision.shape[1])
     precision[:, diagonal, diagonal] *= 1 + RELATIVE_ROUNDING
-    return Modes(poses, precision)
+    return Modes(Poses(*climb.poses), precision)
 
 
-def _system(
+def _start_of_climb(start: Poses) -> kernels.Climb:
+    n, d = len(start), start.dimension
+    parts = (start.rotations, start.translations, start.morphs)
+    return kernels.Climb(
+        poses=kernels.PoseArrays(*(np.array(part, np.float64, order="C") for part in parts)),
+        energy=np.empty(n),
+        gradient=np.empty((n, d)),
+        curvature=np.empty((n, d, d)),
+        rows=np.empty((n, 0, 2, 0), np.float32),
+        damping=np.empty(n),
+    )
+
+
+def _belief(
     equations: Equations,
-    prior: PosePrior,
     poses: Poses,
     owner: NDArray[np.int64],
     effective_pixels: float,
     terms: Sequence[PoseTerm],
-) -> tuple[Array, Array, Array]:
-    """Energy, gradient and curvature of minus the log of the belief."""
+) -> kernels.Belief:
+    """Minus the log of the belief at poses, but for the prior."""
     area = equations.sums[:, 2]
     beta = effective_pixels / np.maximum(area, 1e-9)
-    energy, gradient = prior.energy(poses, owner)
-    energy = np.where(area > 0, energy, np.inf)  # of an object of which nothing faces the viewer
+    energy = 0.5 * beta * equations.sums[:, 0]
+    gradient = beta[:, None] * equations.vectors
     curvature = beta[:, None, None] * equations.matrices
-    diagonal = np.arange(curvature.shape[1])
-    curvature[:, diagonal, diagonal] += prior.precision
-    energy = energy + 0.5 * beta * equations.sums[:, 0]
-    gradient = gradient + beta[:, None] * equations.vectors
     for term in terms:
         its_energy, its_gradient, its_curvature = term.equations(poses, owner)
         energy += its_energy
         gradient += its_gradient
         curvature += its_curvature
-    return energy, gradient, curvature
+    return kernels.Belief(energy, gradient, curvature, area > 0, equations.rows)
 
 
-def _step(gradient: Array, curvature: Array, damping: Array) -> Array:
-    """Solve (H + damping diag H) step = -gradient in columns of like scale (radians stand beside px)."""
-    scale = 1 / np.sqrt(np.einsum("nii->ni", curvature))
-    scaled = curvature * scale[:, :, None] * scale[:, None, :]
-    diagonal = np.arange(scaled.shape[1])
-    scaled[:, diagonal, diagonal] += damping[:, None]
-    step: Array = -np.linalg.solve(scaled, (gradient * scale)[:, :, None])[:, :, 0] * scale
-    return step
+def _advanced(
+    climb: kernels.Climb,
+    tried: Poses,
+    active: NDArray[np.int64],
+    belief: kernels.Belief,
+    prior: PosePrior,
+    pace: kernels.Pace,
+) -> tuple[NDArray[np.int64], Poses]:
+    """Experts that go on, and the poses that they try next."""
+    going = np.empty_like(active)
+    following = kernels.PoseArrays(*(np.empty_like(part) for part in _parts(tried)))
+    n = kernels.advance(
+        active, _parts(tried), belief, _parts(prior.mean), prior.precision, climb, pace, going, following
+    )
+    return going[:n], Poses(*(part[:n] for part in following))
+
+
+def _parts(poses: Poses) -> kernels.PoseArrays:
+    parts = (poses.rotations, poses.translations, poses.morphs)
+    return kernels.PoseArrays(*(np.ascontiguousarray(part, np.float64) for part in parts))

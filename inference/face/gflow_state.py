@@ -56,6 +56,9 @@ class GFlowState:
         of every expert, where each has its own.
     motion
         `(n_experts, dimension)` per second: last change of each expert's pose, where there was one.
+    visible
+        `(n_experts, n_texels)`: texels that the object in the poses does not hide itself; `None` where that
+        has not been found out.
     remembered
         texture of the best expert as it was lost, where an object with a new one is on trial.
     """
@@ -76,6 +79,7 @@ class GFlowState:
     known: NDArray[np.float32] | None = None
     background: ExpertBackground | None = None
     motion: Array | None = None
+    visible: NDArray[np.bool_] | None = None
     remembered: Texture | None = None
 
     @classmethod

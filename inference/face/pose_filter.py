@@ -1,6 +1,5 @@
 """The Rao-Blackwellised particle filter of G-flow: its state, and what a picture makes of it (Table 2)."""
 
-import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -53,8 +52,8 @@ class Sight:
         predicted, of every particle.
     observed
         `(n, n_levels, n_texels)` grey levels of the picture.
-    inside
-        `(n, n_texels)`: texels that are seen in the picture.
+    visible, inside
+        `(n, n_texels)`: texels that the object does not hide itself, and those that are seen in the picture.
     fit
         as of `GFlowState`.
     """
@@ -62,6 +61,7 @@ class Sight:
     particles: Particles
     texture: Texture
     observed: NDArray[np.float32]
+    visible: Mask
     inside: Mask
     fit: float
 
@@ -123,7 +123,7 @@ class PoseFilter:
             return state
         state = replace(
             state,
-            random=copy.deepcopy(state.random),
+            random=_copied(state.random),
             texture=state.texture.predicted(self.noise, state.elapsed),
             since_resampling=state.since_resampling + state.elapsed,
         )
@@ -237,15 +237,15 @@ class PoseFilter:
             return self.surface.visible(poses)
         return np.ones((len(poses), len(self.surface.texels)), np.bool_)
 
-    def _likelihood(self, state: GFlowState, pyramid: list[Level], poses: Poses) -> TextureLikelihood:
+    def _likelihood(self, state: GFlowState, pyramid: list[Level], visible: Mask) -> TextureLikelihood:
         texture = state.texture
         return TextureLikelihood(
-            self.surface, pyramid, texture.mean, texture.temperature(self.noise), self._visible(poses)
+            self.surface, pyramid, texture.mean, texture.temperature(self.noise), visible
         )
 
     def _weighed(self, state: GFlowState, pyramid: list[Level]) -> tuple[Particles, Mask]:
         """Weights at t = 1 (Table 2, I), and the texels that are seen in each pose `(n, n_texels)`."""
-        likelihood = self._likelihood(state, pyramid, state.poses)
+        likelihood = self._likelihood(state, pyramid, self._visible(state.poses))
         every = np.arange(len(state.poses))
         weights = state.log_weights + log_likelihood(likelihood, state.poses, every, self.effective_pixels)
         evidence = float(log_sum(weights))
@@ -260,7 +260,8 @@ class PoseFilter:
         points: PointMessage | None,
     ) -> tuple[Particles, Mask]:
         """Continuation or resampling frame (Table 2, II)."""
-        likelihood = self._likelihood(state, pyramid, state.poses)
+        visible = self._visible(state.poses) if state.visible is None else state.visible
+        likelihood = self._likelihood(state, pyramid, visible)
         prior = self.prior(state)
         more: list[PoseEvidence] = []
         known = None
@@ -301,7 +302,8 @@ class PoseFilter:
         n, best = len(state.poses), int(state.log_weights.argmax())
         last = state.trusted[best]
         remembered = replace(state, texture=state.texture.of(np.array([best])))
-        likelihood = self._likelihood(remembered, pyramid, last)
+        visible = self._visible(last)
+        likelihood = self._likelihood(remembered, pyramid, visible)
         coarse = partial(likelihood.misfit, level=len(pyramid) - 1)
         size = pyramid[0].image.shape[0], pyramid[0].image.shape[1]
         places = likely_places(coarse, size, last, self.surface.positions(last)[0].mean(axis=0), n)
@@ -310,7 +312,7 @@ class PoseFilter:
         every = np.full(len(places), best)
         prior = PosePrior.after(places, self.dynamics, state.size, 1.0)
         likelihood = self._likelihood(
-            replace(state, texture=state.texture.of(every)), pyramid, last[0 * every]
+            replace(state, texture=state.texture.of(every)), pyramid, visible[0 * every]
         )
         modes = find_modes(likelihood, prior, places, self.effective_pixels, len(pyramid) - 1)
         modes = find_modes(likelihood, prior, modes.poses, self.effective_pixels, 1)
@@ -333,9 +335,9 @@ class PoseFilter:
         observed, inside = self.surface.observe(pyramid, particles.poses, visible)
         fit = 1.0
         if state.frames_seen or self.texture_given:
-            shares = explained(observed[:, 0], texture.mean[:, 0], visible, inside)
+            shares = explained(observed, texture.mean, visible, inside)
             fit = float(np.exp(particles.log_weights) @ shares)
-        return Sight(particles, texture, observed, inside, fit)
+        return Sight(particles, texture, observed, visible, inside, fit)
 
     def _learned(self, state: GFlowState, seen: Sight, trust: Trust) -> GFlowState:
         """Poses, and textures given the poses (Table 2, III)."""
@@ -369,6 +371,7 @@ class PoseFilter:
         return replace(
             self._after(state, seen, replace(trust, searches=trust.searches + 1)),
             poses=state.trusted,
+            visible=None,
             log_weights=state.log_weights,
             texture=texture,
             remembered=None,
@@ -380,6 +383,7 @@ class PoseFilter:
         return replace(
             state,
             poses=particles.poses,
+            visible=seen.visible,
             log_weights=particles.log_weights,
             trust=trust,
             elapsed=0.0,
@@ -427,6 +431,13 @@ class PoseFilter:
 
     def _coverage(self, state: GFlowState, size: tuple[int, int], margin: float = 2 * MARGIN) -> Coverage:
         return Coverage.of(self.surface.model, state.poses, state.weights, size, margin)
+
+
+def _copied(random: np.random.Generator) -> np.random.Generator:
+    """A generator that draws what this one will (`copy.deepcopy` takes ten times as long)."""
+    bits = type(random.bit_generator)(0)
+    bits.state = random.bit_generator.state
+    return np.random.Generator(bits)
 
 
 def vertex_moments(model: MorphableModel, state: GFlowState) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """Kalman filter of each texel of each expert, G-flow paper eq. (10)-(12), with gains fixed or learned."""
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +9,12 @@ from numpy.typing import NDArray
 from ...models.core.short_repr import short_repr
 from ...models.face.image_pyramid import MIDDLE_GREY
 from ...models.face.texel_noise import USUAL_RATE, TexelNoise
+from ...models.numerics.threads import over_bands
+from .kernels import textures as kernels
 from .pose_dynamics import SHORTEST
 
 Map = NDArray[np.float32]
+AnyTuple = TypeVar("AnyTuple", kernels.Noises, kernels.Memory, kernels.Lasting)
 
 UNKNOWN_VARIANCE = 60.0**2
 """Squared grey levels: of a texel that has never been seen."""
@@ -35,6 +38,9 @@ FIRST_GAIN = 0.05
 
 RETURN = 0.3
 """s in which what sets a texel apart from its lasting texture decays to 1/e."""
+
+WORTH = 50_000
+"""Texels from which on another thread is woken for them."""
 
 LEAST_INSIDE = 0.4
 """Share of the visible texels that has to lie in the picture, if a texture is to explain it."""
@@ -129,15 +135,23 @@ class LastingTexture:
         """Those of the children of `parents`."""
         return replace(self, mean=self.mean[parents], looks=self.looks[parents])
 
-    def updated(self, observed: Map, seen: NDArray[np.bool_], gain: Map | np.float32, elapsed: float) -> Self:
-        """With a picture `elapsed` s after the last one, under a filter of steady `gain` above 0."""
+    def updated(self, observed: Map, seen: NDArray[np.bool_], gain: Map, elapsed: float) -> Self:
+        """With a picture `elapsed` s after the last one, under a filter of steady `gain` above 0.
+
+        `observed` `(n_experts, n_levels, n_texels)`, and `gain` of every texel, or `(1, n_texels)`.
+        """
         weight = np.float32(max(elapsed, SHORTEST) * USUAL_RATE)
-        first = self.looks == 0
-        looks = self.looks + np.where(seen, np.where(first, 1 / gain, weight), np.float32(0))
-        share = np.maximum(weight / np.maximum(looks, weight), 1 - (1 - gain**2) ** weight)
-        share = np.where(first, np.float32(1), share)
-        mean = self.mean + np.where(seen, share * (observed - self.mean), np.float32(0))
-        return replace(self, mean=mean.astype(np.float32), looks=looks.astype(np.float32))
+        memory = kernels.Memory(weight, 1 / gain, (1 - (1 - gain**2) ** weight).astype(np.float32))
+        after = kernels.Lasting(np.empty_like(self.mean), np.empty_like(self.looks))
+
+        def work(a: int, b: int) -> None:
+            kernels.learn_lasting(
+                observed[a:b], seen[a:b], kernels.Lasting(self.mean[a:b], self.looks[a:b]),
+                _rows(memory, a, b), kernels.Lasting(after.mean[a:b], after.looks[a:b]),
+            )  # fmt: skip
+
+        over_bands(work, len(seen), worth=seen.size > WORTH)
+        return replace(self, mean=after.mean, looks=after.looks)
 
 
 @short_repr
@@ -179,6 +193,8 @@ class Texture:
 
     def of(self, parents: NDArray[np.int64]) -> Self:
         """Textures of the children of `parents`."""
+        if np.array_equal(parents, np.arange(len(self.mean))):
+            return self
         return replace(
             self,
             mean=self.mean[parents],
@@ -189,18 +205,22 @@ class Texture:
 
     def temperature(self, noise: TexelNoise) -> Map:
         """tau = V + sigma_w^2 `(n_experts, n_texels)` of a predicted texture, squared grey levels (§4.1)."""
-        return self.variance + self._noises(noise)[0]
+        temperature: Map = self.variance + self._noises(noise, 0.0).rendering
+        return temperature
 
     def predicted(self, noise: TexelNoise, elapsed: float) -> Self:
         """The texture `elapsed` s later, eq. (12), on its way to the lasting one if anything changes."""
-        variance = self.variance + self._noises(noise)[1] * np.float32(max(elapsed, SHORTEST))
-        mean = self.mean
+        elapsed = max(elapsed, SHORTEST)
+        noises, returned = self._noises(noise, elapsed), np.float32(-np.expm1(-elapsed / RETURN))
+        lasting = kernels.Lasting(*np.zeros((2, 0, 0), np.float32))
         if self.lasting is not None:
-            returned = np.float32(-np.expm1(-max(elapsed, SHORTEST) / RETURN))
-            there = self.lasting.looks > 0
-            mean = mean.copy()
-            mean[:, 0] += np.where(there, returned * (self.lasting.mean - mean[:, 0]), np.float32(0))
-        return replace(self, mean=mean, variance=np.minimum(variance, np.float32(UNKNOWN_VARIANCE)))
+            lasting = kernels.Lasting(self.lasting.mean, self.lasting.looks)
+        mean, variance = np.empty_like(self.mean), np.empty_like(self.variance)
+
+        kernels.predict(
+            self.mean, self.variance, lasting, returned, noises, np.float32(UNKNOWN_VARIANCE), mean, variance
+        )
+        return replace(self, mean=mean, variance=variance)
 
     def updated(self, observed: Map, seen: NDArray[np.bool_], noise: TexelNoise, elapsed: float) -> Self:
         """This prediction, made `elapsed` s after the last picture, with a picture: eq. (10), (11).
@@ -211,28 +231,39 @@ class Texture:
         the texel as last seen: blurred texture is blurred light as well, which changes. And where nothing is
         said to change (gain 0) the first picture is the template.
         """
-        rendering, process = self._noises(noise)
-        unknown = self.variance >= np.float32(0.5 * UNKNOWN_VARIANCE)
-        gain = np.where(unknown, np.float32(1), self.variance / (self.variance + rendering))
-        gain = np.where(seen, gain, np.float32(0)).astype(np.float32)
-        first = np.where(process > 0, rendering, np.float32(0))
-        variance = np.where(seen & unknown, first, (1 - gain) * self.variance).astype(np.float32)
-        mean = np.where(seen[:, None], observed, self.mean)
-        innovation = observed[:, 0] - self.mean[:, 0]
-        mean[:, 0] = self.mean[:, 0] + gain * innovation
-        learned = None if self.learned is None else self.learned.updated(innovation, seen & ~unknown, elapsed)
-        lasting = self.lasting
+        noises, unknown = self._noises(noise, elapsed), np.float32(0.5 * UNKNOWN_VARIANCE)
+        mean, variance = np.empty_like(self.mean), np.empty_like(self.variance)
+
+        def work(a: int, b: int) -> None:
+            kernels.learn(
+                observed[a:b], seen[a:b], self.mean[a:b], self.variance[a:b], _rows(noises, a, b), unknown,
+                mean[a:b], variance[a:b],
+            )  # fmt: skip
+
+        over_bands(work, len(seen), worth=seen.size > WORTH)
+        learned, lasting = self.learned, self.lasting
+        if learned is not None:
+            innovation = observed[:, 0] - self.mean[:, 0]
+            learned = learned.updated(innovation, seen & (self.variance < unknown), elapsed)
         if lasting is not None and (self.learned is not None or noise.process > 0):
-            steady = np.float32(noise.steady_gain) if self.learned is None else self.learned.gain
-            lasting = lasting.updated(observed[:, 0], seen, steady, elapsed)
+            steady = self._everywhere(noise.steady_gain) if self.learned is None else self.learned.gain
+            lasting = lasting.updated(observed, seen, steady, elapsed)
         return replace(self, mean=mean, variance=variance, learned=learned, lasting=lasting)
 
-    def _noises(self, noise: TexelNoise) -> tuple[Map | np.float32, Map | np.float32]:
-        """Rendering noise, and process noise per second; with a learned gain those of its steady state."""
+    def _noises(self, noise: TexelNoise, elapsed: float) -> kernels.Noises:
+        """Noises of texels `elapsed` s after the last picture; with a learned gain those of its steady
+        state."""
         if self.learned is None:
-            return np.float32(noise.rendering), np.float32(noise.process)
+            rendering = self._everywhere(noise.rendering)
+            process = self._everywhere(noise.process * elapsed)
+            return kernels.Noises(rendering, process, rendering if noise.process > 0 else 0 * rendering)
         gain, temperature = self.learned.gain, np.float32(noise.temperature)
-        return (1 - gain) * temperature, gain**2 * temperature * np.float32(USUAL_RATE)
+        rendering = (1 - gain) * temperature
+        process = gain**2 * temperature * np.float32(USUAL_RATE * elapsed)
+        return kernels.Noises(rendering, process, np.where(gain > 0, rendering, np.float32(0)))
+
+    def _everywhere(self, number: float) -> Map:
+        return np.full((1, self.variance.shape[1]), number, np.float32)
 
 
 def explained(observed: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArray[np.bool_]) -> Map:
@@ -241,13 +272,17 @@ def explained(observed: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArra
     Parameters
     ----------
     observed, mean
-        `(n, n_texels)` grey levels: as the picture shows the texels, and as they were predicted.
+        `(n, n_levels, n_texels)` grey levels: as the picture shows the texels, and as they were predicted, on
+        the finest level, which counts, and others.
     visible, seen
         `(n, n_texels)`: texels that face the viewer, and those of them in the picture; 0 where these are few.
     """
-    count = np.maximum(seen.sum(axis=1), 1)
-    middle = (observed * seen).sum(axis=1) / count
-    error = ((observed - mean) ** 2 * seen).sum(axis=1)
-    power = ((observed - middle[:, None]) ** 2 * seen).sum(axis=1)
-    inside = count > LEAST_INSIDE * np.maximum(visible.sum(axis=1), 1)
-    return np.where(inside, np.maximum(1 - error / np.maximum(power, 1), -1), 0).astype(np.float32)
+    share = np.empty(len(seen), np.float32)
+    kernels.explain(observed, mean, visible, seen, np.float32(LEAST_INSIDE), share)
+    return share
+
+
+def _rows(arrays: AnyTuple, a: int, b: int) -> AnyTuple:
+    """Arrays of experts a to b; those that are the same for all, and numbers, as they are."""
+    parts = (part[a:b] if np.ndim(part) and len(part) > 1 else part for part in arrays)
+    return type(arrays)(*parts)

@@ -1,6 +1,6 @@
 """What a picture says of poses, given the textures that experts remember: p(y_t | u_1:t, y_1:t-1)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -8,16 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.face.image_pyramid import Level
+from ...models.face.kernels import normal_equations as newton_kernels
 from ...models.face.kernels import warp as warp_kernels
 from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses
+from ...models.face.pose import RIGID, Poses
 from ...models.face.surface_texels import SurfaceTexels
 from ...models.face.visibility import visible
 from ...models.numerics.threads import over_bands
+from ...models.numerics.vectors import LANES
 
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 NO_MAP: Map = np.zeros((0, 0), np.float32)
+
+WORTH = 50_000
+"""Texels from which on another thread is woken for them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,38 +47,60 @@ class TexturedObject:
 
     @cached_property
     def _bases(self) -> Map:
-        return np.ascontiguousarray(self.model.bases[:, self._used], np.float32)
+        """`(n_used, 3, width)`: the bases of the vertices used, in the columns of a pose's change."""
+        dimension = RIGID + self.model.n_bases
+        bases = np.zeros((len(self._used), 3, -(-dimension // LANES) * LANES), np.float32)
+        bases[:, :, RIGID:dimension] = np.moveaxis(self.model.bases[:, self._used], 0, 2)
+        return bases
 
     @cached_property
     def used_texels(self) -> warp_kernels.Texels:
         """The texels as loops take them, with numbers of vertices among those used."""
-        groups = np.searchsorted(self._used, self.texels.groups).astype(np.int32)
+        groups = np.searchsorted(self._used, self.texels.groups).astype(np.uint32)
         texels = self.texels
-        return warp_kernels.Texels(groups, texels.first, texels.weights, texels.offsets, texels.areas)
+        start = texels.first[:-1]
+        return warp_kernels.Texels(
+            groups,
+            texels.first,
+            texels.counts.astype(np.int32),
+            texels.weights[start],
+            texels.offsets[start],
+            texels.areas,
+        )
 
     @cached_property
-    def _corners(self) -> NDArray[np.int64]:
-        return self.texels.groups[self.texels.group_of_texel].astype(np.int64)
+    def _pairs(self) -> newton_kernels.Pairs:
+        """Pairs of the vertices used that have texels in common."""
+        n = len(self._used)
+        ends = self.used_texels.groups[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
+        edges, number = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
+        of_group = np.concatenate([self.used_texels.groups.T, n + number.reshape(-1, 3).T])
+        every = np.arange(n)
+        all_ends = np.concatenate([np.stack([every, every], axis=1), edges])
+        return newton_kernels.Pairs(all_ends.astype(np.uint32), of_group.astype(np.uint32))
 
     def rows(self, poses: Poses) -> tuple[Map, Map]:
         """Positions `(n, n_used, 2)` px of the vertices used, and their rows `(n, n_used, 2, width)`.
 
         The width is the poses' dimension rounded up to whole vectors, filled with zeros.
         """
-        n, width = len(poses), -(-poses.dimension // 8) * 8
+        positions, rows, write = self.rows_to_write(poses)
+        write(0, len(poses))
+        return positions, rows
+
+    def rows_to_write(self, poses: Poses) -> tuple[Map, Map, Callable[[int, int], None]]:
+        """The same before they are known, and what writes them of poses from one number to another."""
+        n, width = len(poses), self._bases.shape[2]
         positions = np.empty((n, len(self._used), 2), np.float32)
         rows = np.zeros((n, len(self._used), 2, width), np.float32)
-        single = [
-            np.ascontiguousarray(part, np.float32)
-            for part in (poses.rotations, poses.translations, poses.morphs)
-        ]
-        over_bands(
-            lambda a, b: warp_kernels.vertex_rows(
+        single = [part.astype(np.float32) for part in (poses.rotations, poses.translations, poses.morphs)]
+
+        def write(a: int, b: int) -> None:
+            newton_kernels.vertex_rows(
                 *(part[a:b] for part in single), self._bases, positions[a:b], rows[a:b]
-            ),
-            n,
-        )
-        return positions, rows
+            )
+
+        return positions, rows, write
 
     def positions(self, poses: Poses) -> Map:
         """`(n, n_used, 2)` px: of the vertices used."""
@@ -89,20 +116,35 @@ class TexturedObject:
         """`(n, n_texels)`: whether texels face the viewer with nothing before them."""
         if not len(self.model.triangles):
             return np.ones((len(poses), len(self.texels)), np.bool_)
-        return visible(
-            self.model.positions(poses),
-            self.model.triangles,
-            self._corners,
-            self.texels.weights.astype(np.float64),
-        )
+        return visible(self.model.positions(poses), self.model.triangles, self.texels)
 
     def observe(
         self, levels: Sequence[Level], poses: Poses, visible: NDArray[np.bool_]
     ) -> tuple[Map, NDArray[np.bool_]]:
-        """What texels look like on each level `(n, n_levels, n_texels)`, and which are in the picture."""
-        sampled = [self.sampled(level, poses, visible) for level in levels]
-        seen = np.all([area > 0 for _, area in sampled], axis=0)
-        return np.stack([values for values, _ in sampled], axis=1), visible & seen
+        """What texels look like on each level `(n, n_levels, n_texels)`, and which are in the picture.
+
+        On coarse levels only those that are used there are sure to be looked at; others may have 0.
+        """
+        positions = self.positions(poses)
+        margin = np.abs(self.texels.offsets).max(initial=0) + 2 ** len(levels)
+        size = np.array(levels[0].image.shape[::-1])
+        within = bool((positions > margin).all() and (positions < size - 1 - margin).all())
+        values = np.zeros((len(poses), len(levels), len(self.texels)), np.float32)
+        seen = np.empty(visible.shape, np.bool_)
+
+        def work(a: int, b: int) -> None:
+            area, here = np.empty(visible[a:b].shape, np.float32), visible[a:b]
+            for number, level in enumerate(levels):
+                warp_kernels.sample_texels(
+                    level, number, 4**number if within else 1, self.used_texels, visible[a:b],
+                    positions[a:b], values[a:b], area,
+                )  # fmt: skip
+                if number == 0 or not within:
+                    here = here & (area > 0)
+            seen[a:b] = here
+
+        over_bands(work, len(poses), worth=values.size > 3 * WORTH)
+        return values, seen
 
     def sampled(self, level: Level, poses: Poses, visible: NDArray[np.bool_]) -> tuple[Map, Map]:
         """Grey levels of all texels on a level `(n, n_texels)`, and the areas that they stand for.
@@ -110,16 +152,12 @@ class TexturedObject:
         The area, px squared of the picture, is 0 of texels that are not `visible`, and not above 0 of those
         off the picture.
         """
-        positions, shape = self.positions(poses), (len(poses), len(self.texels))
-        values, area = np.empty(shape, np.float32), np.empty(shape, np.float32)
-
-        def work(a: int, b: int) -> None:
-            warp_kernels.sample_texels(
-                level, self.used_texels, visible[a:b], positions[a:b], values[a:b], area[a:b]
-            )
-
-        over_bands(work, len(poses))
-        return values, area
+        shape = (len(poses), len(self.texels))
+        values, area = np.empty((shape[0], 1, shape[1]), np.float32), np.empty(shape, np.float32)
+        warp_kernels.sample_texels(
+            level, 0, 1, self.used_texels, visible, self.positions(poses), values, area
+        )
+        return values[:, 0], area
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,34 +185,33 @@ class TextureLikelihood:
     visible: NDArray[np.bool_]
 
     @cached_property
-    def _textures(self) -> list[warp_kernels.Textures]:
-        """For every level."""
-        precision, log_temperature = np.reciprocal(self.temperature), np.log(self.temperature)
-        return [
-            warp_kernels.Textures(self.mean[:, level], precision, log_temperature, self.visible)
-            for level in range(len(self.levels))
-        ]
+    def _textures(self) -> warp_kernels.Textures:
+        mean = np.ascontiguousarray(self.mean)
+        return warp_kernels.Textures(
+            mean, np.reciprocal(self.temperature), np.log(self.temperature), self.visible
+        )
 
     def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
         """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
-        positions, rows = self.surface.rows(poses)
+        positions, rows, write_rows = self.surface.rows_to_write(poses)
         n, width, dimension = len(poses), rows.shape[3], poses.dimension
         matrices, vectors = np.empty((n, width, width), np.float32), np.empty((n, width), np.float32)
         totals = np.empty((n, 3))
 
         def work(a: int, b: int) -> None:
-            warp_kernels.normal_equations(
-                self.levels[level], 4**level, self.surface.used_texels, self._textures[level], owner[a:b],
-                positions[a:b], rows[a:b], dimension,
-                warp_kernels.NormalSums(matrices[a:b], vectors[a:b], totals[a:b]),
+            write_rows(a, b)
+            newton_kernels.normal_equations(
+                self.levels[level], level, self.surface.used_texels, self.surface._pairs,
+                self._textures, owner[a:b], positions[a:b], rows[a:b], dimension,
+                newton_kernels.NormalSums(matrices[a:b], vectors[a:b], totals[a:b]),
             )  # fmt: skip
 
-        over_bands(work, n)
+        over_bands(work, n, worth=n * len(self.surface.texels) > WORTH * 4**level)
         return Equations(
             matrices[:, :dimension, :dimension].astype(np.float64),
             vectors[:, :dimension].astype(np.float64),
             totals,
-            rows[..., :dimension],
+            rows,
         )
 
     def sums(self, poses: Poses, owner: NDArray[np.int64], background: Map = NO_MAP, level: int = 0) -> Array:
@@ -187,11 +224,11 @@ class TextureLikelihood:
 
         def work(a: int, b: int) -> None:
             warp_kernels.texel_densities(
-                self.levels[level], 4**level, self.surface.used_texels, self._textures[level], owner[a:b],
+                self.levels[level], level, self.surface.used_texels, self._textures, owner[a:b],
                 positions[a:b], background, sums[a:b],
             )  # fmt: skip
 
-        over_bands(work, len(poses))
+        over_bands(work, len(poses), worth=len(poses) * len(self.surface.texels) > WORTH * 4**level)
         return sums
 
     def misfit(self, poses: Poses, level: int) -> Array:
@@ -211,7 +248,7 @@ class Equations:
     sums
         `(n, 3)`: of a e^2 / tau, a log tau and a.
     rows
-        `(n, n_used, 2, dimension)` float32: how vertices move with the pose.
+        `(n, n_used, 2, width)` float32: how vertices move with the pose; columns past its dimension are 0.
     """
 
     matrices: Array

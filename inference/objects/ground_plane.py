@@ -7,16 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
-from ...models.objects.box_detector import FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from ...models.objects.box_detector import BOX
 from ...models.objects.box_message import Newcomers
+from .kernels.ground_plane import Objects, box_densities
 
 Numbers = NDArray[np.float64]
-
-LEAST_SPREAD = 0.05
-"""Of a width, in heights: what remains uncertain about it, however alike the observations were."""
-
-HALF_HIDDEN = 0.5
-"""Heights: standard deviation of what an observation is off by that does not show an object wholly."""
 
 
 @short_repr
@@ -86,20 +81,18 @@ class GroundState:
         """Mean and standard deviation px of the height of somebody new, with feet in these rows."""
         return self.newcomers().height(foot_y)
 
-    def plane(self, foot_y: Numbers) -> tuple[Numbers, Numbers]:
-        """Mean px and variance px^2 of the height of somebody of average stature, any shape."""
-        below, covariance = foot_y - self.middle, self.scene_covariance
-        mean = self.scene[0] + self.scene[1] * below
-        return mean, covariance[0, 0] + 2 * below * covariance[0, 1] + below**2 * covariance[1, 1]
-
-    def whole(self, boxes: Numbers) -> NDArray[np.bool_]:
-        """Which of `(n, 4)` boxes the picture's edge does not cut off."""
-        x, y, width, height = boxes.T
-        rows, columns = self.size
-        inside: NDArray[np.bool_] = (
-            (y - height > 1) & (y < rows - 1) & (x - 0.5 * width > 1) & (x + 0.5 * width < columns - 1)
+    @property
+    def objects(self) -> Objects:
+        """What loops know of the objects."""
+        return Objects(
+            self.feet,
+            self.feet_covariance,
+            self.heights,
+            self.aspects,
+            self.aspect_variances,
+            self.trust,
+            self.unseen,
         )
-        return inside
 
     def boxes(self, spread: float, foot_spread: float) -> GaussianMessage:
         """Density N(x) N(y) N(height; plane's at y) N(width; aspect * height) of every object's box.
@@ -113,67 +106,12 @@ class GroundState:
         foot_spread
             heights: standard deviation of the bottom edge's middle about the point on the ground.
         """
-        x, y = self.feet[:, 0, 0], self.feet[:, 1, 0]
-        design = design_matrix(y - self.middle, self.heights)
-        slope = self.scene[1]
-        upright = design @ self.scene - slope * y
-        uncertain = ((design @ self.scene_covariance) * design).sum(axis=1)
-        squares = self.heights**2
-        sway = foot_spread**2 * squares
-        precision = np.empty((len(x), 4))
-        precision[:, FOOT_X] = 1 / (self.feet_covariance[:, 0, 0, 0] + sway)
-        precision[:, FOOT_Y] = 1 / (self.feet_covariance[:, 1, 0, 0] + sway)
-        precision[:, WIDTH] = 1 / ((self.aspect_variances + LEAST_SPREAD**2) * squares)
-        precision[:, HEIGHT] = probability(self.trust) / (uncertain + spread**2 * squares)
-        of_x, of_y, of_width, of_height = precision.T
-        information = np.zeros((len(x), 4, 4))
-        information[:, FOOT_X, FOOT_X] = of_x
-        information[:, FOOT_Y, FOOT_Y] = of_y + slope**2 * of_height
-        information[:, FOOT_Y, HEIGHT] = information[:, HEIGHT, FOOT_Y] = -slope * of_height
-        information[:, WIDTH, WIDTH] = of_width
-        information[:, WIDTH, HEIGHT] = information[:, HEIGHT, WIDTH] = -self.aspects * of_width
-        information[:, HEIGHT, HEIGHT] = of_height + self.aspects**2 * of_width
-        vector = np.zeros((len(x), 4))
-        vector[:, FOOT_X] = of_x * x
-        vector[:, FOOT_Y] = of_y * y - slope * of_height * upright
-        vector[:, HEIGHT] = of_height * upright
-        quadratic = of_x * x**2 + of_y * y**2 + of_height * upright**2
-        log_scale = 0.5 * (np.log(precision / (2 * np.pi)).sum(axis=1) - quadratic)
-        return GaussianMessage(self.identities, information, vector, log_scale)
-
-
-def design_matrix(below: Numbers, heights: Numbers, seen: NDArray[np.intp] | None = None) -> Numbers:
-    """`(n_seen, 2 + n_objects)`: what every observed height is made of, in the order of `scene`."""
-    rows = np.arange(len(below))
-    place = rows if seen is None else seen
-    design = np.zeros((len(below), 2 + len(heights)))
-    design[:, 0] = 1.0
-    design[:, 1] = below
-    design[rows, 2 + place] = heights[place]
-    return design
-
-
-def usual_heights(state: GroundState, foot_y: Numbers, height: Numbers) -> Numbers:
-    """px: what the plane says of the height of anybody there; before it is known, the measured one.
-
-    An object's own share and all noise are scaled with it. The measured height comes in as little as can be:
-    shares of hidden people's heights would let the plane sink while the shares grow.
-    """
-    mean, variance = state.plane(foot_y)
-    height = np.maximum(height, 1.0)
-    share = 1 / (1 + variance / (HALF_HIDDEN * height) ** 2)
-    usual: Numbers = np.maximum(height + share * (mean - height), 0.25 * height)
-    return usual
-
-
-def good_over_bad(squares: Numbers, variance: Numbers, more: Numbers) -> Numbers:
-    """Likelihood ratio of two Gaussians about the same mean, the second one with `more` variance."""
-    bad = variance + more
-    ratio: Numbers = np.sqrt(bad / variance) * np.exp(-0.5 * squares * (1 / variance - 1 / bad))
-    return np.maximum(ratio, 1e-30)
-
-
-def probability(log_odds: Numbers) -> Numbers:
-    """Give what log odds stand for."""
-    probability: Numbers = 1 / (1 + np.exp(-log_odds))
-    return probability
+        count = len(self.identities)
+        message = GaussianMessage(
+            self.identities, np.empty((count, BOX, BOX)), np.empty((count, BOX)), np.empty(count)
+        )
+        box_densities(
+            self.middle, spread, foot_spread, self.scene, self.scene_covariance, self.objects,
+            message.information, message.vector, message.log_scale,
+        )  # fmt: skip
+        return message

@@ -7,7 +7,6 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
@@ -292,6 +291,8 @@ def joins(tracks: Sequence[Smooth], times: Numbers, motion: Motion, comings: Com
             if row != column and 0 < gap <= comings.patience:
                 one_object = comings.log_back(one) + _log_same(one, other, gap, motion)
                 scores[row, column] = max(one_object - comings.log_new(other), 0.0)
+    from scipy.optimize import linear_sum_assignment  # slow to import, and only whole films need it
+
     rows, columns = linear_sum_assignment(-scores)
     return {int(row): int(column) for row, column in zip(rows, columns, strict=True) if scores[row, column]}
 

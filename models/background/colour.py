@@ -6,6 +6,7 @@ planes as in luma, so one variance serves all three.
 
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,12 +71,12 @@ def to_planes(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 def to_image(planes: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
     """Give the uint8 image of `size = (height, width)`, grey or BGR, whose planes these are."""
-    if planes.shape[0] == 1:
-        values: NDArray[np.floating] = planes.reshape(size)
-    else:
-        values = (planes.T.astype(np.float64) @ np.linalg.inv(FROM_BGR).T).reshape(*size, 3)
-    image: NDArray[np.uint8] = np.clip(np.rint(values), 0, 255).astype(np.uint8)
-    return image
+    values = to_pixels(planes.shape[0]) @ planes.astype(np.float32, copy=False)
+    np.clip(np.rint(values, out=values), 0, 255, out=values)
+    channels = values.astype(np.uint8).reshape(-1, *size)
+    if len(channels) == 1:
+        return channels[0]
+    return np.asarray(cv2.merge(list(channels)), np.uint8)
 
 
 def patch(image: NDArray[np.uint8], top: int, left: int, height: int, width: int) -> NDArray[np.float32]:

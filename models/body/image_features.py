@@ -1,6 +1,8 @@
 """What one image says of a person's upper body: faces, skin, its blobs, edges."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -10,6 +12,8 @@ from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.grey import grey_of
 from ..core.short_repr import short_repr
 from .keypoints import SeenKeypoints
+
+Made = TypeVar("Made")
 
 BLUR = 1.2
 """px: of the picture in which edges are looked for."""
@@ -62,6 +66,14 @@ class BodyImage:
     keypoints: SeenKeypoints | None = None
     bare: float = 0.0
     arms: NDArray[np.float32] | None = None
+    _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def once(self, key: Hashable, make: Callable[["BodyImage"], Made]) -> Made:
+        """`make(self)`, or what it was for an equal `key`: a filter and its hindsight ask for the same."""
+        if key not in self._made:
+            self._made[key] = make(self)
+        made: Made = self._made[key]
+        return made
 
     @property
     def size(self) -> tuple[int, int]:

@@ -13,14 +13,14 @@ from .kernels.likelihood import (
     arm_terms,
     blob_terms,
     edge_features,
-    edge_terms,
     forearm_terms,
     hand_terms,
     head_terms,
     over_density,
 )
-from .poses import BodyPoses
-from .silhouette import silhouettes
+from .kernels.silhouette import outline_terms
+from .poses import BodyPoses, over_bands_of
+from .silhouette import N_POINTS, solid_of
 from .skin.colour import HIGHEST
 from .upper_body import UpperBody
 
@@ -77,6 +77,9 @@ LEAST_EDGES, LEAST_ALIKE = 0.2, 0.25
 EDGE_SHARPNESS = 4.0
 """Concentration (von Mises) of twice the angle between an edge and the outline."""
 
+EDGE_DIRECTIONS = np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)])
+"""The same, and what the density is divided by."""
+
 NO_EDGE = 0.4
 """Probability that a point of the outline shows no edge of its own."""
 
@@ -120,7 +123,10 @@ class BodyLikelihood:
     body: UpperBody
 
     def __call__(self, image: BodyImage) -> "ImageLikelihood":
-        """The likelihood of this image, ready for any number of poses."""
+        """The likelihood of this image, ready for any number of poses; its maps are worked out once."""
+        return image.once(self, self._of)
+
+    def _of(self, image: BodyImage) -> "ImageLikelihood":
         unit, skin, head = self.body.head_height, None, None
         if image.skin is not None and image.moving_skin is not None:
             skin = skin_maps(image.moving_skin, self.body.hand)
@@ -154,22 +160,39 @@ class ImageLikelihood:
 
     def __call__(self, poses: BodyPoses) -> Array:
         """log p(image | pose) `(n,)` nats, up to a constant."""
-        total: Array = self.terms(poses).sum(axis=0)
+        return self.first(poses) + self.rest(poses)
+
+    def first(self, poses: BodyPoses) -> Array:
+        """`(n,)` nats: what is found out of it with little work, all but the outline's."""
+        total: Array = self.inner_terms(poses).sum(axis=0)
         return total
 
-    def terms(self, poses: BodyPoses) -> Array:
-        """`(5, n)` nats: what face, skin, edges, keypoints and clothes say, each up to a constant."""
-        terms = np.zeros((5, len(poses)))
-        terms[[0, 1, 3, 4]] = self.inner_terms(poses)
-        outlines = silhouettes(self.body, poses)
-        edge_terms(
-            outlines.points, outlines.normals, outlines.visible, self.edges, EDGE_POINTS,
-            np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)]), NO_EDGE, terms[2],
-        )  # fmt: skip
-        return terms
+    def rest(self, poses: BodyPoses) -> Array:
+        """`(n,)` nats: what the edges say of the outline, up to a constant."""
+        total, solid = np.zeros(len(poses)), solid_of(self.body)
+
+        def work(first: int, end: int) -> None:
+            some = poses.take(slice(first, end))
+            outline_terms(
+                some.roots, some.torsos, some.necks, some.arms, solid, self.edges,
+                EDGE_POINTS / N_POINTS, EDGE_DIRECTIONS, NO_EDGE, total[first:end],
+            )  # fmt: skip
+
+        over_bands_of(poses, work)
+        return total
 
     def inner_terms(self, poses: BodyPoses) -> Array:
-        """`(4, n)` nats: all of them but the outline's, which takes several times as long.
+        """`(4, n)` nats: of face, skin, keypoints and clothes, each up to a constant."""
+        terms = np.zeros((4, len(poses)))
+
+        def work(first: int, end: int) -> None:
+            terms[:, first:end] = self._inner_terms(poses.take(slice(first, end)))
+
+        over_bands_of(poses, work)
+        return terms
+
+    def _inner_terms(self, poses: BodyPoses) -> Array:
+        """All terms but the outline's, which takes several times as long.
 
         The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of skin
         stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,

@@ -7,10 +7,10 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
 
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.short_repr import short_repr
+from ..numerics.log_sums import log_sums
 from .image_features import BodyImage
 from .upper_body import PARTS
 
@@ -88,17 +88,11 @@ class PartMessage:
     def log_mass(self) -> float:
         """Log of the integral over all parts' positions."""
         masses = self._all_said.log_masses.reshape(-1, N_PARTS).sum(axis=1)
-        return float(logsumexp(self.log_hypotheses + masses))
+        return float(log_sums(self.log_hypotheses + masses))
 
     def log_values(self, places: Array) -> Array:
         """`(n,)` nats: what chains say of parts at `places`, `(n, 3, 2)` px."""
-        return np.asarray(logsumexp(self.log_values_each(places), axis=1))
-
-    def log_values_each(self, places: Array) -> Array:
-        """`(n, H)` nats: the same of each hypothesis, with its weight."""
-        n_hypotheses = len(self.log_hypotheses)
-        values = self.stacked.log_values(np.tile(places, (1, n_hypotheses, 1)))
-        return np.asarray(values.reshape(-1, n_hypotheses, N_PARTS).sum(axis=2) + self.log_hypotheses)
+        return self.stacked.log_joint_values(places, self.log_hypotheses)
 
     def __mul__(self, other: Self) -> Self:
         """Every hypothesis of one with every one of the other; the `MOST_HYPOTHESES` of the greatest mass."""
@@ -127,7 +121,7 @@ class PartMessage:
     def _marginals(stacked: GaussianMixtures, log_hypotheses: Array) -> GaussianMixtures:
         if len(log_hypotheses) == 1:
             return stacked
-        masses = logsumexp(stacked.log_weights, axis=1).reshape(-1, N_PARTS)
+        masses = log_sums(stacked.log_weights).reshape(-1, N_PARTS)
         others = masses.sum(axis=1, keepdims=True) - masses + log_hypotheses[:, None]
         return stacked.pooled(N_PARTS, others.ravel())
 

@@ -1,6 +1,6 @@
 """Poses of an upper body, many at once: where it is, how torso and neck turn, where its arms point."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -9,11 +9,15 @@ from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
 from ..numerics.rotations import logarithm
+from ..numerics.threads import over_bands
 
 Array = NDArray[np.float64]
 
 ANGLES = 16
 """Degrees of freedom: two of the root, three of torso and neck each, three of a shoulder, one of an elbow."""
+
+WORTH_THREADS = 300
+"""Poses from which several threads are faster than one."""
 
 
 @short_repr
@@ -59,7 +63,18 @@ class BodyPoses:
 
     def take(self, chosen: Any) -> Self:
         """The poses chosen by a slice, a mask or indices."""
-        return type(self)(self.roots[chosen], self.torsos[chosen], self.necks[chosen], self.arms[chosen])
+        if isinstance(chosen, slice):
+            return type(self)(self.roots[chosen], self.torsos[chosen], self.necks[chosen], self.arms[chosen])
+        rows = np.asarray(chosen)
+        if rows.dtype == np.bool_:
+            rows = np.flatnonzero(rows)
+        # several times faster than `[rows]`
+        return type(self)(
+            self.roots.take(rows, 0),
+            self.torsos.take(rows, 0),
+            self.necks.take(rows, 0),
+            self.arms.take(rows, 0),
+        )
 
     def replaced(self, where: NDArray[np.bool_], others: "BodyPoses") -> Self:
         """The same, but for poses `where` `(n,)`, which are those of `others`."""
@@ -74,6 +89,13 @@ class BodyPoses:
                 )
             )
         )
+
+    def with_rows(self, rows: NDArray[np.intp], others: "BodyPoses") -> Self:
+        """The same, but for poses `rows` `(k,)`, which are `others`, k of them."""
+        changed = type(self)(self.roots.copy(), self.torsos.copy(), self.necks.copy(), self.arms.copy())
+        changed.roots[rows], changed.torsos[rows] = others.roots, others.torsos
+        changed.necks[rows], changed.arms[rows] = others.necks, others.arms
+        return changed
 
     @property
     def turns(self) -> Array:
@@ -95,6 +117,14 @@ class BodyPoses:
         per_arm[:, :, :3] = logarithm(rotations.reshape(2 * n, 3, 3)).reshape(n, 2, 3)
         per_arm[:, :, 3] = flexions
         return angles
+
+
+def over_bands_of(poses: BodyPoses, work: Callable[[int, int], None]) -> None:
+    """Call `work(first, end)` on runs of the poses, on several threads if there are many."""
+    if len(poses) < WORTH_THREADS:
+        work(0, len(poses))
+    else:
+        over_bands(work, len(poses))
 
 
 def shoulder_rotations(arms: Array) -> tuple[Array, Array]:

@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.threads import over_bands
-from .kernels.silhouette import Solid, outlines
+from .kernels.silhouette import LANES, outlines
+from .kernels.solids import Solid
 from .poses import BodyPoses
 from .upper_body import UpperBody
 
@@ -23,14 +23,16 @@ OUTLINE_PARTS = (
 _COUNTS = {"head": 18, "torso": 24, "upper_arm": 12, "forearm": 12, "hand": 9}
 """Points of each part, so that they are about a quarter of a head apart."""
 
+N_POINTS = (
+    _COUNTS["head"] + _COUNTS["torso"] + 2 * (_COUNTS["upper_arm"] + _COUNTS["forearm"] + _COUNTS["hand"])
+)
+"""Of a whole outline."""
+
 _HEAD_DEPTH = 0.85
 """Depth of a head over its height."""
 
 _RIM = np.float32(0.06)
 """Share of a part's squared radius that hides nothing, so that ends that touch do not hide each other."""
-
-_WORTH_THREADS = 500
-"""Poses from which several threads are faster than one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,22 +61,12 @@ def silhouettes(body: UpperBody, poses: BodyPoses) -> Silhouettes:
     """Outlines of `poses`: ellipse of the head, tapered limbs, torso's sides and shoulders, round hands."""
     n = len(poses)
     solid = solid_of(body)
-    m = len(solid.circles)
+    places = np.argwhere(solid.counted)
+    m = len(places)
     points, normals = np.empty((n, m, 2), np.float32), np.empty((n, m, 2), np.float32)
     visible = np.empty((n, m), np.bool_)
-
-    def trace(first: int, end: int) -> None:
-        rows = slice(first, end)
-        outlines(
-            poses.roots[rows], poses.torsos[rows], poses.necks[rows], poses.arms[rows], solid,
-            points[rows], normals[rows], visible[rows],
-        )  # fmt: skip
-
-    if n < _WORTH_THREADS:
-        trace(0, n)
-    else:
-        over_bands(trace, n)
-    part = np.repeat(np.arange(len(OUTLINE_PARTS)), np.diff(solid.firsts))
+    outlines(poses.roots, poses.torsos, poses.necks, poses.arms, solid, places, points, normals, visible)
+    part = np.repeat(np.arange(len(OUTLINE_PARTS)), [_count(name) for name in OUTLINE_PARTS])
     return Silhouettes(points, normals, visible, part)
 
 
@@ -111,15 +103,33 @@ def solid_of(body: UpperBody) -> Solid:
         across = np.tile([bottom - top, narrow - wide], (count, 1)) / np.hypot(bottom - top, wide - narrow)
         points += [right, right * [-1, 1]]
         normals += [across, across * [-1, 1]]
-    counts = [_COUNTS[name.removeprefix("left_").removeprefix("right_")] for name in OUTLINE_PARTS]
-    turns = np.concatenate([2 * np.pi * (np.arange(count) + 0.5) / count for count in counts])
+    counts = np.array([_count(name) for name in OUTLINE_PARTS])
+    n_rows = -(-counts // LANES)
+    firsts = np.cumsum([0, *n_rows])
+    counted, circles = np.zeros((firsts[-1], LANES)), np.zeros((firsts[-1], 2, LANES))
+    for part, count in enumerate(counts):
+        place = np.arange(n_rows[part] * LANES).reshape(-1, LANES)
+        turns = 2 * np.pi * (np.minimum(place, count - 1) + 0.5) / count
+        rows = slice(firsts[part], firsts[part + 1])
+        counted[rows], circles[rows, 0], circles[rows, 1] = place < count, np.cos(turns), np.sin(turns)
+    half = _COUNTS["forearm"] // 2
+    # one side from the limb's end to its beginning, and the other one back
+    steps = np.minimum(np.arange(LANES), 2 * half - 1) - half + 0.5
+    contour = np.concatenate([np.concatenate(points), np.concatenate(normals)], axis=1)
+    contour = contour[np.minimum(np.arange(n_rows[1] * LANES), len(contour) - 1)]
     return Solid(
         lengths,
         pieces.astype(np.float32),
-        np.concatenate(points).astype(np.float32),
-        np.concatenate(normals).astype(np.float32),
-        np.stack([np.cos(turns), np.sin(turns)], axis=1).astype(np.float32),
-        np.cumsum([0, *counts]),
+        contour.reshape(-1, LANES, 4).swapaxes(1, 2).astype(np.float32, order="C"),
+        circles.astype(np.float32),
+        np.array([np.abs(steps), np.sign(steps), np.full(LANES, half)], np.float32),
+        firsts,
+        counted.astype(np.float32),
         np.float32(0.02 * body.head_height),
         _RIM,
     )
+
+
+def _count(name: str) -> int:
+    """Points of a part's outline."""
+    return _COUNTS[name.removeprefix("left_").removeprefix("right_")]

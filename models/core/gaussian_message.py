@@ -7,12 +7,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .kernels.gaussians import invert
 from .short_repr import short_repr
 
 Numbers = NDArray[np.float64]
 
 LEAST_INFORMATION = 1e-12
-"""Smallest eigenvalue of an information matrix, scaled to a unit diagonal, that is told from rounding."""
+"""Smallest pivot of an information matrix, scaled to a unit diagonal, that is told from rounding."""
 
 
 @short_repr
@@ -78,21 +79,16 @@ class GaussianMessage:
         ):
             if array.shape != shape:
                 raise ValueError(f"{name}: got {array.shape} for {count} identities, expected {shape}")
-        order = np.argsort(numbers, kind="stable")
-        numbers, mean, covariance = numbers[order], mean[order], covariance[order]
-        if count > 1 and not (np.diff(numbers) > 0).all():
-            twice = numbers[1:][np.diff(numbers) == 0][0]
-            raise ValueError(f"identities: got {twice} twice, expected each once")
-        try:
-            root = np.linalg.cholesky(covariance)
-        except np.linalg.LinAlgError:
-            raise ValueError(
-                "covariances: got one that is not positive definite, expected all to be"
-            ) from None
-        information = _inverse(covariance)
-        vector = (information @ mean[:, :, None])[:, :, 0]
-        determinants = 2 * np.log(root.diagonal(axis1=1, axis2=2)).sum(axis=1)
-        log_peak = -0.5 * (dimension * np.log(2 * np.pi) + determinants)
+        if (numbers[1:] <= numbers[:-1]).any():
+            order = np.argsort(numbers, kind="stable")
+            numbers, mean, covariance = numbers[order], mean[order], covariance[order]
+            twice = numbers[1:][numbers[1:] == numbers[:-1]]
+            if len(twice):
+                raise ValueError(f"identities: got {twice[0]} twice, expected each once")
+        information, vector, log_determinants, regular = _inverted(covariance, mean, 0.0)
+        if not regular.all():
+            raise ValueError("covariances: got one that is not positive definite, expected all to be")
+        log_peak = -0.5 * (dimension * np.log(2 * np.pi) + log_determinants)
         return cls(numbers, information, vector, log_peak - 0.5 * (vector * mean).sum(axis=1))
 
     def __len__(self) -> int:
@@ -104,7 +100,7 @@ class GaussianMessage:
         if not len(self):
             return other
         one, two = self, other
-        if not np.array_equal(self.identities, other.identities):
+        if self.identities is not other.identities and not np.array_equal(self.identities, other.identities):
             union = np.union1d(self.identities, other.identities)
             one, two = self.among(union), other.among(union)
         return type(self)(
@@ -120,21 +116,21 @@ class GaussianMessage:
         return int(self.vector.shape[1])
 
     @cached_property
+    def _solved(self) -> tuple[Numbers, Numbers, Numbers, NDArray[np.bool_]]:
+        return _inverted(self.information, self.vector, LEAST_INFORMATION)
+
+    @property
     def proper(self) -> NDArray[np.bool_]:
         """`(n,)`: whether there is information about all numbers of the thing."""
-        sizes = np.sqrt(self.information.diagonal(axis1=1, axis2=2))
-        some = np.all(sizes > 0, axis=1)
-        sizes = np.where(some[:, None], sizes, 1.0)
-        scaled = self.information / (sizes[:, :, None] * sizes[:, None, :])
-        return np.logical_and(some, np.linalg.eigvalsh(scaled)[:, 0] > LEAST_INFORMATION)
+        return self._solved[3]
 
     @cached_property
     def moments(self) -> tuple[NDArray[np.int64], Numbers, Numbers]:
         """Identities `(m,)`, means `(m, d)` px and covariances `(m, d, d)` px^2 of the proper ones."""
-        fixed = np.flatnonzero(self.proper)
-        covariances = _inverse(self.information[fixed])
-        means = (covariances @ self.vector[fixed][:, :, None])[:, :, 0]
-        return self.identities[fixed], means, covariances
+        covariances, means, _, proper = self._solved
+        if proper.all():
+            return self.identities, means, covariances
+        return self.identities[proper], means[proper], covariances[proper]
 
     @property
     def log_mass(self) -> float:
@@ -146,10 +142,9 @@ class GaussianMessage:
         known = np.asarray(self.information.any(axis=(1, 2)))
         if not self.proper[known].all():
             return self._without_unmentioned(known)
-        _, means, covariances = self.moments
-        _, log_determinants = np.linalg.slogdet(covariances)
-        quadratic = (self.vector[self.proper] * means).sum(axis=1)
-        gaussian = 0.5 * (self.dimension * np.log(2 * np.pi) + log_determinants + quadratic)
+        _, means, log_determinants, proper = self._solved
+        quadratic = (self.vector * means).sum(axis=1)
+        gaussian = 0.5 * (self.dimension * np.log(2 * np.pi) - log_determinants + quadratic)[proper]
         return float(self.log_scale.sum() + gaussian.sum())
 
     def _without_unmentioned(self, known: NDArray[np.bool_]) -> float:
@@ -200,5 +195,13 @@ class GaussianMessage:
         )
 
 
-def _inverse(matrices: Numbers) -> Numbers:
-    return np.linalg.inv(matrices).astype(np.float64, copy=False)
+def _inverted(
+    matrices: Numbers, vectors: Numbers, least: float
+) -> tuple[Numbers, Numbers, Numbers, NDArray[np.bool_]]:
+    """Inverses, these times vectors, log determinants of the matrices, and which of them are regular."""
+    matrices, vectors = np.ascontiguousarray(matrices), np.ascontiguousarray(vectors)
+    count = len(matrices)
+    inverses, products = np.empty(matrices.shape), np.empty(vectors.shape)
+    log_determinants, regular = np.empty(count), np.empty(count, np.bool_)
+    invert(matrices, vectors, least, inverses, products, log_determinants, regular)
+    return inverses, products, log_determinants, regular

@@ -7,9 +7,10 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
 
-from .kernels.gaussian_mixtures import products, sums_of_densities
+from ..numerics.log_sums import log_sums
+from ..numerics.threads import over_bands
+from .kernels.gaussian_mixtures import products, sums_of_densities, sums_over_hypotheses
 from .short_repr import short_repr
 
 Array = NDArray[np.float64]
@@ -19,6 +20,9 @@ MOST_COMPONENTS = 32
 
 NO_LABEL = -1
 LOG_TWO_PI = float(np.log(2 * np.pi))
+
+WORTH_THREADS = 1000
+"""Points from which several threads are faster than one."""
 
 NO_WEIGHT = -1e30
 """Log weight of a filler in kernels, where nothing is infinite."""
@@ -216,7 +220,7 @@ class GaussianMixtures:
     def log_masses(self) -> Array:
         """`(n_parts,)` logs of the integrals; infinite with a flat component."""
         improper = (self.flat & np.isfinite(self.log_weights)).any(axis=1)
-        return np.where(improper, np.inf, logsumexp(self.log_weights, axis=1))
+        return np.where(improper, np.inf, log_sums(self.log_weights))
 
     def log_values(self, points: Array) -> Array:
         """`(n, n_parts)` logs of the functions at `points`, `(n, n_parts, 2)` px."""
@@ -225,6 +229,29 @@ class GaussianMixtures:
         values = peaks + np.log(sums)
         values[peaks < 0.5 * NO_WEIGHT] = -np.inf
         return values
+
+    def log_joint_values(self, points: Array, log_hypotheses: Array) -> Array:
+        """`(n,)` logs of a sum over hypotheses of the product of its parts' functions.
+
+        Parameters
+        ----------
+        points
+            `(n, k, 2)` px, of k parts.
+        log_hypotheses
+            `(h,)` log weights; these mixtures are those of the k parts of each, one after the other.
+        """
+        logs = np.empty(len(points))
+        weights = np.maximum(log_hypotheses, NO_WEIGHT)
+
+        def work(first: int, end: int) -> None:
+            sums_over_hypotheses(points[first:end], weights, *self._middles, logs[first:end])
+
+        if len(points) < WORTH_THREADS:
+            work(0, len(points))
+        else:
+            over_bands(work, len(points))
+        logs[logs < 0.5 * NO_WEIGHT] = -np.inf
+        return logs
 
     @cached_property
     def _middles(self) -> tuple[Array, Array, Array]:
@@ -250,7 +277,7 @@ class GaussianMixtures:
         step = means[:, :, None] - self.means[:, None]
         overlap = _log_density(step, covariances[:, :, None] + self.covariances[:, None])
         overlap = np.where(self.flat[:, None], 0.0, overlap)
-        return np.asarray(logsumexp(self.log_weights[:, None] + overlap, axis=2))
+        return log_sums(self.log_weights[:, None] + overlap)
 
     def moments(self, area: float, centre: ArrayLike) -> tuple[Array, Array]:
         """Means `(n_parts, 2)` px and covariances `(n_parts, 2, 2)` px^2.
@@ -258,7 +285,7 @@ class GaussianMixtures:
         Flat components count over a square region of `area` px^2 about `centre`.
         """
         weights = self.log_weights + np.where(self.flat, np.log(area), 0.0)
-        share = np.exp(weights - logsumexp(weights, axis=1, keepdims=True))
+        share = np.exp(weights - log_sums(weights)[:, None])
         means = np.where(self.flat[..., None], np.asarray(centre, np.float64), self.means)
         spreads = np.where(self.flat[..., None, None], area / 12 * np.eye(2), self.covariances)
         mean = (share[..., None] * means).sum(axis=1)

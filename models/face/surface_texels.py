@@ -15,13 +15,17 @@ class SurfaceTexels:
 
     Texel i of group (a, b, c) is seen at w_a x_a + w_b x_b + w_c x_c + offset.
 
+    Texels lie in rows: row k holds the k-th texel of every group that has so many, in the order of groups, of
+    which those with more texels come first. All texels of a row have the same weights and offset.
+
     Parameters
     ----------
     groups
-        `(n_groups, 3)` int32, vertex numbers; a patch names one vertex three times.
+        `(n_groups, 3)` int32, vertex numbers, of groups that have texels; a patch names one vertex three
+        times.
     first
-        `(n_groups + 1,)` int32: texels `first[g]:first[g + 1]` belong to group g. Within a group any first
-        part is spread evenly, so that coarse levels use a prefix.
+        `(n_rows + 1,)` int32: texels `first[k]:first[k + 1]` make row k, those of groups 0, 1, ... The first
+        part of a group is spread evenly, so that coarse levels use a prefix of the rows and of each row.
     weights
         `(n_texels, 3)` float32, barycentric; (1, 0, 0) in a patch.
     offsets
@@ -41,9 +45,24 @@ class SurfaceTexels:
         return len(self.weights)
 
     @property
+    def row_of_texel(self) -> NDArray[np.int64]:
+        """`(n_texels,)`: number of the row that each texel lies in, its place in its group."""
+        return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
+
+    @property
     def group_of_texel(self) -> NDArray[np.int64]:
         """`(n_texels,)`: number of the group that each texel belongs to."""
-        return np.repeat(np.arange(len(self.groups)), np.diff(self.first))
+        return np.arange(len(self)) - np.repeat(self.first[:-1], np.diff(self.first)).astype(np.int64)
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """`(n_groups,)`: how many texels each group has, falling."""
+        return np.bincount(self.group_of_texel, minlength=len(self.groups)).astype(np.int64)
+
+    def used_on(self, level: int) -> NDArray[np.bool_]:
+        """`(n_texels,)`: which are used on a level of the picture, a fourth of those of the level before."""
+        most = -(-self.counts // 4**level)
+        return self.row_of_texel < most[self.group_of_texel]
 
     @classmethod
     def dense(cls, model: MorphableModel, n_texels: int) -> Self:
@@ -64,16 +83,17 @@ class SurfaceTexels:
         )
         # of the fractional parts as many are rounded up as make the sum right, spread along the list
         ends = np.floor(np.cumsum(area) / area.sum() * n_texels + 0.5).astype(np.int64)
-        first = np.concatenate([[0], ends])
-        counts = np.diff(first)
-        number = np.arange(first[-1]) - np.repeat(first[:-1], counts)
-        weights = _spread_in_triangle(number)
+        counts = np.diff(ends, prepend=0)
+        order = np.argsort(-counts, kind="stable")[: np.count_nonzero(counts)]
+        counts = counts[order]
+        lengths = (counts > np.arange(counts[0])[:, None]).sum(axis=1)
+        weights = np.repeat(_spread_in_triangle(np.arange(counts[0])), lengths, axis=0)
         return cls(
-            groups=model.triangles.astype(np.int32),
-            first=first.astype(np.int32),
+            groups=model.triangles[order].astype(np.int32),
+            first=np.append(0, np.cumsum(lengths)).astype(np.int32),
             weights=weights.astype(np.float32),
             offsets=np.zeros((len(weights), 2), np.float32),
-            areas=np.zeros(len(model.triangles), np.float32),
+            areas=np.zeros(len(order), np.float32),
         )
 
     @classmethod
@@ -95,9 +115,9 @@ class SurfaceTexels:
         n = model.n_vertices
         return cls(
             groups=np.repeat(np.arange(n, dtype=np.int32)[:, None], 3, axis=1),
-            first=(np.arange(n + 1) * len(disc)).astype(np.int32),
+            first=(np.arange(len(disc) + 1) * n).astype(np.int32),
             weights=np.tile(np.array([[1, 0, 0]], np.float32), (n * len(disc), 1)),
-            offsets=np.tile(disc, (n, 1)).astype(np.float32),
+            offsets=np.repeat(disc, n, axis=0).astype(np.float32),
             areas=np.ones(n, np.float32),
         )
 

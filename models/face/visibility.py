@@ -3,7 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ..numerics.threads import over_bands
 from .kernels import visibility as visibility_kernels
+from .surface_texels import SurfaceTexels
 
 Array = NDArray[np.float64]
 
@@ -23,13 +25,12 @@ _TOLERANCE = 0.02
 def visible(
     positions: Array,
     triangles: NDArray[np.int64],
-    vertices: NDArray[np.int64],
-    weights: Array,
+    texels: SurfaceTexels,
     facing: float = FACING,
 ) -> NDArray[np.bool_]:
-    """Find the points of a triangle mesh that are seen, in many poses at once.
+    """Find the texels of a triangle mesh that are seen, in many poses at once.
 
-    A point is seen if its triangle faces the viewer and no other part of the mesh is in front. The latter is
+    A texel is seen if its triangle faces the viewer and no other part of the mesh is in front. The latter is
     looked up in a z-buffer of coarse cells (1 px, or 1/128 of the object's longer side if that is more), so
     answers are unsure within a cell of an outline, and parts less than 2 % of the object's depth in front
     hide nothing. Triangles hide from both sides.
@@ -40,28 +41,27 @@ def visible(
         `(n_poses, n_vertices, 3)` px, z away from the viewer.
     triangles
         `(n_triangles, 3)`, in the order of `MorphableModel`.
-    vertices, weights
-        `(n_points, 3)`: points as weighted means of three vertices, which are in the order of a triangle.
-        Where they are none (three times one vertex, say) the point has no facing and is only hidden by
-        what is in front.
+    texels
+        in groups of which the vertices are in the order of a triangle. Where they are none (a patch) texels
+        have no facing and are only hidden by what is in front. Their offsets do not count.
     facing
         least cosine between the normal and the direction to the viewer.
 
     Returns
     -------
     NDArray[np.bool_]
-        `(n_poses, n_points)`.
+        `(n_poses, n_texels)`.
     """
-    seen = np.empty((len(positions), len(vertices)), np.bool_)
-    visibility_kernels.see(
-        np.ascontiguousarray(positions, np.float64),
-        np.ascontiguousarray(triangles, np.int64),
-        np.ascontiguousarray(vertices, np.int64),
-        np.ascontiguousarray(weights, np.float64),
-        float(facing),
-        _CELLS,
-        _LEAST_CELL,
-        _TOLERANCE,
-        seen,
-    )
+    seen = np.empty((len(positions), len(texels)), np.bool_)
+    positions = np.ascontiguousarray(positions, np.float64)
+    mesh = np.ascontiguousarray(triangles, np.uint32)
+    groups, weights = texels.groups.astype(np.uint32), np.ascontiguousarray(texels.weights.T)
+
+    def work(a: int, b: int) -> None:
+        visibility_kernels.see(
+            positions[a:b], mesh, groups, texels.first, weights, float(facing), _CELLS, _LEAST_CELL,
+            _TOLERANCE, seen[a:b],
+        )  # fmt: skip
+
+    over_bands(work, len(positions), worth=len(positions) > 4)
     return seen

@@ -1,10 +1,19 @@
-"""Bands of rows on several threads, for kernels that release the interpreter's lock."""
+"""Work that threads share: bands of rows, and pieces that do not wait for each other.
 
+It pays where kernels release the interpreter's lock. OpenCV's own threads are another matter: most calls here are
+too short for them, so that it has one in all commands.
+"""
+
+import itertools
 import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import partial
+from itertools import pairwise
+from typing import TypeVar
 
-import cv2
+Result = TypeVar("Result")
 
 _settings = {"threads": min(2, os.cpu_count() or 1)}
 _workers: dict[int, ThreadPoolExecutor] = {}
@@ -12,12 +21,14 @@ _workers: dict[int, ThreadPoolExecutor] = {}
 
 def _before_fork() -> None:
     """Have OpenCV end its threads: one that held a lock would leave it locked in the child for ever."""
-    _settings["opencv"] = cv2.getNumThreads()
-    cv2.setNumThreads(1)
+    if (opencv := sys.modules.get("cv2")) is not None:
+        _settings["opencv"] = opencv.getNumThreads()
+        opencv.setNumThreads(1)
 
 
 def _after_fork() -> None:
-    cv2.setNumThreads(_settings["opencv"])
+    if (opencv := sys.modules.get("cv2")) is not None:
+        opencv.setNumThreads(_settings["opencv"])
 
 
 def _after_fork_in_child() -> None:
@@ -30,7 +41,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def set_threads(count: int) -> None:
-    """Use `count` threads in the kernels that work on bands of rows and in OpenCV; results do not change.
+    """Use `count` threads in the kernels that work on bands of rows; results do not change.
 
     With 1, all work stays in the caller's thread.
 
@@ -42,7 +53,6 @@ def set_threads(count: int) -> None:
     if count < 1:
         raise ValueError(f"threads: got {count}, expected 1 or more")
     _settings["threads"] = count
-    cv2.setNumThreads(count)
 
 
 def thread_count() -> int:
@@ -50,16 +60,43 @@ def thread_count() -> int:
     return _settings["threads"]
 
 
-def over_bands(work: Callable[[int, int], None], n_rows: int) -> None:
-    """Call `work(first_row, end_row)` on consecutive bands that together cover `n_rows` rows."""
-    count = min(_settings["threads"], n_rows)
-    if count == 1:
-        work(0, n_rows)
-        return
-    if count not in _workers:
-        _workers[count] = ThreadPoolExecutor(count - 1, thread_name_prefix="rsmcm-band")
+def over_bands(work: Callable[[int, int], None], n_rows: int, *, worth: bool = True) -> None:
+    """Call `work(first_row, end_row)` on consecutive bands that together cover `n_rows` rows.
+
+    Where all of it takes less than about 0.2 ms, waking another thread is not `worth` it.
+    """
+    count = min(_settings["threads"], n_rows) if worth else 1
     edges = [n_rows * k // count for k in range(count + 1)]
-    waiting = [_workers[count].submit(work, edges[k], edges[k + 1]) for k in range(1, count)]
-    work(edges[0], edges[1])
-    for future in waiting:
-        future.result()
+    side_by_side([partial(work, first, end) for first, end in pairwise(edges)])
+
+
+def side_by_side(works: Sequence[Callable[[], Result]]) -> list[Result]:
+    """Results of independent pieces of work, in their order, on as many threads as are set and free.
+
+    The caller's thread takes part, and does all of it where the others are busy, so that a piece of work may
+    itself have some to share. What one raises is raised here, when those that have begun have ended.
+    """
+    count = min(_settings["threads"], len(works))
+    if count == 1:
+        return [work() for work in works]
+    if count not in _workers:
+        # twice as many as work at a time: a piece of work that shares its own finds one that is free
+        _workers[count] = ThreadPoolExecutor(2 * count - 2, thread_name_prefix="rsmcm-band")
+    waiting = dict(enumerate(works))
+    turns = itertools.count()  # taking the next one is a single step, whichever thread does it
+    results: dict[int, Result] = {}
+
+    def take() -> None:
+        while work := waiting.pop(turn := next(turns), None):
+            results[turn] = work()
+
+    helpers = [_workers[count].submit(take) for _ in range(count - 1)]
+    try:
+        take()
+    finally:
+        begun = [helper for helper in helpers if not helper.cancel()]
+        wait(begun)
+        waiting.clear()  # helpers that were not needed keep nothing alive
+    for helper in begun:
+        helper.result()
+    return [results[turn] for turn in range(len(works))]

@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from ..core.frame import Frame, GivenBoxes
 from ..core.gaussian_message import GaussianMessage
@@ -49,6 +48,8 @@ def associate(frame: Frame, prior: BoxMessage, detector: BoxDetector) -> BoxMess
     tracked = prior.expected
     tracked = tracked.only(np.isin(tracked.identities, prior.existence.identities))
     identities, means, covariances = tracked.moments
+    from scipy.special import expit  # slow to import, and only detectors need it
+
     exists, noticed = (expit(odds.of(identities)) for odds in (prior.existence, prior.noticed))
     size = _picture(frame, prior, given)
     visible = visible_share(means, exists, size)

@@ -97,6 +97,10 @@ class Newcomers:
         return density
 
 
+NO_BOXES = GaussianMessage.uniform(BOX)
+EVEN = LogOdds()
+
+
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BoxMessage:
@@ -121,10 +125,10 @@ class BoxMessage:
         from the evidence: which detection belongs to whom; `None` where no detector has run.
     """
 
-    objects: GaussianMessage = field(default_factory=lambda: GaussianMessage.uniform(BOX))
-    hidden: GaussianMessage = field(default_factory=lambda: GaussianMessage.uniform(BOX))
-    existence: LogOdds = field(default_factory=LogOdds)
-    noticed: LogOdds = field(default_factory=LogOdds)
+    objects: GaussianMessage = NO_BOXES
+    hidden: GaussianMessage = NO_BOXES
+    existence: LogOdds = EVEN
+    noticed: LogOdds = EVEN
     newcomers: Newcomers | None = None
     detector: BoxDetector | None = None
     association: Association | None = None

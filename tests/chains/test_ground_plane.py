@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from rsmcm.chains import AdaptiveBackground, GroundPlane
 from rsmcm.inference import Incoming, MultiChain, Port, RecursiveBP
 from rsmcm.inference.core.recursive_bp import Belief
-from rsmcm.inference.objects.ground_plane import LEAST_SPREAD, GroundState
+from rsmcm.inference.objects.ground_plane import GroundState
+from rsmcm.inference.objects.kernels.ground_plane import LEAST_SPREAD
 from rsmcm.models import ObjectBoxes, PixelLabels
 from rsmcm.models.background.pixel_labels import PixelMessage
 from rsmcm.models.core.frame import Frame

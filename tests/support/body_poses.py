@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rsmcm.models.body.kernels.silhouette import NUMBERS, _fronts, _put_body
+from rsmcm.models.body.kernels.solids import NUMBERS, ROW, fronts, put_body
 from rsmcm.models.body.poses import BodyPoses, cross, transport
 from rsmcm.models.body.silhouette import OUTLINE_PARTS, solid_of
 from rsmcm.models.body.upper_body import UpperBody
@@ -48,17 +48,25 @@ def twists(arms: Array) -> Array:
 def masks(body: UpperBody, poses: BodyPoses, size: tuple[int, int]) -> NDArray[np.uint8]:
     """`(n, h, w)` pictures of `size` (h, w): 0, or 1 + the number in `OUTLINE_PARTS` of the nearest part."""
     solid = solid_of(body)
-    rows, columns = (each.reshape(-1).astype(np.float32) for each in np.indices(size))
+    lines = np.zeros((len(OUTLINE_PARTS), ROW, size[0] * size[1]), np.float32)
+    lines[:, 1], lines[:, 0] = np.indices(size).reshape(2, -1)
     labels = np.zeros((len(poses), *size), np.uint8)
-    shapes = np.zeros((len(OUTLINE_PARTS), NUMBERS), np.float32)
-    fronts = np.empty((len(OUTLINE_PARTS), rows.size), np.float32)
+    shapes, bounds = (np.zeros((len(OUTLINE_PARTS), n), np.float32) for n in (NUMBERS, 4))
     for pose in range(len(poses)):
-        _put_body(
-            poses.roots[pose], poses.torsos[pose], poses.necks[pose], poses.arms[pose],
-            solid.lengths, solid.torso, shapes,
-        )  # fmt: skip
+        put_body(
+            poses.roots,
+            poses.torsos,
+            poses.necks,
+            poses.arms,
+            pose,
+            solid.lengths,
+            solid.torso,
+            shapes,
+            bounds,
+        )
+        depths = np.full((len(lines), lines.shape[2]), FAR, np.float32)
         for part in range(len(OUTLINE_PARTS)):
-            _fronts(shapes[part], part, solid.torso, np.float32(0), columns, rows, fronts[part])
-        nearest = np.where(fronts.min(axis=0) < FAR, 1 + fronts.argmin(axis=0), 0)
+            fronts(shapes, part, solid.torso, np.float32(0), lines, depths, part)
+        nearest = np.where(depths.min(axis=0) < FAR, 1 + depths.argmin(axis=0), 0)
         labels[pose] = nearest.reshape(size)
     return labels

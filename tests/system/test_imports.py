@@ -27,6 +27,22 @@ def test_an_import_brings_nothing_heavy(statement: str) -> None:
     assert not loaded(statement) & HEAVY
 
 
+@pytest.mark.parametrize(
+    ("statement", "heavy"),
+    [
+        ("import rsmcm.apps.command_line", {*HEAVY, "numpy", "networkx", "joblib"}),
+        (
+            "import rsmcm.apps.background.application",
+            {"scipy.special", "scipy.optimize", "matplotlib", "joblib"},
+        ),
+        ("import rsmcm.apps.face.application, rsmcm.apps.body.application", {"matplotlib", "joblib"}),
+        ("import rsmcm.apps.structure.application", {"matplotlib", "joblib"}),
+    ],
+)
+def test_an_application_brings_nothing_that_it_does_not_begin_with(statement: str, heavy: set[str]) -> None:
+    assert not loaded(statement) & heavy
+
+
 def test_a_chain_brings_nothing_of_other_domains() -> None:
     names = loaded("from rsmcm.chains import AdaptiveBackground")
     assert not [name for name in names if name.startswith("rsmcm") and {"body", "face"} & {*name.split(".")}]

@@ -10,7 +10,6 @@ from rsmcm.apps.background.compare import COLUMNS, Gallery
 from rsmcm.apps.background.methods import Model, ModelSubtractor, Usual
 from rsmcm.apps.drawing.mosaic import mosaic
 from rsmcm.apps.evaluation.masks import PixelScore, joined
-from rsmcm.apps.experiments.bench.__main__ import enumeration_error, over_frames, stages
 from rsmcm.apps.experiments.reproduce import run_experiment
 from rsmcm.apps.experiments.reproduce import sleeping_man as experiment
 from rsmcm.apps.experiments.trials.baselines import SETTINGS, CleanUp, OpenCVSubtractor
@@ -38,24 +37,6 @@ def test_tables_as_text() -> None:
         "a           1.23",
         "long name     22",
     ]
-
-
-def test_enumeration_agrees_with_the_engine() -> None:
-    assert enumeration_error() <= 1e-12
-
-
-def test_methods_take_turns_in_order() -> None:
-    frames = [Frame(None, number / 25, number) for number in range(1, 51)]
-    seen: dict[str, list[int]] = {"a": [], "b": []}
-    seconds = over_frames({name: lambda f, name=name: seen[name].append(f.number) for name in seen}, frames)  # type: ignore[misc]
-    assert seen["a"] == seen["b"] == [*range(1, 51), *range(1, 51)]
-    assert {name: len(turns) for name, turns in seconds.items()} == {"a": 4, "b": 4}
-
-
-def test_stages_add_up_to_the_whole() -> None:
-    rows = stages(list(sleeping_man(45, size=SIZE)))
-    assert {"background: message", "blobs: update", "mask"} <= {name for name, _, _ in rows}
-    assert sum(share for _, _, share in rows) == pytest.approx(100)
 
 
 @given(st.integers(1, 300))

@@ -181,7 +181,7 @@ def _of_searches(what: str, seconds: Mapping[str, float]) -> list[Expectation]:
     return [
         Expectation(f"{what}, ms", 1e3 * seconds["search"]),
         Expectation(f"{what}, over a loop of matchTemplate", seconds["search"] / seconds["matchTemplate"]),
-        Expectation(f"{what}, over PyrLK", seconds["search"] / seconds["PyrLK"], "<=", 1.0),
+        Expectation(f"{what}, over PyrLK", seconds["search"] / seconds["PyrLK"], "<=", 0.7),
         Expectation(
             f"{what}, over PyrLK with its usual window of 21 px", seconds["search"] / seconds["PyrLK, 21 px"]
         ),

@@ -4,7 +4,7 @@ All on one thread: set `OPENBLAS_NUM_THREADS=1` (or that of your BLAS) for the p
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -18,14 +18,18 @@ from ....inference.factor_analysis.factorisation import factorise
 from ....inference.factor_analysis.initialisation import mean_filled
 from ....inference.factor_analysis.observations import Observations
 from ....inference.factor_analysis.posterior import around_start
+from ...io.track_files import frames_of_tracks
 from ...reports.expectations import Expectation
-from .timing import in_turns, medians, over_rounds
+from ...scenes import cylinder
+from ...structure.reconstruction import engine_for
+from .timing import Spent, in_turns, medians, over_rounds
 
 Numbers = NDArray[np.float64]
 
 N_FRAMES, N_POINTS = 300, 2000
 ROUNDS = 7
 SEEN_THROUGH = 30  # frames
+PX = 100.0  # per radius of the cylinder
 SAME = 5e-6
 """Relative difference of errors that agree to five digits."""
 
@@ -35,7 +39,7 @@ def structure_expectations(n_starts: int = 100) -> list[Expectation]:
     return [
         *iteration_expectations(),
         *solve_expectations(),
-        *linearity_expectations(),
+        *feedback_expectations(),
         *start_expectations(n_starts),
     ]
 
@@ -206,28 +210,21 @@ def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers, most
     return float(np.sqrt(np.mean(found.fun**2)))
 
 
-# --- how the time grows -------------------------------------------------------------------------------------
+# --- feedback ----------------------------------------------------------------------------------------------
 
 
-def linearity_expectations(sizes: Sequence[int] = (10**3, 10**4, 10**5, 10**6)) -> list[Expectation]:
-    """Time of an iteration over about so many observations, each point seen in 30 frames."""
-    expectations, counts, seconds = [], [], []
-    for size in sizes:
-        n_frames = max(40, round(np.sqrt(size) / 2))
-        positions = turning_points(n_frames, size // SEEN_THROUGH, SEEN_THROUGH)
-        observations = Observations.from_arrays(positions)
-        start = _start(observations, coherent=False)
-        spent = medians(in_turns({str(count): _iterate(observations, start, count) for count in (2, 22)}, 5))
-        counts.append(observations.count)
-        seconds.append((spent["22"] - spent["2"]) / 20)
-        expectations.append(
-            Expectation(f"EM over {counts[-1]} observations: an iteration, ms", 1e3 * seconds[-1])
-        )
-    slope = float(np.polyfit(np.log(counts), np.log(seconds), 1)[0])
-    return [
-        *expectations,
-        Expectation("EM: time grows with the number of observations to the power", slope, "<=", 1.1),
-    ]
+def feedback_expectations() -> list[Expectation]:
+    """A round of coordinate ascent in which the tracker hears the shape, beside one in which it does not."""
+    frames = frames_of_tracks(PX * cylinder(p_loose=0.1, p_drift=0.1, seed=0).tracks())
+    spent: Spent = {"without": [], "with": []}
+    for _ in range(ROUNDS):
+        rounds = engine_for(frames, "second-order", "dual-chain").rounds(frames)
+        for name in spent:
+            started = time.perf_counter()
+            next(rounds)
+            spent[name].append(time.perf_counter() - started)
+    what = "structure: a round with feedback over one without, time"
+    return over_rounds(lambda of: [Expectation(what, of["with"] / of["without"], "<=", 1.1)], spent)
 
 
 # --- starts that succeed ------------------------------------------------------------------------------------

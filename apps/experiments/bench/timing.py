@@ -1,10 +1,16 @@
-"""Times of methods that take turns, and how sure what follows from them is."""
+"""Times of methods that take turns, and what follows from them, round by round."""
 
+import math
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
 
-from ...reports.expectations import Expectation, over_seeds
+import numpy as np
+
+from ....models.core.frame import Frame
+from ...reports.expectations import Expectation
 
 Judge = Callable[[dict[str, float]], Sequence[Expectation]]
 """What seconds a call of each method mean."""
@@ -12,19 +18,56 @@ Judge = Callable[[dict[str, float]], Sequence[Expectation]]
 Spent = dict[str, list[float]]
 """By method, median seconds of a call in each round."""
 
+ROUNDS = 8
+"""At least seven of them should count, or quartiles mean little."""
 
-def in_turns(methods: Mapping[str, Callable[[], object]], rounds: int, turn: int = 1) -> Spent:
-    """Time methods that take turns of `turn` calls; a round before these warms up."""
+
+def in_turns(methods: Mapping[str, Callable[[], object]], rounds: int = ROUNDS, turn: int = 1) -> Spent:
+    """Time methods that take turns of `turn` calls; a round before these warms up.
+
+    Every other round goes from the last method to the first, so that none always has the same one before it.
+    """
     spent: Spent = {name: [] for name in methods}
-    for _ in range(rounds + 1):
-        for name, method in methods.items():
+    for number in range(rounds + 1):
+        for name in _order(methods, number):
             calls = []
             for _ in range(turn):
                 started = time.perf_counter()
-                method()
+                methods[name]()
                 calls.append(time.perf_counter() - started)
             spent[name].append(statistics.median(calls))
     return {name: values[1:] for name, values in spent.items()}
+
+
+def over_frames(
+    steps: Mapping[str, Callable[[Frame], object]], frames: Sequence[Frame], turn: int, warm_up: int
+) -> Spent:
+    """Mean seconds a frame in each turn of several methods, which take turns of a few frames each.
+
+    Parameters
+    ----------
+    steps
+        by name, what takes in a frame.
+    frames
+        in order; all methods get all of them.
+    turn
+        frames that a method works on before it is another one's turn.
+    warm_up
+        frames that do not count.
+    """
+    spent: Spent = {name: [] for name in steps}
+    edges = [*range(0, len(frames), turn), len(frames)]
+    for number, (first, end) in enumerate(pairwise(edges)):
+        for name in _order(steps, number):
+            started = time.perf_counter()
+            for frame in frames[first:end]:
+                steps[name](frame)
+            spent[name].append((time.perf_counter() - started) / (end - first))
+    return {name: values[-(-warm_up // turn) :] for name, values in spent.items()}
+
+
+def _order(names: Mapping[str, object], number: int) -> Sequence[str]:
+    return list(names)[:: 1 if number % 2 == 0 else -1]
 
 
 def medians(spent: Mapping[str, Sequence[float]]) -> dict[str, float]:
@@ -32,8 +75,34 @@ def medians(spent: Mapping[str, Sequence[float]]) -> dict[str, float]:
     return {name: statistics.median(values) for name, values in spent.items()}
 
 
-def over_rounds(
-    judge: Callable[[dict[str, float]], Sequence[Expectation]], spent: Spent
-) -> list[Expectation]:
-    """What is judged of the medians, with the standard errors that the choice of rounds brings."""
-    return over_seeds(lambda drawn: judge(medians(drawn)), spent)
+def over_rounds(judge: Judge, spent: Spent) -> list[Expectation]:
+    """What is judged of every round by itself: medians, with their quartiles.
+
+    A ratio is one of times that were taken right after each other, so that it does not suffer where the
+    machine slows down for both.
+
+    Parameters
+    ----------
+    judge
+        gives expectations of the seconds of one round, always in the same order.
+    spent
+        by method, seconds of every round.
+    """
+    rounds = [dict(zip(spent, seconds, strict=True)) for seconds in zip(*spent.values(), strict=True)]
+    judged = [judge(seconds) for seconds in rounds]
+    on_another_machine = judge({name: 2 * second for name, second in rounds[0].items()})
+    found = []
+    for of_rounds, elsewhere in zip(zip(*judged, strict=True), on_another_machine, strict=True):
+        values = [each.measured for each in of_rounds]
+        low, middle, high = np.percentile(values, (25, 50, 75))
+        found.append(
+            replace(
+                of_rounds[0],
+                measured=float(middle),
+                quartiles=(float(low), float(high)),
+                limit=float(np.median([each.limit for each in of_rounds])),
+                ratio=math.isclose(values[0], elsewhere.measured, rel_tol=1e-9),
+                seeds=len(values),
+            )
+        )
+    return found

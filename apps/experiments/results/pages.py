@@ -1,16 +1,20 @@
 """Records as Markdown: the page of results, and the figures in README."""
 
+import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from ...reports.expectations import Expectation, rounded
+from ...reports.expectations import Expectation, columns, rounded
 from ...reports.record import Provenance, Record
 
 BEGIN, END = "<!-- figures -->", "<!-- /figures -->"
 """What stands around README's figures."""
+
+ELSEWHERE = {"curves": "scale.md", "capacity": "scale.md"}
+"""Records that are on another page."""
 
 INTRODUCTION = """\
 # Results
@@ -21,9 +25,14 @@ every sequence.
 
 ± is the standard error of a figure over its n seeds, found by drawing the seeds anew (200 times); tables of
 methods say what they give. Seeds are those of a generated scene, or of noise on a film (one grey level in a
-thousandth of its pixels), for us and for all peers; of speeds, n is how often a method had its turn. Figures
-of one film without noise have none. "Of an earlier state" is what was measured before the last change of a
-file that it takes in `models`, `inference` or `chains`. What falls short is marked, and below it stands why.
+thousandth of its pixels), for us and for all peers. Figures of one film without noise have none. "Of an
+earlier state" is what was measured before the last change of a file that it takes in `models`, `inference`
+or `chains`. What falls short is marked, and below it stands why.
+
+Speeds are medians over n rounds in which all methods had their turn, with quartiles; a ratio is that of every
+round. The limit is what would be left if the bytes that must be moved, or the operations that must be done,
+took no longer than in a plain copy or a product of matrices on the same machine in the same run. "Loaded" is
+what was measured while other processes kept more than half a core busy.
 """
 BY_HAND = """\
 ## Measured by hand, in earlier states
@@ -94,15 +103,19 @@ def results_page(documents: Documents, root: Path) -> str:
     """
     overview = [
         [
-            f"[{record.title}](#{_anchor(record.title)})",
+            f"[{record.title}]({ELSEWHERE.get(name, '')}#{_anchor(record.title)})",
             f"`{record.command}`",
             str(_count(record, "pass")),
             str(_count(record, "short") or ""),
         ]
-        for record in documents.records.values()
+        for name, record in documents.records.items()
     ]
     parts = [INTRODUCTION, table(("", "command", "holds", "short"), overview)]
-    parts += [_section(record, documents.notes[name], root) for name, record in documents.records.items()]
+    parts += [
+        _section(record, documents.notes[name], root)
+        for name, record in documents.records.items()
+        if name not in ELSEWHERE
+    ]
     parts.append(BY_HAND)
     parts += [_earlier(each) for each in documents.earlier if not _replaced(each, documents)]
     return "\n".join(parts)
@@ -110,28 +123,30 @@ def results_page(documents: Documents, root: Path) -> str:
 
 def figures(record: Record) -> str:
     """What an experiment measured, beside what is wanted of it."""
-    rows = []
-    for each in record.expectations:
-        what, wanted, measured, error, _ = each.cells
-        seeds = str(each.seeds) if each.seeds > 1 else ""
-        rows.append([what, _bound(wanted), measured, error, seeds, _verdict(each)])
-    return table(("measure", "wanted", "measured", "±", "n", ""), rows)
+    header, rows = columns(record.expectations)
+    for row, each in zip(rows, record.expectations, strict=True):
+        row[1], row[-1] = _bound(row[1]), _verdict(each)
+        row.insert(4, str(each.seeds) if each.seeds > 1 else "")
+    return table([*header[:4], "n", *header[4:]], rows)
 
 
 def _section(record: Record, note: str, root: Path) -> str:
-    made = record.made
-    parts = [
-        f"## {record.title}\n",
-        f"`{record.command}`; {_when(made, root)}; {made.machine}; {_duration(made.seconds)}, "
-        f"load before it {made.load:.1f}; {_versions(made)}.\n",
-        figures(record),
-    ]
+    parts = [f"## {record.title}\n", f"{measured_when(record, root)}\n", figures(record)]
     if note:
         parts.append(f"{note.strip()}\n")
     for one in record.tables:
         parts += [f"{one.caption}\n"] if one.caption else []
-        parts.append(table(one.header, [[_cell(cell) for cell in row] for row in one.rows]))
+        parts.append(table(one.header, [[cell(each) for each in row] for row in one.rows]))
     return "\n".join(parts)
+
+
+def measured_when(record: Record, root: Path) -> str:
+    """With which command a record was made, when, where, and how busy the machine was."""
+    made = record.made
+    return (
+        f"`{record.command}`; {_when(made, root)}; {made.machine}; {_duration(made.seconds)}, "
+        f"load before it {made.load:.1f}{_others(made)}; {_versions(made)}."
+    )
 
 
 def _earlier(content: Mapping[str, Any]) -> str:
@@ -181,12 +196,14 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "".join(f"| {' | '.join(cell.replace('|', '&#124;') for cell in line)} |\n" for line in lines)
 
 
-def _cell(value: object) -> str:
+def cell(value: object) -> str:
+    """A value in a table."""
     return rounded(value) if isinstance(value, float) else "–" if value is None else str(value)
 
 
 def _verdict(figure: Expectation) -> str:
-    return {"pass": "holds", "short": "**short**", "": ""}[figure.verdict]
+    words = {"pass": "holds", "short": "**short**", "": ""}[figure.verdict]
+    return ", ".join(filter(None, (words, "loaded" if figure.loaded else "")))
 
 
 def _bound(wanted: str) -> str:
@@ -211,6 +228,10 @@ def _versions(made: Provenance) -> str:
 def _duration(seconds: float) -> str:
     minutes = round(seconds / 60)
     return f"{seconds:.0f} s" if minutes < 2 else f"{minutes} min"
+
+
+def _others(made: Provenance) -> str:
+    return "" if math.isnan(made.others) else f", meanwhile {made.others:.1f} cores busy with others"
 
 
 def _anchor(title: str) -> str:

@@ -20,7 +20,6 @@ from ....inference.face.gauss_newton import find_modes
 from ....inference.face.pose_dynamics import PoseDynamics, PosePrior
 from ....inference.face.texture_likelihood import TexturedObject, TextureLikelihood
 from ....models.face.image_pyramid import MIDDLE_GREY, Level, image_pyramid
-from ....models.face.kernels import warp as warp_kernels
 from ....models.face.pose import RIGID, Poses
 
 Array = NDArray[np.float64]
@@ -271,16 +270,13 @@ class _Frame:
     def _texels(self, pose: Poses, covariance: Array) -> "_Texels":
         """How texels of the finest level look in a pose, and whether they are the template's."""
         surface, level = self.tracker.surface, self.levels[0]
-        texels, n = surface.texels, len(surface.texels)
+        texels = surface.texels
         positions, rows = surface.rows(pose)
-        places, samples = np.empty((2, n), np.float32), np.empty((4, n), np.float32)
-        value, across, down, area = samples
-        warp_kernels.texel_places(
-            positions[0], surface.used_texels, 1, self.visible, level.scale, places, area
-        )
-        warp_kernels.sample_with_slopes(level, places, n, samples)
-        area = np.maximum(area, 0)  # off the picture
+        values, areas = surface.sampled(level, pose, self.visible[None])
+        value, area = values[0], np.maximum(areas[0], 0)  # off the picture
         corners = surface.used_texels.groups[texels.group_of_texel]
+        places = np.einsum("na,nac->nc", texels.weights, positions[0][corners]) + texels.offsets
+        across, down = _slopes(level.image, places).T
         shapes = rows[0][..., RIGID : RIGID + len(covariance)].astype(np.float64)
         moves = sum(texels.weights[:, corner, None, None] * shapes[corners[:, corner]] for corner in range(3))
         slopes = across[:, None] * moves[:, 0] + down[:, None] * moves[:, 1]
@@ -295,6 +291,17 @@ class _Frame:
         weight *= self.tracker.effective_pixels / max(float(area.sum()), 1e-9)
         inlier = 1 / (1 + np.exp(np.clip(as_outlier - as_template, -50, 50)))
         return _Texels(weight, unsure, as_template, as_outlier, inlier)
+
+
+def _slopes(image: NDArray[np.float32], places: Array) -> Array:
+    """`(n, 2)`: slopes across and down of the bilinear interpolant at or nearest to `places` `(n, 2)`."""
+    corner = np.clip(np.floor(places).astype(np.int64), 0, np.array(image.shape[::-1]) - 2)
+    x, y = np.clip(places - corner, 0, 1).T
+    column, row = corner.T
+    cells = [image[row + a, column + b] for a in (0, 1) for b in (0, 1)]
+    across = (1 - y) * (cells[1] - cells[0]) + y * (cells[3] - cells[2])
+    down = (1 - x) * (cells[2] - cells[0]) + x * (cells[3] - cells[1])
+    return np.stack([across, down], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -200,10 +200,10 @@ class SubspaceLikelihood:
         texels = self.surface.texels
         visible = self._templates.visible[:1].repeat(len(poses), axis=0)
         values, areas = self.surface.sampled(self.levels[level], poses, visible)
-        group, counts = texels.group_of_texel, np.diff(texels.first)
+        group, counts = texels.group_of_texel, texels.counts
         part = -(-counts // 4**level)  # a coarse level takes a first part of each group
-        used = np.arange(len(texels)) - texels.first[group] < part[group]
-        share = np.where(used, (counts / np.maximum(part, 1))[group], 0.0)
+        used = texels.row_of_texel < part[group]
+        share = np.where(used, (counts / part)[group], 0.0)
         return values.astype(np.float64), np.maximum(areas, 0).astype(np.float64) * share
 
 

@@ -5,10 +5,10 @@ from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from ....models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
 from ....models.core.kernels.gaussian_mixtures import products
+from ....models.numerics.log_sums import log_sums
 from .moving_parts import MovingParts
 
 Array = NDArray[np.float64]
@@ -81,12 +81,12 @@ class Things:
                 np.zeros(n_parts),
             )
         weights = np.where(detections.flat, -np.inf, detections.log_weights)
-        missed = np.exp(logsumexp(np.where(detections.flat, detections.log_weights, -np.inf), axis=1))
+        missed = np.exp(log_sums(np.where(detections.flat, detections.log_weights, -np.inf)))
         found = np.where(detections.informative, np.clip(1 - missed, LEAST_FOUND, 1.0), 0.0)
         there = np.isfinite(weights)
         labels, first = np.unique(detections.labels[there], return_index=True)
         same = there[:, None] & (detections.labels[:, None] == labels[:, None])
-        ratios = logsumexp(np.where(same, weights[:, None], -np.inf), axis=2)
+        ratios = log_sums(np.where(same, weights[:, None], -np.inf))
         ratios -= np.log(np.maximum(found, LEAST_FOUND))[:, None]
         return cls(
             labels, detections.means[there][first], detections.covariances[there][first], ratios, found
@@ -160,7 +160,7 @@ class PartOptions:
             missed = np.log1p(-visible * things.chances)
         # somebody who is not seen goes on: elsewhere he would be anywhere
         cases[..., 0, k], cases[..., 1, k] = 0.0, -np.inf
-        masses = logsumexp(cases, axis=2)
+        masses = log_sums(cases, axis=2)
         shares = np.exp(cases - np.where(np.isfinite(masses), masses, 0.0)[:, :, None])
         masses[..., :k] += seen[..., None] + things.log_ratios
         masses[..., k] += missed

@@ -2,9 +2,9 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from ....models.body.part_message import PartMessage
+from ....models.numerics.log_sums import log_sums
 from .assignment import PartOptions
 from .moving_parts import MovingParts
 
@@ -63,7 +63,7 @@ def log_overlaps(options: PartOptions, message: PartMessage) -> Array:
     overlaps = message.predicted.log_overlaps(means, covariances)
     overlaps = overlaps.reshape(shape[1], shape[0], *shape[2:]).swapaxes(0, 1)
     with np.errstate(divide="ignore"):
-        return np.asarray(logsumexp(overlaps + np.log(options.shares), axis=2))
+        return log_sums(overlaps + np.log(options.shares), axis=2)
 
 
 def log_joint_overlaps(parts: MovingParts, message: PartMessage) -> Array:
@@ -72,4 +72,4 @@ def log_joint_overlaps(parts: MovingParts, message: PartMessage) -> Array:
     means = np.tile(parts.means[..., :2].swapaxes(0, 1), (n, 1, 1))
     covariances = np.tile(parts.covariances[..., :2, :2].swapaxes(0, 1), (n, 1, 1, 1))
     overlaps = message.stacked.log_overlaps(means, covariances).reshape(n, 3, -1).sum(axis=1)
-    return np.asarray(logsumexp(overlaps + message.log_hypotheses[:, None], axis=0))
+    return log_sums(overlaps + message.log_hypotheses[:, None], axis=0)

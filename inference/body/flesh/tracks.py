@@ -6,9 +6,9 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from ....models.core.short_repr import short_repr
+from ....models.numerics.log_sums import log_sums
 from .clutter import Clutter
 
 Array = NDArray[np.float64]
@@ -189,7 +189,7 @@ class FleshTracks:
             elif len(kept) < MOST_HYPOTHESES:
                 kept.append(one)
                 into[one] = [log_weights[one]]
-        sums = np.array([logsumexp(into[one]) for one in kept])
+        sums = np.array([log_sums(np.array(into[one])) for one in kept])
         again = np.argsort(-sums, kind="stable")
         best = self.take(order[np.array(kept)[again]])
-        return replace(best, log_weights=sums[again] - logsumexp(sums))
+        return replace(best, log_weights=sums[again] - log_sums(sums))

@@ -6,6 +6,9 @@ from ...numerics.compiled import compiled, inlined
 
 _LOG_TWO_PI = np.log(2 * np.pi)
 
+_BLOCK = 64
+"""Points that are looked at together."""
+
 
 @inlined
 def _falling(x):
@@ -57,6 +60,66 @@ def sums_of_densities(points, heights, means, precisions, peaks, sums):
             for j in range(m):
                 total += _falling(logs[j] - best)
             peaks[k, part], sums[k, part] = best, total
+
+
+@compiled
+def sums_over_hypotheses(points, log_weights, heights, means, precisions, logs):
+    """Log of a sum over hypotheses of the products of `sums_of_densities` of all parts.
+
+    Points are taken in blocks, so that loops over them are vector code and all stays in the nearest cache.
+
+    Parameters
+    ----------
+    points
+        `(n, n_parts, 2)`.
+    log_weights
+        `(h,)` finite, of the hypotheses.
+    heights, means, precisions
+        as of `sums_of_densities`, for the `n_parts` mixtures of each hypothesis, one after the other.
+    logs
+        `(n,)` written.
+    """
+    n_parts, m = points.shape[1], heights.shape[1]
+    places = np.zeros((n_parts, 2, _BLOCK))
+    values = np.empty((m, _BLOCK))
+    peak, product, high, total = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    best, sums = np.empty(_BLOCK), np.empty(_BLOCK)
+    for first in range(0, len(points), _BLOCK):
+        count = min(_BLOCK, len(points) - first)
+        for k in range(count):
+            for part in range(n_parts):
+                places[part, 0, k], places[part, 1, k] = (
+                    points[first + k, part, 0],
+                    points[first + k, part, 1],
+                )
+        best[:], sums[:] = -1e300, 0.0
+        for h in range(len(log_weights)):
+            peak[:], product[:] = log_weights[h], 1.0
+            for part in range(n_parts):
+                row = h * n_parts + part
+                px, py = places[part, 0], places[part, 1]
+                high[:], total[:] = -1e300, 0.0
+                for j in range(m):
+                    height, mx, my = heights[row, j], means[row, 0, j], means[row, 1, j]
+                    xx, xy, yy = precisions[row, 0, j], precisions[row, 1, j], precisions[row, 2, j]
+                    value = values[j]
+                    for k in range(_BLOCK):
+                        x, y = px[k] - mx, py[k] - my
+                        value[k] = height - (xx * x + 2.0 * xy * y) * x - yy * y * y
+                        high[k] = max(high[k], value[k])
+                for j in range(m):
+                    value = values[j]
+                    for k in range(_BLOCK):
+                        total[k] += _falling(value[k] - high[k])
+                for k in range(_BLOCK):
+                    peak[k] += high[k]
+                    product[k] *= total[k]
+            for k in range(_BLOCK):
+                higher = max(best[k], peak[k])
+                sums[k] = sums[k] * _falling(best[k] - higher) + product[k] * _falling(peak[k] - higher)
+                best[k] = higher
+        for k in range(count):
+            logs[first + k] = best[k] + np.log(sums[k])
 
 
 @compiled

@@ -2,25 +2,30 @@
 
 import numpy as np
 
-from ...numerics.compiled import compiled
+from ...numerics.compiled import compiled, float_as_bits
+from ...numerics.vectors import LANES, MOST, own_array
 
-_NOBODY = np.int32(-1)
+_f4 = np.float32
+_FAR = _f4(1e30)
+_NOBODY = np.int64(0x7F800000) << np.int64(32)
 
 
 @compiled
-def _draw(corners, triangles, left, top, per_px, planes, depth, front):
-    """Fill the z-buffer: how deep the front-most triangle is at the middle of each cell, and which one it is.
+def _draw(corners, triangles, per_px, columns, planes, buffer):
+    """Fill the z-buffer: which triangle is front-most at the middle of each cell, and how deep it is.
 
-    The `planes` of triangles say where z is: at the origin, per px along x, per px along y, and its least.
+    `corners` `(n_vertices, 3)` are px from the upper left of the buffer, at depths above 0. A cell has the
+    bits of the depth, which rise with it, before the triangle's number, from 1; 0 is nobody. The `planes` of
+    triangles say where z is: at that corner, per px along x, per px along y, and its least.
     """
-    rows, columns = depth.shape
-    depth[:] = np.float32(1e30)
-    front[:] = _NOBODY
+    rows = len(buffer)
+    buffer[:] = _NOBODY
+    planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3] = _FAR, _f4(0), _f4(0), _FAR
     for number in range(len(triangles)):
         a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
-        ax, ay, az = (corners[a, 0] - left) * per_px, (corners[a, 1] - top) * per_px, corners[a, 2]
-        bx, by, bz = (corners[b, 0] - left) * per_px, (corners[b, 1] - top) * per_px, corners[b, 2]
-        cx, cy, cz = (corners[c, 0] - left) * per_px, (corners[c, 1] - top) * per_px, corners[c, 2]
+        ax, ay, az = corners[a, 0] * per_px, corners[a, 1] * per_px, corners[a, 2]
+        bx, by, bz = corners[b, 0] * per_px, corners[b, 1] * per_px, corners[b, 2]
+        cx, cy, cz = corners[c, 0] * per_px, corners[c, 1] * per_px, corners[c, 2]
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if abs(area) < 1e-9:  # seen from its edge: it hides nothing
             continue
@@ -29,88 +34,111 @@ def _draw(corners, triangles, left, top, per_px, planes, depth, front):
         c_x, c_y = (ay - by) / area, (bx - ax) / area
         slope_x, slope_y = b_x * (bz - az) + c_x * (cz - az), b_y * (bz - az) + c_y * (cz - az)
         base = az - slope_x * ax - slope_y * ay
-        planes[number, 0] = base - per_px * (slope_x * left + slope_y * top)
-        planes[number, 1], planes[number, 2] = slope_x * per_px, slope_y * per_px
-        planes[number, 3] = min(az, bz, cz)
+        planes[number + 1, 0], planes[number + 1, 3] = base, min(az, bz, cz)
+        planes[number + 1, 1], planes[number + 1, 2] = slope_x * per_px, slope_y * per_px
         first_x = min(max(int(np.ceil(min(ax, bx, cx) - 0.5)), 0), columns)
         last_x = min(max(int(np.floor(max(ax, bx, cx) - 0.5)), -1), columns - 1)
         first_y = min(max(int(np.ceil(min(ay, by, cy) - 0.5)), 0), rows)
         last_y = min(max(int(np.floor(max(ay, by, cy) - 0.5)), -1), rows - 1)
+        # whole vectors; what is past the triangle's box fails the test of being in it
+        n = (last_x - first_x + LANES) // LANES * LANES
+        own = np.int64(number + 1)
         for row in range(first_y, last_y + 1):
-            y = row + 0.5
-            b_row = b_y * (y - ay) - b_x * ax
-            c_row = c_y * (y - ay) - c_x * ax
-            z_row = base + slope_y * y
-            for column in range(first_x, last_x + 1):
-                x = column + 0.5
-                of_b, of_c = b_row + b_x * x, c_row + c_x * x
+            x, y = first_x + 0.5, row + 0.5
+            b_row, c_row = b_y * (y - ay) + b_x * (x - ax), c_y * (y - ay) + c_x * (x - ax)
+            z_row = base + slope_y * y + slope_x * x
+            cells = buffer[row, first_x:]
+            for k in range(n):
+                of_b, of_c = b_row + b_x * k, c_row + c_x * k
+                key = (np.int64(float_as_bits(_f4(z_row + slope_x * k))) << np.int64(32)) | own
                 # a little over the edges, so that no cell between two triangles stays open
-                if min(of_b, of_c, 1 - of_b - of_c) >= -1e-6:
-                    z = np.float32(z_row + slope_x * x)
-                    if z < depth[row, column]:
-                        depth[row, column] = z
-                        front[row, column] = number
+                inside = min(of_b, of_c, 1 - of_b - of_c) >= -1e-6
+                cells[k] = min(cells[k], key if inside else _NOBODY)
 
 
 @compiled
-def see(positions, triangles, vertices, weights, facing, cells, least_cell, tolerance, seen):
+def see(positions, triangles, groups, first, weights, facing, cells, least_cell, tolerance, seen):
     """Whether points are seen, pose by pose, into `seen` `(n_poses, n_points)`; others as of `visible`.
 
     The box of an object is cut into at most `cells` x `cells` of at least `least_cell` px.
     """
     n_vertices = positions.shape[1]
-    planes = np.zeros((len(triangles), 4))
-    whole_depth = np.empty(cells * cells, np.float32)
-    whole_front = np.empty(cells * cells, np.int32)
+    corners = np.empty((n_vertices, 3))
+    planes = np.empty((len(triangles) + 1, 4), _f4)
+    whole = np.empty((cells, cells + LANES), np.int64)
     for pose in range(len(positions)):
-        corners = positions[pose]
-        left = right = corners[0, 0]
-        top = bottom = corners[0, 1]
-        nearest = farthest = corners[0, 2]
+        places = positions[pose]
+        left = right = places[0, 0]
+        top = bottom = places[0, 1]
+        nearest = farthest = places[0, 2]
         for i in range(1, n_vertices):
-            left, right = min(left, corners[i, 0]), max(right, corners[i, 0])
-            top, bottom = min(top, corners[i, 1]), max(bottom, corners[i, 1])
-            nearest, farthest = min(nearest, corners[i, 2]), max(farthest, corners[i, 2])
+            left, right = min(left, places[i, 0]), max(right, places[i, 0])
+            top, bottom = min(top, places[i, 1]), max(bottom, places[i, 1])
+            nearest, farthest = min(nearest, places[i, 2]), max(farthest, places[i, 2])
+        for i in range(n_vertices):
+            corners[i, 0], corners[i, 1] = places[i, 0] - left, places[i, 1] - top
+            corners[i, 2] = places[i, 2] - nearest + 1
         cell = max(max(right - left, bottom - top) / cells, least_cell)
-        per_px = 1 / cell
-        columns = min(max(int(np.ceil((right - left) * per_px)), 1), cells)
-        rows = min(max(int(np.ceil((bottom - top) * per_px)), 1), cells)
-        depth = whole_depth[: rows * columns].reshape(rows, columns)
-        front = whole_front[: rows * columns].reshape(rows, columns)
-        _draw(corners, triangles, left, top, per_px, planes, depth, front)
+        columns = min(max(int(np.ceil((right - left) / cell)), 1), cells)
+        rows = min(max(int(np.ceil((bottom - top) / cell)), 1), cells)
+        buffer = whole[:rows]
+        _draw(corners, triangles, 1 / cell, columns, planes, buffer)
         slack = tolerance * (farthest - nearest)
-        for point in range(len(vertices)):
-            a, b, c = vertices[point, 0], vertices[point, 1], vertices[point, 2]
-            ux, uy, uz = (
-                corners[b, 0] - corners[a, 0],
-                corners[b, 1] - corners[a, 1],
-                corners[b, 2] - corners[a, 2],
-            )
-            vx, vy, vz = (
-                corners[c, 0] - corners[a, 0],
-                corners[c, 1] - corners[a, 1],
-                corners[c, 2] - corners[a, 2],
-            )
-            normal_x, normal_y, normal_z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-            across = normal_x * normal_x + normal_y * normal_y
-            length = np.sqrt(across + normal_z * normal_z)
-            if normal_z > -facing * length:
-                seen[pose, point] = False
-                continue
-            wa, wb, wc = weights[point, 0], weights[point, 1], weights[point, 2]
-            x = wa * corners[a, 0] + wb * corners[b, 0] + wc * corners[c, 0]
-            y = wa * corners[a, 1] + wb * corners[b, 1] + wc * corners[c, 1]
-            z = wa * corners[a, 2] + wb * corners[b, 2] + wc * corners[c, 2]
-            column = min(max(int((x - left) * per_px), 0), columns - 1)
-            row = min(max(int((y - top) * per_px), 0), rows - 1)
-            other = front[row, column]
-            hidden = False
-            if other >= 0:
+        _query(corners, groups, first, weights, (facing, slack, cell), planes, buffer, columns, seen[pose])
+
+
+@compiled
+def _query(corners, groups, first, weights, limits, planes, buffer, columns, seen):
+    """Whether points are seen, once the z-buffer is filled; `limits`: facing, slack px, side of a cell px."""
+    facing, slack, cell = limits
+    keys, plane = buffer.reshape(-1), np.empty((MOST, 4), _f4)
+    last_column, last_row = np.int32(columns - 1), np.int32(len(buffer) - 1)
+    per_px, width = _f4(1 / cell), np.int32(buffer.shape[1])
+    places, spare = np.empty((9, MOST), _f4), np.empty(MOST, _f4)
+    xs, ys, zs, at = own_array(_f4), own_array(_f4), own_array(_f4), own_array(np.uint32)
+    for block in range(0, len(groups), MOST):
+        for g in range(min(len(groups) - block, MOST)):
+            for corner in range(3):
+                vertex = groups[block + g, corner]
+                for axis in range(3):
+                    places[3 * axis + corner, g] = corners[vertex, axis]
+            spare[g] = _spare(corners, groups[block + g], facing, slack, cell)
+        ax, bx, cx, ay, by, cy, az, bz, cz = places
+        for row in range(len(first) - 1):
+            n = min(first[row + 1] - first[row] - block, MOST)
+            if n <= 0:
+                break
+            start = first[row] + block
+            wa, wb, wc, its_seen = weights[0, start:], weights[1, start:], weights[2, start:], seen[start:]
+            for g in range(n):
+                x = wa[g] * ax[g] + wb[g] * bx[g] + wc[g] * cx[g]
+                y = wa[g] * ay[g] + wb[g] * by[g] + wc[g] * cy[g]
+                xs[g], ys[g], zs[g] = x, y, wa[g] * az[g] + wb[g] * bz[g] + wc[g] * cz[g]
+                column = min(max(np.int32(x * per_px), np.int32(0)), last_column)
+                line = min(max(np.int32(y * per_px), np.int32(0)), last_row)
+                at[g] = np.uint32(line * width + column)
+            for g in range(n):
+                other = np.uint32(keys[at[g]])
+                for part in range(4):
+                    plane[g, part] = planes[other, part]
+            for g in range(n):
                 # The plane of the triangle in front, followed to this very place: on one's own triangle that
                 # is the point itself. Past its edge a steep plane would stand before everything beside it, so
                 # it is followed no nearer than the triangle reaches.
-                plane = planes[other, 0] + planes[other, 1] * x + planes[other, 2] * y
-                before = max(plane, planes[other, 3])
-                rise = np.sqrt(across) / max(-normal_z, 0.1 * length) if length > 0 else 0.0
-                hidden = z > before + slack + rise * cell
-            seen[pose, point] = not hidden
+                before = max(plane[g, 0] + plane[g, 1] * xs[g] + plane[g, 2] * ys[g], plane[g, 3])
+                its_seen[g] = zs[g] <= before + spare[g]
+
+
+@compiled
+def _spare(corners, group, facing, slack, cell):
+    """How far behind what is in front points of a group are still seen; nowhere if it looks away."""
+    a, b, c = group[0], group[1], group[2]
+    ux, uy, uz = corners[b, 0] - corners[a, 0], corners[b, 1] - corners[a, 1], corners[b, 2] - corners[a, 2]
+    vx, vy, vz = corners[c, 0] - corners[a, 0], corners[c, 1] - corners[a, 1], corners[c, 2] - corners[a, 2]
+    normal_x, normal_y, normal_z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    across = normal_x * normal_x + normal_y * normal_y
+    length = np.sqrt(across + normal_z * normal_z)
+    if normal_z > -facing * length:
+        return -4 * _FAR
+    rise = np.sqrt(across) / max(-normal_z, 0.1 * length) if length > 0 else 0.0
+    return _f4(slack + rise * cell)

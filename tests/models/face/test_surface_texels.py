@@ -19,17 +19,30 @@ def test_a_dense_mesh_shares_texels_out_by_area(n_texels: int) -> None:
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
     assert len(texels) == n_texels == texels.first[-1] == len(texels.group_of_texel)
-    assert (np.abs(np.diff(texels.first) - area / area.sum() * n_texels) < 1 + 1e-6).all()
+    assert (np.diff(texels.counts) <= 0).all()
+    assert texels.counts.min() > 0
+    number = {tuple(corners): k for k, corners in enumerate(model.triangles.tolist())}
+    counts = np.zeros(len(area))
+    counts[[number[tuple(corners)] for corners in texels.groups.tolist()]] = texels.counts
+    assert (np.abs(counts - area / area.sum() * n_texels) < 1 + 1e-6).all()
     assert (texels.weights >= 0).all()
     np.testing.assert_allclose(texels.weights.sum(axis=1), 1, atol=1e-6)
     assert not texels.offsets.any()
     assert not texels.areas.any()
-    np.testing.assert_array_equal(texels.groups, model.triangles)
+
+
+def test_rows_hold_the_kth_texel_of_every_group_that_has_so_many() -> None:
+    texels = SurfaceTexels.dense(bumpy(), 700)
+    for row, (begin, end) in enumerate(zip(texels.first[:-1], texels.first[1:], strict=True)):
+        np.testing.assert_array_equal(texels.group_of_texel[begin:end], np.flatnonzero(texels.counts > row))
+        assert (texels.row_of_texel[begin:end] == row).all()
+        assert (texels.weights[begin:end] == texels.weights[begin]).all()
+        assert (texels.offsets[begin:end] == texels.offsets[begin]).all()
 
 
 def test_texels_fill_triangles_evenly() -> None:
     texels = SurfaceTexels.dense(bumpy(), 24 * 400)
-    inside = texels.weights[texels.first[0] : texels.first[1]]
+    inside = texels.weights[texels.group_of_texel == 0]
     assert len(inside) > 100
     # moments of the uniform density over a triangle: means 1/3, second moments 1/6 and 1/12
     np.testing.assert_allclose(inside.mean(axis=0), 1 / 3, atol=0.01)
@@ -45,9 +58,8 @@ def test_texels_fill_triangles_evenly() -> None:
 def test_a_single_texel_lies_in_the_middle() -> None:
     model = face_model()
     texels = SurfaceTexels.dense(model, 400)
-    alone = np.flatnonzero(np.diff(texels.first) == 1)
-    assert len(alone)
-    np.testing.assert_allclose(texels.weights[texels.first[alone]], 1 / 3, rtol=1e-6)
+    assert texels.counts[-1] == 1
+    np.testing.assert_allclose(texels.weights[texels.row_of_texel == 0], 1 / 3, rtol=1e-6)
 
 
 @given(st.floats(1, 12))
@@ -56,7 +68,7 @@ def test_patches_are_discs_with_a_texel_a_pixel(radius: float) -> None:
     texels = SurfaceTexels.patches(model, radius)
     wanted = {(x, y) for x in range(-13, 14) for y in range(-13, 14) if x * x + y * y <= radius**2}
     for vertex in range(model.n_vertices):
-        own = slice(texels.first[vertex], texels.first[vertex + 1])
+        own = texels.group_of_texel == vertex
         assert {tuple(offset) for offset in texels.offsets[own].astype(int).tolist()} == wanted
         assert (texels.groups[vertex] == vertex).all()
         np.testing.assert_array_equal(texels.weights[own], np.tile([1, 0, 0], (len(wanted), 1)))
@@ -66,7 +78,7 @@ def test_patches_are_discs_with_a_texel_a_pixel(radius: float) -> None:
 @pytest.mark.parametrize("radius", [4, 6, 8])
 def test_a_first_part_of_a_patch_is_spread_over_it(radius: int) -> None:
     texels = SurfaceTexels.patches(bumpy(), radius)
-    disc = texels.offsets[: texels.first[1]]
+    disc = texels.offsets[texels.group_of_texel == 0]
     quarter = disc[: -(-len(disc) // 4)]
     assert (np.abs(quarter.mean(axis=0)) < 0.25 * radius).all()
     np.testing.assert_allclose(quarter.var(axis=0), disc.var(axis=0), rtol=0.5)

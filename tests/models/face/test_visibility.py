@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.pose import Poses
+from rsmcm.models.face.surface_texels import SurfaceTexels
 from rsmcm.models.face.visibility import visible
 from rsmcm.models.numerics.rotations import exponential
 
@@ -68,6 +69,18 @@ def cosines(mesh: Mesh) -> Array:
     return -normals[:, 2] / np.linalg.norm(normals, axis=1)
 
 
+def points(vertices: Numbers, weights: Array) -> SurfaceTexels:
+    """A texel for each of the weighted means of three vertices."""
+    n = len(vertices)
+    return SurfaceTexels(
+        vertices.astype(np.int32),
+        np.array([0, n], np.int32),
+        weights.astype(np.float32),
+        np.zeros((n, 2), np.float32),
+        np.zeros(n, np.float32),
+    )
+
+
 def scattered(mesh: Mesh, n: int, seed: int) -> tuple[Numbers, Array]:
     """Triangle numbers and weights of points all over a mesh."""
     random = np.random.default_rng(seed)
@@ -82,7 +95,7 @@ def test_of_a_sphere_that_is_seen_which_faces_the_viewer(seed: int, radius: floa
     turned = unit.vertices @ exponential(random.normal(size=(1, 3)))[0].T
     mesh = Mesh(radius * turned + [300 * random.normal(), 300 * random.normal(), 50], unit.triangles)
     chosen, weights = scattered(mesh, 2000, seed)
-    seen = visible(mesh.vertices[None], mesh.triangles, mesh.triangles[chosen], weights, facing)[0]
+    seen = visible(mesh.vertices[None], mesh.triangles, points(mesh.triangles[chosen], weights), facing)[0]
     cosine = cosines(mesh)[chosen]
     clear = np.abs(cosine - facing) > 1e-9
     np.testing.assert_array_equal(seen[clear], (cosine > facing)[clear])
@@ -95,7 +108,7 @@ def test_a_wall_hides_what_is_behind_it_seen_along_the_line_of_sight(turn: tuple
     vertices = both.vertices @ exponential(np.array([turn]))[0].T
     mesh = Mesh(vertices, both.triangles)
     chosen, weights = scattered(mesh, 4000, 1)
-    seen = visible(vertices[None], mesh.triangles, mesh.triangles[chosen], weights)[0]
+    seen = visible(vertices[None], mesh.triangles, points(mesh.triangles[chosen], weights))[0]
     places = np.einsum("na,nac->nc", weights, vertices[mesh.triangles[chosen]])
     behind = chosen >= len(near.triangles)
     # where the near wall's plane is met along the line of sight, in the wall's own axes
@@ -116,9 +129,9 @@ def test_poses_do_not_mix() -> None:
     aside = mesh.vertices.copy()
     aside[:64, 0] += 100
     poses = np.stack([mesh.vertices, aside, 3 * mesh.vertices - 50])
-    together = visible(poses, mesh.triangles, vertices, weights)
+    together = visible(poses, mesh.triangles, points(vertices, weights))
     for pose, seen in zip(poses, together, strict=True):
-        np.testing.assert_array_equal(visible(pose[None], mesh.triangles, vertices, weights)[0], seen)
+        np.testing.assert_array_equal(visible(pose[None], mesh.triangles, points(vertices, weights))[0], seen)
     assert together[1].all()
     assert not together[0].all()
 
@@ -130,7 +143,7 @@ def test_a_face_from_the_front_hides_nothing_of_itself(size: float) -> None:
     positions = model.positions(poses)
     mesh = Mesh(positions[0], model.triangles)
     chosen, weights = scattered(mesh, 4000, 0)
-    seen = visible(positions, model.triangles, model.triangles[chosen], weights)[0]
+    seen = visible(positions, model.triangles, points(model.triangles[chosen], weights))[0]
     np.testing.assert_array_equal(seen, cosines(mesh)[chosen] >= 0.3)
 
 
@@ -154,9 +167,9 @@ def test_a_head_with_a_large_nose_agrees_with_lines_of_sight(yaw: float) -> None
     mesh = Mesh(60 * head.vertices @ turn.T + [100, 80, 0], head.triangles)
     positions = mesh.vertices[None]
     chosen, weights = scattered(mesh, 1500, 0)
-    seen = visible(positions, mesh.triangles, mesh.triangles[chosen], weights)[0]
-    points = np.einsum("na,nac->nc", weights, mesh.vertices[mesh.triangles[chosen]])
-    behind = points[:, 2] - cast(mesh, points[:, :2])
+    seen = visible(positions, mesh.triangles, points(mesh.triangles[chosen], weights))[0]
+    places = np.einsum("na,nac->nc", weights, mesh.vertices[mesh.triangles[chosen]])
+    behind = places[:, 2] - cast(mesh, places[:, :2])
     facing = cosines(mesh)[chosen] >= 0.3
     hidden = facing & (behind > 0.1 * np.ptp(mesh.vertices[:, 2]))
     assert hidden.sum() > 4
@@ -170,7 +183,7 @@ def test_vertices_have_no_facing_but_are_hidden() -> None:
     mesh = joined(wall(60, 40, -50), wall(200, 160, 30, 16))
     vertices = np.repeat(np.arange(len(mesh.vertices))[:, None], 3, axis=1)
     weights = np.tile([1.0, 0.0, 0.0], (len(vertices), 1))
-    seen = visible(mesh.vertices[None], mesh.triangles, vertices, weights)[0]
+    seen = visible(mesh.vertices[None], mesh.triangles, points(vertices, weights))[0]
     margin = (np.abs(mesh.vertices[:, :2]) - [30, 20]).max(axis=1)
     expected = ~((mesh.vertices[:, 2] > 0) & (margin < 0))
     np.testing.assert_array_equal(seen[np.abs(margin) > 3], expected[np.abs(margin) > 3])
@@ -181,12 +194,12 @@ def test_facing_away_is_not_seen_but_hides() -> None:
     near, far = wall(60, 60, -20), wall(60, 60, 20)
     mesh = joined(Mesh(near.vertices, near.triangles[:, ::-1]), far)
     chosen, weights = scattered(mesh, 500, 0)
-    assert not visible(mesh.vertices[None], mesh.triangles, mesh.triangles[chosen], weights).any()
+    assert not visible(mesh.vertices[None], mesh.triangles, points(mesh.triangles[chosen], weights)).any()
 
 
 def test_a_pose_gone_astray_is_no_crash() -> None:
     mesh = sphere(6)
     chosen, weights = scattered(mesh, 50, 0)
     for scale in (0.0, 1e-9, 1e12, np.nan):
-        seen = visible(scale * mesh.vertices[None], mesh.triangles, mesh.triangles[chosen], weights)
+        seen = visible(scale * mesh.vertices[None], mesh.triangles, points(mesh.triangles[chosen], weights))
         assert seen.shape == (1, 50)

@@ -2,6 +2,7 @@
 
 import multiprocessing
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import cv2
@@ -11,7 +12,7 @@ from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.core.recursive_bp import RunState
 from rsmcm.models import Frame, PixelLabels
-from rsmcm.models.numerics.threads import over_bands, set_threads, thread_count
+from rsmcm.models.numerics.threads import over_bands, set_threads, side_by_side, thread_count
 
 needs_fork = pytest.mark.skipif(
     "fork" not in multiprocessing.get_all_start_methods(), reason="the system has no fork"
@@ -41,10 +42,38 @@ def test_bands_cover_all_rows_once(count: int, n_rows: int) -> None:
     assert (visits == 1).all()
 
 
-def test_opencv_has_as_many() -> None:
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
+def test_results_are_in_the_order_of_the_work(count: int) -> None:
+    set_threads(count)
+
+    def shared(size: int) -> int:
+        return sum(side_by_side([partial(pow, k, 2) for k in range(size)]))
+
+    expected = [sum(k * k for k in range(size)) for size in range(1, 20)]
+    for _ in range(20):
+        assert side_by_side([partial(shared, size) for size in range(1, 20)]) == expected
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_what_one_piece_raises_comes_out(count: int) -> None:
+    set_threads(count)
+    ended = []
+
+    def work(number: int) -> None:
+        if number == 2:
+            raise ValueError("two")
+        ended.append(number)
+
+    with pytest.raises(ValueError, match="two"):
+        side_by_side([partial(work, number) for number in range(4)])
+    assert {0, 1} <= set(ended)
+
+
+def test_opencv_keeps_what_it_has() -> None:
     for count in (3, 1, 2):
+        cv2.setNumThreads(2)
         set_threads(count)
-        assert (thread_count(), cv2.getNumThreads()) == (count, count)
+        assert (thread_count(), cv2.getNumThreads()) == (count, 2)
 
 
 def test_no_thread_at_all() -> None:

@@ -1,18 +1,32 @@
-"""Methods take turns, and the errors of ratios are those of what is measured together."""
+"""Methods take turns, and ratios are those of what was measured together."""
 
 import math
 
 import pytest
-from rsmcm.apps.experiments.bench.timing import in_turns, medians, over_rounds
+from rsmcm.apps.experiments.bench.timing import in_turns, medians, over_frames, over_rounds
 from rsmcm.apps.reports.expectations import Expectation
+from rsmcm.models.core.frame import Frame
 
 
 def test_methods_take_turns_after_a_round_that_does_not_count() -> None:
     called: list[str] = []
     spent = in_turns({name: lambda name=name: called.append(name) for name in "ab"}, rounds=2, turn=3)  # type: ignore[misc]
-    assert "".join(called) == 3 * "aaabbb"
+    assert "".join(called) == "aaabbb" + "bbbaaa" + "aaabbb"
     assert {name: len(seconds) for name, seconds in spent.items()} == {"a": 2, "b": 2}
     assert all(second >= 0 for seconds in spent.values() for second in seconds)
+
+
+def test_methods_get_all_frames_in_order() -> None:
+    frames = [Frame(None, number / 25, number) for number in range(1, 51)]
+    seen: dict[str, list[int]] = {"a": [], "b": []}
+    spent = over_frames(
+        {name: lambda f, name=name: seen[name].append(f.number) for name in seen},  # type: ignore[misc]
+        frames,
+        turn=20,
+        warm_up=20,
+    )
+    assert seen["a"] == seen["b"] == [*range(1, 51)]
+    assert {name: len(turns) for name, turns in spent.items()} == {"a": 2, "b": 2}
 
 
 def test_a_machine_that_slows_down_for_both_leaves_their_ratio_sure() -> None:
@@ -20,9 +34,20 @@ def test_a_machine_that_slows_down_for_both_leaves_their_ratio_sure() -> None:
     spent = {"ours": seconds, "theirs": [2 * each for each in seconds]}
     assert medians(spent) == {"ours": 1.5, "theirs": 3.0}
     ratio, alone = over_rounds(
-        lambda of: [Expectation("ratio", of["theirs"] / of["ours"]), Expectation("s", of["ours"])], spent
+        lambda of: [
+            Expectation("ratio", of["theirs"] / of["ours"], limit=0.5 / of["ours"]),
+            Expectation("s", of["ours"]),
+        ],
+        spent,
     )
-    assert (ratio.measured, ratio.spread) == (pytest.approx(2.0), pytest.approx(0.0))
-    assert alone.spread > 0.1
-    assert ratio.seeds == 5
-    assert not math.isnan(alone.measured)
+    assert (ratio.measured, ratio.quartiles, ratio.seeds) == (2.0, (2.0, 2.0), 5)
+    assert ratio.limit == pytest.approx(0.5 / 1.5)
+    assert (alone.measured, alone.quartiles) == (1.5, (1.0, 3.0))
+    assert math.isnan(alone.limit)
+    assert (ratio.ratio, alone.ratio) == (True, False)
+
+
+def test_the_ratio_is_of_pairs_and_not_of_medians() -> None:
+    spent = {"ours": [1.0, 2.0, 9.0], "theirs": [4.0, 2.0, 3.0]}
+    (ratio,) = over_rounds(lambda of: [Expectation("ratio", of["ours"] / of["theirs"])], spent)
+    assert ratio.measured == 1.0  # of 1/4, 1, 3; the medians' is 2/3

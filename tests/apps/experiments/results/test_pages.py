@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 from rsmcm.apps.experiments.results.__main__ import collect, main, write_pages
-from rsmcm.apps.experiments.results.pages import BEGIN, END, Documents, readme_with, results_page
+from rsmcm.apps.experiments.results.pages import BEGIN, END, Documents, figures, readme_with, results_page
+from rsmcm.apps.experiments.results.scale_page import PAGE, PICTURE, scale_page
 from rsmcm.apps.reports.expectations import Expectation
 from rsmcm.apps.reports.record import Provenance, Record, Table
 
@@ -80,6 +81,7 @@ def checkout(tmp_path: Path) -> Path:
     (tmp_path / "chains").mkdir()
     (tmp_path / "chains" / "one.py").write_text("pass")
     (tmp_path / "README.md").write_text(f"before\n{BEGIN}\nthe last ones\n{END}\nafter\n")
+    (tmp_path / PAGE).write_text((ROOT / PAGE).read_text())
     return tmp_path
 
 
@@ -93,6 +95,9 @@ def test_pages_are_what_is_made_of_the_records() -> None:
     assert (ROOT / "docs" / "results.md").read_text() == results_page(found, ROOT)
     readme = (ROOT / "README.md").read_text()
     assert readme == readme_with(readme, found, ROOT)
+    scale = (ROOT / PAGE).read_text()
+    assert scale == scale_page(scale, found.records, ROOT)
+    assert (ROOT / PICTURE).exists() == ("curves" in found.records)
 
 
 def test_figures_of_readme_are_in_its_records() -> None:
@@ -168,6 +173,14 @@ def test_younger_records_are_collected_without_their_runs(
     collect(tmp_path / "results", kept)
     assert Record.read(kept / "first.json").made.commit == "0123456789"
     assert capsys.readouterr().out == "first: 2026-11-22T10:00:00+00:00\n"
+
+
+def test_limits_and_loads_are_shown_where_they_are_known() -> None:
+    quick = Expectation("over MOG2", 0.2, "<=", 0.3, seeds=8, quartiles=(0.19, 0.22), limit=0.05, ratio=True)
+    lines = figures(record("speeds", quick, Expectation("ms", 3.0, loaded=True))).splitlines()
+    assert lines[0] == "| measure | wanted | measured | ± or quartiles | n | limit |  |"
+    assert lines[2] == "| over MOG2 | ≤ 0.3 | 0.2 | 0.19–0.22 | 8 | 0.05 | holds |"
+    assert lines[3] == "| ms |  | 3 |  |  |  | loaded |"
 
 
 def test_pages_are_written(checkout: Path) -> None:
