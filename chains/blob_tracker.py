@@ -22,7 +22,7 @@ import numpy as np
 
 from ..inference.core.protocols import Cavity, Incoming, Port
 from ..inference.objects import detections
-from ..inference.objects.blob_geometry import likely_size, without_crumbs
+from ..inference.objects.blob_geometry import likely_size
 from ..inference.objects.blob_scene import BlobScene
 from ..inference.objects.blob_table import Blobs, BlobState
 from ..inference.objects.blobs import Blob
@@ -235,33 +235,21 @@ class BlobTracker:
         table = blobs.table
         judged = (table["unseen"] == 0) & (table["detected"] == 0)
         waists = np.where(judged, parting_columns(blobs, scene.newcomers), -1)
-        table["parting"] = np.where(
-            waists >= 0, table["parting"] + scene.elapsed, np.where(judged, 0.0, table["parting"])
-        )
-        parting = {int(k) for k in np.flatnonzero((waists >= 0) & (table["parting"] >= self.parting_time))}
-        swept = table["seen"] // SWEEP > (table["seen"] - scene.elapsed) // SWEEP
-        changing = parting | {int(k) for k in np.flatnonzero(judged & swept)}
-        if not changing:
-            return blobs
-        rows = [
-            part
-            for k, blob in enumerate(blobs)
-            for part in (
-                self._parts(blob, int(waists[k]), k in parting, numbers, scene) if k in changing else [blob]
-            )
-        ]
-        return Blobs.of(rows, blobs.channels)
-
-    def _parts(
-        self, blob: Blob, waist: int, parting: bool, numbers: Iterator[int], scene: BlobScene
-    ) -> list[Blob]:
-        if parting:
-            larger, smaller = halves(blob, waist)
+        longer = np.where(waists < 0, 0.0, table["parting"] + scene.elapsed)
+        table["parting"] = np.where(judged, longer, table["parting"])
+        parted = {}
+        for k in np.flatnonzero((waists >= 0) & (longer >= self.parting_time)).tolist():
+            larger, smaller = halves(blobs[k], waists[k])
             if smaller.sum() >= max(self._least_area(scene), 0.25 * larger.sum()):
-                blob, new = blob.changed(parting=0.0, still=0.0), next(numbers)
-                return [
+                blob, new = blobs[k].changed(parting=0.0, still=0.0), next(numbers)
+                parted[k] = [
                     blob.changed(mask=larger, size=likely_size(larger)),
                     blob.changed(mask=smaller, size=likely_size(smaller), identity=new, whole=new),
                 ]
-        due = blob.seen // SWEEP > (blob.seen - scene.elapsed) // SWEEP
-        return [blob.changed(mask=without_crumbs(blob.mask)) if due else blob]
+        due = judged & (table["seen"] // SWEEP > (table["seen"] - scene.elapsed) // SWEEP)
+        due[list(parted)] = False
+        blobs.sweep(due)
+        if not parted:
+            return blobs
+        rows = [part for k, blob in enumerate(blobs) for part in parted.get(k, [blob])]
+        return Blobs.of(rows, blobs.channels)

@@ -39,6 +39,9 @@ FIRST_GAIN = 0.05
 RETURN = 0.3
 """s in which what sets a texel apart from its lasting texture decays to 1/e."""
 
+WORTH = 50_000
+"""Texels from which on another thread is woken for them."""
+
 LEAST_INSIDE = 0.4
 """Share of the visible texels that has to lie in the picture, if a texture is to explain it."""
 
@@ -147,7 +150,7 @@ class LastingTexture:
                 _rows(memory, a, b), kernels.Lasting(after.mean[a:b], after.looks[a:b]),
             )  # fmt: skip
 
-        over_bands(work, len(seen))
+        over_bands(work, len(seen), worth=seen.size > WORTH)
         return replace(self, mean=after.mean, looks=after.looks)
 
 
@@ -214,13 +217,9 @@ class Texture:
             lasting = kernels.Lasting(self.lasting.mean, self.lasting.looks)
         mean, variance = np.empty_like(self.mean), np.empty_like(self.variance)
 
-        def work(a: int, b: int) -> None:
-            kernels.predict(
-                self.mean[a:b], self.variance[a:b], _rows(lasting, a, b), returned, _rows(noises, a, b),
-                np.float32(UNKNOWN_VARIANCE), mean[a:b], variance[a:b],
-            )  # fmt: skip
-
-        over_bands(work, len(variance))
+        kernels.predict(
+            self.mean, self.variance, lasting, returned, noises, np.float32(UNKNOWN_VARIANCE), mean, variance
+        )
         return replace(self, mean=mean, variance=variance)
 
     def updated(self, observed: Map, seen: NDArray[np.bool_], noise: TexelNoise, elapsed: float) -> Self:
@@ -241,7 +240,7 @@ class Texture:
                 mean[a:b], variance[a:b],
             )  # fmt: skip
 
-        over_bands(work, len(seen))
+        over_bands(work, len(seen), worth=seen.size > WORTH)
         learned, lasting = self.learned, self.lasting
         if learned is not None:
             innovation = observed[:, 0] - self.mean[:, 0]
@@ -279,13 +278,7 @@ def explained(observed: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArra
         `(n, n_texels)`: texels that face the viewer, and those of them in the picture; 0 where these are few.
     """
     share = np.empty(len(seen), np.float32)
-
-    def work(a: int, b: int) -> None:
-        kernels.explain(
-            observed[a:b], mean[a:b], visible[a:b], seen[a:b], np.float32(LEAST_INSIDE), share[a:b]
-        )
-
-    over_bands(work, len(seen))
+    kernels.explain(observed, mean, visible, seen, np.float32(LEAST_INSIDE), share)
     return share
 
 

@@ -1,6 +1,6 @@
 """What a picture says of poses, given the textures that experts remember: p(y_t | u_1:t, y_1:t-1)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +11,7 @@ from ...models.face.image_pyramid import Level
 from ...models.face.kernels import normal_equations as newton_kernels
 from ...models.face.kernels import warp as warp_kernels
 from ...models.face.morphable_model import MorphableModel
-from ...models.face.pose import Poses
+from ...models.face.pose import RIGID, Poses
 from ...models.face.surface_texels import SurfaceTexels
 from ...models.face.visibility import visible
 from ...models.numerics.threads import over_bands
@@ -20,6 +20,9 @@ from ...models.numerics.vectors import LANES
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]
 NO_MAP: Map = np.zeros((0, 0), np.float32)
+
+WORTH = 50_000
+"""Texels from which on another thread is woken for them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +47,11 @@ class TexturedObject:
 
     @cached_property
     def _bases(self) -> Map:
-        return np.ascontiguousarray(self.model.bases[:, self._used], np.float32)
+        """`(n_used, 3, width)`: the bases of the vertices used, in the columns of a pose's change."""
+        dimension = RIGID + self.model.n_bases
+        bases = np.zeros((len(self._used), 3, -(-dimension // LANES) * LANES), np.float32)
+        bases[:, :, RIGID:dimension] = np.moveaxis(self.model.bases[:, self._used], 0, 2)
+        return bases
 
     @cached_property
     def used_texels(self) -> warp_kernels.Texels:
@@ -77,20 +84,23 @@ class TexturedObject:
 
         The width is the poses' dimension rounded up to whole vectors, filled with zeros.
         """
-        n, width = len(poses), -(-poses.dimension // LANES) * LANES
+        positions, rows, write = self.rows_to_write(poses)
+        write(0, len(poses))
+        return positions, rows
+
+    def rows_to_write(self, poses: Poses) -> tuple[Map, Map, Callable[[int, int], None]]:
+        """The same before they are known, and what writes them of poses from one number to another."""
+        n, width = len(poses), self._bases.shape[2]
         positions = np.empty((n, len(self._used), 2), np.float32)
         rows = np.zeros((n, len(self._used), 2, width), np.float32)
-        single = [
-            np.ascontiguousarray(part, np.float32)
-            for part in (poses.rotations, poses.translations, poses.morphs)
-        ]
-        over_bands(
-            lambda a, b: newton_kernels.vertex_rows(
+        single = [part.astype(np.float32) for part in (poses.rotations, poses.translations, poses.morphs)]
+
+        def write(a: int, b: int) -> None:
+            newton_kernels.vertex_rows(
                 *(part[a:b] for part in single), self._bases, positions[a:b], rows[a:b]
-            ),
-            n,
-        )
-        return positions, rows
+            )
+
+        return positions, rows, write
 
     def positions(self, poses: Poses) -> Map:
         """`(n, n_used, 2)` px: of the vertices used."""
@@ -120,13 +130,20 @@ class TexturedObject:
         size = np.array(levels[0].image.shape[::-1])
         within = bool((positions > margin).all() and (positions < size - 1 - margin).all())
         values = np.zeros((len(poses), len(levels), len(self.texels)), np.float32)
-        area = np.empty(visible.shape, np.float32)
-        seen = visible
-        for number, level in enumerate(levels):
-            share = 4**number if within else 1
-            self._sample(level, number, share, positions, visible, values, area)
-            if number == 0 or not within:
-                seen = seen & (area > 0)
+        seen = np.empty(visible.shape, np.bool_)
+
+        def work(a: int, b: int) -> None:
+            area, here = np.empty(visible[a:b].shape, np.float32), visible[a:b]
+            for number, level in enumerate(levels):
+                warp_kernels.sample_texels(
+                    level, number, 4**number if within else 1, self.used_texels, visible[a:b],
+                    positions[a:b], values[a:b], area,
+                )  # fmt: skip
+                if number == 0 or not within:
+                    here = here & (area > 0)
+            seen[a:b] = here
+
+        over_bands(work, len(poses), worth=values.size > 3 * WORTH)
         return values, seen
 
     def sampled(self, level: Level, poses: Poses, visible: NDArray[np.bool_]) -> tuple[Map, Map]:
@@ -137,25 +154,10 @@ class TexturedObject:
         """
         shape = (len(poses), len(self.texels))
         values, area = np.empty((shape[0], 1, shape[1]), np.float32), np.empty(shape, np.float32)
-        self._sample(level, 0, 1, self.positions(poses), visible, values, area)
+        warp_kernels.sample_texels(
+            level, 0, 1, self.used_texels, visible, self.positions(poses), values, area
+        )
         return values[:, 0], area
-
-    def _sample(
-        self,
-        level: Level,
-        number: int,
-        share: int,
-        positions: Map,
-        visible: NDArray[np.bool_],
-        values: Map,
-        area: Map,
-    ) -> None:
-        def work(a: int, b: int) -> None:
-            warp_kernels.sample_texels(
-                level, number, share, self.used_texels, visible[a:b], positions[a:b], values[a:b], area[a:b]
-            )
-
-        over_bands(work, len(positions))
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,19 +193,20 @@ class TextureLikelihood:
 
     def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
         """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
-        positions, rows = self.surface.rows(poses)
+        positions, rows, write_rows = self.surface.rows_to_write(poses)
         n, width, dimension = len(poses), rows.shape[3], poses.dimension
         matrices, vectors = np.empty((n, width, width), np.float32), np.empty((n, width), np.float32)
         totals = np.empty((n, 3))
 
         def work(a: int, b: int) -> None:
+            write_rows(a, b)
             newton_kernels.normal_equations(
                 self.levels[level], level, self.surface.used_texels, self.surface._pairs,
                 self._textures, owner[a:b], positions[a:b], rows[a:b], dimension,
                 newton_kernels.NormalSums(matrices[a:b], vectors[a:b], totals[a:b]),
             )  # fmt: skip
 
-        over_bands(work, n)
+        over_bands(work, n, worth=n * len(self.surface.texels) > WORTH * 4**level)
         return Equations(
             matrices[:, :dimension, :dimension].astype(np.float64),
             vectors[:, :dimension].astype(np.float64),
@@ -225,7 +228,7 @@ class TextureLikelihood:
                 positions[a:b], background, sums[a:b],
             )  # fmt: skip
 
-        over_bands(work, len(poses))
+        over_bands(work, len(poses), worth=len(poses) * len(self.surface.texels) > WORTH * 4**level)
         return sums
 
     def misfit(self, poses: Poses, level: int) -> Array:

@@ -1,6 +1,5 @@
 """Patches, masks and boxes of blobs: cutting, joining, and which are parts of one object."""
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -24,17 +23,6 @@ def likely_size(mask: Map) -> Pair:
     """Height and width px of what a mask likely covers, at least 1."""
     shape = shape_of(mask)
     return np.array([max(shape.bottom - shape.top, 1.0), max(shape.right - shape.left, 1.0)])
-
-
-def without_crumbs(mask: Map) -> Map:
-    """The mask without spots that are apart from its main part and small."""
-    found, labels, boxes, _ = cv2.connectedComponentsWithStats((mask > 0.3).astype(np.uint8), connectivity=8)
-    if found <= 2:
-        return mask
-    areas = boxes[:, cv2.CC_STAT_AREA]
-    crumb = areas < 0.1 * areas[1:].max()
-    crumb[0] = False
-    return np.where(crumb[labels], np.float32(0), mask)
 
 
 def paste(out: Map, top: int, left: int, source: Map, source_top: int, source_left: int) -> None:

@@ -82,12 +82,16 @@ class BlobScene:
         background = self.pixels.background
         assert background is not None
         scene = Scene(
-            background.mean.reshape(-1, *self.size), composed.boxes, composed.starts, composed.explained
+            background.colours,
+            composed.boxes,
+            composed.starts,
+            composed.explained,
+            self.expected_sizes(blobs),
         )
         scratch = np.empty(scratch_for_learning(table, channels), np.float32)
         learn_all(
             before, blobs.pools, table, after.pools, self.picture, scene, terms, rule,
-            self.expected_sizes(blobs), alive, scratch,
+            alive, scratch,
         )  # fmt: skip
         return after, alive.astype(bool)
 

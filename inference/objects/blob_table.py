@@ -1,8 +1,9 @@
 """All blobs of a frame as one table, their pixels in two flat arrays; and the state of their chain."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import Any, Self, overload
 
 import numpy as np
@@ -10,12 +11,22 @@ from numpy.typing import NDArray
 
 from ...models.background.kernels.layers import Pools
 from ...models.core.short_repr import short_repr
-from ...models.objects.kernels.masks import MaskShape
+from ...models.objects.box_detector import WIDTH
+from ...models.objects.kernels.masks import MaskShape, sweep
 from ...models.objects.kernels.records import RECORD, fill_boxes
-from .blobs import Blob, DetectedBox, Map, Pair, Track, around, middle_covariance
+from .blobs import Blob, DetectedBox, Map, Pair, Track, middle_covariance
 
 Words = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+
+HALF_OVERLAP = 0.37
+"""Sum of a box's errors, each as a share of its side, at which it shares half of its area with the true one.
+
+Two boxes of one size that are off by a and b of their sides share (1 - a) (1 - b) / (2 - (1 - a) (1 - b)).
+"""
+
+OWN_WAY = 3.0
+"""s after which what still moves, as small as it is, is somebody by itself."""
 
 WORDS = RECORD.itemsize // 8
 
@@ -113,6 +124,41 @@ class Blobs(Sequence[Blob]):
         evidence: Pair = table["view"] + table["past_views"] - real
         return evidence
 
+    @property
+    def reported_variances(self) -> Pair:
+        """`(n, 4)` px^2 of foot x and y, width and height: of places, and of the detected boxes there."""
+        table = self.table
+        variances = np.where(table["detected"][:, None], table["box_variance"], 0.0)
+        variances[:, :WIDTH] += table["covariance"][:, 0, :1]
+        return variances
+
+    @property
+    def existence_probability(self) -> Pair:
+        """`(n,)`: that it is one of those that the detector is made to find."""
+        probability: Pair = 1 / (1 + np.exp(-self.table["existence"]))
+        return probability
+
+    @property
+    def are_likely(self) -> Mask:
+        """`(n,)`: whether it likely exists, and covers half of the box that was detected."""
+        likely = np.zeros(len(self), bool)
+        found = np.flatnonzero(self.table["detected"])
+        sides = np.tile(self.table["box_mean"][found, 2:], 2)
+        off = np.array([1.0, 1.0, 0.5, 0.5]) * np.sqrt(self.reported_variances[found]) / sides
+        # overlap is lost by the sum of four errors, whose sizes are half normal; sides that grow lose none
+        mean = math.sqrt(2 / math.pi) * off.sum(axis=1)
+        deviation = math.sqrt(1 - 2 / math.pi) * np.sqrt((off**2).sum(axis=1))
+        for k, margin in zip(found.tolist(), (HALF_OVERLAP - mean) / (math.sqrt(2) * deviation), strict=True):
+            likely[k] = (0.5 + 0.5 * math.erf(margin)) * self.existence_probability[k] > 0.5
+        return likely
+
+    @property
+    def are_fragments(self) -> Mask:
+        """`(n,)`: whether it is a piece of somebody; what is small by nature has moved alone for long."""
+        time = self.table["fragment_time"]
+        fragments: Mask = (time > 0) & ~((time > OWN_WAY) & (self.table["still"] == 0))
+        return fragments
+
     def __len__(self) -> int:
         return len(self.words)
 
@@ -152,6 +198,13 @@ class Blobs(Sequence[Blob]):
         """Other records of the same pixels."""
         return replace(self, words=table.view(np.int64).reshape(-1, WORDS))
 
+    def sweep(self, due: Mask) -> None:
+        """Free the masks of those that are `due` `(n,)`, and that nobody else knows yet, of crumbs."""
+        if due.any():
+            sizes, columns = self.table["rows"] * self.table["columns"], self.table["columns"]
+            memory, scratch = np.empty(3 * sizes.max(), np.int64), np.empty(5 * columns.max(), np.float32)
+            sweep(self.table, self.pools, due, memory, scratch)
+
     def taken(self, which: NDArray[np.intp] | Mask) -> Self:
         """Some of them, by their numbers or whether to take them."""
         return replace(self, words=self.words[which])
@@ -181,6 +234,12 @@ def _write(blob: Blob, record: np.void, start: int) -> None:
         record["unfound"] = blob.detected.unfound
     for name, value in zip(MaskShape._fields, blob.shape, strict=True):
         record[name] = value
+
+
+def union(boxes: Pair) -> Pair:
+    """The box that holds all boxes `(n, 4)` x, y, width, height."""
+    first, end = boxes[:, :2].min(axis=0), (boxes[:, :2] + boxes[:, 2:]).max(axis=0)
+    return np.concatenate([first, end - first])
 
 
 @short_repr
@@ -217,24 +276,29 @@ class BlobState:
         Once a detector has run, they are those that it has found, and that likely exist where they are said
         to be.
         """
-        found: dict[int, list[Blob]] = {}
-        for blob in self.blobs:
-            sure = blob.is_likely if self.detecting else blob.seen >= self.confirmed_time
-            if sure and (blob.detected is not None or not blob.is_fragment):
-                found.setdefault(blob.whole, []).append(blob)
-        shown = self.elapsed == 0
-        return [_track(identity, parts, shown) for identity, parts in sorted(found.items())]
+        blobs, table = self.blobs, self.blobs.table
+        found = table["detected"] != 0
+        sure = blobs.are_likely if self.detecting else table["seen"] >= self.confirmed_time
+        parts: dict[int, list[int]] = {}
+        for k in np.flatnonzero(sure & (found | ~blobs.are_fragments)).tolist():
+            parts.setdefault(int(table["whole"][k]), []).append(k)
+        confidence = np.where(found, blobs.existence_probability, table["confidence"])
+        shown = ((table["unseen"] == 0) & (self.elapsed == 0)) | (found & (table["unfound"] == 0))
+        return [_track(identity, parts[identity], blobs, confidence, shown) for identity in sorted(parts)]
 
 
-def _track(identity: int, parts: Sequence[Blob], shown: bool) -> Track:
-    """What is reported of an object with these parts; `shown` says whether there was an image."""
-    largest = max(parts, key=lambda blob: blob.shape.mass)
-    box = reduce(around, (part.reported_box for part in parts))
-    speed_y, speed_x = largest.velocity.tolist()
-    confidence = largest.confidence if largest.detected is None else largest.existence_probability
-    seen = any(
-        (shown and part.unseen == 0) or (part.detected is not None and part.detected.unfound == 0)
-        for part in parts
+def _track(identity: int, parts: list[int], blobs: Blobs, confidence: Pair, shown: Mask) -> Track:
+    """What is reported of an object with these parts."""
+    largest = parts[0] if len(parts) == 1 else parts[int(np.argmax(blobs.table["mass"][parts]))]
+    boxes = blobs.reported_boxes[parts]
+    x, y, width, height = (boxes[0] if len(parts) == 1 else union(boxes)).tolist()
+    speed_y, speed_x = blobs.table["velocity"][largest].tolist()
+    covariance = middle_covariance(blobs.reported_variances[largest])
+    return Track(
+        identity,
+        (x, y, width, height),
+        float(confidence[largest]),
+        (speed_x, speed_y),
+        bool(shown[parts].any()),
+        covariance,
     )
-    covariance = middle_covariance(largest.reported_variance)
-    return Track(identity, box, confidence, (speed_x, speed_y), seen, covariance)

@@ -20,15 +20,6 @@ Pair = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 Covariance = tuple[tuple[float, float], tuple[float, float]]
 
-HALF_OVERLAP = 0.37
-"""Sum of a box's errors, each as a share of its side, at which it shares half of its area with the true one.
-
-Two boxes of one size that are off by a and b of their sides share (1 - a) (1 - b) / (2 - (1 - a) (1 - b)).
-"""
-
-OWN_WAY = 3.0
-"""s after which what still moves, as small as it is, is somebody by itself."""
-
 
 def around(box: Box, other: Box) -> Box:
     """The box that holds two boxes x, y, width, height."""
@@ -250,49 +241,9 @@ class Blob:
         return left + x - 0.5 * width, top + y - height, width, height
 
     @property
-    def reported_variance(self) -> Pair:
-        """`(4,)` px^2 of foot x and y, width and height: of its place, and of the detected box there."""
-        place = np.array([self.covariance[0, 0], self.covariance[0, 0], 0.0, 0.0])
-        return place if self.detected is None else self.detected.variance + place
-
-    @property
-    def is_likely(self) -> bool:
-        """Whether it is likelier than not that it exists and covers half of the box that was detected."""
-        if self.detected is None:
-            return False
-        sides = np.tile(self.detected.mean[2:], 2)
-        off = np.array([1.0, 1.0, 0.5, 0.5]) * np.sqrt(self.reported_variance) / sides
-        # overlap is lost by the sum of four errors, whose sizes are half normal; sides that grow lose none
-        mean, deviation = math.sqrt(2 / math.pi) * off.sum(), math.sqrt(1 - 2 / math.pi) * math.hypot(*off)
-        near = 0.5 + 0.5 * math.erf((HALF_OVERLAP - mean) / (math.sqrt(2) * deviation))
-        return near * self.existence_probability > 0.5
-
-    @property
-    def existence_probability(self) -> float:
-        """That it is one of those that the detector is made to find."""
-        return 1 / (1 + math.exp(-self.existence))
-
-    @property
-    def ghost_evidence(self) -> float:
-        """nats, log ratio of being a ghost and being real; a detector finds what is real."""
-        real = 0.0 if self.detected is None else max(self.existence, 0.0)
-        return self.view + self.past_views - real
-
-    @property
-    def foot(self) -> float:
-        """px, the lowest row: what stands lower in the picture is nearer."""
-        _, y, _, height = self.reported_box
-        return y + height
-
-    @property
     def length(self) -> float:
         """px, the longer side of the box."""
         return max(self.reported_box[2:])
-
-    @property
-    def is_fragment(self) -> bool:
-        """Whether it is a piece of somebody: what is that small by nature has moved on its own for long."""
-        return self.fragment_time > 0 and not (self.fragment_time > OWN_WAY and self.still == 0)
 
     def moved_patch(self, shift: NDArray[Any]) -> Self:
         """The same with another top left corner, px down and right of the old; the mask must follow."""

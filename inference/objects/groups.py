@@ -12,7 +12,7 @@ from ...models.objects.kernels.patches import UNKNOWN_COLOUR
 from ...models.objects.kernels.records import FRESH
 from .blob_geometry import likely_size
 from .blob_scene import BlobScene
-from .blob_table import Blobs
+from .blob_table import Blobs, union
 from .blobs import Blob, Map, Pair, around
 
 UPRIGHT = 0.75
@@ -76,12 +76,6 @@ def alone(blobs: Blobs) -> Blobs:
     if (blobs.table["whole"] == blobs.table["identity"]).all():
         return blobs
     return blobs.taken(_members(blobs.table) <= 2)
-
-
-def union(boxes: Pair) -> Pair:
-    """The box that holds all boxes `(n, 4)` x, y, width, height."""
-    first, end = boxes[:, :2].min(axis=0), (boxes[:, :2] + boxes[:, 2:]).max(axis=0)
-    return np.concatenate([first, end - first])
 
 
 def are_one(boxes: Pair, newcomers: Newcomers | None) -> bool:

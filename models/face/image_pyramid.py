@@ -1,5 +1,6 @@
 """A picture prepared for matching textures: light taken out, smoothed to several degrees."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
@@ -7,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.grey import grey_of
+from ..numerics.threads import side_by_side
 
 Picture = NDArray[np.float32]
 
@@ -55,9 +57,20 @@ def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local
     if min(image.shape[:2]) < least:
         raise ValueError(f"image: got {image.shape[:2]}, expected at least {least} px either way")
     raw = grey_of(image).astype(np.float32)
-    picture = without_light(raw, FINE_LIGHT_REACH * size) if local_mean else raw
-    levels = [Level(smoothed(picture, SMOOTHING[0] * size), 1.0)]
-    picture = without_light(raw, COARSE_LIGHT_REACH * size) if local_mean and n_levels > 1 else raw
+
+    def fine() -> list[Level]:
+        picture = without_light(raw, FINE_LIGHT_REACH * size) if local_mean else raw
+        return [Level(smoothed(picture, SMOOTHING[0] * size), 1.0)]
+
+    def coarse() -> list[Level]:
+        return list(_coarse_levels(raw, size, n_levels=n_levels, local_mean=local_mean))
+
+    return [level for part in side_by_side([fine, coarse]) for level in part]
+
+
+def _coarse_levels(picture: Picture, size: float, *, n_levels: int, local_mean: bool) -> Iterator[Level]:
+    if local_mean and n_levels > 1:
+        picture = without_light(picture, COARSE_LIGHT_REACH * size)
     already = 0.0
     for number in range(1, n_levels):
         scale = 0.5**number
@@ -68,8 +81,7 @@ def image_pyramid(image: NDArray[np.uint8], size: float, *, n_levels: int, local
         )
         picture = smoothed(picture, np.sqrt((SMOOTHING[number] * size) ** 2 - already**2) * scale)
         already = SMOOTHING[number] * size
-        levels.append(Level(picture, scale))
-    return levels
+        yield Level(picture, scale)
 
 
 def without_light(picture: Picture, reach: float) -> Picture:

@@ -63,5 +63,5 @@ def visible(
             _TOLERANCE, seen[a:b],
         )  # fmt: skip
 
-    over_bands(work, len(positions))
+    over_bands(work, len(positions), worth=len(positions) > 4)
     return seen

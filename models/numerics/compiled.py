@@ -45,7 +45,9 @@ def _bits_as_float(typing_context: Any, bits: Any) -> Any:
 
 
 @_intrinsic
-def _float_as_bits(typing_context: Any, number: Any) -> Any:
+def float_as_bits(typing_context: Any, number: Any) -> Any:
+    """Give the int32 of the same bits; those of numbers above 0 are in the same order."""
+
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.IntType(32))
 
@@ -70,7 +72,7 @@ def exponential(x: Any) -> Any:
 @inlined
 def logarithm(x: Any) -> Any:
     """log(x) for normal float32 x > 0, absolute error below 2e-5."""
-    bits = _float_as_bits(x)
+    bits = float_as_bits(x)
     exponent = _f4((bits >> np.int32(23)) - np.int32(127))
     mantissa = _bits_as_float((bits & np.int32(0x007FFFFF)) | np.int32(0x3F800000))
     # log of the mantissa from 1 to 2, by Chebyshev points about the middle

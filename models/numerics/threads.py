@@ -1,7 +1,7 @@
 """Work that threads share: bands of rows, and pieces that do not wait for each other.
 
-It pays where kernels release the interpreter's lock. OpenCV's own threads are another matter: to wake them for
-calls as short as most are here costs half of a frame's time, so that it has one in all commands.
+It pays where kernels release the interpreter's lock. OpenCV's own threads are another matter: most calls here are
+too short for them, so that it has one in all commands.
 """
 
 import itertools
@@ -60,9 +60,12 @@ def thread_count() -> int:
     return _settings["threads"]
 
 
-def over_bands(work: Callable[[int, int], None], n_rows: int) -> None:
-    """Call `work(first_row, end_row)` on consecutive bands that together cover `n_rows` rows."""
-    count = min(_settings["threads"], n_rows)
+def over_bands(work: Callable[[int, int], None], n_rows: int, *, worth: bool = True) -> None:
+    """Call `work(first_row, end_row)` on consecutive bands that together cover `n_rows` rows.
+
+    Where all of it takes less than about 0.2 ms, waking another thread is not `worth` it.
+    """
+    count = min(_settings["threads"], n_rows) if worth else 1
     edges = [n_rows * k // count for k in range(count + 1)]
     side_by_side([partial(work, first, end) for first, end in pairwise(edges)])
 

@@ -1,4 +1,4 @@
-"""Speed of the body tracker: frames a second, how time grows with samples, and where it goes."""
+"""Speed of the body tracker: frames a second, and where the time goes."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -38,7 +38,6 @@ WARM_UP = 24  # frames that do not count: hindsight begins with the 18th
 TURN = BLOCK  # frames in a row on so many threads: hindsight answers for as many at a time
 THREADS = (1, 2)
 SAMPLES = 1000
-MORE_SAMPLES = (1000, 5000, 20_000)
 
 Stages = list[tuple[str, float, float]]
 """Stage, ms a frame and share of the whole, %."""
@@ -49,8 +48,7 @@ def body_expectations() -> tuple[list[Expectation], Stages]:
     film = BodyFilm.found()
     with _threads(1):
         stages = stages_of(*seconds_a_frame(film, SAMPLES))
-        growth = growth_expectation(film)
-    return [*rate_expectations(film), growth], stages
+    return rate_expectations(film), stages
 
 
 @contextmanager
@@ -174,15 +172,6 @@ def rate_expectations(film: BodyFilm) -> list[Expectation]:
 
     steps = {str(threads): on(threads) for threads in THREADS}
     return over_rounds(judge, over_frames(steps, film.frames, TURN, WARM_UP))
-
-
-def growth_expectation(film: BodyFilm) -> Expectation:
-    """Power of time in samples, of the chain that has any."""
-    within = [seconds_a_frame(film, count)[1] for count in MORE_SAMPLES]
-    times = [float(np.median(each["poses"] + each["prior"] + each["likelihood"])) for each in within]
-    power = float(np.polyfit(np.log(MORE_SAMPLES), np.log(times), 1)[0])
-    what = f"body tracker: power of the poses' time in samples, {MORE_SAMPLES[0]} to {MORE_SAMPLES[-1]}"
-    return Expectation(what, power, "<=", 1.1)
 
 
 def stages_of(whole: Numbers, within: dict[str, Numbers]) -> Stages:

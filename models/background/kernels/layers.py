@@ -1,4 +1,4 @@
-"""Loops over the boxes of objects: layers composed front to back, and the background behind them."""
+"""Loops over the boxes of objects: layers composed front to back."""
 
 from typing import NamedTuple
 
@@ -6,21 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled, exponential, inlined, logarithm
-from .gaussian import (
-    HIGHEST_NOISE,
-    HIGHEST_VARIANCE,
-    LOWEST_NOISE,
-    LOWEST_VARIANCE,
-    ODDS_STEPS,
-    light_beside,
-)
 
 _f4 = np.float32
 
 LEAST_CLEAR = 1e-3
-
-REVEALED = 1
-"""Among what is covered: others are so sure of background that the picture was taken as it is."""
 
 _LEAST = _f4(1e-30)  # of a product of many layers; the logarithm wants normal numbers
 
@@ -183,66 +172,3 @@ def shift_of(clear, explained, shift):
     """Log ratio of what layers say for background and for objects, `(n,)` each."""
     for i in range(clear.size):
         shift[i] = logarithm(max(clear[i], _LEAST)) - logarithm(max(explained[i], _LEAST))
-
-
-@compiled
-def update_behind(top, left, shift, patch, log_odds, before, light, model, after, covered):
-    """Background of one region again, now with what layers say of it.
-
-    Pixels are weighted by their log odds and `shift`. Where others are sure of background that the
-    prediction contradicts, the picture is taken as it is. Where they are sure of an object, in the beginning,
-    and it looks as the prediction does, that was learned from the object: the background is unknown there.
-
-    `covered` is 255 where an object is predicted, and `REVEALED` where the picture was taken as it is.
-    """
-    channels = before.mean.shape[0]
-    n_channels = _f4(channels)
-    width, columns = light.rows.shape[1], shift.shape[1]
-    glow, distance = np.empty(columns, np.float32), np.empty(columns, np.float32)
-    steps = np.empty(columns, np.float32)
-    for row in range(shift.shape[0]):
-        others = shift[row]
-        above, below, below_share = light_beside(light, top + row)
-        upper, lower = above[left : left + columns], below[left : left + columns]
-        for x in range(columns):
-            glow[x] = upper[x] + below_share * (lower[x] - upper[x])
-            distance[x] = _f4(0)
-        here = slice((top + row) * width + left, (top + row) * width + left + columns)
-        for channel in range(channels):
-            seen, expected = patch[channel, row], before.mean[channel, here]
-            for x in range(columns):
-                difference = seen[x] - glow[x] * expected[x]
-                distance[x] += difference * difference
-        odds_here, variance_here, noise_here = log_odds[here], before.variance[here], before.noise[here]
-        variance_after, noise_after, covered_after = after.variance[here], after.noise[here], covered[here]
-        for x in range(columns):
-            # read before any branch: what only one branch reads keeps a loop from being vectorised
-            old_variance, old_noise = variance_here[x], noise_here[x]
-            odds = _f4(odds_here[x]) * _f4(1 / ODDS_STEPS) + others[x]
-            weight = _f4(1) / (_f4(1) + exponential(-min(max(odds, _f4(-30)), _f4(30))))
-            wandered = old_variance + model.drift
-            total = glow[x] * glow[x] * wandered + old_noise
-            revealed = (others[x] > _f4(3)) & (distance[x] > _f4(9) * total)
-            gain = glow[x] * wandered / total
-            step = weight * gain
-            # "was seen" and "was covered" differ by so much there that a mean of both would be neither
-            wide = old_variance > _f4(HIGHEST_VARIANCE)
-            step = _f4(0) if wide & (weight < _f4(0.5)) else step
-            steps[x] = _f4(1) / glow[x] if revealed else step
-            per_channel = distance[x] / n_channels
-            spread = wandered - step * glow[x] * wandered + step * (gain - step) * per_channel
-            objects = (others[x] < _f4(-3)) & (distance[x] < _f4(9) * total)
-            unknown = model.unknown_variance if objects else _f4(0)
-            highest = max(max(old_variance, unknown), _f4(HIGHEST_VARIANCE))
-            spread = min(max(max(spread, unknown), _f4(LOWEST_VARIANCE)), highest)
-            variance_after[x] = model.first_variance if revealed else spread
-            noisier = old_noise + model.noise_share * weight * (per_channel - total)
-            noisier = min(max(noisier, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
-            noise_after[x] = old_noise if revealed | wide else noisier
-            known = np.uint8(REVEALED) if revealed else np.uint8(0)
-            covered_after[x] = np.uint8(255) if others[x] < _f4(-0.5) else known
-        for channel in range(channels):
-            seen, expected = patch[channel, row], before.mean[channel, here]
-            mean_after = after.mean[channel, here]
-            for x in range(columns):
-                mean_after[x] = expected[x] + steps[x] * (seen[x] - glow[x] * expected[x])

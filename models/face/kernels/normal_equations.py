@@ -45,37 +45,32 @@ class NormalSums(NamedTuple):
 def vertex_rows(rotations, translations, morphs, bases, positions, rows):
     """Positions x_i and the rows d x_i / d u of vertices, for every pose.
 
-    `bases` `(n_bases, n_vertices, 3)` float32; `rotations` `(n, 3, 3)`, `translations` `(n, 2)`, `morphs`
-    `(n, n_bases)` float32; writes `positions` `(n, n_vertices, 2)` px and `rows` `(n, n_vertices, 2, width)`
-    with the columns of `Poses.moved`; columns past its dimension, which fill vectors, are left alone.
+    `bases` `(n_vertices, 3, width)` float32, in the columns of the coefficients, 0 in the others; `rotations`
+    `(n, 3, 3)`, `translations` `(n, 2)`, `morphs` `(n, n_bases)` float32; writes `positions` `(n, n_vertices,
+    2)` px and `rows` `(n, n_vertices, 2, width)`, zero before, with the columns of `Poses.moved`.
     """
-    n_bases, n_vertices = bases.shape[0], bases.shape[1]
+    n_vertices, width = len(bases), bases.shape[2]
+    shapes = bases.reshape(-1)
     for d in range(len(rotations)):
-        r = rotations[d]
+        r, c, own = rotations[d], morphs[d], rows[d].reshape(-1)
         for i in range(n_vertices):
+            h = 3 * i * width
             x = y = z = _f4(0)
-            for j in range(n_bases):
-                c = morphs[d, j]
-                h0, h1, h2 = bases[j, i, 0], bases[j, i, 1], bases[j, i, 2]
-                across = r[0, 0] * h0 + r[0, 1] * h1 + r[0, 2] * h2
-                down = r[1, 0] * h0 + r[1, 1] * h1 + r[1, 2] * h2
-                x += c * across
-                y += c * down
-                z += c * (r[2, 0] * h0 + r[2, 1] * h1 + r[2, 2] * h2)
-                rows[d, i, 0, 5 + j] = across
-                rows[d, i, 1, 5 + j] = down
-            rows[d, i, 0, 0] = _f4(0)
-            rows[d, i, 0, 1] = z
-            rows[d, i, 0, 2] = -y
-            rows[d, i, 0, 3] = _f4(1)
-            rows[d, i, 0, 4] = _f4(0)
-            rows[d, i, 1, 0] = -z
-            rows[d, i, 1, 1] = _f4(0)
-            rows[d, i, 1, 2] = x
-            rows[d, i, 1, 3] = _f4(0)
-            rows[d, i, 1, 4] = _f4(1)
-            positions[d, i, 0] = x + translations[d, 0]
-            positions[d, i, 1] = y + translations[d, 1]
+            for j in range(len(c)):
+                x += c[j] * bases[i, 0, 5 + j]
+                y += c[j] * bases[i, 1, 5 + j]
+                z += c[j] * bases[i, 2, 5 + j]
+            px = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
+            py = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
+            pz = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
+            for axis in range(2):
+                for j in range(0, width, LANES):
+                    at = (2 * i + axis) * width + j
+                    add_vectors(own, at, r[axis, 0], shapes, h + j, r[axis, 1], shapes, h + width + j)
+                    add_vector(own, at, r[axis, 2], shapes, h + 2 * width + j)
+            rows[d, i, 0, 1], rows[d, i, 0, 2], rows[d, i, 0, 3] = pz, -py, _f4(1)
+            rows[d, i, 1, 0], rows[d, i, 1, 2], rows[d, i, 1, 4] = -pz, px, _f4(1)
+            positions[d, i, 0], positions[d, i, 1] = px + translations[d, 0], py + translations[d, 1]
 
 
 @compiled
@@ -83,8 +78,8 @@ def normal_equations(level, number, texels, pairs, textures, owner, positions, r
     """Normal equations of the texels' weighted squared differences, for poses of experts.
 
     Pose m is that of expert `owner[m]`, whose texture on level `number` is taken; `rows` `(n, n_used, 2,
-    width)` are d x / d u of the vertices, of which the first `dimension` columns are the pose's. Writes `sums`
-    (`NormalSums`).
+    width)` are d x / d u of the vertices, of which the first `dimension` columns are the pose's. Writes
+    `sums` (`NormalSums`).
     Visible texels off the picture count with `OFF_PICTURE` and have no slope.
     """
     height, width = level.image.shape
@@ -194,23 +189,22 @@ def _turn_into_pose(ends, blocks, right, rows, dimension, matrix, vector):
     n_vertices, width = len(rows), rows.shape[2]
     flat, step = rows.reshape(-1), 2 * width
     products = np.zeros(n_vertices * step, _f4)  # of which a matrix and its transpose make the sum
-    for p in range(len(ends)):
-        half = _f4(0.5) if p < n_vertices else _f4(1)
-        xx, xy, yy = half * blocks[0, p], half * blocks[1, p], half * blocks[2, p]
-        v, w = step * ends[p, 0], step * ends[p, 1]
-        for j in range(0, width, LANES):
-            add_vectors(products, v + j, xx, flat, w + j, xy, flat, w + width + j)
-            add_vectors(products, v + width + j, xy, flat, w + j, yy, flat, w + width + j)
+    curvature = matrix.reshape(-1)
     matrix[:] = _f4(0)
     vector[:] = _f4(0)
-    curvature = matrix.reshape(-1)
-    for v in range(n_vertices):
-        begin = step * v
-        for j in range(0, width, LANES):
-            add_vectors(vector, j, right[0, v], flat, begin + j, right[1, v], flat, begin + width + j)
+    for j in range(0, width, LANES):
+        for p in range(len(ends)):
+            half = _f4(0.5) if p < n_vertices else _f4(1)
+            xx, xy, yy = half * blocks[0, p], half * blocks[1, p], half * blocks[2, p]
+            v, w = step * ends[p, 0] + j, step * ends[p, 1] + j
+            add_vectors(products, v, xx, flat, w, xy, flat, w + width)
+            add_vectors(products, v + width, xy, flat, w, yy, flat, w + width)
+        for v in range(n_vertices):
+            begin = step * v + j
+            add_vectors(vector, j, right[0, v], flat, begin, right[1, v], flat, begin + width)
             for i in range(dimension):
                 x, y = rows[v, 0, i], rows[v, 1, i]
-                add_vectors(curvature, i * width + j, x, products, begin + j, y, products, begin + width + j)
+                add_vectors(curvature, i * width + j, x, products, begin, y, products, begin + width)
     for i in range(dimension):
         for j in range(i + 1):
             both = matrix[i, j] + matrix[j, i]

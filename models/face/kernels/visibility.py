@@ -2,25 +2,25 @@
 
 import numpy as np
 
-from ...numerics.compiled import compiled
-from ...numerics.vectors import MOST, own_array
+from ...numerics.compiled import compiled, float_as_bits
+from ...numerics.vectors import LANES, MOST, own_array
 
 _f4 = np.float32
 _FAR = _f4(1e30)
+_NOBODY = np.int64(0x7F800000) << np.int64(32)
 
 
 @compiled
-def _draw(corners, triangles, per_px, planes, depth, front):
-    """Fill the z-buffer: how deep the front-most triangle is at the middle of each cell, and its number.
+def _draw(corners, triangles, per_px, columns, planes, buffer):
+    """Fill the z-buffer: which triangle is front-most at the middle of each cell, and how deep it is.
 
-    `corners` `(n_vertices, 3)` are px from the upper left of the buffer. Numbers begin with 1; 0 is nobody.
-    The `planes` of triangles say where z is: at that corner, per px along x, per px along y, and its least.
+    `corners` `(n_vertices, 3)` are px from the upper left of the buffer, at depths above 0. A cell has the
+    bits of the depth, which rise with it, before the triangle's number, from 1; 0 is nobody. The `planes` of
+    triangles say where z is: at that corner, per px along x, per px along y, and its least.
     """
-    rows, columns = depth.shape
-    depth[:] = _FAR
-    front[:] = 0
+    rows = len(buffer)
+    buffer[:] = _NOBODY
     planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3] = _FAR, _f4(0), _f4(0), _FAR
-    middle, slope, back = np.empty(3), np.empty(3), np.empty(3)
     for number in range(len(triangles)):
         a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
         ax, ay, az = corners[a, 0] * per_px, corners[a, 1] * per_px, corners[a, 2]
@@ -29,42 +29,31 @@ def _draw(corners, triangles, per_px, planes, depth, front):
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if abs(area) < 1e-9:  # seen from its edge: it hides nothing
             continue
-        # weights of b and c, linear in the place; that of a makes the sum 1
+        # weights of b and c, linear in the place
         b_x, b_y = (cy - ay) / area, (ax - cx) / area
         c_x, c_y = (ay - by) / area, (bx - ax) / area
         slope_x, slope_y = b_x * (bz - az) + c_x * (cz - az), b_y * (bz - az) + c_y * (cz - az)
         base = az - slope_x * ax - slope_y * ay
         planes[number + 1, 0], planes[number + 1, 3] = base, min(az, bz, cz)
         planes[number + 1, 1], planes[number + 1, 2] = slope_x * per_px, slope_y * per_px
-        slope[0], slope[1], slope[2] = b_x, c_x, -b_x - c_x
-        for corner in range(3):
-            back[corner] = 1 / slope[corner] if abs(slope[corner]) > 1e-12 else 0.0
         first_x = min(max(int(np.ceil(min(ax, bx, cx) - 0.5)), 0), columns)
         last_x = min(max(int(np.floor(max(ax, bx, cx) - 0.5)), -1), columns - 1)
         first_y = min(max(int(np.ceil(min(ay, by, cy) - 0.5)), 0), rows)
         last_y = min(max(int(np.floor(max(ay, by, cy) - 0.5)), -1), rows - 1)
+        # whole vectors; what is past the triangle's box fails the test of being in it
+        n = (last_x - first_x + LANES) // LANES * LANES
+        own = np.int64(number + 1)
         for row in range(first_y, last_y + 1):
-            y = row + 0.5
-            middle[0] = b_y * (y - ay) - b_x * (ax - 0.5)
-            middle[1] = c_y * (y - ay) - c_x * (ax - 0.5)
-            middle[2] = 1 - middle[0] - middle[1]
-            begin, end = first_x, last_x
-            for corner in range(3):
+            x, y = first_x + 0.5, row + 0.5
+            b_row, c_row = b_y * (y - ay) + b_x * (x - ax), c_y * (y - ay) + c_x * (x - ax)
+            z_row = base + slope_y * y + slope_x * x
+            cells = buffer[row, first_x:]
+            for k in range(n):
+                of_b, of_c = b_row + b_x * k, c_row + c_x * k
+                key = (np.int64(float_as_bits(_f4(z_row + slope_x * k))) << np.int64(32)) | own
                 # a little over the edges, so that no cell between two triangles stays open
-                least = -1e-6 - middle[corner]
-                if slope[corner] > 1e-12:
-                    begin = max(begin, int(np.ceil(max(least * back[corner], -1.0))))
-                elif slope[corner] < -1e-12:
-                    end = min(end, int(np.floor(min(least * back[corner], columns))))
-                elif least > 0:
-                    end = -1
-            z_row, z_step = base + slope_y * y + 0.5 * slope_x, slope_x
-            its_depth, its_front = depth[row], front[row]
-            for column in range(begin, end + 1):
-                z = _f4(z_row + z_step * column)
-                if z < its_depth[column]:
-                    its_depth[column] = z
-                    its_front[column] = number + 1
+                inside = min(of_b, of_c, 1 - of_b - of_c) >= -1e-6
+                cells[k] = min(cells[k], key if inside else _NOBODY)
 
 
 @compiled
@@ -76,8 +65,7 @@ def see(positions, triangles, groups, first, weights, facing, cells, least_cell,
     n_vertices = positions.shape[1]
     corners = np.empty((n_vertices, 3))
     planes = np.empty((len(triangles) + 1, 4), _f4)
-    whole_depth = np.empty(cells * cells, _f4)
-    whole_front = np.empty(cells * cells, np.uint32)
+    whole = np.empty((cells, cells + LANES), np.int64)
     for pose in range(len(positions)):
         places = positions[pose]
         left = right = places[0, 0]
@@ -89,24 +77,23 @@ def see(positions, triangles, groups, first, weights, facing, cells, least_cell,
             nearest, farthest = min(nearest, places[i, 2]), max(farthest, places[i, 2])
         for i in range(n_vertices):
             corners[i, 0], corners[i, 1] = places[i, 0] - left, places[i, 1] - top
-            corners[i, 2] = places[i, 2]
+            corners[i, 2] = places[i, 2] - nearest + 1
         cell = max(max(right - left, bottom - top) / cells, least_cell)
         columns = min(max(int(np.ceil((right - left) / cell)), 1), cells)
         rows = min(max(int(np.ceil((bottom - top) / cell)), 1), cells)
-        depth = whole_depth[: rows * columns].reshape(rows, columns)
-        front = whole_front[: rows * columns].reshape(rows, columns)
-        _draw(corners, triangles, 1 / cell, planes, depth, front)
+        buffer = whole[:rows]
+        _draw(corners, triangles, 1 / cell, columns, planes, buffer)
         slack = tolerance * (farthest - nearest)
-        _query(corners, groups, first, weights, facing, slack, cell, planes, front, seen[pose])
+        _query(corners, groups, first, weights, (facing, slack, cell), planes, buffer, columns, seen[pose])
 
 
 @compiled
-def _query(corners, groups, first, weights, facing, slack, cell, planes, front, seen):
-    """Whether points are seen, once the z-buffer is filled."""
-    rows, columns = front.shape
-    numbers, plane = front.reshape(-1), np.empty((MOST, 4), _f4)
-    last_column, last_row = np.int32(columns - 1), np.int32(rows - 1)
-    per_px, width = _f4(1 / cell), np.int32(columns)
+def _query(corners, groups, first, weights, limits, planes, buffer, columns, seen):
+    """Whether points are seen, once the z-buffer is filled; `limits`: facing, slack px, side of a cell px."""
+    facing, slack, cell = limits
+    keys, plane = buffer.reshape(-1), np.empty((MOST, 4), _f4)
+    last_column, last_row = np.int32(columns - 1), np.int32(len(buffer) - 1)
+    per_px, width = _f4(1 / cell), np.int32(buffer.shape[1])
     places, spare = np.empty((9, MOST), _f4), np.empty(MOST, _f4)
     xs, ys, zs, at = own_array(_f4), own_array(_f4), own_array(_f4), own_array(np.uint32)
     for block in range(0, len(groups), MOST):
@@ -131,7 +118,7 @@ def _query(corners, groups, first, weights, facing, slack, cell, planes, front, 
                 line = min(max(np.int32(y * per_px), np.int32(0)), last_row)
                 at[g] = np.uint32(line * width + column)
             for g in range(n):
-                other = numbers[at[g]]
+                other = np.uint32(keys[at[g]])
                 for part in range(4):
                     plane[g, part] = planes[other, part]
             for g in range(n):

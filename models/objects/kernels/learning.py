@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...background.kernels.gaussian import StoredPlanes
 from ...numerics.compiled import compiled, exponential
 from .masks import fade_beyond, measure
 from .outlines import outline_evidence
@@ -41,14 +42,16 @@ MOST_EVIDENCE = 20.0
 class Scene(NamedTuple):
     """What is known of a frame beside the picture.
 
-    `background` are the planes `(channels, height, width)` of the picture of the empty scene; `boxes`
-    `(n, 4)` and `starts` `(n,)` say where regions are (see `Composition`) whose pixels are `explained`.
+    `background` is the picture of the empty scene; `boxes`
+    `(n, 4)` and `starts` `(n,)` say where regions are (see `Composition`) whose pixels are `explained`;
+    `sizes` `(n, 2)` px are heights and widths as they are usual for blobs, and expected by others.
     """
 
-    background: NDArray[np.float32]
+    background: StoredPlanes
     boxes: NDArray[np.int64]
     starts: NDArray[np.int64]
     explained: NDArray[np.float32]
+    sizes: NDArray[np.float64]
 
 
 class Learning(NamedTuple):
@@ -196,12 +199,15 @@ def scratch_for_learning(blobs, channels):
 
 
 @compiled
-def _pasted(blob, before, old, pools, channels, scratch):
-    """Mask and colours of a blob in its new patch, `(1 + channels, rows, columns)`; the rest of scratch."""
+def _refitted(blob, before, old, channels, scratch):
+    """Mask and colours of a blob in its new patch, and what is left of scratch."""
     size = blob.rows * blob.columns
-    maps = scratch[: (1 + channels) * size].reshape(1 + channels, blob.rows, blob.columns)
     (new_top, new_left), (top, left) = corner_of(blob), corner_of(before)
     mask, colours = mask_of(before, old), colours_of(before, old, channels)
+    same = new_top == top and new_left == left and blob.rows == before.rows and blob.columns == before.columns
+    if same and blob.coloured:
+        return mask, colours, scratch
+    maps = scratch[: (1 + channels) * size].reshape(1 + channels, blob.rows, blob.columns)
     first, end = max(new_left, left), min(new_left + blob.columns, left + before.columns)
     for row in range(blob.rows):
         y = new_top + row - top
@@ -216,14 +222,16 @@ def _pasted(blob, before, old, pools, channels, scratch):
         for channel in range(colours.shape[0]):
             part = colours[channel, y, first - left : end - left]
             maps[1 + channel, row, first - new_left : end - new_left] = part
-    return maps, scratch[(1 + channels) * size :]
+    return maps[0], maps[1:], scratch[(1 + channels) * size :]
 
 
 @compiled
 def _set_explained(scene, top, left, out):
     """What all layers together explain of the pixels in a box, 1 where there is none."""
     rows, columns = out.shape
-    out[:] = _f4(1)
+    flat = out.reshape(-1)
+    for i in range(flat.size):
+        flat[i] = _f4(1)
     for k in range(scene.starts.size):
         its_top, its_left, its_rows, its_columns = scene.boxes[k]
         first, end = max(left, its_left), min(left + columns, its_left + its_columns)
@@ -231,7 +239,10 @@ def _set_explained(scene, top, left, out):
             continue
         for y in range(max(top, its_top), min(top + rows, its_top + its_rows)):
             start = scene.starts[k] + (y - its_top) * its_columns - its_left
-            out[y - top, first - left : end - left] = scene.explained[start + first : start + end]
+            part = out[y - top, first - left : end - left]
+            values = scene.explained[start + first : start + end]
+            for x in range(part.size):
+                part[x] = values[x]
 
 
 @compiled
@@ -291,7 +302,8 @@ def _lives(blob, mask, inside, in_front, pools, rule, scratch):
     if blob.detected:
         return True
     thin = blob.mass < THINNEST * length_of(blob) ** 2 * (1.0 if blob.seen < FRESH else 0.5)
-    outside = _mass_inside(mask, inside) < LEAST_MASK * blob.mass
+    whole = inside[1] - inside[0] == blob.rows and inside[3] - inside[2] == blob.columns
+    outside = not whole and _mass_inside(mask, inside) < LEAST_MASK * blob.mass
     if thin or outside or blob.mass < rule.least_area:
         return False
     if blob.seen < rule.confirmed_time:
@@ -331,7 +343,7 @@ def _note_seen(blob, variance, box, length, rule):
 
 
 @compiled
-def learn_all(before, old, blobs, pools, picture, scene, terms, rule, expected_sizes, alive, scratch):
+def learn_all(before, old, blobs, pools, picture, scene, terms, rule, alive, scratch):
     """Blobs after a frame, front to back.
 
     Parameters
@@ -344,8 +356,6 @@ def learn_all(before, old, blobs, pools, picture, scene, terms, rule, expected_s
         the frame.
     terms, rule
         `Matching` and `Learning`.
-    expected_sizes
-        `(n, 2)` px, height and width as they are usual for a blob, and expected by others.
     alive
         `(n,)` uint8: 1 where a blob lives on.
     scratch
@@ -355,12 +365,12 @@ def learn_all(before, old, blobs, pools, picture, scene, terms, rule, expected_s
     for k in range(blobs.size):
         blob, size = blobs[k], blobs[k].rows * blobs[k].columns
         mask = mask_of(blob, pools)
-        maps, rest = _pasted(blob, before[k], old, pools, channels, scratch)
+        covers, own, rest = _refitted(blob, before[k], old, channels, scratch)
         top, left = corner_of(blob)
         inside = _inside(top, left, blob.rows, blob.columns, height, width)
         if is_ghost(before[k], rule.ghost_evidence):
-            mask[:] = maps[0]
-            colours_of(blob, pools, channels)[:] = maps[1 : 1 + channels * blob.coloured]
+            mask[:] = covers
+            colours_of(blob, pools, channels)[:] = own[: channels * blob.coloured]
             blob.unseen = np.inf
             alive[k] = blob.detected
             continue
@@ -373,11 +383,11 @@ def learn_all(before, old, blobs, pools, picture, scene, terms, rule, expected_s
             blob.coloured = 1
             for row in range(blob.rows):
                 for x in range(blob.columns):
-                    if maps[0, row, x] > _f4(0.2):
-                        maps[1:, row, x] = patch.planes[:, row, x]
+                    if covers[row, x] > _f4(0.2):
+                        own[:, row, x] = patch.planes[:, row, x]
         colours = colours_of(blob, pools, channels)
         total, visible, seen, variance = learn(
-            patch, explained, sprite_of(blob, maps[0], maps[1:], terms), _f4(rule.strength),
+            patch, explained, sprite_of(blob, covers, own, terms), _f4(rule.strength),
             _f4(rule.mask_share), _f4(rule.colour_share),
             _f4(BENEFIT_OF_DOUBT if blob.still > 0.2 else 0.0), mask, colours, rest,
         )  # fmt: skip
@@ -389,18 +399,21 @@ def learn_all(before, old, blobs, pools, picture, scene, terms, rule, expected_s
         if entered:
             _learn_entered(mask, colours, patch, explained, inside, inside_before)
         elif blob.seen >= FRESH:
-            high, wide = GROWTH * expected_sizes[k, 0], GROWTH * expected_sizes[k, 1]
+            high, wide = GROWTH * scene.sizes[k, 0], GROWTH * scene.sizes[k, 1]
             fade_beyond(mask, high, wide, _f4(rule.kept), rest)
         blob.confidence = seen / max(visible, 1e-6)
+        measure(blob, mask, rest)
         was_seen = visible > 0.3 * total and blob.confidence > 0.35
         if was_seen:
-            found = outline_evidence(patch.planes, top, left, scene.background, patch.free, mask, rest)
+            within = (blob.faint_top, blob.faint_left, blob.faint_bottom, blob.faint_right)
+            found = outline_evidence(
+                patch.planes, top, left, scene.background, patch.free, mask, within, rest
+            )
             weigh(blob, rule.temper * found, box, length, rule)
             _note_seen(blob, variance, box, length, rule)
         else:
             blob.unseen += rule.elapsed
             blob.still = blob.confidence = 0.0
-        measure(blob, mask, rest)
         if was_seen and entered:
             blob.size[0] = max(blob.size[0], float(max(blob.bottom - blob.top, 1)))
             blob.size[1] = max(blob.size[1], float(max(blob.right - blob.left, 1)))

@@ -14,6 +14,9 @@ _f4 = np.float32
 LIKELY = 0.45
 """Probability of cover from which on a pixel counts as part of an object's box."""
 
+COVERED, CRUMB = 0.3, 0.1
+"""Probability of cover from which on pixels make a spot, and share of the largest that crumbs have not."""
+
 FAINT = 0.25
 """Probability of cover from which on a mask's patch must leave room around a pixel."""
 
@@ -106,6 +109,49 @@ def shape_of(mask: NDArray[np.float32]) -> MaskShape:
     flat = np.ascontiguousarray(mask).reshape(-1)
     measure_all(record, Pools(flat, nothing), np.empty(5 * mask.shape[1], np.float32))
     return MaskShape(*(record[name].item() for name in MaskShape._fields))
+
+
+@compiled
+def without_crumbs(mask, memory):
+    """Take spots away, in place, that are apart from a mask's main part and less than a tenth of its largest.
+
+    `memory` int64 has room for three numbers a pixel. Gives whether there were any.
+    """
+    rows, columns = mask.shape
+    spots, waiting, areas = memory[: mask.size], memory[mask.size : 2 * mask.size], memory[2 * mask.size :]
+    spots[:] = 0
+    flat, found, largest = mask.reshape(-1), 0, 0
+    for first in range(mask.size):
+        if spots[first] or flat[first] <= _f4(COVERED):
+            continue
+        found += 1
+        spots[first], waiting[0], count, area = found, first, 1, 0
+        while count:
+            count, area = count - 1, area + 1
+            y = waiting[count] // columns
+            x = waiting[count] - y * columns
+            for j in range(max(y - 1, 0), min(y + 2, rows)):
+                for i in range(max(x - 1, 0), min(x + 2, columns)):
+                    k = j * columns + i
+                    if spots[k] == 0 and flat[k] > _f4(COVERED):
+                        spots[k], waiting[count], count = found, k, count + 1
+        areas[found - 1], largest = area, max(largest, area)
+    changed = False
+    for k in range(mask.size):
+        if spots[k] and areas[spots[k] - 1] < CRUMB * largest:
+            flat[k], changed = _f4(0), True
+    return changed
+
+
+@compiled
+def sweep(blobs, pools, due, memory, scratch):
+    """Free the masks of those blobs that are `due` `(n,)` of crumbs, and measure them again.
+
+    `memory` int64 has room for three numbers a pixel of the largest mask, `scratch` as for `measure`.
+    """
+    for k in range(blobs.size):
+        if due[k] and without_crumbs(mask_of(blobs[k], pools), memory):
+            measure(blobs[k], mask_of(blobs[k], pools), scratch)
 
 
 @compiled

@@ -20,22 +20,24 @@ _TOGETHER = 8  # ratios of contrasts that are multiplied before their logarithm 
 
 
 @compiled
-def on_outline(mask, row, flags):
+def _mark_outline(mask, row, first, end, flags):
     """Mark the pixels of a row that are likelier than not the object's, beside one that is not."""
-    here, above, below = mask[row], mask[row - 1], mask[row + 1]
-    for x in range(1, flags.size - 1):
-        least = min(min(above[x], below[x]), min(here[x - 1], here[x + 1]))
-        flags[x] = np.uint8((here[x] > _f4(0.5)) & (least <= _f4(0.5)))
+    here, above, below = mask[row, first:end], mask[row - 1, first:end], mask[row + 1, first:end]
+    before, after, marked = mask[row, first - 1 : end - 1], mask[row, first + 1 : end + 1], flags[first:end]
+    for x in range(here.size):
+        least = min(min(above[x], below[x]), min(before[x], after[x]))
+        marked[x] = np.uint8((here[x] > _f4(0.5)) & (least <= _f4(0.5)))
 
 
 @compiled
-def outline_contrasts(planes, top, left, other, free, mask, reach, flags, out):
+def outline_contrasts(planes, top, left, other, free, mask, within, reach, out):
     """Contrasts about a mask's outline, across it and right outside, in two pictures.
 
     They compare colours `reach` px inside of every step of the outline (right inside, where the mask is
     thinner) and as far outside, and the latter with one twice as far again. Steps whose three places are not
     all free are left out. The first picture `(channels, height, width)` is cut out where the mask is, which
-    lies at `(top, left)` of the `other` one.
+    lies at `(top, left)` of the `other` one; `within` are the top, left, bottom and right of the mask's part
+    that may be likely.
 
     Returns
     -------
@@ -45,9 +47,11 @@ def outline_contrasts(planes, top, left, other, free, mask, reach, flags, out):
     """
     channels, rows, columns = planes.shape
     count = 0
-    for y in range(reach, rows - reach):
-        on_outline(mask, y, flags)
-        for x in range(reach, columns - reach):
+    first, end = max(within[1], reach), min(within[3], columns - reach)
+    flags = np.zeros(columns, np.uint8)
+    for y in range(max(within[0], reach), min(within[2], rows - reach)):
+        _mark_outline(mask, y, first, end, flags)
+        for x in range(first, end):
             if not flags[x]:
                 continue
             for direction in range(4):
@@ -73,11 +77,12 @@ def outline_contrasts(planes, top, left, other, free, mask, reach, flags, out):
                     middle = planes[channel, y2, x2]
                     across += (planes[channel, y1, x1] - middle) ** 2
                     outside += (planes[channel, y3, x3] - middle) ** 2
-                    middle = other[channel, top + y2, left + x2]
-                    other_across += (other[channel, top + y1, left + x1] - middle) ** 2
-                    other_outside += (other[channel, top + y3, left + x3] - middle) ** 2
+                    middle = _f4(other.values[channel, top + y2, left + x2])
+                    other_across += (_f4(other.values[channel, top + y1, left + x1]) - middle) ** 2
+                    other_outside += (_f4(other.values[channel, top + y3, left + x3]) - middle) ** 2
                 out[0, count], out[1, count] = np.sqrt(across), np.sqrt(outside)
-                out[2, count], out[3, count] = np.sqrt(other_across), np.sqrt(other_outside)
+                out[2, count] = other.step * np.sqrt(other_across)
+                out[3, count] = other.step * np.sqrt(other_outside)
                 count += 1
     return count
 
@@ -126,7 +131,7 @@ def _surprise(across, beside, order):
 
 
 @compiled
-def outline_evidence(planes, top, left, picture, free, mask, scratch):
+def outline_evidence(planes, top, left, picture, free, mask, within, scratch):
     """Log ratio of ghost and real, nats, summed over an outline as if its pixels were independent.
 
     Parameters
@@ -136,18 +141,19 @@ def outline_evidence(planes, top, left, picture, free, mask, scratch):
     top, left
         px, where that is in the background's picture.
     picture
-        `(channels, height, width)` planes of the whole background.
+        `StoredPlanes` of the whole background.
     free
         `(height, width)`, what nothing in front covers, 0 outside of the picture.
     mask
         `(height, width)`.
+    within
+        top, left, bottom and right of its part that may be likely.
     scratch
         memory for `5 * 4 * mask.size` numbers, of which the longest outline needs all.
     """
     most = scratch.size // 5
     out, order = scratch[: 4 * most].reshape(4, most), scratch[4 * most : 5 * most]
-    flags = np.empty(mask.shape[1], np.uint8)
-    count = outline_contrasts(planes, top, left, picture, free, mask, REACH, flags, out)
+    count = outline_contrasts(planes, top, left, picture, free, mask, within, REACH, out)
     if count < LEAST_OUTLINE:
         return 0.0
     seen = _surprise(out[0, :count], out[1, :count], order[:count])

@@ -14,6 +14,9 @@ _f4 = np.float32
 WIDEST_REACH = 24
 """px, by which a blob is looked for off its expected place at most."""
 
+ROOM = 2
+"""px about what a mask may cover, in which it is compared with the picture."""
+
 FINEST_ROWS = 1500
 """px of a patch, for each of which one row more is left out."""
 
@@ -82,13 +85,14 @@ def _factor(d0, d1, d2, covers, other, free, terms):
 
 
 @compiled
-def _agreement(start, step, patch, rivals, whole, sprite):
+def _agreement(start, step, every, patch, rivals, whole, sprite):
     """Sum of log{[M f + (1 - M) b] / b} over the rows of a sprite at `start` in the patch, `step` px apart.
 
-    `rivals` is 1 / b, what pixels are without the blob, relative to the uniform density; f its colours'
-    density. Rows are whole vectors, and as many as are multiplied (see `packed`): an inner loop of fixed
-    length leaves no remainder to scalar code, and most blobs are only a few vectors wide. Where pixels are
-    free or not (`whole`), factors of several rows have one logarithm.
+    Only `every` row of the sprite, one or two, is looked at. `rivals` is 1 / b, what pixels are without the
+    blob, relative to the uniform density; f its colours' density. Rows are whole vectors, and as many as are
+    multiplied (see `packed`): an inner loop of fixed length leaves no remainder to scalar code, and most
+    blobs are only a few vectors wide. Where pixels are free or not (`whole`), factors of several rows have
+    one logarithm.
     """
     channels, rows, columns = sprite.appearance.shape
     seen, own, covers = patch.planes.reshape(-1), sprite.appearance.reshape(-1), sprite.mask.reshape(-1)
@@ -99,9 +103,9 @@ def _agreement(start, step, patch, rivals, whole, sprite):
     red, own_red = np.uint64(rivals.size * (channels // 3)), np.uint64(covers.size * (channels // 3))
     blue, own_blue = np.uint64(2) * red, np.uint64(2) * own_red
     terms = (chroma, sprite.half_precision, sprite.log_ratio, _f4(1) - sprite.outliers, sprite.outliers)
-    down, own_down = np.uint64(step * rivals.shape[1]), np.uint64(columns)
+    down, own_down = np.uint64(every * step * rivals.shape[1]), np.uint64(every * columns)
     total = _f4(0)
-    for row in range(0, rows, _ROWS if whole else 1):
+    for row in range(0, rows, every * (_ROWS if whole else 1)):
         for first in range(0, columns, _VECTOR):
             there = np.uint64(start + row * step * rivals.shape[1] + first)
             here = np.uint64(row * columns + first)
@@ -138,21 +142,25 @@ def _agreement(start, step, patch, rivals, whole, sprite):
                     )  # fmt: skip
                     part += free[i] * logarithm(one)
             total += part
-    return total * _f4(step)
+    return total * _f4(every * step)
 
 
 @compiled
-def packed(sprite, step, scratch):
-    """Every `step`-th row of a sprite, with zeros to the right and below; also what is left of `scratch`."""
-    channels, rows, columns = sprite.appearance.shape
-    kept = -(-rows // step)
-    height, width = kept + -kept % _ROWS, columns + -columns % _VECTOR
+def packed(sprite, within, step, scratch):
+    """Every `step`-th row of a part of a sprite, with zeros to the right and below; the rest of `scratch`.
+
+    `within` are top, left, bottom and right of the part.
+    """
+    channels = sprite.appearance.shape[0]
+    top, left, bottom, right = within
+    kept, columns = -(-(bottom - top) // step), right - left
+    height, width = kept + -kept % (2 * _ROWS), columns + -columns % _VECTOR
     size = height * width
     maps = scratch[: (1 + channels) * size].reshape(1 + channels, height, width)
     for row in range(height):
         if row < kept:
-            maps[0, row, :columns] = sprite.mask[row * step]
-            maps[1:, row, :columns] = sprite.appearance[:, row * step]
+            maps[0, row, :columns] = sprite.mask[top + row * step, left:right]
+            maps[1:, row, :columns] = sprite.appearance[:, top + row * step, left:right]
             maps[:, row, columns:] = _f4(0)
         else:
             maps[:, row] = _f4(0)
@@ -162,11 +170,12 @@ def packed(sprite, step, scratch):
 
 @compiled
 def search(reach, expected, temper, step, patch, rivals, whole, sprite, scratch):
-    """Where in the patch a packed sprite is: coarse to fine about its middle, by prior and pixels together.
+    """Where in the patch a sprite is: coarse to fine about its middle, by prior and pixels together.
 
-    The prior is a Gaussian about the place that is `expected`; the sum over its rows, `step` px apart in the
-    patch, is tempered, for neighbouring pixels are not independent. `rivals` is what pixels are without the
-    blob, and `whole` whether they are free or not (see `set_rivals`).
+    The prior is a Gaussian about the place that is `expected`; the sum over the sprite's rows, `step` px
+    apart in the patch, is tempered, for neighbouring pixels are not independent; until the place is known to
+    two pixels, every other row is enough. `rivals` is what pixels are without the blob, and `whole` whether
+    they are free or not (see `set_rivals`).
 
     Returns
     -------
@@ -178,24 +187,26 @@ def search(reach, expected, temper, step, patch, rivals, whole, sprite, scratch)
     best = _NOT_YET
     best_y = best_x = 0
     size = 2 * reach + 1
-    scores = scratch[: size * size].reshape(size, size)
-    scores[:] = _NOT_YET
+    both = scratch[: 2 * size * size].reshape(2, size, size)
+    both[:] = _NOT_YET
+    rough, scores = both[0], both[1]
     stride = max(reach // 2, 1)
     centre_y = centre_x = 0
     spread = 2
     while True:
+        every, known = (2, rough) if stride > 1 else (1, scores)
         for i in range(-spread, spread + 1):
             for j in range(-spread, spread + 1):
                 y, x = centre_y + i * stride, centre_x + j * stride
                 if abs(y) > reach or abs(x) > reach:
                     continue
                 prior = -0.5 * expected.precision * ((y - expected.y) ** 2 + (x - expected.x) ** 2)
-                if scores[reach + y, reach + x] == _NOT_YET:
+                if known[reach + y, reach + x] == _NOT_YET:
                     start = (reach + y) * rivals.shape[1] + reach + x
-                    scores[reach + y, reach + x] = temper * _agreement(
-                        start, step, patch, rivals, whole, sprite
+                    known[reach + y, reach + x] = temper * _agreement(
+                        start, step, every, patch, rivals, whole, sprite
                     )
-                score = scores[reach + y, reach + x] + prior
+                score = known[reach + y, reach + x] + prior
                 if score > best:
                     best, best_y, best_x = score, y, x
         moved = best_y != centre_y or best_x != centre_x
@@ -203,6 +214,7 @@ def search(reach, expected, temper, step, patch, rivals, whole, sprite, scratch)
         spread = 1
         if stride > 1:
             stride = max(stride // 2, 1)
+            best = best if stride > 1 else _NOT_YET
         elif not moved:
             break
     fine_y, variance_y = _peak(scores[:, reach + best_x], reach + best_y)
@@ -229,14 +241,27 @@ def scratch_for_search(blobs, channels):
     """Numbers that `register` needs to remember while it looks for the largest of some blobs."""
     most = 0
     for k in range(blobs.size):
-        rows = blobs[k].rows + 2 * WIDEST_REACH + _ROWS * _step(blobs[k])
+        rows = blobs[k].rows + 2 * (WIDEST_REACH + _ROWS * _step(blobs[k]))
         most = max(most, rows * (blobs[k].columns + 2 * WIDEST_REACH + _VECTOR))
-    return (2 * channels + 4) * most + (2 * WIDEST_REACH + 1) ** 2
+    return (2 * channels + 4) * most + 2 * (2 * WIDEST_REACH + 1) ** 2
 
 
 @compiled
 def _step(blob):
     return max(1, blob.rows * blob.columns // FINEST_ROWS)
+
+
+@compiled
+def _likely_part(blob):
+    """Top, left, bottom and right of the part of a blob's patch in which it may be, with a little room."""
+    if blob.faint_bottom == 0 or blob.faint_right == 0:
+        return 0, 0, blob.rows, blob.columns
+    return (
+        max(blob.faint_top - ROOM, 0),
+        max(blob.faint_left - ROOM, 0),
+        min(blob.faint_bottom + ROOM, blob.rows),
+        min(blob.faint_right + ROOM, blob.columns),
+    )
 
 
 @compiled
@@ -255,11 +280,13 @@ def register(blobs, pools, picture, terms, scratch):
         reach, step = int(min(max(2.5 * np.sqrt(place) + 1, 2.0), most)), _step(blob)
         channels = picture.image.shape[2]
         whole_sprite = sprite_of(blob, mask_of(blob, pools), colours_of(blob, pools, channels), terms)
-        sprite, rest = packed(whole_sprite, step, scratch)
+        within = _likely_part(blob)
+        sprite, rest = packed(whole_sprite, within, step, scratch)
         rows, columns = 2 * reach + step * sprite.mask.shape[0], 2 * reach + sprite.mask.shape[1]
         patch, rest = patch_in(rest, channels, rows, columns)
-        gather(picture.image, picture.log_odds, top - reach, left - reach, patch)
-        cover_by(patch.free, top - reach, left - reach, blobs[:k], pools)
+        first_row, first_column = top + within[0] - reach, left + within[1] - reach
+        gather(picture.image, picture.log_odds, first_row, first_column, patch)
+        cover_by(patch.free, first_row, first_column, blobs[:k], pools)
         rivals, rest = rest[: rows * columns].reshape(rows, columns), rest[rows * columns :]
         whole = set_rivals(patch, picture.prior, rivals)
         expected = Expected(blob.position[0] - top, blob.position[1] - left, 1 / max(place, 0.25))

@@ -1,10 +1,11 @@
 """Loops over soft masks against plain numpy."""
 
+import cv2
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from rsmcm.models.objects.kernels.masks import fade_beyond, shape_of
+from rsmcm.models.objects.kernels.masks import fade_beyond, shape_of, without_crumbs
 
 F4 = np.float32
 
@@ -73,3 +74,17 @@ def test_fade_beyond(mask, height, width):
     faded = mask.copy()
     fade_beyond(faded, height, width, F4(0.5), np.empty(99, F4))
     np.testing.assert_array_equal(faded, np.where(far, 0.5 * mask, mask))
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 1000), st.floats(0.05, 0.6))
+def test_crumbs_are_spots_of_less_than_a_tenth_of_the_largest(seed, share):
+    mask = np.where(np.random.default_rng(seed).random((24, 31)) < share, 0.9, 0.2).astype(F4)
+    mask[3:11, 4:9] = 0.8
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats((mask > 0.3).astype(np.uint8), connectivity=8)
+    areas = boxes[:, cv2.CC_STAT_AREA]
+    crumb = areas < 0.1 * areas[1:].max()
+    crumb[0] = False
+    expected = np.where(crumb[labels], F4(0), mask)
+    assert without_crumbs(mask, np.empty(3 * mask.size, np.int64)) == crumb.any()
+    np.testing.assert_array_equal(mask, expected)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rsmcm.models.background.kernels.gaussian import StoredPlanes
 from rsmcm.models.objects.kernels import outlines as kernels
 
 F4 = np.float32
@@ -9,7 +10,7 @@ F4 = np.float32
 
 @pytest.mark.parametrize(("width", "reach"), [(6, 1), (6, 2), (2, 2), (1, 3)])
 def test_contrasts_across_an_outline_and_beside_it(width, reach):
-    mask, out, flags = np.zeros((30, 40), F4), np.empty((4, 4 * 1200), F4), np.empty(40, np.uint8)
+    mask, out, within = np.zeros((30, 40), F4), np.empty((4, 4 * 1200), F4), (11, 16, 22, 24)
     mask[12:20, 17 : 17 + width] = 1
     planes = np.full((2, 30, 40), 50, F4)
     planes[:, mask > 0] = [[150], [90]]
@@ -18,10 +19,11 @@ def test_contrasts_across_an_outline_and_beside_it(width, reach):
 
     def contrasts(open_):
         picture[:, 7:37, 5:45] = planes[:, :, ::-1]
-        count = kernels.outline_contrasts(planes, 7, 5, picture, open_, mask, reach, flags, out)
+        behind = StoredPlanes(picture, F4(1))
+        count = kernels.outline_contrasts(planes, 7, 5, behind, open_, mask, within, reach, out)
         # in the second picture all is the other way round
-        other = np.empty_like(out)
-        turned = (planes[:, :, ::-1].copy(), 0, 0, planes, open_, mask, reach, flags, other)
+        other, behind = np.empty_like(out), StoredPlanes(planes, F4(1))
+        turned = (planes[:, :, ::-1].copy(), 0, 0, behind, open_, mask, within, reach, other)
         assert kernels.outline_contrasts(*turned) == count
         np.testing.assert_array_equal(out[2:, :count], other[:2, :count])
         np.testing.assert_array_equal(out[:2, :count], other[2:, :count])

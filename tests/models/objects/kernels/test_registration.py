@@ -44,7 +44,7 @@ def sprite(mask, appearance):
 def searched(reach, expected, step, patch, rivals, blob):
     """What `search` finds, with room around the patch as for whole vectors and rows that are multiplied."""
     scratch = np.full(100_000, np.nan, F4)
-    packed, rest = kernels.packed(blob, step, scratch)
+    packed, rest = kernels.packed(blob, (0, 0, *blob.mask.shape), step, scratch)
     rows, columns = 2 * reach + step * packed.mask.shape[0], 2 * reach + packed.mask.shape[1]
     room = (0, max(rows - rivals.shape[0], 0)), (0, columns - rivals.shape[1])
     wide = Patch(np.pad(patch.planes, ((0, 0), *room)), *(np.pad(each, room) for each in patch[1:]))
