@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 
 from ..inference.core.protocols import Cavity, Incoming, Port
 from ..models.background import colour
-from ..models.background.gaussian import BackgroundPrediction, keep_old_colours
-from ..models.background.kernels.gaussian import (
+from ..models.background.gaussian import BackgroundPrediction, fixed_point, stored_planes
+from ..models.background.kernels.behind import update_behind
+from ..models.background.kernels.gaussian import Gaussians
+from ..models.background.kernels.second_colours import (
     SETTLED,
-    Gaussians,
     SecondColours,
     Settling,
     learn_second_colours,
 )
-from ..models.background.kernels.layers import REVEALED, update_behind
 from ..models.background.kernels.sway import Sway
 from ..models.background.light import LightField, followed, light_grid, share_of_blocks
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
@@ -60,19 +60,19 @@ MOST_NOISE_SHARE = 0.1
 @short_repr
 @dataclass(frozen=True, eq=False)
 class BackgroundState:
-    """What is known of the empty scene.
+    """What is known of the empty scene, pixel by pixel in fixed-point numbers of 16 bits.
 
     Parameters
     ----------
     size
         `(height, width)` px.
     mean
-        `(channels, n_pixels)` float32, under the first frame's light, in the planes of
-        `models.background.colour`.
+        `(channels, n_pixels)` int16, in steps of 1/32 grey level: under the first frame's light, in the
+        planes of `models.background.colour` (`planes` has them as float32).
     variance
-        `(n_pixels,)` float32, squared grey levels: of the mean.
+        `(n_pixels,)` uint16, of the mean (see `Gaussians` for its steps).
     noise
-        `(n_pixels,)` float32, squared grey levels: of a single observation.
+        `(n_pixels,)` uint16, of a single observation, in steps of 1/128 squared grey level.
     light
         `(block_rows, block_columns)` float32: today's light relative to that of `mean`.
     covered
@@ -86,12 +86,14 @@ class BackgroundState:
         s since the last frame with an image.
     age
         s for which the scene has been seen.
+    frames
+        with an image, since the first.
     """
 
     size: tuple[int, int]
-    mean: Planes
-    variance: Planes
-    noise: Planes
+    mean: NDArray[np.int16]
+    variance: NDArray[np.uint16]
+    noise: NDArray[np.uint16]
     light: Planes
     covered: Planes
     sway: Planes
@@ -99,6 +101,16 @@ class BackgroundState:
     seen: NDArray[np.uint16]
     elapsed: float
     age: float
+    frames: int
+
+    @property
+    def pixels(self) -> Gaussians:
+        """What is known of every pixel."""
+        return Gaussians(self.mean, self.variance, self.noise)
+
+    def planes(self) -> Planes:
+        """The scene's colours, `(channels, height, width)` float32 grey levels."""
+        return stored_planes(self.mean, self.size).grey_levels()
 
     def picture(self) -> NDArray[np.uint8]:
         """The empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
@@ -107,7 +119,7 @@ class BackgroundState:
         above = position.astype(np.intp)
         share = (position - above)[:, None]
         light = rows[above] * (1 - share) + rows[above + 1] * share
-        return colour.to_image(self.mean * light.reshape(-1), (height, width))
+        return colour.to_image((self.planes() * light).reshape(-1, height * width), (height, width))
 
 
 @short_repr
@@ -169,11 +181,14 @@ class AdaptiveBackground:
             raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
         height, width = image.shape[:2]
         n_pixels = height * width
+        pixels = fixed_point(
+            colour.to_planes(image),
+            np.full(n_pixels, self.first_variance, np.float32),
+            np.full(n_pixels, self.noise, np.float32),
+        )
         return BackgroundState(
             size=(height, width),
-            mean=colour.to_planes(image),
-            variance=np.full(n_pixels, self.first_variance, np.float32),
-            noise=np.full(n_pixels, self.noise, np.float32),
+            **pixels._asdict(),
             light=np.ones(light_grid(height, width), np.float32),
             covered=np.zeros(light_grid(height, width), np.float32),
             sway=np.zeros(light_grid(height, width), np.float32),
@@ -181,6 +196,7 @@ class AdaptiveBackground:
             seen=np.zeros(n_pixels, np.uint16),
             elapsed=0.0,
             age=0.0,
+            frames=0,
         )
 
     def predict(self, state: BackgroundState, dt: float) -> BackgroundState:
@@ -205,18 +221,26 @@ class AdaptiveBackground:
         subtraction, after = prediction.compare(image), prediction.update(image)
         covered = np.zeros(subtraction.log_odds.shape, np.uint8)
         light = prediction.light.along_rows
-        for region in others.regions:
+        second = SecondColours(state.candidate.copy(), state.seen.copy())
+        channels = len(state.mean)
+        flat = np.ascontiguousarray(image).reshape(-1)
+        composed = others.layers.composition(image, state.size)
+        if len(composed.boxes):
             update_behind(
-                region.top, region.left, region.shift, colour.patch(image, *region.box), subtraction.smoothed,
-                prediction.pixels, light, prediction.model, after, covered,
+                composed.boxes, composed.shift, flat, subtraction.smoothed, prediction.pixels, light,
+                prediction.model, prediction.rounding, colour.to_pixels(channels), after, second, covered,
             )  # fmt: skip
         times = state.age, state.elapsed
-        sway = learned_rates(prediction.sway, image, prediction.pixels, light, covered, times)
-        second = SecondColours(state.candidate.copy(), state.seen.copy())
-        if others.regions:
-            keep_old_colours(prediction.pixels, prediction.light, covered == REVEALED, second)
+        sway = learned_rates(
+            prediction.sway,
+            image,
+            prediction.pixels,
+            light,
+            subtraction.log_odds,
+            covered,
+            times,
+        )  # fmt: skip
         if state.elapsed > 0 and np.isfinite(self.settle_time):
-            channels = len(state.mean)
             scale = SETTLED / self.settle_time
             settling = Settling(
                 np.float32(prediction.tolerance),
@@ -226,14 +250,12 @@ class AdaptiveBackground:
                 np.float32(UNSURE_VARIANCE if state.age < BOOTSTRAP_TIME else np.inf),
             )
             learn_second_colours(
-                np.ascontiguousarray(image).reshape(-1), subtraction.smoothed, covered, light,
+                flat, subtraction.smoothed, covered, light,
                 colour.from_pixels(channels), colour.to_pixels(channels), settling, after, second,
             )  # fmt: skip
         return replace(
             state,
-            mean=after.mean,
-            variance=after.variance,
-            noise=after.noise,
+            **after._asdict(),
             light=prediction.light.blocks,
             covered=share_of_blocks(covered.reshape(state.size), state.light.shape),
             sway=sway,
@@ -241,6 +263,7 @@ class AdaptiveBackground:
             seen=second.seen,
             elapsed=0.0,
             age=state.age + state.elapsed,
+            frames=state.frames + 1,
         )
 
     def _predicted(self, state: BackgroundState, incoming: Incoming) -> BackgroundPrediction:
@@ -253,7 +276,8 @@ class AdaptiveBackground:
             light = followed(light, image, state.mean, state.covered, state.elapsed)
         return BackgroundPrediction(
             size=state.size,
-            pixels=Gaussians(state.mean, state.variance, state.noise),
+            pixels=state.pixels,
+            frames=state.frames,
             light=light,
             prior=self.prior,
             drift=min(self.drift * state.elapsed, WIDEST_VARIANCE),

@@ -19,9 +19,9 @@ from ..inference.body.samples import (
     stationary,
     weighted_moments,
 )
-from ..inference.body.tempering import preselected, temper
+from ..inference.body.tempering import temper
 from ..inference.core.protocols import BatchIncoming, Incoming, Port, Smoothed
-from ..models.body.likelihood import BodyLikelihood, ImageLikelihood, PoseLikelihood
+from ..models.body.likelihood import BodyLikelihood, PoseLikelihood
 from ..models.body.part_message import PartMessage
 from ..models.body.parts import BodyParts
 from ..models.body.poses import BodyPoses
@@ -143,18 +143,6 @@ class ArticulatedPose:
         if not np.isfinite(candidates.log_weights).any():
             return stationary(state, np.zeros(len(state.poses)))
         likelihood = (self.likelihood or BodyLikelihood(self.body))(image)
-        if isinstance(likelihood, ImageLikelihood):
-            first_look = likelihood.first(candidates.poses)
-            candidates = candidates.take(
-                *preselected(
-                    self.body,
-                    candidates.poses,
-                    candidates.log_weights,
-                    first_look,
-                    LOOKED_AT * self.samples,
-                    random,
-                )
-            )
 
         def log_prior(poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
             return candidates.log_prior(poses, owners) + message.log_values(self.body.parts(poses))
@@ -167,6 +155,7 @@ class ArticulatedPose:
             likelihood,
             self.samples,
             random,
+            LOOKED_AT * self.samples,
         )
         return BodySamples(
             found.poses, found.log_weights, state.size, random, log_evidence=found.log_evidence

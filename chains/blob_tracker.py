@@ -13,7 +13,7 @@ then speaks to them at its registered place: a place shared by all its pixels is
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import count
 from typing import overload
@@ -22,26 +22,19 @@ import numpy as np
 
 from ..inference.core.protocols import Cavity, Incoming, Port
 from ..inference.objects import detections
-from ..inference.objects.blob_geometry import (
-    FRESH,
-    THINNEST,
-    fitted,
-    is_hidden,
-    likely_size,
-    without_crumbs,
-)
-from ..inference.objects.blob_scene import BlobScene, cut_out
-from ..inference.objects.blobs import Blob, BlobState, around
-from ..inference.objects.ghosts import ghost_layer, inherited, weighed
-from ..inference.objects.groups import alone, fragment_time, halves, merged, parting_column, with_parts
-from ..inference.objects.registration import front_to_back, registered
-from ..models.background.layers import Layer, LayerStack
+from ..inference.objects.blob_geometry import likely_size
+from ..inference.objects.blob_scene import BlobScene
+from ..inference.objects.blob_table import Blobs, BlobState
+from ..inference.objects.blobs import Blob
+from ..inference.objects.ghosts import VIEW_TIME, inherited
+from ..inference.objects.groups import alone, fragment_times, halves, merged, parting_columns, with_parts
+from ..inference.objects.registration import front_to_back, layers_of, matching, registered
+from ..models.background.layers import LayerStack
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
 from ..models.objects.box_message import BoxMessage
-from ..models.objects.kernels.blobs import learn
-from ..models.objects.kernels.masks import fade_beyond
+from ..models.objects.kernels.learning import Learning
 from ..models.objects.object_boxes import ObjectBoxes
 
 POSITIVE = (
@@ -49,12 +42,6 @@ POSITIVE = (
     "patience", "hidden_patience", "confirmed_time", "ghost_evidence", "parting_time", "size_time",
 )  # fmt: skip
 """Parameters of `BlobTracker` that must be more than 0."""
-
-GROWTH = 1.3
-"""How far beyond its usual size a mask may reach."""
-
-BENEFIT_OF_DOUBT = 0.6
-"""What the mask of a still blob keeps of pixels that fit its colours as well as the background's."""
 
 SWEEP = 0.8
 """s after which a mask is freed of crumbs again."""
@@ -132,7 +119,8 @@ class BlobTracker:
         """No objects: what is there from the first frame on is background until it moves."""
         if frame.image is None:
             raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
-        return BlobState((), 0, frame.image.shape[:2], 0.0, self.confirmed_time)
+        channels = 1 if frame.image.ndim == 2 else frame.image.shape[2]
+        return BlobState(Blobs.none(channels), 0, frame.image.shape[:2], 0.0, self.confirmed_time)
 
     def predict(self, state: BlobState, dt: float) -> BlobState:
         """First-order dynamics: velocity stays, but for a random force."""
@@ -162,24 +150,27 @@ class BlobTracker:
         pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
         blobs, newborn, layers = self._placed(state, incoming)
         if boxes is not None and boxes.association is not None:
-            blobs = [blob for blob in blobs if detections.is_kept(blob, state.size)]
-            state = replace(state, blobs=(*blobs, *newborn), born=state.born + len(newborn), detecting=True)
+            blobs = blobs.taken(np.array([detections.is_kept(blob, state.size) for blob in blobs], bool))
+            everybody, born = blobs.and_also(newborn), state.born + len(newborn)
+            state = replace(state, blobs=everybody, born=born, detecting=True)
         if pixels.subtraction is None:
             return state
         scene = BlobScene(pixels, layers, boxes, state.elapsed)
-        learned = [self._learned(blob, blobs[:rank], scene) for rank, blob in enumerate(blobs)]
-        kept = [blob for rank, blob in enumerate(learned) if self._lives(blob, blobs[:rank], scene)]
+        terms = matching(blobs.channels, self.outliers, self.temper, state.elapsed)
+        learned, alive = scene.learned(blobs, terms, self._rule(scene))
+        kept = learned.taken(alive).and_also(newborn)
+        scene.colour(kept, int(alive.sum()))
         numbers = count(state.born + 1)
-        kept += [scene.coloured(blob) for blob in newborn]
-        kept = merged([part for blob in kept for part in self._parted(blob, numbers, scene)])
-        kept = with_parts(kept, scene.newcomers)
-        kept = [blob.changed(fragment_time=fragment_time(blob, scene)) for blob in kept]
-        for corner, mask, planes in scene.unexplained(kept, self._least_area(scene)):
-            new = Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread)
-            kept.append(new.changed(past_views=inherited(new, kept)))
-        return replace(state, blobs=tuple(kept), born=next(numbers) - 1, elapsed=0.0)
+        kept = with_parts(merged(self._parted(kept, numbers, scene)), scene.newcomers)
+        kept.table["fragment_time"] = fragment_times(kept, scene)
+        for spot in scene.spots(kept, self._least_area(scene)):
+            corner, mask, planes = scene.shown_in(spot, kept)
+            if float(mask.sum()) >= self._least_area(scene):
+                new = Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread)
+                kept = kept.and_also([new.changed(past_views=inherited(new, kept))])
+        return replace(state, blobs=kept, born=next(numbers) - 1, elapsed=0.0)
 
-    def _placed(self, state: BlobState, incoming: Incoming) -> tuple[list[Blob], list[Blob], LayerStack]:
+    def _placed(self, state: BlobState, incoming: Incoming) -> tuple[Blobs, list[Blob], LayerStack]:
         """Blobs front to back where pixels and detections show them, those that are new, and the layers."""
         pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
         registered = incoming.once(self._registered, state, pixels)
@@ -188,109 +179,77 @@ class BlobTracker:
         return incoming.once(self._detected, state, pixels, boxes, registered)
 
     def _detected(
-        self, state: BlobState, pixels: PixelMessage, boxes: BoxMessage, found: tuple[list[Blob], LayerStack]
-    ) -> tuple[list[Blob], list[Blob], LayerStack]:
-        blobs = front_to_back(detections.corrected(found[0], boxes))
+        self, state: BlobState, pixels: PixelMessage, boxes: BoxMessage, found: tuple[Blobs, LayerStack]
+    ) -> tuple[Blobs, list[Blob], LayerStack]:
+        known = detections.corrected(found[0], boxes)
         # born where there is no image, it is of any colour until there is one
-        channels = 0 if pixels.image is None else 1 if pixels.image.ndim == 2 else 3
+        channels = 0 if pixels.image is None else known.channels
         new = [
             detections.newborn(number, boxes, k, channels)
             for number, k in enumerate(detections.unexplained(boxes, state.size), state.born + 1)
         ]
-        blobs = [blob for blob in blobs if not detections.is_part(blob, new)]
-        return blobs, new, LayerStack([self._layer(blob) for blob in front_to_back([*blobs, *new])])
+        whole = np.array([not detections.is_part(blob, new) for blob in known], bool)
+        blobs = front_to_back(known.taken(whole))
+        return blobs, new, self._layers(front_to_back(blobs.and_also(new)))
 
-    def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[list[Blob], LayerStack]:
+    def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[Blobs, LayerStack]:
         """Blobs front to back at the place where this frame shows them, and their layers."""
         blobs = front_to_back(state.blobs)
         if pixels.subtraction is not None:
             blobs = registered(blobs, pixels, self.outliers, self.temper, state.elapsed)
-        return blobs, LayerStack([self._layer(blob) for blob in blobs])
+        return blobs, self._layers(blobs)
 
-    def _layer(self, blob: Blob) -> Layer:
-        if blob.ghost_evidence >= self.ghost_evidence:
-            return ghost_layer(blob)
-        return Layer(*blob.corner, blob.mask, blob.appearance, blob.spread, self.outliers, self.strength)
+    def _layers(self, blobs: Blobs) -> LayerStack:
+        return LayerStack(layers_of(blobs, self.outliers, self.strength, self.ghost_evidence))
 
-    def _learned(self, blob: Blob, in_front: Sequence[Blob], scene: BlobScene) -> Blob:
-        """Mask and colours after the frame, and how much of the blob was seen."""
-        if blob.ghost_evidence >= self.ghost_evidence:
-            return blob.changed(unseen=math.inf)
-        blob = fitted(blob if len(blob.appearance) else scene.coloured(blob))
-        patch = cut_out(scene.pixels, *blob.corner, blob.mask.shape, in_front)
-        mask, appearance = np.empty_like(blob.mask), np.empty_like(blob.appearance)
-        explained = scene.explained(*blob.corner, blob.mask.shape)
-        total, visible, seen, variance = learn(
-            patch, explained, blob.sprite(self.outliers), np.float32(self.strength),
-            np.float32(1 - np.exp(-scene.elapsed / self.mask_time)),
-            np.float32(1 - np.exp(-scene.elapsed / self.colour_time)),
-            np.float32(BENEFIT_OF_DOUBT if blob.still > 0.2 else 0.0), mask, appearance,
-        )  # fmt: skip
-        entered = scene.entered(blob)
-        if entered is not None:
-            # it has never been seen before: learned at once, as of a newborn
-            new = np.minimum(0.9, entered * patch.free / (explained * (1 + np.exp(patch.log_odds))))
-            taken = (new > 0.2) & (new > mask)
-            mask[taken] = new[taken]
-            appearance[:, taken] = patch.planes[:, taken]
-        elif blob.seen >= FRESH:
-            kept = np.float32(math.exp(-scene.elapsed / FADING))
-            fade_beyond(mask, *(GROWTH * scene.expected_size(blob)), kept)
-        confidence = seen / max(visible, 1e-6)
-        if visible <= 0.3 * total or confidence <= 0.35:
-            unseen = blob.unseen + scene.elapsed
-            return blob.changed(mask=mask, appearance=appearance, unseen=unseen, still=0.0, confidence=0.0)
-        speed = math.hypot(*blob.velocity)
-        follow = 1 - math.exp(-scene.elapsed / self.colour_time)
-        spread = blob.spread + follow * (2 * variance - blob.spread)
-        grown = 1 - math.exp(-scene.elapsed / (self.mask_time if blob.seen < FRESH else self.size_time))
-        size = blob.size + grown * (np.array(blob.box[:1:-1]) - blob.size)
-        view, past_views = weighed(blob, mask, patch, scene, self.temper)
-        return blob.changed(
-            mask=mask,
-            appearance=appearance,
-            size=size if entered is None else np.maximum(size, likely_size(mask)),
-            spread=min(max(spread, 0.2 * self.spread), self.spread),
-            seen=blob.seen + scene.elapsed,
-            unseen=0.0,
-            still=blob.still + scene.elapsed if speed < max(2.0, 0.06 * blob.length) else 0.0,
-            confidence=confidence,
-            view=view,
-            past_views=past_views,
-            origin=blob.origin if blob.seen >= FRESH else around(blob.origin, blob.box),
+    def _rule(self, scene: BlobScene) -> Learning:
+        """How blobs follow what this frame shows."""
+
+        def share(time: float) -> float:
+            return -math.expm1(-scene.elapsed / time)
+
+        return Learning(
+            elapsed=scene.elapsed,
+            mask_share=share(self.mask_time),
+            colour_share=share(self.colour_time),
+            view_share=share(VIEW_TIME),
+            size_share=share(self.size_time),
+            first_size_share=share(self.mask_time),
+            kept=math.exp(-scene.elapsed / FADING),
+            strength=self.strength,
+            spread=self.spread,
+            temper=self.temper,
+            ghost_evidence=self.ghost_evidence,
+            least_area=self._least_area(scene),
+            confirmed_time=self.confirmed_time,
+            patience=self.patience,
+            hidden_patience=self.hidden_patience,
         )
 
     def _least_area(self, scene: BlobScene) -> float:
         """px of the smallest object."""
         return self.smallest * scene.size[0] * scene.size[1]
 
-    def _lives(self, blob: Blob, in_front: Sequence[Blob], scene: BlobScene) -> bool:
-        if blob.detected is not None:
-            return True
-        mass = blob.shape.mass
-        thin = mass < THINNEST * blob.length**2 * (1.0 if blob.seen < FRESH else 0.5)
-        outside = float(blob.mask[scene.inside(blob)].sum()) < 0.1 * mass
-        if thin or outside or mass < self._least_area(scene):
-            return False
-        if blob.seen < self.confirmed_time:
-            return blob.unseen == 0.0
-        hidden = blob.unseen > 0 and is_hidden(blob, in_front)
-        return blob.unseen < (self.hidden_patience if hidden else self.patience)
-
-    def _parted(self, blob: Blob, numbers: Iterator[int], scene: BlobScene) -> list[Blob]:
-        """A blob that has had a waist or the width of two for a while is two; crumbs are swept away."""
-        if blob.unseen > 0 or blob.detected is not None:
-            return [blob]
-        waist = parting_column(blob, scene.newcomers)
-        parting = 0.0 if waist is None else blob.parting + scene.elapsed
-        blob = blob.changed(parting=parting)
-        if waist is not None and parting >= self.parting_time:
-            larger, smaller = halves(blob, waist)
+    def _parted(self, blobs: Blobs, numbers: Iterator[int], scene: BlobScene) -> Blobs:
+        """Blobs that have had a waist or the width of two for a while are two; crumbs are swept away."""
+        table = blobs.table
+        judged = (table["unseen"] == 0) & (table["detected"] == 0)
+        waists = np.where(judged, parting_columns(blobs, scene.newcomers), -1)
+        longer = np.where(waists < 0, 0.0, table["parting"] + scene.elapsed)
+        table["parting"] = np.where(judged, longer, table["parting"])
+        parted = {}
+        for k in np.flatnonzero((waists >= 0) & (longer >= self.parting_time)).tolist():
+            larger, smaller = halves(blobs[k], waists[k])
             if smaller.sum() >= max(self._least_area(scene), 0.25 * larger.sum()):
-                blob, new = blob.changed(parting=0.0, still=0.0), next(numbers)
-                return [
+                blob, new = blobs[k].changed(parting=0.0, still=0.0), next(numbers)
+                parted[k] = [
                     blob.changed(mask=larger, size=likely_size(larger)),
                     blob.changed(mask=smaller, size=likely_size(smaller), identity=new, whole=new),
                 ]
-        due = blob.seen // SWEEP > (blob.seen - scene.elapsed) // SWEEP
-        return [blob.changed(mask=without_crumbs(blob.mask)) if due else blob]
+        due = judged & (table["seen"] // SWEEP > (table["seen"] - scene.elapsed) // SWEEP)
+        due[list(parted)] = False
+        blobs.sweep(due)
+        if not parted:
+            return blobs
+        rows = [part for k, blob in enumerate(blobs) for part in parted.get(k, [blob])]
+        return Blobs.of(rows, blobs.channels)

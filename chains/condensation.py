@@ -132,5 +132,5 @@ class Condensation:
             likelihood = self.likelihood or BodyLikelihood(self.body)
             log_factors += likelihood(message.image)(state.poses)
         if message.image is None and not log_factors.any():
-            return replace(state, before=None, stationary=True)
+            return replace(state, before=None, elapsed=0.0, stationary=True)
         return state.reweighed(log_factors)

@@ -27,7 +27,8 @@ from ..inference.core.graph import MultiChain
 from ..inference.core.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ..inference.core.recursive_bp import Belief, RecursiveBP, RunState
 from ..inference.objects.blob_geometry import box_densities
-from ..inference.objects.blobs import Blob, BlobState, Track
+from ..inference.objects.blob_table import BlobState
+from ..inference.objects.blobs import Box
 from ..inference.objects.trajectories import Boxes, messages_of
 from ..models.background.empty_scene import EmptyScene, empty_scene
 from ..models.background.light import LightField
@@ -218,7 +219,9 @@ class SceneFilter:
         def boxes(belief: Belief) -> BoxMessage:
             states = (belief.states[name] for name in self.model.chains)
             seen = [each for state in states if isinstance(state, BlobState) for each in _seen(state)]
-            return BoxMessage(box_densities(seen)) if seen and not belief.frame.missing else BoxMessage()
+            if not seen or belief.frame.missing:
+                return BoxMessage()
+            return BoxMessage(box_densities(*(list(values) for values in zip(*seen, strict=True))))
 
         if isinstance(feature, PixelLabels):
             return ForwardPass(engine, start, incoming, pixels)
@@ -255,9 +258,14 @@ class SceneFilter:
         return RunState(states, 0, math.nextafter(time, -math.inf), empty.shape)
 
 
-def _seen(state: BlobState) -> Sequence[Blob | Track]:
-    """Objects that the frame shows, also before they are confirmed; with a detector, those it confirms."""
-    return state.tracks() if state.detecting else [blob for blob in state.blobs if blob.unseen == 0]
+def _seen(state: BlobState) -> list[tuple[int, Box]]:
+    """Identities and boxes of objects that the frame shows, also before they are confirmed.
+
+    With a detector they are those that it confirms.
+    """
+    if state.detecting:
+        return [(track.identity, track.box) for track in state.tracks()]
+    return [(blob.identity, blob.box) for blob in state.blobs if blob.unseen == 0]
 
 
 def sample_of(times: Numbers, most: int, memory: float) -> list[int]:

@@ -262,6 +262,7 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         """Read region and ground truth; find the empty scene, where that is asked for."""
         job, model = self.job, self.engine.model
         self._read_masks()
+        self.record.expect(self.source.n_frames)
         if job.engine == WHOLE_FILM:
             self.state, self._trajectories = read_whole(
                 job, self.source, model, self._with_detections, self.interruption

@@ -69,7 +69,7 @@ class CameraWatch:
         background = belief["pixels"].background
         if is_thin(background.size):
             return None
-        empty = background.mean[0].reshape(background.size)
+        empty = background.colours.grey_levels()[0]
         found = ScenePicture(empty).register(grey_of(frame.image), AffineMap.identity(background.size))
         moved = found.map.displacement
         if found.explained < MOST or moved < LEAST_MOTION:

@@ -144,6 +144,10 @@ class RunRecord:
 
         self.snapshots.add(snapshot)
 
+    def expect(self, n_frames: int | None) -> None:
+        """Say how many frames there will be: most pictures that are made are then kept."""
+        self.snapshots.stride = max(1, (n_frames or 0) // (2 * MOST_SNAPSHOTS))
+
     def saved(self) -> dict[str, Any]:
         """Everything as plain JSON; the snapshots' pictures in base 64."""
         return {

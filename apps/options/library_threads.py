@@ -1,14 +1,17 @@
-"""Threads of the libraries of linear algebra: on busy cores they wait for each other most of the time."""
+"""Threads of libraries: what they share out is so little that mostly they wait for each other."""
 
 import os
 
 OF_LIBRARIES = ("OMP", "OPENBLAS", "MKL", "BLIS", "VECLIB_MAXIMUM", "NUMEXPR")
-"""Whose threads are limited by a variable `..._NUM_THREADS` that they read when they are loaded."""
+"""Of linear algebra, that read a variable `..._NUM_THREADS` when they are loaded."""
+
+OF_OPENCV = "OPENCV_FOR_THREADS_NUM"
+"""The same of OpenCV."""
 
 
 def thread_limits(threads: int) -> dict[str, str]:
-    """Variables by which libraries that are loaded from now on have so many threads."""
-    return {f"{library}_NUM_THREADS": str(threads) for library in OF_LIBRARIES}
+    """Variables by which libraries that are loaded from now on have so many threads; OpenCV has one."""
+    return {**{f"{library}_NUM_THREADS": str(threads) for library in OF_LIBRARIES}, OF_OPENCV: "1"}
 
 
 def have_one_thread() -> None:

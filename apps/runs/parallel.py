@@ -190,7 +190,10 @@ def _end_with(parent: int) -> None:
 
 
 def _alone(threads: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    set_threads(threads)  # of our own loops, and of OpenCV
+    import cv2
+
+    set_threads(threads)
+    cv2.setNumThreads(1)  # a worker of a cluster was not started with our limits
     show_messages(ERROR)  # progress is the parent's
     return function(*arguments)
 

@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Generic, TypeVar
 
+from ..first_use.ahead import compiling_ahead
 from ..io.segments import segment_pattern
 from ..options.job import Job
 from ..reports.versions import versions
@@ -82,6 +83,7 @@ class Run(ABC, Generic[J]):
             saying_how_to_go_on(self.way_on),
             self.interruption,
             output_folder(job.out, self.application, overwrite=job.overwrite, resume=job.resume) as folder,
+            compiling_ahead(self.application),
         ):
             self._folder = folder
             return self.work()

@@ -140,8 +140,8 @@ class BodyDynamics:
         arms = np.stack(
             [around(poses.arms[:, :, part], concentrations[part], random) for part in (0, 1)], axis=2
         )
-        jumping = random.random((n, 2)) < jump
-        arms[jumping] = usual_arms(n, random)[jumping]
+        jumping = np.nonzero(random.random((n, 2)) < jump)
+        arms[jumping] = usual_arms(jumping[1], random)
         return BodyPoses(roots, torsos, necks, arms)
 
     def log_density(self, poses: BodyPoses, ancestors: Ancestors) -> Array:
@@ -265,7 +265,7 @@ class BodyDynamics:
         while len(wrong):
             turns = self.turn_spreads * random.standard_normal((len(wrong), 6))
             poses.torsos[wrong], poses.necks[wrong] = turns[:, :3], turns[:, 3:]
-            poses.arms[wrong] = usual_arms(len(wrong), random)
+            poses.arms[wrong] = usual_arms(np.tile([0, 1], (len(wrong), 1)), random)
             wrong = wrong[~self.body.allowed(poses.take(wrong))]
         return poses
 
@@ -331,12 +331,10 @@ def around(directions: Array, concentration: Array | float, random: np.random.Ge
     return drawn
 
 
-def usual_arms(n: int, random: np.random.Generator) -> Array:
-    """`(n, 2, 2, 3)`: arms of which nothing is known but that upper arms mostly hang down."""
-    arms = np.empty((n, 2, 2, 3))
-    arms[:, :, 0] = around(np.broadcast_to(USUAL_UPPER_ARMS, (n, 2, 3)), USUAL, random)
-    arms[:, :, 1] = anywhere((n, 2), random)
-    return arms
+def usual_arms(sides: NDArray[np.int64], random: np.random.Generator) -> Array:
+    """`(..., 2, 3)`: arms of `sides`, 0 for the left, of which nothing is known but that upper arms mostly
+    hang down."""
+    return np.stack([around(USUAL_UPPER_ARMS[sides], USUAL, random), anywhere(sides.shape, random)], axis=-2)
 
 
 def _log_usual(arms: Array) -> Array:

@@ -16,9 +16,9 @@ from ...models.body.inverse_kinematics import arm_at, log_volume, swivels
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import UpperBody
 from ...models.core.gaussian_mixtures import GaussianMixtures
-from ..filters.resampling import normalised, systematic
+from ..filters.resampling import normalised
 from .dynamics import Ancestors, BodyDynamics
-from .kernels.dynamics import guided_values
+from .kernels.guided_sampling import choose, closeness_to, guided_values
 from .likelihood_sampling import half_range
 from .strata import Strata
 
@@ -127,8 +127,9 @@ class GuidedSampler:
         joints = body.joints(past.poses)
         hidden = _HiddenCoordinates.of(dynamics, past.poses, joints, elapsed)
         targets = _Targets.of(said)
-        closeness = self._closeness(targets, joints, hidden.step, np.exp(log_choice))
-        chosen, target = _chosen(log_choice, targets.shares, closeness, n, random)
+        choice = np.exp(log_choice)
+        closeness = self._closeness(targets, joints, hidden.step, choice)
+        chosen, target = _chosen(choice, targets.shares, closeness, n, random)
         poses = dynamics.draw(past.poses.take(chosen), elapsed, random)
         possible = self._guide(poses, chosen, target, targets, hidden, random)
         possible &= body.allowed(poses)
@@ -141,11 +142,12 @@ class GuidedSampler:
         return Guided(poses, normalised(log_weights), chosen)
 
     def _closeness(self, targets: _Targets, joints: Array, step: float, choice: Array) -> Array:
-        """`(k_past, k_targets)`: how readily a pose is chosen for a target, over how it is chosen else."""
-        apart = joints[:, HANDS, :2][:, targets.sides] - targets.means
+        """`(k_targets, k_past)`: how readily a pose is chosen for a target, over how it is chosen else."""
         wide = np.linalg.inv(targets.covariances + step**2 * np.eye(2))
-        near = np.exp(-0.5 * np.einsum("nkx,kxy,nky->nk", apart, wide, apart)) + FARAWAY
-        return np.asarray(near / np.einsum("n,nk->k", choice, near))
+        closeness = np.empty((len(targets.sides), len(joints)))
+        hands = np.ascontiguousarray(joints[:, HANDS, :2])
+        closeness_to(hands, targets.sides, targets.means, wide, FARAWAY, choice, closeness)
+        return closeness
 
     def _guide(
         self,
@@ -249,17 +251,12 @@ class _HiddenCoordinates:
 
 
 def _chosen(
-    log_choice: Array, shares: Array, closeness: Array, n: int, random: np.random.Generator
+    choice: Array, shares: Array, closeness: Array, n: int, random: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """`(n,)` ancestors and `(n,)` targets, -1 for none."""
     ends = np.floor(n * np.cumsum(shares) + random.random()).astype(np.int64)
     counts = np.diff(ends, prepend=0)
-    rows = [
-        systematic(log_choice + np.log(closeness[:, target]), count, random)
-        for target, count in enumerate(counts)
-        if count
-    ]
-    free = n - int(counts.sum())
-    rows.append(systematic(log_choice, free, random))
-    target = np.concatenate([np.repeat(np.arange(len(counts)), counts), np.full(free, -1)])
-    return np.concatenate(rows), target
+    counts = np.append(counts, n - counts.sum())
+    chosen = np.empty(n, np.int64)
+    choose(choice, closeness, counts, random.random(len(counts)), chosen)
+    return chosen, np.repeat(np.append(np.arange(len(shares)), -1), counts)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import UpperBody
-from ..filters.resampling import log_sum, normalised
+from ..filters.resampling import normalised
+from .kernels.strata import cut
 
 Array = NDArray[np.float64]
 
@@ -43,22 +44,8 @@ class Strata:
         """The widest stratum is cut in two, again and again, across the axis along which it is widest: of
         the places of both hands in the picture."""
         points = body.parts(poses)[:, 1:].reshape(len(poses), 4) / body.head_height
-        numbers = np.zeros(len(points), np.int64)
-        members = [np.arange(len(points))]
-        variances = [_variances(points)]
-        while len(members) < MOST_STRATA:
-            widest = int(np.argmax([each.max() for each in variances]))
-            axis = int(variances[widest].argmax())
-            if variances[widest][axis] < NARROW**2:
-                break
-            rows = members[widest]
-            values = points[rows, axis]
-            upper = values > _between(values)
-            members[widest] = rows[~upper]
-            members.append(rows[upper])
-            numbers[rows[upper]] = len(members) - 1
-            variances[widest] = _variances(points[members[widest]])
-            variances.append(_variances(points[members[-1]]))
+        numbers = np.empty(len(points), np.int64)
+        cut(points, NARROW**2, MOST_STRATA, ROUNDS, numbers)
         return cls(numbers)
 
     def balanced(self, log_weights: Array) -> Array:
@@ -66,25 +53,9 @@ class Strata:
 
         Half of the draws go by weight, the others evenly to all strata.
         """
-        masses = np.array(
-            [log_sum(log_weights[self.numbers == each]) for each in range(self.numbers.max() + 1)]
-        )
-        shares = np.exp(normalised(masses))
+        shares = np.bincount(self.numbers, np.exp(normalised(log_weights)))
         alive = shares > LEAST_MASS
         wanted = np.where(alive, (1 - EVENLY) * shares + EVENLY / alive.sum(), 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            boost = np.where(alive, np.log(wanted) - masses, -np.inf)
+            boost = np.where(alive, np.log(wanted / shares), -np.inf)
         return normalised(log_weights + boost[self.numbers])
-
-
-def _variances(points: Array) -> Array:
-    return np.asarray(points.var(axis=0)) if len(points) > 1 else np.zeros(points.shape[1])
-
-
-def _between(values: Array) -> float:
-    """A value between two halves, each of which is nearer to its own mean."""
-    middle = float(values.mean())
-    for _ in range(ROUNDS):
-        upper = values > middle
-        middle = 0.5 * float(values[upper].mean() + values[~upper].mean())
-    return middle

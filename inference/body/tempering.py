@@ -102,6 +102,7 @@ def temper(
     log_likelihood: LogDensity | StagedLikelihood,
     n: int,
     random: np.random.Generator,
+    looked_at: int | None = None,
 ) -> Tempered:
     """Bring weighted samples of a prior to the posterior in a few steps.
 
@@ -114,7 +115,7 @@ def temper(
     Parameters
     ----------
     poses, log_weights
-        m samples of the prior, with weights of sum 1, or some of these (`preselected`).
+        m samples of the prior, with weights of sum 1.
     log_prior
         of poses and the numbers of the samples, 0 to m - 1, that they go back to: up to a constant of such a
         number, minus infinity where a pose is impossible.
@@ -122,11 +123,16 @@ def temper(
         of poses.
     n
         samples that are left.
+    looked_at
+        samples of the prior for which all of a likelihood in stages is worked out, chosen by the first one
+        (`preselected`); without, all of them.
     """
     staged = log_likelihood if isinstance(log_likelihood, StagedLikelihood) else AtOnce(log_likelihood)
-    first = staged.first(poses)
+    first, owners = staged.first(poses), np.arange(len(poses))
+    if looked_at is not None and staged is log_likelihood:
+        owners, log_weights = preselected(dynamics.body, poses, log_weights, first, looked_at, random)
+        poses, first = poses.take(owners), first[owners]
     likelihood = first + staged.rest(poses)
-    owners = np.arange(len(poses))
     power, moves, accepted = 0.0, 0, 0
     for step in range(MOST_STEPS):
         rest = 1 - power
@@ -136,7 +142,12 @@ def temper(
         total = log_sum(log_weights)
         choice = Strata.of(dynamics.body, poses).balanced(log_weights)
         chosen = systematic(choice, n, random)
-        poses, first, likelihood, owners = poses.take(chosen), first[chosen], likelihood[chosen], owners[chosen]
+        poses, first, likelihood, owners = (
+            poses.take(chosen),
+            first[chosen],
+            likelihood[chosen],
+            owners[chosen],
+        )
         log_weights = normalised(log_weights[chosen] - choice[chosen]) + total
         prior = log_prior(poses, owners)
         for _ in range(MOVES):

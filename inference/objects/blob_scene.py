@@ -1,35 +1,31 @@
-"""A frame as blobs need it: patches of its pixels, what layers explain, and what other chains expect."""
+"""A frame as blobs need it: what it teaches them, and what it shows that nobody explains."""
 
-from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ...models.background.layers import LayerStack
 from ...models.background.pixel_labels import PixelMessage
 from ...models.objects.box_detector import HEIGHT, WIDTH
 from ...models.objects.box_message import BoxMessage
-from ...models.objects.kernels.blobs import UNKNOWN_COLOUR, Patch, count_foreground, gather
-from ...models.objects.kernels.masks import clear_blocks
-from .blob_geometry import THINNEST, cover_by, paste
-from .blobs import MARGIN, Blob, Map, Pair
+from ...models.objects.kernels.learning import THINNEST, Learning, Scene, fit, learn_all, scratch_for_learning
+from ...models.objects.kernels.patches import Patch, colour_newborn, cover_by, gather
+from ...models.objects.kernels.records import MARGIN
+from ...models.objects.kernels.registration import Matching
+from ...models.objects.kernels.spots import find_spots
+from .blob_table import Blobs
+from .blobs import Map, Pair
+from .registration import picture_of
 
+Spot = list[int]
+"""Top, left, bottom, right px."""
 
-def cut_out(
-    pixels: PixelMessage, top: int, left: int, shape: tuple[int, int], in_front: Sequence[Blob]
-) -> Patch:
-    """What the image and the background say of the pixels in a box, and what no blob in front covers."""
-    assert pixels.image is not None
-    assert pixels.subtraction is not None
-    image = pixels.image if pixels.image.ndim == 3 else pixels.image[:, :, None]
-    patch = Patch(
-        np.empty((image.shape[2], *shape), np.float32),
-        np.empty(shape, np.float32),
-        np.empty(shape, np.float32),
-    )
-    gather(image, pixels.subtraction.smoothed.reshape(image.shape[:2]), top, left, patch)
-    cover_by(patch.free, top, left, in_front)
-    return patch
+BLOCKS = 192
+"""Along the longer side of a picture, in which spots are looked for."""
+
+MOST_SPOTS = 256
+"""In one frame."""
 
 
 class BlobScene:
@@ -54,87 +50,77 @@ class BlobScene:
         self.size = pixels.size
         self.elapsed = elapsed
         self.newcomers = None if boxes is None else boxes.newcomers
-        self._expected: dict[int, tuple[Pair, Pair]] = {}
-        if boxes is not None:
-            sides = [HEIGHT, WIDTH]
-            for identity, mean, covariance in zip(*boxes.objects.moments, strict=True):
-                self._expected[int(identity)] = (mean[sides], covariance.diagonal()[sides])
-        self._regions = layers.regions(pixels.image, self.size)
+        self.picture = picture_of(pixels)
+        self._layers = layers
+        self._objects = None if boxes is None else boxes.objects
 
-    def expected_size(self, blob: Blob) -> Pair:
-        """Usual height and width px of a blob, and what other chains expect of it, by their precisions."""
-        if blob.identity not in self._expected:
-            return blob.size
-        expected, variance = self._expected[blob.identity]
-        own, others = 1 / (0.15 * blob.size) ** 2, 1 / np.maximum(variance, 1.0)
-        size: Pair = (own * blob.size + others * expected) / (own + others)
-        return np.maximum(size, 0.5 * blob.size)
+    def expected_sizes(self, blobs: Blobs) -> Pair:
+        """`(n, 2)` px, usual height and width, and what other chains expect of them, by their precisions."""
+        sizes: Pair = blobs.table["size"]
+        if self._objects is None or not len(self._objects.identities) or not len(blobs):
+            return sizes
+        identities, means, covariances = self._objects.moments
+        order = np.argsort(identities)
+        place = order[
+            np.searchsorted(identities, blobs.table["identity"], sorter=order).clip(max=len(order) - 1)
+        ]
+        known = identities[place] == blobs.table["identity"]
+        sides = [HEIGHT, WIDTH]
+        expected, variance = means[place][:, sides], covariances[place][:, sides, sides]
+        own, others = 1 / (0.15 * sizes) ** 2, 1 / np.maximum(variance, 1.0)
+        both = (own * sizes + others * expected) / (own + others)
+        return np.where(known[:, None], np.maximum(both, 0.5 * sizes), sizes)
 
-    def explained(self, top: int, left: int, shape: tuple[int, int]) -> Map:
-        """What all layers together explain of the pixels in a box, 1 where there is none."""
-        out = np.ones(shape, np.float32)
-        for region in self._regions:
-            paste(out, top, left, region.explained, region.top, region.left)
-        return out
-
-    def picture(self, top: int, left: int, shape: tuple[int, int]) -> Map:
-        """Planes of the remembered background in a box."""
+    def learned(self, blobs: Blobs, terms: Matching, rule: Learning) -> tuple[Blobs, NDArray[np.bool_]]:
+        """Blobs, given front to back, after the frame, and which of them live on."""
+        before, table = blobs.table, blobs.table.copy()
+        total, channels = fit(table, rule.ghost_evidence), blobs.channels
+        masks, colours = np.empty(total, np.float32), np.empty(channels * total, np.float32)
+        alive = np.empty(len(table), np.uint8)
+        after = replace(blobs.with_table(table), masks=masks, colours=colours)
+        composed = self._layers.composition(self.pixels.image, self.size)
         background = self.pixels.background
         assert background is not None
-        planes = background.mean.reshape(-1, *self.size)
-        out = np.zeros((len(planes), *shape), np.float32)
-        paste(out, top, left, planes, 0, 0)
-        return out
-
-    def entered(self, blob: Blob) -> Map | None:
-        """1 where a blob's patch has come into the picture since the last frame; `None` if nowhere."""
-        before = blob.changed(position=blob.position - self.elapsed * blob.velocity)
-        if self.inside(before) == self.inside(blob):
-            return None
-        out = np.zeros(blob.mask.shape, np.float32)
-        out[self.inside(blob)] = 1
-        out[self.inside(before)] = 0
-        return out
-
-    def coloured(self, blob: Blob) -> Blob:
-        """A blob that was just born of a detection, with the colours that the image shows where it is."""
-        planes = cut_out(self.pixels, *blob.corner, blob.mask.shape, []).planes
-        return blob.changed(appearance=np.where(blob.mask > 0.2, planes, np.float32(UNKNOWN_COLOUR)))
-
-    def inside(self, blob: Blob) -> tuple[slice, slice]:
-        """The part of a blob's patch that lies in the picture."""
-        (top, left), (rows, columns) = blob.corner, blob.mask.shape
-        return (
-            slice(min(max(0, -top), rows), max(0, min(rows, self.size[0] - top))),
-            slice(min(max(0, -left), columns), max(0, min(columns, self.size[1] - left))),
+        scene = Scene(
+            background.colours,
+            composed.boxes,
+            composed.starts,
+            composed.explained,
+            self.expected_sizes(blobs),
         )
+        scratch = np.empty(scratch_for_learning(table, channels), np.float32)
+        learn_all(
+            before, blobs.pools, table, after.pools, self.picture, scene, terms, rule,
+            alive, scratch,
+        )  # fmt: skip
+        return after, alive.astype(bool)
 
-    def unexplained(self, blobs: Sequence[Blob], smallest: float) -> Iterator[tuple[Pair, Map, Map]]:
-        """Foreground spots of `smallest` px or more that do not touch a blob, with room around them.
+    def colour(self, blobs: Blobs, first: int) -> None:
+        """Give blobs from the `first` on, which were just born, the colours that the image shows there."""
+        for record in blobs.table[first:]:
+            colour_newborn(record, blobs.pools, self.picture.image)
 
-        Gives top and left, the mask, and the planes of the pixels.
-        """
-        for top, left, bottom, right, area in self._spots(blobs):
-            if area < max(smallest, THINNEST * max(bottom - top, right - left) ** 2):
-                continue
-            top, left = top - MARGIN, left - MARGIN
-            patch = cut_out(self.pixels, top, left, (bottom + MARGIN - top, right + MARGIN - left), blobs)
-            mask = np.minimum(0.9, patch.free / (1 + np.exp(patch.log_odds))).astype(np.float32)
-            if float(mask.sum()) >= smallest:
-                yield np.array([float(top), float(left)]), mask, patch.planes
+    def shown_in(self, spot: Spot, blobs: Blobs) -> tuple[Pair, Map, Map]:
+        """Foreground in a spot with room around it that no blob covers: top and left, mask, and planes."""
+        top, left = spot[0] - MARGIN, spot[1] - MARGIN
+        shape = (spot[2] + MARGIN - top, spot[3] + MARGIN - left)
+        planes = np.empty((blobs.channels, *shape), np.float32)
+        odds, free = np.empty((2, *shape), np.float32)
+        gather(self.picture.image, self.picture.log_odds, top, left, Patch(planes, odds, free))
+        cover_by(free, top, left, blobs.table, blobs.pools)
+        mask = np.minimum(0.9, free / (1 + np.exp(odds))).astype(np.float32)
+        return np.array([float(top), float(left)]), mask, planes
 
-    def _spots(self, blobs: Sequence[Blob]) -> Iterator[tuple[int, int, int, int, int]]:
-        """Top, left, bottom, right and area px of foreground, block by block."""
+    def spots(self, blobs: Blobs, smallest: float) -> list[Spot]:
+        """Foreground of `smallest` px or more that does not touch a blob: top, left, bottom, right px."""
         height, width = self.size
-        scale = max(1, round(max(height, width) / 192))
-        assert self.pixels.subtraction is not None
+        scale = max(1, round(max(height, width) / BLOCKS))
         counts = np.empty((-(-height // scale), -(-width // scale)), np.int32)
-        count_foreground(self.pixels.subtraction.smoothed, width, scale, counts)
-        for blob in blobs:
-            clear_blocks(counts, *blob.corner, blob.mask, scale)
-        spots = (counts * 4 >= scale * scale).astype(np.uint8)
-        found, labels, boxes, _ = cv2.connectedComponentsWithStats(spots, connectivity=8)
-        for label in range(1, found):
-            x, y, columns, rows, _ = (int(value) for value in boxes[label])
-            area = int(counts[labels == label].sum())
-            yield scale * y, scale * x, scale * (y + rows), scale * (x + columns), area
+        memory = np.empty(max(height * width // 64 + 1 + width, counts.size), np.int64)
+        found = np.empty((MOST_SPOTS, 5), np.int64)
+        count = find_spots(
+            self.picture.log_odds.reshape(-1), self.size, scale, blobs.table, blobs.pools, smallest, THINNEST,
+            counts, memory, found,
+        )  # fmt: skip
+        spots: list[Spot] = found[:count, :4].tolist()
+        return spots

@@ -1,39 +1,24 @@
 """Objects that move in front of a background, as soft masks with colours: what is known of them."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.background.kernels.layers import Sprite
-from ...models.background.layers import log_density_ratio
 from ...models.camera.affine_map import AffineMap
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_detector import FOOT_X, FOOT_Y, HEIGHT
-from ...models.objects.kernels.blobs import UNKNOWN_COLOUR
 from ...models.objects.kernels.masks import MaskShape, shape_of
+from ...models.objects.kernels.patches import UNKNOWN_COLOUR
+from ...models.objects.kernels.records import MARGIN
 
 Map = NDArray[np.float32]
 Pair = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 Covariance = tuple[tuple[float, float], tuple[float, float]]
-
-HALF_OVERLAP = 0.37
-"""Sum of a box's errors, each as a share of its side, at which it shares half of its area with the true one.
-
-Two boxes of one size that are off by a and b of their sides share (1 - a) (1 - b) / (2 - (1 - a) (1 - b)).
-"""
-
-MARGIN = 6
-"""px of empty border in a blob's patch, into which its mask can grow."""
-
-
-OWN_WAY = 3.0
-"""s after which what still moves, as small as it is, is somebody by itself."""
 
 
 def around(box: Box, other: Box) -> Box:
@@ -256,55 +241,9 @@ class Blob:
         return left + x - 0.5 * width, top + y - height, width, height
 
     @property
-    def reported_variance(self) -> Pair:
-        """`(4,)` px^2 of foot x and y, width and height: of its place, and of the detected box there."""
-        place = np.array([self.covariance[0, 0], self.covariance[0, 0], 0.0, 0.0])
-        return place if self.detected is None else self.detected.variance + place
-
-    @property
-    def is_likely(self) -> bool:
-        """Whether it is likelier than not that it exists and covers half of the box that was detected."""
-        if self.detected is None:
-            return False
-        sides = np.tile(self.detected.mean[2:], 2)
-        off = np.array([1.0, 1.0, 0.5, 0.5]) * np.sqrt(self.reported_variance) / sides
-        # overlap is lost by the sum of four errors, whose sizes are half normal; sides that grow lose none
-        mean, deviation = math.sqrt(2 / math.pi) * off.sum(), math.sqrt(1 - 2 / math.pi) * math.hypot(*off)
-        near = 0.5 + 0.5 * math.erf((HALF_OVERLAP - mean) / (math.sqrt(2) * deviation))
-        return near * self.existence_probability > 0.5
-
-    @property
-    def existence_probability(self) -> float:
-        """That it is one of those that the detector is made to find."""
-        return 1 / (1 + math.exp(-self.existence))
-
-    @property
-    def ghost_evidence(self) -> float:
-        """nats, log ratio of being a ghost and being real; a detector finds what is real."""
-        real = 0.0 if self.detected is None else max(self.existence, 0.0)
-        return self.view + self.past_views - real
-
-    @property
-    def foot(self) -> float:
-        """px, the lowest row: what stands lower in the picture is nearer."""
-        _, y, _, height = self.reported_box
-        return y + height
-
-    @property
     def length(self) -> float:
         """px, the longer side of the box."""
         return max(self.reported_box[2:])
-
-    @property
-    def is_fragment(self) -> bool:
-        """Whether it is a piece of somebody: what is that small by nature has moved on its own for long."""
-        return self.fragment_time > 0 and not (self.fragment_time > OWN_WAY and self.still == 0)
-
-    def sprite(self, outliers: float) -> Sprite:
-        """Mask and colours for loops over pixels, with the share of pixels that look otherwise."""
-        log_ratio = log_density_ratio(len(self.appearance), self.spread)
-        numbers = (np.float32(value) for value in (0.5 / self.spread, log_ratio, outliers))
-        return Sprite(self.mask, self.appearance, *numbers)
 
     def moved_patch(self, shift: NDArray[Any]) -> Self:
         """The same with another top left corner, px down and right of the old; the mask must follow."""
@@ -323,60 +262,3 @@ class Blob:
         if "mask" not in values and "shape" in self.__dict__:
             blob.__dict__["shape"] = self.shape
         return blob
-
-
-@short_repr
-@dataclass(frozen=True, eq=False)
-class BlobState:
-    """All objects of a scene.
-
-    Parameters
-    ----------
-    blobs
-        in no particular order.
-    born
-        how many there have been.
-    size
-        `(height, width)` px of the picture.
-    elapsed
-        s since the last frame with an image.
-    confirmed_time
-        s for which an object must have been seen before it is reported.
-    detecting
-        whether a detector has run, which decides what is reported.
-    """
-
-    blobs: tuple[Blob, ...]
-    born: int
-    size: tuple[int, int]
-    elapsed: float
-    confirmed_time: float
-    detecting: bool = False
-
-    def tracks(self) -> list[Track]:
-        """Objects that are sure enough to be reported, by identity.
-
-        Once a detector has run, they are those that it has found, and that likely exist where they are said
-        to be.
-        """
-        found: dict[int, list[Blob]] = {}
-        for blob in self.blobs:
-            sure = blob.is_likely if self.detecting else blob.seen >= self.confirmed_time
-            if sure and (blob.detected is not None or not blob.is_fragment):
-                found.setdefault(blob.whole, []).append(blob)
-        shown = self.elapsed == 0
-        return [_track(identity, parts, shown) for identity, parts in sorted(found.items())]
-
-
-def _track(identity: int, parts: Sequence[Blob], shown: bool) -> Track:
-    """What is reported of an object with these parts; `shown` says whether there was an image."""
-    largest = max(parts, key=lambda blob: blob.shape.mass)
-    box = reduce(around, (part.reported_box for part in parts))
-    speed_y, speed_x = largest.velocity.tolist()
-    confidence = largest.confidence if largest.detected is None else largest.existence_probability
-    seen = any(
-        (shown and part.unseen == 0) or (part.detected is not None and part.detected.unfound == 0)
-        for part in parts
-    )
-    covariance = middle_covariance(largest.reported_variance)
-    return Track(identity, box, confidence, (speed_x, speed_y), seen, covariance)

@@ -17,13 +17,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
 from ...models.objects.box_message import BoxMessage, LogOdds
+from ...models.objects.kernels.motion import move
+from ...models.objects.kernels.records import FRESH, MARGIN
 from ..filters.linear_motion import kinematic
-from .blob_geometry import FRESH, box_densities, paste
-from .blobs import MARGIN, Blob, DetectedBox, Map, Pair
+from .blob_geometry import box_densities, paste
+from .blob_table import Blobs
+from .blobs import Blob, DetectedBox, Map, Pair
 
 ACCELERATION = 0.4
 """Heights/s^2, standard deviation of what moves a person out of the straight way; it lasts half a second."""
@@ -68,66 +72,55 @@ GIVEN_UP = math.log(0.02 / 0.98)
 """Log odds of existence below which an object is forgotten."""
 
 
-def _doubted(blob: Blob, dt: float) -> Blob:
-    """What is known of an object's detections `dt` s later."""
-    if blob.detected is None:
-        return blob
-    box = blob.detected
-    height = box.mean[HEIGHT]
-    grown = dt * np.array([SWAY * height, SWAY * height, GROWTH * box.mean[WIDTH], GROWTH * height]) ** 2
-    stays, exists = math.exp(-dt / PHASE), math.exp(-dt / LIFE) * _probability(blob.existence)
-    noticed = stays * _probability(blob.noticed) + (1 - stays) * USUALLY
-    return blob.changed(
-        detected=replace(box, variance=box.variance + grown, unfound=box.unfound + dt),
-        existence=_log_odds(exists),
-        noticed=_log_odds(noticed),
-    )
-
-
-def moved(blobs: Sequence[Blob], dt: float, acceleration: float, detecting: bool) -> tuple[Blob, ...]:
+def moved(blobs: Blobs, dt: float, acceleration: float, detecting: bool) -> Blobs:
     """Blobs `dt` s on: velocity stays, but for a random force of their own lengths/s^2, or a person's."""
-    if not blobs:
-        return ()
-    means = np.stack([(blob.position, blob.velocity) for blob in blobs]).swapaxes(1, 2)
-    covariances = np.stack([blob.covariance for blob in blobs])
-    found = (ACCELERATION if blob.detected is not None else acceleration for blob in blobs)
-    lengths = np.array([each * blob.length for each, blob in zip(found, blobs, strict=True)])
-    means, covariances = kinematic(2, dt).moved(means, covariances, 0.5 * lengths**2)  # px^2/s^3
-    later = (
-        blob.changed(position=mean[:, 0], velocity=mean[:, 1], covariance=covariance)
-        for blob, mean, covariance in zip(blobs, means, covariances, strict=True)
-    )
-    return tuple(_doubted(blob, dt) if detecting else blob for blob in later)
+    if not len(blobs):
+        return blobs
+    table = blobs.table.copy()
+    move(table, dt, kinematic(2, dt).noise, acceleration, ACCELERATION)
+    if detecting:
+        _doubt(table, dt)
+    return blobs.with_table(table)
 
 
-def is_shown(blob: Blob) -> bool:
-    """Whether the pixels alone show the blob, and well."""
-    return blob.confidence > 0.5 and blob.seen >= FRESH and blob.detected is None
+def _doubt(table: NDArray[np.void], dt: float) -> None:
+    """What is known of objects' detections `dt` s later."""
+    found = np.flatnonzero(table["detected"])
+    sides = table["box_mean"][found][:, [HEIGHT, HEIGHT, WIDTH, HEIGHT]]
+    table["box_variance"][found] += dt * (sides * [SWAY, SWAY, GROWTH, GROWTH]) ** 2
+    table["unfound"][found] += dt
+    stays, lasts = math.exp(-dt / PHASE), math.exp(-dt / LIFE)
+    table["existence"][found] = _log_odds(lasts * _probability(table["existence"][found]))
+    noticed = stays * _probability(table["noticed"][found]) + (1 - stays) * USUALLY
+    table["noticed"][found] = _log_odds(noticed)
 
 
-def said(blobs: Sequence[Blob], detecting: bool, image: bool) -> BoxMessage:
+def said(blobs: Blobs, detecting: bool, image: bool) -> BoxMessage:
     """What blobs say of boxes: of those that an image shows well, and what a detector may find of others."""
-    shown = [blob for blob in blobs if is_shown(blob)] if image else []
-    message = BoxMessage(box_densities(shown)) if shown else BoxMessage()
+    table = blobs.table
+    # of those whom the pixels alone show
+    shown = (table["confidence"] > 0.5) & (table["seen"] >= FRESH) & (table["detected"] == 0)
+    message = BoxMessage()
+    if image and shown.any():
+        message = BoxMessage(box_densities(table["identity"][shown], blobs.boxes[shown]))
     return message * _expectations(blobs) if detecting else message
 
 
-def _expectations(blobs: Sequence[Blob]) -> BoxMessage:
+def _expectations(blobs: Blobs) -> BoxMessage:
     """That objects exist and are noticed, and boxes of those that a detector has found before."""
-    blobs = sorted(blobs, key=lambda blob: blob.identity)
-    identities = np.array([blob.identity for blob in blobs], np.int64)
-    hidden = [(blob, blob.detected) for blob in blobs if blob.detected is not None]
+    table = blobs.table[np.argsort(blobs.table["identity"])]
+    identities = table["identity"].copy()
     message = BoxMessage(
-        existence=LogOdds(identities, np.array([blob.existence for blob in blobs], np.float64)),
-        noticed=LogOdds(identities, np.array([blob.noticed for blob in blobs], np.float64)),
+        existence=LogOdds(identities, table["existence"].copy()),
+        noticed=LogOdds(identities, table["noticed"].copy()),
     )
-    if not hidden:
+    hidden = table[table["detected"] != 0]
+    if not len(hidden):
         return message
-    means = np.stack([_absolute(blob, box) for blob, box in hidden])
-    variances = np.stack([box.variance for _, box in hidden])
-    variances[:, :WIDTH] += np.array([[blob.covariance[0, 0]] for blob, _ in hidden])
-    numbers = [blob.identity for blob, _ in hidden]
-    gaussian = GaussianMessage.from_moments(numbers, means, variances[:, :, None] * np.eye(BOX))
+    means, variances = hidden["box_mean"].copy(), hidden["box_variance"].copy()
+    means[:, :WIDTH] += hidden["position"][:, ::-1]
+    variances[:, :WIDTH] += hidden["covariance"][:, 0, :1]
+    gaussian = GaussianMessage.from_moments(hidden["identity"], means, variances[:, :, None] * np.eye(BOX))
     return replace(message, hidden=gaussian)
 
 
@@ -140,7 +133,7 @@ def from_mask(blob: Blob) -> DetectedBox:
     return DetectedBox(mean, (MASK_ERROR * sides) ** 2 + 1)
 
 
-def corrected(blobs: Sequence[Blob], boxes: BoxMessage) -> list[Blob]:
+def corrected(blobs: Blobs, boxes: BoxMessage) -> Blobs:
     """Objects after a detector has run: place, velocity and box as far as boxes are theirs."""
     association = boxes.association
     assert association is not None
@@ -162,7 +155,7 @@ def corrected(blobs: Sequence[Blob], boxes: BoxMessage) -> list[Blob]:
         if blob.detected is not None and share > 1e-3:
             blob = _drawn(blob, vector[k] / precision[k], 1 / precision[k])
         result.append(blob)
-    return result
+    return Blobs.of(result, blobs.channels)
 
 
 def unexplained(boxes: BoxMessage, size: tuple[int, int]) -> list[int]:
@@ -190,8 +183,8 @@ def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
     mean = np.array([x - corner[1], y - corner[0], width, height])
     return Blob.newborn(identity, corner, mask, planes, FIRST_SPEED, SPREAD).changed(
         covariance=np.diag([1e-6, (FIRST_SPEED * height) ** 2]),
-        existence=_log_odds(float(association.new[k])),
-        noticed=_log_odds(0.98),
+        existence=float(_log_odds(association.new[k])),
+        noticed=float(_log_odds(0.98)),
         confidence=0.0,
         detected=DetectedBox(mean, association.noise[k]),
     )
@@ -265,10 +258,11 @@ def _ellipse(width: float, height: float) -> Map:
     return np.asarray(SURE_COVER / (1 + np.exp(np.minimum(8 * (square - 1), 700))), np.float32)
 
 
-def _probability(log_odds: float) -> float:
-    return 0.5 * (1 + math.tanh(0.5 * log_odds))
+def _probability(log_odds: Pair) -> Pair:
+    return 0.5 * (1 + np.tanh(0.5 * log_odds))
 
 
-def _log_odds(probability: float) -> float:
-    likely = min(max(probability, 1e-9), 1 - 1e-9)
-    return math.log(likely) - math.log1p(-likely)
+def _log_odds(probability: ArrayLike) -> Pair:
+    likely = np.clip(probability, 1e-9, 1 - 1e-9)
+    odds: Pair = np.log(likely) - np.log1p(-likely)
+    return odds

@@ -1,18 +1,19 @@
 """Groups and halves: which blobs are parts of one object, and which blob is two."""
 
 import math
-from collections import Counter
-from collections.abc import Sequence
-from functools import reduce
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ...models.objects.box_message import Newcomers
-from ...models.objects.kernels.blobs import UNKNOWN_COLOUR
 from ...models.objects.kernels.masks import shape_of
-from .blob_geometry import FRESH, likely_size
+from ...models.objects.kernels.motion import next_piece
+from ...models.objects.kernels.patches import UNKNOWN_COLOUR
+from ...models.objects.kernels.records import FRESH
+from .blob_geometry import likely_size
 from .blob_scene import BlobScene
-from .blobs import Blob, Box, Map, around
+from .blob_table import Blobs, union
+from .blobs import Blob, Map, Pair, around
 
 UPRIGHT = 0.75
 """Width over height below which anybody is upright, and stands beside others."""
@@ -33,79 +34,56 @@ KNOWN = 0.25
 """Deviation over mean of anybody's height, below which it is known."""
 
 
-def are_pieces(one: Blob, other: Blob) -> bool:
-    """Whether two blobs, the second seen for no longer, are parts of one object.
-
-    What touches a blob right after it was born belongs to it if it is above, below or small, and the two
-    together are not much larger than the larger (or the first is as new); so do blobs that have stood still
-    above each other for a while, or that move alike above each other and make one upright body together. What
-    a detector has found is whole.
-    """
-    if one.detected is not None and other.detected is not None:
-        return False
-    x, y, width, height = one.box
-    other_x, other_y, other_width, other_height = other.box
-    gap_y = max(y, other_y) - min(y + height, other_y + other_height)
-    gap_x = max(x, other_x) - min(x + width, other_x + other_width)
-    _, _, wide, tall = around(one.box, other.box)
-    if max(gap_x, gap_y) > 3:
-        return False
-    stacked = -gap_x > 0.7 * min(width, other_width)
-    if other.seen >= FRESH:
-        alike = math.hypot(*(one.velocity - other.velocity)) < 0.2 * tall
-        one_body = -gap_y < 0.2 * min(height, other_height) and tall < 3.2 * wide and alike
-        return stacked and (one_body or min(one.still, other.still) > 1.5)
-    modest = tall < 1.6 * max(height, other_height) and wide < 1.6 * max(width, other_width)
-    small = min(width * height, other_width * other_height) < 0.35 * max(
-        width * height, other_width * other_height
-    )
-    return (stacked or small) and (one.seen < FRESH or modest)
-
-
-def with_parts(blobs: Sequence[Blob], newcomers: Newcomers | None) -> list[Blob]:
+def with_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
     """Blobs that have just set off together, as parts of the one among them that was the first.
 
     Something that was a part of the scene, and looks alike in its middle wherever it is, comes into view as
     its edges do. They stay blobs of their own, since some may be what it leaves behind; and those that have
     not become one soon, or turn out to be no small parts, are on their own again.
     """
-    result = list(blobs)
-    for k, blob in enumerate(result):
-        parts = [other for other in result if other.whole == blob.whole]
-        grown = blob.seen >= SETTING_OFF or blob.detected is not None
-        if len(parts) > 1 and (grown or not are_one(parts, newcomers)):
-            result[k] = blob.changed(whole=blob.identity)
-    young = [
-        k for k, blob in enumerate(result) if blob.detected is None and FRESH / 2 < blob.seen < SETTING_OFF
-    ]
+    table = blobs.table
+    seen, found = table["seen"], table["detected"] != 0
+    young = np.flatnonzero(~found & (seen > FRESH / 2) & (seen < SETTING_OFF)).tolist()
+    if len(young) < 2 and (table["whole"] == table["identity"]).all():
+        return blobs
+    table = table.copy()
+    for k in np.flatnonzero(_members(table) > 1).tolist():
+        whole = table["whole"]
+        parts = blobs.taken(np.flatnonzero(whole == whole[k]))
+        grown = seen[k] >= SETTING_OFF or found[k]
+        if len(parts) > 1 and (grown or not are_one(parts.boxes, newcomers)):
+            whole[k] = table["identity"][k]
+    rows = {k: blobs[k] for k in young}
     for first, k in enumerate(young):
         for other in young[first + 1 :]:
-            kept, given = sorted((result[k].whole, result[other].whole))
-            if kept != given and set_off_together(result[k], result[other], newcomers):
+            kept, given = sorted((table["whole"][k], table["whole"][other]))
+            if kept != given and set_off_together(rows[k], rows[other], newcomers):
                 # where any of them appeared, each may still be one with what they have left
-                members = [blob for blob in result if blob.whole in (kept, given)]
-                origin = reduce(around, (blob.origin for blob in members))
-                result = [
-                    blob.changed(whole=kept, origin=origin, past_views=0.0)
-                    if blob.whole in (kept, given)
-                    else blob
-                    for blob in result
-                ]
-    return result
+                members = np.isin(table["whole"], (kept, given))
+                table["origin"][members] = union(table["origin"][members])
+                table["whole"][members], table["past_views"][members] = kept, 0.0
+    return blobs.with_table(table)
 
 
-def alone(blobs: Sequence[Blob]) -> list[Blob]:
+def _members(table: NDArray[np.void]) -> NDArray[np.int64]:
+    """`(n,)`: of how many blobs the thing consists that each is a part of."""
+    _, place, counts = np.unique(table["whole"], return_inverse=True, return_counts=True)
+    return np.asarray(counts[place], np.int64)
+
+
+def alone(blobs: Blobs) -> Blobs:
     """Blobs that are no parts of a thing, whose size is not theirs; two may be two side by side."""
-    members = Counter(blob.whole for blob in blobs)
-    return [blob for blob in blobs if members[blob.whole] <= 2]
+    if (blobs.table["whole"] == blobs.table["identity"]).all():
+        return blobs
+    return blobs.taken(_members(blobs.table) <= 2)
 
 
-def are_one(parts: Sequence[Blob], newcomers: Newcomers | None) -> bool:
+def are_one(boxes: Pair, newcomers: Newcomers | None) -> bool:
     """Whether blobs can be parts of one thing: together not higher than anybody, nor as wide as two."""
-    union = reduce(around, (part.box for part in parts))
-    anybody = anybodys_height(union[1] + union[3], newcomers)
-    too_high = anybody is not None and union[3] > anybody[0] + 2 * anybody[1]
-    return not too_high and pair_evidence(union, newcomers) < 0
+    whole = union(boxes)
+    mean, deviation = anybodys_height(whole[1] + whole[3], newcomers)
+    too_high = whole[3] > mean + 2 * deviation
+    return not too_high and bool(pair_evidence(whole, newcomers) < 0)
 
 
 def set_off_together(one: Blob, other: Blob, newcomers: Newcomers | None) -> bool:
@@ -117,53 +95,52 @@ def set_off_together(one: Blob, other: Blob, newcomers: Newcomers | None) -> boo
     apart = math.hypot(*(one.velocity - other.velocity))
     alike = slower > 0.1 * length and apart < 0.2 * length and abs(one.seen - other.seen) < SAME_TIME
     close = gap < max(one.length, other.length) and min(one.length, other.length) < 0.5 * length
-    return close and alike and are_one((one, other), newcomers)
+    return close and alike and are_one(np.array([one.box, other.box]), newcomers)
 
 
-def anybodys_height(foot: float, newcomers: Newcomers | None) -> tuple[float, float] | None:
-    """Mean and deviation px of the height of somebody with feet in a row; `None` if it is not known."""
+def anybodys_height(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Pair, Pair]:
+    """Mean and deviation px of the height of somebody with feet in these rows; NaN where it is not known."""
     if newcomers is None:
-        return None
-    mean, deviation = (float(value) for value in newcomers.height(foot))
-    return (mean, deviation) if deviation < KNOWN * mean else None
+        unknown = np.full(np.shape(feet), np.nan)
+        return unknown, unknown
+    mean, deviation = newcomers.height(feet)
+    return np.where(deviation < KNOWN * mean, mean, np.nan), deviation
 
 
-def fragment_time(blob: Blob, scene: BlobScene) -> float:
-    """s for which a blob has been less than half as high as anybody there, inside of the picture."""
-    x, y, width, height = blob.box
-    inside = min(x, y) > 1 and x + width < scene.size[1] - 1 and y + height < scene.size[0] - 1
-    anybody = anybodys_height(blob.foot, scene.newcomers) if inside else None
-    if anybody is None or height > HALF * anybody[0]:
-        return 0.0
-    return blob.fragment_time + scene.elapsed
+def fragment_times(blobs: Blobs, scene: BlobScene) -> Pair:
+    """`(n,)` s for which blobs have been less than half as high as anybody there, inside of the picture."""
+    x, y, width, height = blobs.boxes.T
+    mean, _ = anybodys_height(blobs.feet, scene.newcomers)
+    small = (np.minimum(x, y) > 1) & (x + width < scene.size[1] - 1) & (y + height < scene.size[0] - 1)
+    small &= height <= HALF * mean
+    return np.where(small, blobs.table["fragment_time"] + scene.elapsed, 0.0)
 
 
-def pair_evidence(box: Box, newcomers: Newcomers | None) -> float:
-    """Log ratio, nats, of two people beside each other and one, by how wide a box is where it stands.
+def pair_evidence(boxes: ArrayLike, newcomers: Newcomers | None) -> Pair:
+    """Log ratio, nats, of two people beside each other and one, by how wide boxes `(..., 4)` are there.
 
-    It is as high as anybody there, or else it is neither. One has anybody's width; two have that and how far
-    they are apart, anything from a third of a width to a whole one and a bit.
+    They are as high as anybody there, or else they are neither. One has anybody's width; two have that and
+    how far they are apart, anything from a third of a width to a whole one and a bit.
     """
+    _, top, width, height = np.moveaxis(np.asarray(boxes, np.float64), -1, 0)
     if newcomers is None or newcomers.aspect > UPRIGHT:
-        return -math.inf
-    _, top, width, height = box
-    anybody = anybodys_height(top + height, newcomers)
-    if anybody is None or abs(height - anybody[0]) > 2 * anybody[1]:
-        return -math.inf
-    expected, _ = anybody
+        return np.full(np.shape(top), -np.inf)
+    expected, deviation = anybodys_height(top + height, newcomers)
     usual = newcomers.aspect * expected
-    spread = math.hypot(math.sqrt(newcomers.aspect_variance) * expected, 0.1 * usual)
-    one = -0.5 * ((width - usual) / spread) ** 2 - math.log(spread * math.sqrt(2 * math.pi))
+    spread = np.hypot(math.sqrt(newcomers.aspect_variance) * expected, 0.1 * usual)
+    one = -0.5 * ((width - usual) / spread) ** 2 - np.log(spread * math.sqrt(2 * math.pi))
     apart = width / usual - 1
-    two = -math.log(usual) if 0.3 < apart < 1.3 else -math.inf
-    return two - one
+    as_high = np.abs(height - expected) <= 2 * deviation
+    return np.where(as_high & (apart > 0.3) & (apart < 1.3), -np.log(usual) - one, -np.inf)
 
 
-def parting_column(blob: Blob, newcomers: Newcomers | None) -> int | None:
-    """The column of the mask at which a blob seems to be two; `None` if it seems to be one."""
-    if blob.shape.waist_depth < 0.5:
-        return blob.shape.waist
-    return thinnest_column(blob.mask) if pair_evidence(blob.box, newcomers) > PAIR else None
+def parting_columns(blobs: Blobs, newcomers: Newcomers | None) -> NDArray[np.int64]:
+    """`(n,)` columns of masks at which blobs seem to be two; -1 where they seem to be one."""
+    table = blobs.table
+    columns = np.where(table["waist_depth"] < 0.5, table["waist"], -1)
+    for k in np.flatnonzero((columns < 0) & (pair_evidence(blobs.boxes, newcomers) > PAIR)).tolist():
+        columns[k] = thinnest_column(blobs[k].mask)
+    return columns
 
 
 def thinnest_column(mask: Map) -> int:
@@ -185,16 +162,17 @@ def halves(blob: Blob, column: int) -> tuple[Map, Map]:
     return (left, right) if left.sum() >= right.sum() else (right, left)
 
 
-def merged(blobs: Sequence[Blob]) -> list[Blob]:
-    """Pieces of one object become one blob again (see `are_pieces`), the one seen for the longest."""
-    result: list[Blob] = []
-    for blob in sorted(blobs, key=lambda blob: (blob.detected is None, -blob.seen, blob.identity)):
-        other = next((k for k, kept in enumerate(result) if are_pieces(kept, blob)), None)
-        if other is None:
-            result.append(blob)
-        else:
-            result[other] = joined(result[other], blob)
-    return result
+def merged(blobs: Blobs) -> Blobs:
+    """Pieces of one object become one blob again (see `next_piece`), the one seen for the longest."""
+    table = blobs.table
+    blobs = blobs.taken(np.lexsort((table["identity"], -table["seen"], table["detected"] == 0)))
+    piece, one = next_piece(blobs.table, 1)
+    while piece < len(blobs):
+        rows = list(blobs)
+        rows[one] = joined(rows[one], rows.pop(piece))
+        blobs = Blobs.of(rows, blobs.channels)
+        piece, one = next_piece(blobs.table, piece)
+    return blobs
 
 
 def joined(one: Blob, other: Blob) -> Blob:

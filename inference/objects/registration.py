@@ -1,23 +1,34 @@
-"""Finding blobs again: where a frame shows each of them, front to back."""
+"""Finding blobs again: where a frame shows each of them, front to back, and as which layers."""
 
-import math
-from collections.abc import Sequence
-
+import cv2
 import numpy as np
 
+from ...models.background.kernels.layers import LAYER, Pools
+from ...models.background.layers import LayerSheet, log_density_ratio, log_uniform
 from ...models.background.pixel_labels import PixelMessage
-from ...models.objects.kernels.blobs import Expected, density_without, search
-from .blob_geometry import FRESH
-from .blob_scene import cut_out
-from .blobs import Blob
-
-ASTRAY, ASTRAY_TIME = 0.05, 0.1
-"""Lengths, and s for which, a mask is off the object that a detector finds."""
+from ...models.objects.kernels.records import Picture
+from ...models.objects.kernels.registration import Matching, register, scratch_for_search
+from .blob_table import Blobs
+from .blobs import Map
 
 
-def registered(
-    blobs: Sequence[Blob], pixels: PixelMessage, outliers: float, temper: float, elapsed: float
-) -> list[Blob]:
+def picture_of(pixels: PixelMessage) -> Picture:
+    """A frame, with an image and a background, as loops over blobs need it."""
+    assert pixels.image is not None
+    assert pixels.background is not None
+    assert pixels.subtraction is not None
+    image = np.ascontiguousarray(pixels.image)
+    image = image if image.ndim == 3 else image[:, :, None]
+    odds = pixels.subtraction.smoothed.reshape(image.shape[:2])
+    return Picture(image, odds, np.float32(pixels.background.prior))
+
+
+def matching(channels: int, outliers: float, temper: float, elapsed: float) -> Matching:
+    """How blobs and pixels are compared (see `Matching`)."""
+    return Matching(log_uniform(channels), outliers, temper, elapsed)
+
+
+def registered(blobs: Blobs, pixels: PixelMessage, outliers: float, temper: float, elapsed: float) -> Blobs:
     """Blobs with place and velocity updated by the pixels that nothing in front covers.
 
     Parameters
@@ -33,49 +44,35 @@ def registered(
     elapsed
         s since the last frame.
     """
-    placed: list[Blob] = []
-    for blob in blobs:
-        if blob.detected is not None and (blob.confidence < 0.5 or blob.seen < FRESH):
-            placed.append(blob)  # its mask shows nothing that could be found again
-            continue
-        placed.append(_placed(blob, placed, pixels, outliers, temper, elapsed))
-    return placed
+    if not len(blobs):
+        return blobs
+    table, terms = blobs.table.copy(), matching(blobs.channels, outliers, temper, elapsed)
+    scratch = np.empty(scratch_for_search(table, blobs.channels), np.float32)
+    register(table, blobs.pools, picture_of(pixels), terms, scratch)
+    return blobs.with_table(table)
 
 
-def front_to_back(blobs: Sequence[Blob]) -> list[Blob]:
+def front_to_back(blobs: Blobs) -> Blobs:
     """What stands lower in the picture is nearer."""
-    return sorted(blobs, key=lambda blob: (-blob.foot, blob.identity))
+    return blobs.taken(np.lexsort((blobs.table["identity"], -blobs.feet)))
 
 
-def _placed(
-    blob: Blob,
-    in_front: Sequence[Blob],
-    pixels: PixelMessage,
-    outliers: float,
-    temper: float,
-    elapsed: float,
-) -> Blob:
-    """A blob after the Kalman update with the place where its mask and colours fit best."""
-    top, left = blob.corner
-    (place, both), (_, speed) = blob.covariance.tolist()
-    reach = int(min(max(2.5 * math.sqrt(place) + 1, 2), max(6, min(0.35 * blob.length, 24))))
-    rows, columns = blob.mask.shape
-    patch = cut_out(pixels, top - reach, left - reach, (rows + 2 * reach, columns + 2 * reach), in_front)
-    assert pixels.background is not None
-    expected = Expected(blob.position[0] - top, blob.position[1] - left, 1 / max(place, 0.25))
-    down, right, variance_y, variance_x = search(
-        reach, expected, np.float32(temper), max(1, blob.mask.size // 1500), patch,
-        density_without(patch.log_odds, np.float32(pixels.background.prior)), blob.sprite(outliers),
-    )  # fmt: skip
-    variance = min(max(variance_y, variance_x, 0.25), 100.0)
-    if blob.detected is not None:
-        # a mask errs with its box, and for a while: detections know better
-        variance = max(variance, (ASTRAY * blob.length) ** 2 * max(ASTRAY_TIME / max(elapsed, 1e-3), 1.0))
-    gain, speed_gain = place / (place + variance), both / (place + variance)
-    innovation = np.array([top + down, left + right]) - blob.position
-    after = [[(1 - gain) * place, (1 - gain) * both], [(1 - gain) * both, speed - speed_gain * both]]
-    return blob.changed(
-        position=blob.position + gain * innovation,
-        velocity=blob.velocity + speed_gain * innovation,
-        covariance=np.array(after),
-    )
+def layers_of(blobs: Blobs, outliers: float, strength: float, ghost_evidence: float) -> LayerSheet:
+    """Blobs, front to back, as layers; a ghost says that there is no object where it is, nor beside it."""
+    known, table = blobs.table, np.empty(len(blobs), LAYER)
+    table["top"], table["left"] = np.floor(known["position"] + 0.5).T
+    for name in ("rows", "columns", "start", "coloured", "spread"):
+        table[name] = known[name]
+    table["log_ratio"] = log_density_ratio(blobs.channels, known["spread"])
+    table["outliers"], table["strength"] = outliers, strength
+    table["ghost"] = blobs.ghost_evidence >= ghost_evidence
+    masks = blobs.masks
+    for k in np.flatnonzero(table["ghost"]).tolist():
+        shape = _around(blobs[k].mask)
+        table["start"][k] = len(masks)
+        masks = np.concatenate([masks, shape.reshape(-1)])
+    return LayerSheet(table, Pools(masks, blobs.colours), blobs.channels)
+
+
+def _around(mask: Map) -> Map:
+    return np.asarray(cv2.dilate((mask > 0.25).astype(np.float32), np.ones((5, 5), np.uint8)), np.float32)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
 from ..numerics.threads import over_bands
+from .gaussian import fixed_point
 from .kernels.gaussian import HIGHEST_NOISE, HIGHEST_VARIANCE, LOWEST_NOISE, LOWEST_VARIANCE
 from .kernels.modes import Modes, find_modes
 from .light import LightField
@@ -58,9 +59,8 @@ class EmptyScene:
 
     def known_to(self, state: State) -> State:
         """The state of a background, a dataclass with these fields, that knows the scene."""
-        return replace(  # type: ignore[type-var]
-            state, mean=self.mean, variance=self.variance, noise=self.noise, light=self.light
-        )
+        pixels = fixed_point(self.mean, self.variance, self.noise)
+        return replace(state, **pixels._asdict(), light=self.light)  # type: ignore[type-var]
 
 
 def empty_scene(

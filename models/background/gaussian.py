@@ -5,6 +5,7 @@ something does. Comparing an image with that prediction is the one pass over all
 result (log odds of "background", and the mean and variances that would follow) is kept with the prediction.
 """
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
@@ -16,22 +17,34 @@ from ..core.short_repr import short_repr
 from ..numerics.threads import over_bands
 from . import colour
 from .kernels.gaussian import (
+    COARSE_STEPS,
     HIGHEST_VARIANCE,
-    KNOWN,
+    LOWEST_NOISE,
+    MEAN_STEPS,
+    NOISE_STEPS,
     ODDS_STEPS,
+    ROUNDING,
+    ROUNDING_PERIOD,
+    VARIANCE_STEPS,
+    Certain,
     Gaussians,
     PixelModel,
-    SecondColours,
+    StoredPlanes,
     log_evidence,
-    recall,
     smooth_log_odds,
-    subtract_colour,
-    subtract_grey,
 )
-from .kernels.sway import LEAST_RATE, Sway, recall_moved
+from .kernels.second_colours import SecondColours
+from .kernels.subtraction import Pooling, subtract
+from .kernels.sway import Sway
 from .light import LightField
 
 Planes = NDArray[np.float32]
+
+CERTAIN = 6.0
+"""Nats: the bound of the log odds of a pixel by itself."""
+
+CHORDS = (LOWEST_NOISE, 100.0, 1000.0)
+"""Squared grey levels of variance, between which the bound of `Certain` is made of straight lines."""
 
 
 @short_repr
@@ -60,8 +73,8 @@ class BackgroundFactor(Protocol):
         ...
 
     @property
-    def mean(self) -> Planes:
-        """`(channels, n_pixels)` float32, the scene's usual colours in the planes of `colour`."""
+    def colours(self) -> StoredPlanes:
+        """What the scene usually shows."""
         ...
 
     @property
@@ -92,6 +105,8 @@ class BackgroundPrediction:
         `(height, width)` px.
     pixels
         before this frame; the mean in the planes of `colour`.
+    frames
+        seen before this one.
     light
         of this frame.
     prior
@@ -116,6 +131,7 @@ class BackgroundPrediction:
 
     size: tuple[int, int]
     pixels: Gaussians
+    frames: int
     light: LightField
     prior: float
     drift: float
@@ -130,9 +146,9 @@ class BackgroundPrediction:
     _updates: dict[int, Gaussians] = field(default_factory=dict)
 
     @property
-    def mean(self) -> Planes:
-        """`(channels, n_pixels)` float32."""
-        return self.pixels.mean
+    def colours(self) -> StoredPlanes:
+        """Means of all pixels."""
+        return stored_planes(self.pixels.mean, self.size)
 
     @property
     def channels(self) -> int:
@@ -151,6 +167,11 @@ class BackgroundPrediction:
             self.unknown_variance,
         )
         return PixelModel(*map(np.float32, numbers))
+
+    @cached_property
+    def rounding(self) -> Planes:
+        """What the update's numbers are rounded by (see `rounding_of`)."""
+        return rounding_of(self.size[1], self.frames)
 
     def compare(self, image: NDArray[np.uint8]) -> Subtraction:
         """Compare an image with the prediction; the same image only once."""
@@ -180,26 +201,72 @@ class BackgroundPrediction:
         return float(total + uniform * self.size[0] * self.size[1])
 
     def _subtract(self, image: NDArray[np.uint8]) -> tuple[Subtraction, Gaussians]:
-        height, width = self.size
-        after = Gaussians(*(np.empty(before.shape, np.float32) for before in self.pixels))
-        log_odds = np.empty((height * width,), np.int8)
+        mean, variance, noise = self.pixels
+        after = Gaussians(np.empty_like(mean), np.empty_like(variance), np.empty_like(noise))
+        log_odds, smoothed = np.empty((2, self.size[0] * self.size[1]), np.int8)
         flat = np.ascontiguousarray(image).reshape(-1)
-        kernel = subtract_colour if self.channels == 3 else subtract_grey
-        light, model, tolerance = self.light.along_rows, self.model, np.float32(self.tolerance)
-        sways = self.sway.rates.max() >= LEAST_RATE
+        light, hypotheses = self.light.along_rows, (self.second, np.float32(self.tolerance), self.sway)
+        models = self.model, certain_model(self.model, self.channels)
+        pooling = Pooling(_prior_steps(self.prior), np.float32(self.pooling))
 
-        def subtract(first: int, end: int) -> None:
-            kernel(first, end, flat, self.pixels, light, model, after, log_odds)
-            recall(first * width, end * width, flat, self.second, tolerance, model, log_odds)
-            if sways:
-                recall_moved(first, end, flat, self.pixels, light, model, self.sway, log_odds)
+        def work(first: int, end: int) -> None:
+            subtract(
+                first, end, flat, self.pixels, light, models, self.rounding, hypotheses, pooling,
+                after, log_odds, smoothed,
+            )  # fmt: skip
 
-        over_bands(subtract, height)
-        smoothed = smooth(log_odds, self.size, self.prior, self.pooling)
-        if self.pixels.variance.max() > HIGHEST_VARIANCE:
-            # neighbours tell nothing of a value that nobody knows
-            smoothed[self.pixels.variance > HIGHEST_VARIANCE] = np.int8(model.label_odds * ODDS_STEPS)
+        over_bands(work, self.size[0])
         return Subtraction(log_odds, smoothed), after
+
+
+def fixed_point(mean: Planes, variance: Planes, noise: Planes) -> Gaussians:
+    """The nearest numbers of 16 bits.
+
+    Parameters
+    ----------
+    mean
+        `(channels, n_pixels)` grey levels.
+    variance, noise
+        `(n_pixels,)` squared grey levels.
+    """
+    beyond = HIGHEST_VARIANCE * (VARIANCE_STEPS - COARSE_STEPS)
+    variances = np.minimum(variance * VARIANCE_STEPS, variance * COARSE_STEPS + beyond)
+    return Gaussians(
+        np.rint(mean * MEAN_STEPS).clip(-32768, 32767).astype(np.int16),
+        np.rint(variances).clip(0, 65535).astype(np.uint16),
+        np.rint(noise * NOISE_STEPS).clip(0, 65535).astype(np.uint16),
+    )
+
+
+def stored_planes(mean: NDArray[np.int16], size: tuple[int, int]) -> StoredPlanes:
+    """Means `(channels, n_pixels)` of 16 bits as planes of a picture of this size."""
+    return StoredPlanes(mean.reshape(-1, *size), np.float32(1 / MEAN_STEPS))
+
+
+def rounding_of(width: int, frames: int) -> Planes:
+    """What the numbers of a frame are rounded by: `(width + ROUNDING_PERIOD,)` float32, with `ROUNDING`.
+
+    Over the frames each pixel has all numbers from 0 to 1 equally often, evenly mixed (the additive
+    recurrence of Roberts' plastic number), and so have neighbours in each frame.
+    """
+    along = np.arange(width + ROUNDING_PERIOD) * 0.7548776662466927 + frames * 0.5698402909980532
+    steps = np.floor(along % 1 * 128)  # as fine as float32 is beside `ROUNDING`
+    return (steps / 128 + ROUNDING).astype(np.float32)
+
+
+def certain_model(model: PixelModel, channels: int) -> Certain:
+    """What pixels need of the model that show background for sure."""
+    most = 2 * (float(model.log_prior_odds) - CERTAIN)
+    bounds = [total * (most - channels * math.log(total)) for total in CHORDS]
+    slopes = [(bounds[k + 1] - bounds[k]) / (CHORDS[k + 1] - CHORDS[k]) for k in (0, 1)]
+    lines = [(VARIANCE_STEPS / channels * (bounds[1] - a * CHORDS[1]), a / channels) for a in slopes]
+    weight = 1 / (1 + math.exp(-CERTAIN))
+    numbers = (
+        *lines[0], *lines[1], CHORDS[2] * VARIANCE_STEPS, model.drift * VARIANCE_STEPS,
+        weight, weight * (1 - weight), weight * MEAN_STEPS,
+        weight * model.noise_share * NOISE_STEPS / VARIANCE_STEPS,
+    )  # fmt: skip
+    return Certain(*(np.float32(number) for number in numbers))
 
 
 def log_prior_odds(prior: float, channels: int) -> float:
@@ -217,31 +284,14 @@ def smooth(log_odds: NDArray[np.int8], size: tuple[int, int], prior: float, shar
     """Give log odds with `share` of what the 5 x 5 pixels around show, both `(n_pixels,)` int8."""
     height, width = size
     smoothed: NDArray[np.int8] = np.empty(log_odds.shape, np.int8)
-    prior_steps = np.int16(round(ODDS_STEPS * float(np.log(prior) - np.log1p(-prior))))
     over_bands(
         lambda first, end: smooth_log_odds(
-            first, end, height, width, log_odds, prior_steps, np.float32(share), smoothed
+            first, end, height, width, log_odds, _prior_steps(prior), np.float32(share), smoothed
         ),
         height,
     )
     return smoothed
 
 
-def keep_old_colours(
-    old: Gaussians, light: LightField, revealed: NDArray[np.bool_], second: SecondColours
-) -> None:
-    """What a pixel showed before something else was `revealed` `(n_pixels,)` there stays its second colour.
-
-    It is known at once, so that it is background again at once if the verdict was wrong; and it wears off as
-    any second colour does once something else lasts there.
-    """
-    (pixels,) = np.nonzero(revealed)
-    if not len(pixels):
-        return
-    channels, (row, column) = len(old.mean), np.divmod(pixels, light.size[1])
-    rows, position = light.along_rows
-    above = position[row].astype(np.intp)
-    glow = rows[above, column] + (position[row] - above) * (rows[above + 1, column] - rows[above, column])
-    shown = np.clip(np.rint(colour.to_pixels(channels) @ (glow * old.mean[:, pixels])), 0, 255)
-    second.colours.reshape(-1, channels)[pixels] = shown.T
-    second.seen[pixels] = KNOWN
+def _prior_steps(prior: float) -> np.int16:
+    return np.int16(round(ODDS_STEPS * float(np.log(prior) - np.log1p(-prior))))

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..core.short_repr import short_repr
 from . import colour
-from .kernels.layers import Sprite, compose_layer, shift_of
+from .kernels.layers import LAYER, Composition, Pools, apart, compose, shift_of
 
 Map = NDArray[np.float32]
 PixelBox = tuple[int, int, int, int]
@@ -65,21 +65,19 @@ class Layer:
             )
 
     @property
-    def box(self) -> PixelBox:
-        """Top, left, bottom, right (exclusive) px."""
-        height, width = self.mask.shape
-        return self.top, self.left, self.top + height, self.left + width
-
-    @property
-    def log_density_ratio(self) -> float:
+    def log_ratio(self) -> float:
         """Log of N(I; I, spread) over the uniform density of colours."""
-        return 0.0 if self.appearance is None else log_density_ratio(self.appearance.shape[0], self.spread)
+        return 0.0 if self.appearance is None else float(log_density_ratio(len(self.appearance), self.spread))
 
 
-def log_density_ratio(channels: int, spread: float) -> float:
-    """Log of N(I; I, spread) over the uniform density of colours."""
-    density = -0.5 * channels * np.log(2 * np.pi * spread) + np.log(colour.VOLUME[channels])
-    return float(density + channels * np.log(256.0))
+def log_uniform(channels: int) -> float:
+    """Minus the log of the uniform density of colours, in their planes."""
+    return float(np.log(colour.VOLUME[channels]) + channels * np.log(256.0))
+
+
+def log_density_ratio(channels: int, spread: ArrayLike) -> NDArray[np.float64]:
+    """Log of N(I; I, spread) over the uniform density of colours, in the shape of `spread`."""
+    return np.asarray(log_uniform(channels) - 0.5 * channels * np.log(2 * np.pi * np.asarray(spread)))
 
 
 @short_repr
@@ -118,6 +116,79 @@ class Region:
 
 
 @short_repr
+@dataclass(frozen=True, eq=False)
+class LayerSheet(Sequence[Layer]):
+    """Layers of one chain, front to back, with all their pixels in one array.
+
+    Parameters
+    ----------
+    table
+        `(n,)` records of type `LAYER`.
+    pools
+        their masks and colours.
+    channels
+        of the colours.
+    """
+
+    table: NDArray[np.void]
+    pools: Pools
+    channels: int
+
+    @classmethod
+    def of(cls, layers: Sequence[Layer]) -> Self:
+        """The same of layers that are on their own.
+
+        Raises
+        ------
+        TypeError
+            if they are no layers.
+        """
+        if not (isinstance(layers, Sequence) and all(isinstance(layer, Layer) for layer in layers)):
+            raise TypeError(f"layers: got {layers!r}, expected a list of Layer(...)")
+        known = [0 if layer.appearance is None else len(layer.appearance) for layer in layers]
+        channels = max(known, default=0)
+        table = np.zeros(len(layers), LAYER)
+        sizes = [layer.mask.size for layer in layers]
+        starts = np.cumsum([0, *sizes])
+        masks = np.empty(starts[-1], np.float32)
+        colours = np.empty(channels * starts[-1], np.float32)
+        for layer, record, start, size in zip(layers, table, starts.tolist(), sizes, strict=False):
+            masks[start : start + size] = layer.mask.reshape(-1)
+            if layer.appearance is not None:
+                colours[channels * start : channels * (start + size)] = layer.appearance.reshape(-1)
+            for name in ("top", "left", "spread", "log_ratio", "outliers", "strength", "ghost"):
+                record[name] = getattr(layer, name)
+            record["rows"], record["columns"] = layer.mask.shape
+            record["start"], record["coloured"] = start, layer.appearance is not None
+        return cls(table, Pools(masks, colours), channels)
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @overload
+    def __getitem__(self, index: int, /) -> Layer: ...
+    @overload
+    def __getitem__(self, index: slice, /) -> Sequence[Layer]: ...
+    def __getitem__(self, index: int | slice, /) -> Layer | Sequence[Layer]:
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        record = self.table[index]
+        shape, start = (int(record["rows"]), int(record["columns"])), int(record["start"])
+        end = start + shape[0] * shape[1]
+        colours = self.pools.colours[self.channels * start : self.channels * end]
+        return Layer(
+            int(record["top"]),
+            int(record["left"]),
+            self.pools.masks[start:end].reshape(shape),
+            colours.reshape(self.channels, *shape) if record["coloured"] else None,
+            float(record["spread"]),
+            float(record["outliers"]),
+            float(record["strength"]),
+            bool(record["ghost"]),
+        )
+
+
+@short_repr
 class LayerStack:
     """Layers of one chain, front to back, and what they say together of an image.
 
@@ -136,11 +207,10 @@ class LayerStack:
     """
 
     def __init__(self, *layers: Sequence[Layer]) -> None:
-        for factor in layers:
-            if not (isinstance(factor, Sequence) and all(isinstance(layer, Layer) for layer in factor)):
-                raise TypeError(f"layers: got {factor!r}, expected a list of Layer(...)")
-        self.factors = tuple(tuple(factor) for factor in layers if factor)
-        self._regions: dict[tuple[int, tuple[int, int]], tuple[Any, tuple[Region, ...]]] = {}
+        sheets = (factor if isinstance(factor, LayerSheet) else LayerSheet.of(factor) for factor in layers)
+        self.factors = tuple(sheet for sheet in sheets if len(sheet))
+        self._composed: dict[tuple[int, tuple[int, int]], tuple[Any, Composition]] = {}
+        self._regions: dict[tuple[int, tuple[int, int]], tuple[Region, ...]] = {}
 
     @property
     def layers(self) -> tuple[Layer, ...]:
@@ -155,85 +225,59 @@ class LayerStack:
             return self if self.factors else other
         return LayerStack(*self.factors, *other.factors)
 
-    def regions(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> tuple[Region, ...]:
+    def composition(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> Composition:
         """The layers, composed, in boxes that are apart; `size` of the picture is `(height, width)`."""
         if not len(self):
-            return ()  # and nothing is remembered: the stack without layers lives as long as the program
+            return NOTHING  # and nothing is remembered: the stack without layers lives as long as the program
         key = (id(image), size)
-        if key not in self._regions:
-            self._regions[key] = (image, tuple(self._compose(image, size)))
-        return self._regions[key][1]
+        if key not in self._composed:
+            self._composed[key] = (image, self._compose(image, size))
+        return self._composed[key][1]
 
-    def _compose(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> Iterator[Region]:
-        numbered = [(layer, k) for k, factor in enumerate(self.factors) for layer in factor]
-        placed = [(layer, k) for layer, k in numbered if _inside(layer, size)]
-        for box, members in _apart([layer.box for layer, _ in placed]):
-            top, left = max(box[0], 0), max(box[1], 0)
-            region = empty_region(top, left, min(box[2], size[0]) - top, min(box[3], size[1]) - left)
-            patch = None if image is None else colour.patch(image, *region.box)
-            group = [placed[k] for k in members]
-            for factor in dict.fromkeys(factor for _, factor in group):
-                part = region if factor == group[0][1] else empty_region(*region.box)
-                for layer, its_factor in group:
-                    if its_factor == factor:
-                        add_layer(part, layer, patch)
-                if part is not region:
-                    np.multiply(region.clear, part.clear, out=region.clear)
-                    np.multiply(region.explained, part.explained, out=region.explained)
-            shift_of(region.clear, region.explained, region.shift)
-            yield region
+    def regions(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> tuple[Region, ...]:
+        """The same as maps of two dimensions."""
+        composed, key = self.composition(image, size), (id(image), size)
+        if key not in self._regions and len(self):
+            self._regions[key] = tuple(_regions(composed))
+        return self._regions.get(key, ())
+
+    def _compose(self, image: NDArray[np.uint8] | None, size: tuple[int, int]) -> Composition:
+        tables = [sheet.table for sheet in self.factors]
+        table = tables[0] if len(tables) == 1 else np.concatenate(tables)
+        frames, members = np.empty((len(table), 4), np.int64), np.empty(len(table), np.int64)
+        boxes = frames[: apart(table, size, frames, members)]
+        boxes[:, 2:] -= boxes[:, :2]
+        ends = np.cumsum(boxes[:, 2] * boxes[:, 3])
+        starts, total = ends - boxes[:, 2] * boxes[:, 3], int(ends[-1]) if len(ends) else 0
+        maps = np.empty((3, total), np.float32)
+        maps[:2] = 1
+        clear, explained, shift = maps
+        pixels = np.zeros((0, 0, 0), np.uint8) if image is None else np.ascontiguousarray(image)
+        pixels = pixels if pixels.ndim == 3 else pixels[:, :, None]
+        row = np.empty(table["columns"].max(initial=0), np.float32)
+        first = 0
+        for sheet in self.factors:
+            its_members = members[first : first + len(sheet)]
+            into = (clear, explained) if first == 0 else np.ones((2, total), np.float32)
+            compose(sheet.table, sheet.pools, its_members, pixels, boxes, starts, *into, row)
+            if first > 0:
+                clear *= into[0]
+                explained *= into[1]
+            first += len(sheet)
+        shift_of(clear, explained, shift)
+        return Composition(boxes, starts, clear, explained, shift)
 
 
 NO_LAYERS = LayerStack()
 
-
-def empty_region(top: int, left: int, height: int, width: int) -> Region:
-    """A region in which no layer has spoken yet."""
-    maps = np.ones((3, height, width), np.float32)
-    return Region(top, left, maps[0], maps[1], maps[2])
+NOTHING = Composition(np.zeros((0, 4), np.int64), np.zeros(0, np.int64), *np.zeros((3, 0), np.float32))
+"""What no layers say."""
 
 
-def add_layer(region: Region, layer: Layer, patch: Map | None) -> None:
-    """Put a layer behind those that the region holds already.
-
-    `patch` `(channels, height, width)` are the image's planes in the region, `None` if there is no image.
-    """
-    appearance, log_ratio = layer.appearance, layer.log_density_ratio
-    if patch is None or appearance is None:  # any colour: densities integrate to 1
-        appearance, log_ratio = np.zeros((0, *layer.mask.shape), np.float32), 0.0
-        patch = np.zeros((0, *region.clear.shape), np.float32)
-    numbers = (np.float32(value) for value in (0.5 / layer.spread, log_ratio, layer.outliers))
-    compose_layer(
-        region.clear, region.explained, patch, layer.top - region.top, layer.left - region.left,
-        Sprite(layer.mask, appearance, *numbers), np.float32(layer.strength), layer.ghost,
-    )  # fmt: skip
-
-
-def _inside(layer: Layer, size: tuple[int, int]) -> bool:
-    top, left, bottom, right = layer.box
-    return top < size[0] and left < size[1] and bottom > 0 and right > 0
-
-
-def _apart(boxes: Sequence[PixelBox]) -> list[tuple[PixelBox, list[int]]]:
-    """Boxes that overlap, or whose common frame overlaps others, in one frame; frames do not overlap.
-
-    Gives every frame (top, left, bottom, right) with the numbers of the boxes in it, in order.
-    """
-    groups: list[tuple[PixelBox, list[int]]] = []
-    for k, frame in enumerate(boxes):
-        members = [k]
-        while True:
-            touched = next((group for group in groups if _overlap(group[0], frame)), None)
-            if touched is None:
-                break
-            groups.remove(touched)
-            other, its_members = touched
-            first, last = np.minimum(frame[:2], other[:2]).tolist(), np.maximum(frame[2:], other[2:]).tolist()
-            frame = (*first, *last)
-            members += its_members
-        groups.append((frame, sorted(members)))
-    return groups
-
-
-def _overlap(a: PixelBox, b: PixelBox) -> bool:
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+def _regions(composed: Composition) -> Iterator[Region]:
+    for (top, left, rows, columns), start in zip(
+        composed.boxes.tolist(), composed.starts.tolist(), strict=True
+    ):
+        pixels = slice(start, start + rows * columns)
+        maps = (values[pixels].reshape(rows, columns) for values in composed[2:])
+        yield Region(top, left, *maps)

@@ -3,15 +3,13 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
 from .kernels.gaussian import Light
-from .kernels.light import interpolate, light_ratios
+from .kernels.light import Following, follow, interpolate, light_ratios, share_covered
 
 Planes = NDArray[np.float32]
 
@@ -37,6 +35,9 @@ SAME_LIGHT = 0.05
 
 HIDDEN_TIME = 1.0
 """s in which the light of a block that is not seen, or disagrees, becomes that of the blocks around it."""
+
+SAMPLED = 4
+"""px between those of which the covered share of a block is counted."""
 
 WINDOW_WEIGHT, OWN_WEIGHT = 1.0, 0.05
 """In blocks: what the next wider window counts in a window, and what all of them count in a block itself."""
@@ -65,9 +66,8 @@ class LightField:
         There is one more block on every side, as the slope of the logarithm goes on.
         """
         left, share = _neighbours(self.size[1], self.blocks.shape[1])
-        blocks = np.exp(_beyond(np.log(self.blocks))).clip(DARKEST, BRIGHTEST)
-        rows: Planes = np.empty((len(blocks), self.size[1]), np.float32)
-        interpolate(blocks, left, share, rows)
+        rows: Planes = np.empty((len(self.blocks) + 2, self.size[1]), np.float32)
+        interpolate(self.blocks, left, share, DARKEST, BRIGHTEST, rows)
         return Light(rows, _positions(self.size[0], self.blocks.shape[0]))
 
 
@@ -86,7 +86,7 @@ def _neighbours(n_pixels: int, n_blocks: int) -> tuple[NDArray[np.intp], Planes]
 
 
 def followed(
-    before: LightField, image: NDArray[np.uint8], mean: Planes, covered: Planes, elapsed: float
+    before: LightField, image: NDArray[np.uint8], mean: NDArray[np.int16], covered: Planes, elapsed: float
 ) -> LightField:
     """Light of a frame: smooth, and moved only by what most of a neighbourhood agrees on.
 
@@ -102,7 +102,7 @@ def followed(
     image
         uint8 `(height, width[, 3])`.
     mean
-        `(channels, n_pixels)` float32, the empty scene.
+        `(channels, n_pixels)` int16, the empty scene (see `Gaussians`).
     covered
         `(block_rows, block_columns)` share of the block behind known objects.
     elapsed
@@ -111,45 +111,14 @@ def followed(
     ratios, agreement, texture = (np.empty_like(before.blocks) for _ in range(3))
     flat = np.ascontiguousarray(image).reshape(-1)
     light_ratios(flat, mean, before.along_rows, ratios, agreement, texture)
-    weight = np.where(agreement > LEAST_AGREEMENT, agreement, 0.0) * _seen(covered, texture)
-    own, change = np.log(before.blocks), np.log(ratios)
-    smooth = _inside(cv2.medianBlur(_beyond(_filled(change, weight)), 3))
-    smooth = _inside(cv2.GaussianBlur(_beyond(smooth), (3, 3), 0))  # 1 2 1: errors of no wavelength grow
-    trust = weight * (np.abs(change - smooth) < SAME_LIGHT)
-    follow = np.where(np.abs(smooth) > STEADY_LIGHT, 1.0, -math.expm1(-elapsed / LIGHT_TIME))
-    after = own + np.clip(follow * smooth, -FASTEST_LIGHT * elapsed, FASTEST_LIGHT * elapsed)
-    after += (1 - trust) * -math.expm1(-elapsed / HIDDEN_TIME) * (_filled(after, trust) - after)
-    blocks: Planes = np.clip(np.exp(after), DARKEST, BRIGHTEST).astype(np.float32)
+    rule = Following(
+        FASTEST_LIGHT * elapsed, STEADY_LIGHT, -math.expm1(-elapsed / LIGHT_TIME),
+        -math.expm1(-elapsed / HIDDEN_TIME), SAME_LIGHT, LEAST_AGREEMENT, UNSEEN, WINDOW_WEIGHT, OWN_WEIGHT,
+        DARKEST, BRIGHTEST,
+    )  # fmt: skip
+    blocks: Planes = np.empty_like(before.blocks)
+    follow(before.blocks, ratios, agreement, texture, covered, rule, blocks)
     return LightField(blocks, before.size)
-
-
-def _seen(covered: Planes, texture: Planes) -> NDArray[np.float64]:
-    """Probability that a block shows the empty scene: by what is known to be there, and by its texture."""
-    clear = np.clip(1 - 2 * covered.astype(np.float64), 0, 1) ** 2  # the median is that of the larger half
-    clear = np.clip(clear, UNSEEN, 1 - UNSEEN)
-    odds: NDArray[np.float64] = np.log(clear) - np.log1p(-clear) + texture
-    return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
-
-
-def _filled(values: NDArray[Any], weight: NDArray[Any]) -> Planes:
-    """Normalised convolution over narrowing windows: where the weight is small, what is around counts."""
-    sums = np.dstack([values * weight, weight]).astype(np.float32)
-    filled = np.full(weight.shape, sums[..., 0].sum() / (sums[..., 1].sum() + 1), np.float32)
-    sides = [2 ** (k + 1) + 1 for k in range(math.ceil(math.log2(max(weight.shape))))]
-    for side in (*reversed(sides), 1):
-        window = cv2.boxFilter(sums, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
-        wider = np.float32(WINDOW_WEIGHT if side > 1 else OWN_WEIGHT)
-        filled = (window[..., 0] + wider * filled) / (window[..., 1] + wider)
-    return filled
-
-
-def _beyond(blocks: Planes) -> Planes:
-    """With one more block all around, as slopes go on: light at the border is no mean of that inside."""
-    return np.pad(blocks, 1, "reflect", reflect_type="odd")
-
-
-def _inside(blocks: NDArray[Any]) -> Planes:
-    return np.ascontiguousarray(blocks[1:-1, 1:-1])
 
 
 def light_grid(height: int, width: int) -> tuple[int, int]:
@@ -160,5 +129,8 @@ def light_grid(height: int, width: int) -> tuple[int, int]:
 
 def share_of_blocks(covered: NDArray[np.uint8], grid: tuple[int, ...]) -> Planes:
     """Share of every block of light that is covered: `(height, width)` uint8, 255 where it is."""
-    share = cv2.resize(covered[::4, ::4], grid[::-1], interpolation=cv2.INTER_AREA)
-    return share.astype(np.float32) / np.float32(255)
+    shares: Planes = np.zeros(grid, np.float32)
+    share_covered(
+        covered, min(SAMPLED, *(max(n // m, 1) for n, m in zip(covered.shape, grid, strict=True))), shares
+    )
+    return shares

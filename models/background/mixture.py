@@ -9,6 +9,7 @@ from ..core.short_repr import short_repr
 from ..numerics.threads import over_bands
 from . import colour
 from .gaussian import Subtraction, log_prior_odds, smooth
+from .kernels.gaussian import StoredPlanes
 from .kernels.mixture import Mixture, learn_mixture, mixture_log_evidence, subtract_mixture
 
 Planes = NDArray[np.float32]
@@ -49,10 +50,9 @@ class MixturePrediction:
     _compared: dict[int, tuple[NDArray[np.uint8], Planes, Subtraction]] = field(default_factory=dict)
 
     @property
-    def mean(self) -> Planes:
-        """`(channels, n_pixels)` float32: of each pixel's most probable component."""
-        mean: Planes = self.mixture.means[0]
-        return mean
+    def colours(self) -> StoredPlanes:
+        """Means of each pixel's most probable component."""
+        return StoredPlanes(self.mixture.means[0].reshape(-1, *self.size), np.float32(1))
 
     def compare(self, image: NDArray[np.uint8]) -> Subtraction:
         """Compare an image with the prediction; the same image only once."""

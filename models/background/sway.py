@@ -2,12 +2,11 @@
 
 import math
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from .kernels.gaussian import Gaussians, Light
-from .kernels.sway import Sway, count_moved
+from .kernels.sway import Sway, count_moved, learn_rates
 
 REACH = 0.01
 """Share of the picture's longer side within which leaves sway."""
@@ -32,6 +31,7 @@ def learned_rates(
     image: NDArray[np.uint8],
     before: Gaussians,
     light: Light,
+    log_odds: NDArray[np.int8],
     covered: NDArray[np.uint8],
     times: tuple[float, float],
 ) -> NDArray[np.float32]:
@@ -43,17 +43,15 @@ def learned_rates(
         predicted.
     image
         uint8 `(height, width[, 3])`.
+    log_odds
+        `(n_pixels,)` int8, of each pixel by itself.
     times
         s for which the scene has been seen, and s since the frame before.
     """
     counts = np.empty((*sway.rates.shape, 4), np.float32)
-    count_moved(np.ascontiguousarray(image).reshape(-1), before, light, covered, sway.reach, counts)
+    count_moved(np.ascontiguousarray(image).reshape(-1), before, light, log_odds, covered, sway.reach, counts)
     age, elapsed = times
     share = 1 - math.exp(-elapsed / (min(age, SWAY_TIME) + FIRST_TIME))
-    around = 9 * cv2.blur(counts, (3, 3), borderType=cv2.BORDER_REPLICATE)
-    seen, moved, brighter, changed = np.moveaxis(around, -1, 0)
-    # leaves change places, some get brighter and some darker; a shade and a person change all one way
-    moved = moved * (1 - np.abs(brighter) / np.maximum(changed, 1e-6))
-    now = moved / np.maximum(seen, 1)
-    rates = sway.rates + np.where(seen > LEAST_SEEN, share, 0) * (now - sway.rates)
-    return np.asarray(rates, np.float32)
+    rates: NDArray[np.float32] = np.empty_like(sway.rates)
+    learn_rates(counts, sway.rates, np.float32(share), LEAST_SEEN, rates)
+    return rates

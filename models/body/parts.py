@@ -1,8 +1,9 @@
 """Where head and hands are in a picture: the feature node on which body trackers meet."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from functools import partial
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -13,13 +14,14 @@ from ..core.frame import BoundingBox, Frame
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
+from ..numerics.threads import side_by_side
 from .image_features import BodyImage, edge_distances
 from .keypoints import SeenKeypoints
 from .part_message import PartMessage
 from .person.bare_arms import bare_probability, hand_area
 from .person.clothes import ClothesColour
 from .person.faces import OtherFaces, face_at, largest_face, one_person
-from .skin.colour import HIGHEST, SkinColour
+from .skin.colour import HIGHEST, SkinColour, smoothed
 from .skin.static import static_skin
 from .skin_blobs import SkinBlobs, skin_blobs
 from .upper_body import PARTS
@@ -50,6 +52,13 @@ HEAD_BLOB = 0.42
 
 KNOWN = 0.35
 """Of the head's height: where chains know its place better than this, they show where it is."""
+
+SOUGHT = 1.25
+"""Head heights to each side of a head whose place is known: there its face is sought first."""
+
+ANYWHERE = 5
+"""Of so many frames, faces are sought in the whole picture in one, wherever the head is taken to be: chains
+that follow something else see the person again."""
 
 FACE_FOUND, FALSE_FACES = 0.8, 0.05
 """Chance that a face is detected, and number of false detections in an image."""
@@ -190,8 +199,14 @@ class BodyParts:
         if image is None:
             return self.uniform()
         height = self.head_height
-        skin = None if self.skin is None else self.skin.log_odds(image)
-        faces = np.zeros((0, 4)) if self.detector is None else self.detector(frame)
+        colours = None if self.skin is None else smoothed(image)
+        skin = None if self.skin is None or colours is None else self.skin.log_odds_of(colours)
+        works: list[Callable[[], Any]] = [
+            partial(self._faces, frame, prior),
+            partial(edge_distances, image, EDGE_REACH * height),
+            partial(self._arms, colours, skin),
+        ]
+        faces, (edges, directions), arms = side_by_side(works)
         centres = faces[:, :2] + faces[:, 2:] * (0.5, CENTRE_OF_BOX)
         if skin is not None:
             centres = _recentred(centres, skin, height)
@@ -225,7 +240,6 @@ class BodyParts:
             [lost_head, lost_hand, lost_hand],
             [len(numbers) + np.arange(len(heads.means)), numbers, numbers],
         )
-        edges, directions = edge_distances(image, EDGE_REACH * height)
         points = None
         if frame.keypoints is not None:
             points = SeenKeypoints.of(frame.keypoints, self._heads(centres, prior, image.shape), height)
@@ -241,7 +255,7 @@ class BodyParts:
             mixtures,
             points,
             self.bare,
-            self._arms(image, skin),
+            arms,
         )
         return PartMessage(self.uniform().stacked, seen)
 
@@ -252,6 +266,30 @@ class BodyParts:
         for mean, covariance, colour in zip(*moments, COLOURS, strict=True):
             draw_region(picture, mean, covariance, colour)
 
+    def _faces(self, frame: Frame, prior: PartMessage) -> Array:
+        """`(k, 4)` px: boxes of faces, largest first.
+
+        A cascade looks at every place of a picture, so it is shown that about the head at first, if the
+        chains know where that is, and the whole picture if there is no face in it.
+        """
+        image = frame.image
+        if self.detector is None or image is None:
+            return np.zeros((0, 4))
+        if isinstance(self.detector, HaarFaces) and frame.number % ANYWHERE:
+            for x, y in self._known_head(prior, image.shape):
+                reach = SOUGHT * self.head_height
+                left, top, right, bottom = (
+                    int(max(end, 0)) for end in (x - reach, y - reach, x + reach, y + reach)
+                )
+                about = np.ascontiguousarray(image[top:bottom, left:right])
+                if min(about.shape[:2]) > self.head_height:
+                    found = self.detector(
+                        replace(frame, image=about, boxes=None, points=None, keypoints=None)
+                    )
+                    if len(found):
+                        return found + np.array([left, top, 0, 0])
+        return self.detector(frame)
+
     def _moving(self, skin: NDArray[np.float32], faces: Array) -> NDArray[np.float32]:
         """Skin less what is there all the time; but of faces none is lost, since heads move."""
         if self.static_skin is None or self.static_skin.shape != skin.shape:
@@ -261,10 +299,12 @@ class BodyParts:
             cv2.ellipse(still, ((x, y), (2 * across, 2 * down), 0.0), 0.0, cv2.FILLED)
         return np.asarray(np.maximum(skin - still, np.float32(-HIGHEST)))
 
-    def _arms(self, image: NDArray[np.uint8], skin: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-        if self.clothes is None or skin is None:
+    def _arms(
+        self, colours: NDArray[np.uint8] | None, skin: NDArray[np.float32] | None
+    ) -> NDArray[np.float32] | None:
+        if self.clothes is None or colours is None or skin is None:
             return None
-        return self.clothes.arm_map(image, self.head_height, skin, self.bare)
+        return self.clothes.arm_map(colours, self.head_height, skin, self.bare)
 
     def _heads(self, faces: Array, prior: PartMessage, shape: tuple[int, ...]) -> Array:
         """`(k, 2)` px: where the head is by what the chains know, or else by faces `(k, 2)`."""

@@ -23,7 +23,9 @@ OUTLINE_PARTS = (
 _COUNTS = {"head": 18, "torso": 24, "upper_arm": 12, "forearm": 12, "hand": 9}
 """Points of each part, so that they are about a quarter of a head apart."""
 
-N_POINTS = _COUNTS["head"] + _COUNTS["torso"] + 2 * (_COUNTS["upper_arm"] + _COUNTS["forearm"] + _COUNTS["hand"])
+N_POINTS = (
+    _COUNTS["head"] + _COUNTS["torso"] + 2 * (_COUNTS["upper_arm"] + _COUNTS["forearm"] + _COUNTS["hand"])
+)
 """Of a whole outline."""
 
 _HEAD_DEPTH = 0.85

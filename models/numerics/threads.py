@@ -1,17 +1,17 @@
 """Work that threads share: bands of rows, and pieces that do not wait for each other.
 
-It pays where kernels release the interpreter's lock.
+It pays where kernels release the interpreter's lock. OpenCV's own threads are another matter: most calls here are
+too short for them, so that it has one in all commands.
 """
 
 import itertools
 import os
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from itertools import pairwise
 from typing import TypeVar
-
-import cv2
 
 Result = TypeVar("Result")
 
@@ -21,12 +21,14 @@ _workers: dict[int, ThreadPoolExecutor] = {}
 
 def _before_fork() -> None:
     """Have OpenCV end its threads: one that held a lock would leave it locked in the child for ever."""
-    _settings["opencv"] = cv2.getNumThreads()
-    cv2.setNumThreads(1)
+    if (opencv := sys.modules.get("cv2")) is not None:
+        _settings["opencv"] = opencv.getNumThreads()
+        opencv.setNumThreads(1)
 
 
 def _after_fork() -> None:
-    cv2.setNumThreads(_settings["opencv"])
+    if (opencv := sys.modules.get("cv2")) is not None:
+        opencv.setNumThreads(_settings["opencv"])
 
 
 def _after_fork_in_child() -> None:
@@ -39,7 +41,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def set_threads(count: int) -> None:
-    """Use `count` threads in the kernels that work on bands of rows and in OpenCV; results do not change.
+    """Use `count` threads in the kernels that work on bands of rows; results do not change.
 
     With 1, all work stays in the caller's thread.
 
@@ -51,7 +53,6 @@ def set_threads(count: int) -> None:
     if count < 1:
         raise ValueError(f"threads: got {count}, expected 1 or more")
     _settings["threads"] = count
-    cv2.setNumThreads(count)
 
 
 def thread_count() -> int:
@@ -79,7 +80,8 @@ def side_by_side(works: Sequence[Callable[[], Result]]) -> list[Result]:
     if count == 1:
         return [work() for work in works]
     if count not in _workers:
-        _workers[count] = ThreadPoolExecutor(count - 1, thread_name_prefix="rsmcm-band")
+        # twice as many as work at a time: a piece of work that shares its own finds one that is free
+        _workers[count] = ThreadPoolExecutor(2 * count - 2, thread_name_prefix="rsmcm-band")
     waiting = dict(enumerate(works))
     turns = itertools.count()  # taking the next one is a single step, whichever thread does it
     results: dict[int, Result] = {}

@@ -29,6 +29,10 @@ ROUNDING = 0.5
 """Squared grey values by which residuals are off however well a patch fits."""
 
 
+LIGHT = Light((PIXEL_NOISE / np.array([LIGHTER, STRONGER, *[WARPED] * 4])) ** 2, SMOOTHED, ROUNDING)
+"""All of that, as the loops have it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Aligned:
     """Patches where they fit the picture best.
@@ -75,14 +79,14 @@ def align_patches(
     position = np.array(start, np.float64)
     expected = expected or Expected(position.copy(), np.zeros((len(position), 2, 2)))
     covariance, ncc = np.empty((len(position), 2, 2)), np.empty(len(position))
-    deviations = np.array([LIGHTER, STRONGER, *[WARPED] * 4])
-    light = Light((PIXEL_NOISE / deviations) ** 2, SMOOTHED, ROUNDING)
-    alignment_kernels.align_all(grey, patches, position, expected, light, farthest, covariance, ncc)
+    which = np.arange(len(position))
+    alignment_kernels.align_all(grey, patches, which, position, expected, LIGHT, farthest, covariance, ncc)
     return Aligned(position, covariance, ncc)
 
 
 def sample_patches(grey: NDArray[np.uint8], positions: Numbers, side: int) -> NDArray[np.float32]:
     """Grey values `(n, side, side)` about `positions`, `(n, 2)` px, by cubic interpolation."""
     patches = np.empty((len(positions), side, side), np.float32)
-    alignment_kernels.sample_all(grey, np.ascontiguousarray(positions, np.float64), patches)
+    places = np.ascontiguousarray(positions, np.float64)
+    alignment_kernels.sample_all(grey, places, np.arange(len(places)), patches)
     return patches

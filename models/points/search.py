@@ -3,10 +3,10 @@
 A patch of 5x5 pixels is easily found where it is not. Four things are asked of a place:
 
 - It is like the patch. The wider the window, the likelier something in it is so by chance. How likely was
-  counted on pairs of nine unrelated pictures, corners of one looked for in the other; see `least_ncc`.
+  counted on pairs of nine unrelated pictures, corners of one looked for in the other; see `kernels.search.least_ncc`.
 - It has no rival. Where a second place is nearly as like it, the prior decides between them, or nobody does.
 - It is no chance find, if the point was not there in the picture before, and may be hidden: what is there by
-  chance is one more rival; see `odds_over_chance`.
+  chance is one more rival; see `odds_over_chance` there.
 - It leads back. What is found is searched for in the picture before, in the same way, and is where the point
   was (the forward-backward check of Kalal, Mikolajczyk and Matas 2010).
 """
@@ -14,99 +14,20 @@ A patch of 5x5 pixels is easily found where it is not. Four things are asked of 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from .alignment import Aligned, align_patches, sample_patches
-from .kernels.alignment import Expected
-from .kernels.correlation import Candidates, Windows, best_places
+from .alignment import LIGHT
+from .kernels.alignment import Expected, align_all, sample_all
+from .kernels.correlation import LEAST_WEIGHT, Candidates, Windows, best_places
+from .kernels.search import DOUBT, GRID, NEAR, ODDS, REACH, WHOLE, Asked, Places, decide
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Grey = NDArray[np.uint8]
 Pixels = NDArray[np.float32]
 
-REACH = 3.0
-"""Standard deviations from where a point should be within which it is searched for."""
-
-GRID = 0.5
-"""px, standard deviation added to what is known of a position: places are compared pixel by pixel, and any
-hand that holds a camera soon moves it by half a pixel more than expected."""
-
-ODDS = 10.0
-"""By which a place must be likelier than its rival."""
-
-LEAST_WEIGHT = -1e30
-"""Log weight of where a patch cannot be."""
-
-DOUBT = 1.0
-"""By which the log weight of a place may be off before it is known to fractions of a pixel."""
-
-NEAR = 1.0
-"""px: places that are nearer to each other are one. So far may fractions of a pixel lead, and the way
-back."""
-
-WHOLE = 0.5
-"""px by which a place is off that is sought pixel by pixel."""
-
-LEAST_SPREAD, MOST_SPREAD = 0.05, 0.7
-"""px, standard deviation of a found position: the least there is, and from which on it is as good as not
-found. Of a lost point it is that given what is expected of it, too."""
-
-SHARPNESS, NCC_NOISE = 3.5, 0.02
-"""How -log(1 - correlation^2) grows into a log likelihood, and the noise that limits it."""
-
-
-LEAST_NCC = 0.5
-"""Normalised correlation from which on anything counts as like a patch."""
-
-UNLIKE = 0.045
-"""Mean of 1 - correlation of a point that is seen again after it was hidden, with its patch of before. Of
-2900 in a real film the correlation was 0.91, 0.96 and 0.975 in the quartiles."""
-
-
-def least_ncc(false_alarms: float, area: ArrayLike, side: int) -> Numbers:
-    """Normalised correlation that a share of `false_alarms` of windows without the point exceeds by chance.
-
-    The expected number of places that are at least so like a patch of `side` px in `area` px^2 is
-    0.24 (area / 1089)^0.56 (5 / side)^2.5 ((1 - ncc) / 0.1)^2.5: a fit to counts for sides from 5 to 11,
-    areas from 25 to 1089 and correlations from 0.8 to 0.95, right to a third. What else is
-    asked of a place leaves a third of these false alarms.
-    """
-    unlike = 0.1 * (-np.log(1 - false_alarms) / _at_ten_percent(area, side)) ** 0.4
-    least: Numbers = np.maximum(1 - unlike, LEAST_NCC)
-    return least
-
-
-def odds_over_chance(ncc: Numbers, square: Numbers, wide: Numbers, area: ArrayLike, side: int) -> Numbers:
-    """Log odds, `(n,)`, that a place shows the point, as against another one that is as like it by chance.
-
-    Of the point, 1 - ncc is exponential with mean `UNLIKE`, and the place is normal about where it should
-    be. Of what is there by chance 1 - ncc has the density of `least_ncc`'s count, and the place is any in the
-    window.
-
-    Parameters
-    ----------
-    ncc
-        `(n,)` of the likeliest place.
-    square
-        `(n,)` its squared distance from where the point should be, in units of `wide`.
-    wide
-        `(n, 2, 2)` px^2, covariance of that distance.
-    area
-        `(n,)` px^2 that were searched.
-    side
-        px, of the patches.
-    """
-    unlike = np.clip(1 - ncc, 1e-3, 1.0)
-    by_chance = 2.5 / unlike * _at_ten_percent(area, side) * (unlike / 0.1) ** 2.5
-    log_density = -0.5 * square - 0.5 * np.log(_determinants(wide)) - np.log(2 * np.pi)
-    odds: Numbers = -unlike / UNLIKE - np.log(UNLIKE * by_chance) + log_density + np.log(np.maximum(area, 1))
-    return odds
-
-
-def _at_ten_percent(area: ArrayLike, side: int) -> Numbers:
-    expected: Numbers = 0.24 * (np.maximum(area, 1) / 1089) ** 0.56 * (5 / side) ** 2.5
-    return expected
+LEAST_SPREAD = 0.05
+"""px, standard deviation of a found position: the least there is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,118 +93,62 @@ def find_points(
         the picture before. A point that it showed has to lead back there, any other one may be hidden: what
         is there by chance is one more rival of it. Without it neither is asked.
     """
-    side = patches.shape[1]
-    around = covariance + GRID**2 * np.eye(2)
-    places = likeliest_places(grey, patches, mean, covariance, farthest)
-    position, spread, ncc, weight, second = _aligned(grey, patches, mean, around, places)
-    area = np.minimum(np.pi * REACH**2 * np.sqrt(_determinants(around)), (2 * farthest + 1) ** 2)
-    seen = (weight > LEAST_WEIGHT) & (second < weight - np.log(ODDS))
-    seen &= ncc >= least_ncc(false_alarms, area, side)
-    known = spread
-    if before is not None:  # where a lost point is along an edge, only what is expected can say
-        both = _inverses(_inverses(spread) + _inverses(around))
-        known = np.where(before.shown[:, None, None], spread, both)
-    seen &= 0.5 * (known[:, 0, 0] + known[:, 1, 1]) <= MOST_SPREAD**2
+    count, side = patches.shape[:2]
+    mean, around = np.ascontiguousarray(mean), covariance + GRID**2 * np.eye(2)
+    precision = _inverses(around)
+    places = likeliest_places(grey, patches, Windows(mean, around, True, REACH, farthest), np.arange(count))
+    aligned = _aligned(grey, patches, places, Expected(mean, precision))
+    hidden = np.zeros(count, np.bool_) if before is None else ~before.shown
+    better, seen = np.zeros(count, np.int64), np.empty(count, np.bool_)
+    decide(aligned, Asked(mean, around, precision, hidden, false_alarms, farthest, side), better, seen)
+    position, spread = (both[np.arange(count), better] for both in aligned[:2])
     if before is not None:
-        lost = np.flatnonzero(seen & ~before.shown)
-        where = around[lost] + spread[lost]
-        square = _squares(position[lost] - mean[lost], where)
-        seen[lost] = odds_over_chance(ncc[lost], square, where, area[lost], side) > np.log(ODDS)
         again = np.flatnonzero(seen & before.shown)
-        seen[again] = forward_backward_check(
-            grey, position[again], before.grey, before.position[again], covariance[again], side, farthest
-        )
+        windows = Windows(before.position, around, False, REACH, farthest)
+        seen[again] = leads_back(grey, position, before.grey, windows, again, side)
     return Found(seen, position[seen], spread[seen] + LEAST_SPREAD**2 * np.eye(2))
 
 
-def forward_backward_check(
-    grey: Grey,
-    position: Numbers,
-    before: Grey,
-    origin: Numbers,
-    covariance: Numbers,
-    side: int,
-    farthest: float,
+def leads_back(
+    grey: Grey, position: Numbers, before: Grey, windows: Windows, which: NDArray[np.int64], side: int
 ) -> Mask:
-    """Whether what is at `position (n, 2)` px was at `origin (n, 2)` px in the picture before.
+    """Whether what is at `position (n, 2)` px was in the middle of its window in the picture before.
 
-    It is searched for there in windows as wide as on the way forth, where it was known to
-    `covariance (n, 2, 2)` px^2; there is no prior on the way back.
+    It is searched for there in windows as wide as on the way forth; there should be no prior on the way back.
+    Asked, and answered, is it of those numbers that are in `which` only.
     """
-    patches = sample_patches(grey, position, side)
-    places = likeliest_places(before, patches, origin, covariance, farthest, prior=False)
-    off = np.abs(places.position[:, 0] - origin).max(axis=1, initial=0)
-    back: Mask = (places.ncc[:, 0] > 0) & (off <= NEAR + WHOLE)
+    patches = np.empty((len(position), side, side), np.float32)
+    sample_all(grey, position, which, patches)
+    places = likeliest_places(before, patches, windows, which)
+    off = np.abs(places.position[which, 0] - windows.mean[which]).max(axis=1, initial=0)
+    back: Mask = (places.ncc[which, 0] > 0) & (off <= NEAR + WHOLE)
     return back
 
 
 def likeliest_places(
-    grey: Grey, patches: Pixels, mean: Numbers, covariance: Numbers, farthest: float, *, prior: bool = True
+    grey: Grey, patches: Pixels, windows: Windows, which: NDArray[np.int64]
 ) -> Candidates:
-    """Search for patches `(n, side, side)` around `mean (n, 2)` px, known to `covariance (n, 2, 2)` px^2.
-
-    No farther than `farthest` px, and only where the whole patch is in the picture. Without the `prior` all
-    places of the window count alike.
-    """
+    """Search for those of `patches (n, side, side)` whose numbers are in `which`, where all of a patch is seen."""
     count = len(patches)
     found = Candidates(np.zeros((count, 2, 2)), np.full((count, 2), -1.0), np.full((count, 2), LEAST_WEIGHT))
-    if count:
-        around = covariance + GRID**2 * np.eye(2)
-        windows = Windows(np.ascontiguousarray(mean), around, prior, REACH, float(farthest))
-        best_places(grey, windows, patches, SHARPNESS, NCC_NOISE, LEAST_NCC, found)
+    best_places(grey, windows, patches, which, found)
     return found
 
 
-def _aligned(
-    grey: Grey, patches: Pixels, mean: Numbers, around: Numbers, places: Candidates
-) -> tuple[Numbers, Numbers, Numbers, Numbers, Numbers]:
-    """The likelier of two places to fractions of a pixel, which can change which one that is.
-
-    Returned: its position, covariance, correlation and log weight, and the log weight of the other one.
-    """
-    precision = _inverses(around)
-    way = align_patches(grey, patches, places.position[:, 0], NEAR, Expected(mean, precision))
-    weight = _weights(way, mean, around)
-    weight[places.ncc[:, 0] <= 0] = LEAST_WEIGHT
-    rival = np.full(len(mean), LEAST_WEIGHT)
-    position, spread, ncc = way.position, way.covariance, way.ncc
-    second = np.flatnonzero(places.weight[:, 1] > places.weight[:, 0] - np.log(ODDS) - DOUBT)
-    if len(second):
-        there = Expected(mean[second], precision[second])
-        other = align_patches(grey, patches[second], places.position[second, 1], NEAR, there)
-        apart = np.abs(other.position - position[second]).max(axis=1) >= NEAR
-        rival[second] = np.where(apart, _weights(other, mean[second], around[second]), LEAST_WEIGHT)
-        better = rival > weight
-        taken = better[second]
-        position[better], spread[better] = other.position[taken], other.covariance[taken]
-        ncc[better] = other.ncc[taken]
-    return position, spread, ncc, np.maximum(weight, rival), np.minimum(weight, rival)
-
-
-def _weights(way: Aligned, mean: Numbers, around: Numbers) -> Numbers:
-    """`(n,)` log of likelihood and prior, up to a constant; `LEAST_WEIGHT` where a patch cannot be."""
-    square = _squares(way.position - mean, around + way.covariance)
-    weight = -SHARPNESS * np.log(1 - np.clip(way.ncc, 0, 1) ** 2 + NCC_NOISE) - 0.5 * square
-    weights: Numbers = np.where((way.ncc > 0) & (square < REACH**2), weight, LEAST_WEIGHT)
-    return weights
-
-
-def _determinants(matrices: Numbers) -> Numbers:
-    """`(n,)` of `(n, 2, 2)`."""
-    determinants: Numbers = matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
-    return determinants
+def _aligned(grey: Grey, patches: Pixels, places: Candidates, expected: Expected) -> Places:
+    """To fractions of a pixel: the likelier place, and the other one where that might become the likelier."""
+    close = places.ncc > 0
+    close[:, 1] &= places.weight[:, 1] > places.weight[:, 0] - np.log(ODDS) - DOUBT
+    position = places.position.copy()
+    covariance, ncc = np.zeros((*position.shape, 2)), np.full(close.shape, -1.0)
+    lines = position.reshape(-1, 2), covariance.reshape(-1, 2, 2), ncc.reshape(-1)
+    align_all(grey, patches, np.flatnonzero(close), lines[0], expected, LIGHT, NEAR, *lines[1:])
+    return Places(position, covariance, ncc)
 
 
 def _inverses(matrices: Numbers) -> Numbers:
     """`(n, 2, 2)`, symmetric; three times as fast as the general way."""
     turned = matrices[:, ::-1, ::-1] * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    inverses: Numbers = turned / _determinants(matrices)[:, None, None]
+    determinants = matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
+    inverses: Numbers = turned / determinants[:, None, None]
     return inverses
-
-
-def _squares(off: Numbers, matrices: Numbers) -> Numbers:
-    """`(n,)` squared lengths of `(n, 2)` in units of covariances `(n, 2, 2)`."""
-    x, y = off[:, 0], off[:, 1]
-    square = matrices[:, 1, 1] * x * x - 2 * matrices[:, 0, 1] * x * y + matrices[:, 0, 0] * y * y
-    squares: Numbers = square / _determinants(matrices)
-    return squares

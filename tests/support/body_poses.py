@@ -54,7 +54,15 @@ def masks(body: UpperBody, poses: BodyPoses, size: tuple[int, int]) -> NDArray[n
     shapes, bounds = (np.zeros((len(OUTLINE_PARTS), n), np.float32) for n in (NUMBERS, 4))
     for pose in range(len(poses)):
         put_body(
-            poses.roots, poses.torsos, poses.necks, poses.arms, pose, solid.lengths, solid.torso, shapes, bounds
+            poses.roots,
+            poses.torsos,
+            poses.necks,
+            poses.arms,
+            pose,
+            solid.lengths,
+            solid.torso,
+            shapes,
+            bounds,
         )
         depths = np.full((len(lines), lines.shape[2]), FAR, np.float32)
         for part in range(len(OUTLINE_PARTS)):

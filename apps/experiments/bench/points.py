@@ -16,7 +16,8 @@ from ....inference.filters.kalman import PointStates, filter_tracks, predict, sm
 from ....inference.filters.linear_motion import kinematic
 from ....models.points.alignment import sample_patches
 from ....models.points.point_tracks import PointTracks
-from ....models.points.search import GRID, NEAR, REACH, WHOLE, Before, find_points
+from ....models.points.kernels.search import GRID, NEAR, REACH, WHOLE
+from ....models.points.search import Before, find_points
 from ...reports.expectations import HEADER, Expectation, in_columns
 from .timing import in_turns, over_rounds
 
@@ -180,7 +181,7 @@ def _of_searches(what: str, seconds: Mapping[str, float]) -> list[Expectation]:
     return [
         Expectation(f"{what}, ms", 1e3 * seconds["search"]),
         Expectation(f"{what}, over a loop of matchTemplate", seconds["search"] / seconds["matchTemplate"]),
-        Expectation(f"{what}, over PyrLK", seconds["search"] / seconds["PyrLK"], "<=", 1.0),
+        Expectation(f"{what}, over PyrLK", seconds["search"] / seconds["PyrLK"], "<=", 0.7),
         Expectation(
             f"{what}, over PyrLK with its usual window of 21 px", seconds["search"] / seconds["PyrLK, 21 px"]
         ),

@@ -4,7 +4,7 @@ All on one thread: set `OPENBLAS_NUM_THREADS=1` (or that of your BLAS) for the p
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -39,7 +39,6 @@ def structure_expectations(n_starts: int = 100) -> list[Expectation]:
     return [
         *iteration_expectations(),
         *solve_expectations(),
-        *linearity_expectations(),
         *feedback_expectations(),
         *start_expectations(n_starts),
     ]
@@ -209,30 +208,6 @@ def bundle_adjustment(positions: Numbers, cameras: Numbers, shape: Numbers, most
         max_nfev=most_steps,
     )
     return float(np.sqrt(np.mean(found.fun**2)))
-
-
-# --- how the time grows -------------------------------------------------------------------------------------
-
-
-def linearity_expectations(sizes: Sequence[int] = (10**3, 10**4, 10**5, 10**6)) -> list[Expectation]:
-    """Time of an iteration over about so many observations, each point seen in 30 frames."""
-    expectations, counts, seconds = [], [], []
-    for size in sizes:
-        n_frames = max(40, round(np.sqrt(size) / 2))
-        positions = turning_points(n_frames, size // SEEN_THROUGH, SEEN_THROUGH)
-        observations = Observations.from_arrays(positions)
-        start = _start(observations, coherent=False)
-        spent = medians(in_turns({str(count): _iterate(observations, start, count) for count in (2, 22)}, 5))
-        counts.append(observations.count)
-        seconds.append((spent["22"] - spent["2"]) / 20)
-        expectations.append(
-            Expectation(f"EM over {counts[-1]} observations: an iteration, ms", 1e3 * seconds[-1])
-        )
-    slope = float(np.polyfit(np.log(counts), np.log(seconds), 1)[0])
-    return [
-        *expectations,
-        Expectation("EM: time grows with the number of observations to the power", slope, "<=", 1.1),
-    ]
 
 
 # --- feedback ----------------------------------------------------------------------------------------------

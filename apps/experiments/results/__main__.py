@@ -3,8 +3,8 @@
     python -m rsmcm.apps.experiments.results [FOLDER]
 
 takes the records that experiments have left in the folders of FOLDER (`results`), keeps them without every
-run's measures in `docs/results/`, and writes `docs/results.md` and the part of `README.md` between its marks.
-Only in a checkout.
+run's measures in `docs/results/`, and writes `docs/results.md`, the parts of `README.md` and `docs/scale.md`
+between their marks, and the picture of the latter. Only in a checkout.
 """
 
 import sys
@@ -12,7 +12,9 @@ from pathlib import Path
 
 from ....models.files.atomic_files import write_text
 from ...reports.record import ROOT, Record
+from ..bench.part import CURVES
 from .pages import Documents, readme_with, results_page
+from .scale_page import PAGE, PICTURE, scale_page, write_picture
 
 KEPT = ROOT / "docs" / "results"
 
@@ -45,7 +47,7 @@ def collect(folder: Path, kept: Path) -> None:
 
 
 def write_pages(root: Path) -> None:
-    """Write the page of results and the figures of README of a checkout.
+    """Write the page of results, the figures of README, and those of the page on scale, of a checkout.
 
     Raises
     ------
@@ -55,6 +57,10 @@ def write_pages(root: Path) -> None:
     documents, readme = Documents.read(root / "docs" / "results"), root / "README.md"
     write_text(root / "docs" / "results.md", results_page(documents, root))
     write_text(readme, readme_with(readme.read_text(), documents, root))
+    page = root / PAGE
+    write_text(page, scale_page(page.read_text(), documents.records, root))
+    if CURVES in documents.records:
+        write_picture(documents.records[CURVES], root / PICTURE)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,9 @@ from ...reports.record import Provenance, Record
 BEGIN, END = "<!-- figures -->", "<!-- /figures -->"
 """What stands around README's figures."""
 
+ELSEWHERE = {"curves": "scale.md", "capacity": "scale.md"}
+"""Records that are on another page."""
+
 INTRODUCTION = """\
 # Results
 
@@ -100,15 +103,19 @@ def results_page(documents: Documents, root: Path) -> str:
     """
     overview = [
         [
-            f"[{record.title}](#{_anchor(record.title)})",
+            f"[{record.title}]({ELSEWHERE.get(name, '')}#{_anchor(record.title)})",
             f"`{record.command}`",
             str(_count(record, "pass")),
             str(_count(record, "short") or ""),
         ]
-        for record in documents.records.values()
+        for name, record in documents.records.items()
     ]
     parts = [INTRODUCTION, table(("", "command", "holds", "short"), overview)]
-    parts += [_section(record, documents.notes[name], root) for name, record in documents.records.items()]
+    parts += [
+        _section(record, documents.notes[name], root)
+        for name, record in documents.records.items()
+        if name not in ELSEWHERE
+    ]
     parts.append(BY_HAND)
     parts += [_earlier(each) for each in documents.earlier if not _replaced(each, documents)]
     return "\n".join(parts)
@@ -124,19 +131,22 @@ def figures(record: Record) -> str:
 
 
 def _section(record: Record, note: str, root: Path) -> str:
-    made = record.made
-    parts = [
-        f"## {record.title}\n",
-        f"`{record.command}`; {_when(made, root)}; {made.machine}; {_duration(made.seconds)}, "
-        f"load before it {made.load:.1f}{_others(made)}; {_versions(made)}.\n",
-        figures(record),
-    ]
+    parts = [f"## {record.title}\n", f"{measured_when(record, root)}\n", figures(record)]
     if note:
         parts.append(f"{note.strip()}\n")
     for one in record.tables:
         parts += [f"{one.caption}\n"] if one.caption else []
-        parts.append(table(one.header, [[_cell(cell) for cell in row] for row in one.rows]))
+        parts.append(table(one.header, [[cell(each) for each in row] for row in one.rows]))
     return "\n".join(parts)
+
+
+def measured_when(record: Record, root: Path) -> str:
+    """With which command a record was made, when, where, and how busy the machine was."""
+    made = record.made
+    return (
+        f"`{record.command}`; {_when(made, root)}; {made.machine}; {_duration(made.seconds)}, "
+        f"load before it {made.load:.1f}{_others(made)}; {_versions(made)}."
+    )
 
 
 def _earlier(content: Mapping[str, Any]) -> str:
@@ -186,7 +196,8 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "".join(f"| {' | '.join(cell.replace('|', '&#124;') for cell in line)} |\n" for line in lines)
 
 
-def _cell(value: object) -> str:
+def cell(value: object) -> str:
+    """A value in a table."""
     return rounded(value) if isinstance(value, float) else "–" if value is None else str(value)
 
 

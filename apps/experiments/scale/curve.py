@@ -157,8 +157,9 @@ def of_record(record: Record) -> dict[tuple[str, str], Curve]:
 
 def _of_rows(rows: Iterable[Sequence[Any]]) -> dict[tuple[str, str], Curve]:
     points: dict[tuple[str, str], list[Measured]] = {}
-    for name, unit, size, middle, low, high, limit, memory in rows:
-        held = math.nan if memory is None else 1e6 * memory
-        measured = Measured(size, middle / 1e3, (low / 1e3, high / 1e3), limit / 1e3, held)
+    for name, unit, size, *values in rows:
+        # JSON knows no NaN
+        middle, low, high, limit, memory = (math.nan if value is None else value for value in values)
+        measured = Measured(size, middle / 1e3, (low / 1e3, high / 1e3), limit / 1e3, 1e6 * memory)
         points.setdefault((name, unit), []).append(measured)
     return {(name, unit): Curve(name, unit, of_curve) for (name, unit), of_curve in points.items()}

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ....inference import MultiChain, RecursiveBP, RunState
 from ....models import Frame
+from ....models.numerics.threads import thread_count
 from ...background.application import build_model
 from ...runs.progress import Progress
 from ..bench.background import in_steps, pass_bytes, preloaded, subtracting
@@ -23,7 +24,7 @@ from .machine import moving
 from .stages import n_bytes, of_chain, stages
 
 SIZES = ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
-OF_CROWD = (1280, 720)
+OF_CROWD = (1920, 1080)
 OBJECTS = (1, 3, 10, 30, 100, 300)
 FEW = 4
 """Objects in pictures of any size."""
@@ -40,14 +41,14 @@ Image = NDArray[np.uint8]
 
 def over_pixels() -> list[Curve]:
     """The background alone, all chains, and MOG2."""
-    called = {"alone": "background alone", "all": "background, objects, ground plane", "MOG2": "MOG2"}
+    called = {"alone": "background alone", "all": "all chains", "MOG2": "MOG2"}
     points: dict[str, list[Measured]] = {name: [] for name in called}
     for width, height in SIZES:
         frames = list(crowd(FEW, WARM_UP + ROUNDS * TURN, (height, width)))
         steps = {
             "alone": in_steps(build_model("stand-alone")),
             "all": in_steps(build_model()),
-            "MOG2": subtracting(cv2.createBackgroundSubtractorMOG2()),
+            "MOG2": subtracting(cv2.createBackgroundSubtractorMOG2(), thread_count()),
         }
         spent = over_frames(steps, frames, TURN, WARM_UP)
         image = _image(frames[0])
@@ -74,7 +75,7 @@ def over_objects() -> list[Curve]:
     at = f"{width}x{height}"
     return [
         Curve(f"tracker of blobs, {at}", "objects", of_tracker),
-        Curve(f"background, objects, ground plane, {at}", "objects", of_all),
+        Curve(f"all chains, {at}", "objects", of_all),
     ]
 
 
@@ -107,7 +108,7 @@ def over_frames_of_a_film(count: int) -> tuple[list[Curve], float]:
         points.append(Measured.of(end, blocks, limit, memory[end - 1]))
         end *= 2
     grown = float(memory[-1] - memory[count // 5]) / 2**20
-    return [Curve("background, objects, ground plane, PETS2009", "frames so far", points)], grown
+    return [Curve("all chains, PETS2009", "frames so far", points)], grown
 
 
 def _held(model: MultiChain, frame: Frame) -> int:

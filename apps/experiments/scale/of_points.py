@@ -12,8 +12,10 @@ from ....inference import MultiChain, RecursiveBP, RunState
 from ....inference.factor_analysis.em import Posterior, expectation_maximisation
 from ....inference.factor_analysis.observations import Indices, Listed, Numbers, Observations
 from ....inference.factor_analysis.posterior import around_start
+from ....inference.structure.track_association import associate_tracks
 from ....models import Frame
 from ....models.points.point_tracks import PointTracks
+from ..bench.structure import turning_points
 from ..bench.timing import in_turns
 from .curve import Curve, Measured
 from .machine import moving, multiplying
@@ -36,6 +38,13 @@ PLACES, WAYS = 9, 2
 OBSERVATIONS = (10**3, 10**4, 10**5, 10**6, 10**7)
 LENGTH = 30
 """Frames in which a point is seen."""
+
+TRACKS = (250, 500, 1000, 2000)
+PIECES, PIECE = 4, 15
+"""Tracks of a point, and frames of each."""
+
+PATIENCE = 3.0
+"""s, after which a size has had enough rounds."""
 
 FEW, MORE = 2, 7
 """Iterations: what is timed is the difference."""
@@ -94,11 +103,38 @@ def over_observations() -> list[Curve]:
         held = n_bytes(observations)
         limit = moving(BYTES_READ * observations.count)
         points.append(Measured.of(observations.count, each.tolist(), limit, held))
-    return [Curve("factor analysis, an iteration of EM", "observations", points)]
+    return [Curve("an iteration of EM", "observations", points)]
 
 
 def _iterations(observations: Observations, start: Posterior, count: int) -> object:
     return expectation_maximisation(observations, start, iterations=count, tolerance=-np.inf)
+
+
+def over_tracks() -> list[Curve]:
+    """Which tracks show one point: robust factor analysis, association, and what is read of both."""
+    points = []
+    associate_tracks(broken_tracks(TRACKS[0]))  # loads what is compiled
+    for count in TRACKS:
+        positions, seconds = broken_tracks(count), list[float]()
+        while len(seconds) < ROUNDS and sum(seconds) < PATIENCE:
+            started = time.perf_counter()
+            associate_tracks(positions)
+            seconds.append(time.perf_counter() - started)
+        seen = int(np.count_nonzero(~np.isnan(positions[..., 0])))
+        points.append(Measured.of(count, seconds, moving(BYTES_READ * seen)))
+    return [Curve("association", "tracks", points)]
+
+
+def broken_tracks(count: int) -> Numbers:
+    """Positions `(n_frames, count, 2)` px of points that are each followed in four pieces, NaN between."""
+    n_frames, n_points = PIECES * PIECE, count // PIECES
+    positions = turning_points(n_frames, n_points, n_frames)
+    begun = np.random.default_rng(0).integers(0, PIECE, n_points)
+    piece, since = np.divmod(np.arange(n_frames)[:, None] + begun, PIECE)
+    frame, point = np.nonzero((piece < PIECES) & (since > 0))  # lost for a frame
+    broken = np.full((n_frames, PIECES * n_points, 2), np.nan)
+    broken[frame, point + n_points * piece[frame, point]] = positions[frame, point]
+    return broken
 
 
 def turning(count: int) -> tuple[Observations, Posterior]:

@@ -32,7 +32,7 @@ from ..tempering import LogDensity
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-POSES, ARMS, LOOKED_AT = 32, 128, 256
+POSES, ARMS, LOOKED_AT = 32, 64, 256
 """Poses of a frame whose hands are given both names, pairs of arms that are tried for each, and how many of
 those that are possible are compared with the image, at most: as many for either names, since the logarithm of
 a mean over few is too small on average."""

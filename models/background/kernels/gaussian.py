@@ -1,7 +1,7 @@
 """Loops over all pixels of the background: flat, planar, float32 within, uint8 in (one pass over the bytes).
 
-What is known of each pixel is `(n_pixels,)` or `(channels, n_pixels)`. Log odds are int8 in steps of
-`1 / ODDS_STEPS`.
+What is known of each pixel is `(n_pixels,)` or `(channels, n_pixels)`, 16 bits a number. Log odds are int8 in
+steps of `1 / ODDS_STEPS`.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled, exponential, inlined, logarithm, sigmoid
 
-_f4 = np.float32
+_f4, _i4 = np.float32, np.int32
 _ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
 
 ODDS_STEPS = 20.0
@@ -20,26 +20,62 @@ ODDS_STEPS = 20.0
 LOWEST_VARIANCE, HIGHEST_VARIANCE = 0.5, 60.0
 LOWEST_NOISE, HIGHEST_NOISE = 20.0, 400.0
 
-SETTLED = 1 << 14
-"""Steps of the settling time: a second colour seen for so long has settled."""
+MEAN_STEPS, VARIANCE_STEPS, NOISE_STEPS = 32.0, 256.0, 128.0
+"""Steps of the stored means per grey level, of variances and noises per squared grey level."""
 
-KNOWN = SETTLED * 3 // 2
-"""Steps for what was the scene's colour before: it wears off after a quarter of the settling time."""
+COARSE_STEPS = 8.0
+"""Steps of a variance beyond `HIGHEST_VARIANCE`, which nobody needs to know so well."""
+
+_COARSE_START = HIGHEST_VARIANCE * (VARIANCE_STEPS / COARSE_STEPS - 1)
+"""Where the line of coarse steps crosses that of fine ones at `HIGHEST_VARIANCE`."""
+
+ROUNDING = 65536.0
+"""In what is added before a number is cut off to whole steps: none is below 0 then, and 16 bits drop it."""
+
+ROUNDING_PERIOD = 256
+"""Rows of pixels are rounded by one table, each from another place in it."""
+
+SPAN = 64
+"""Pixels that are looked at together for whether any of them needs more than most pixels do."""
 
 _SIGNS = np.uint64(0x8080808080808080)
+SURE, _UNSURE = np.int8(6 * ODDS_STEPS), np.int8(-128)
+"""Log odds at their bound, which only a pixel's own Gaussian gives; and where they are not known yet."""
+
+MOST_RECALLED = 5.95
+"""Nats at most, of pixels that are background for another reason: a step less than `SURE`."""
+
+_HIGHEST = HIGHEST_VARIANCE * VARIANCE_STEPS
 
 Planes = NDArray[np.float32]
 
 
 class Gaussians(NamedTuple):
-    """One Gaussian a pixel: `(channels, n_pixels)` mean, `(n_pixels,)` variance of the mean and noise.
+    """One Gaussian a pixel: int16 mean `(channels, n_pixels)`, uint16 variance and noise `(n_pixels,)`.
 
-    In squared grey levels; the noise is that of a single observation (sensor and scene). All float32.
+    Means are in steps of 1 / `MEAN_STEPS` grey levels and end at +-1024; the variance of the mean is in
+    squared grey levels, in steps of 1 / `VARIANCE_STEPS` up to `HIGHEST_VARIANCE` and of 1 / `COARSE_STEPS`
+    beyond; the noise of a single observation (sensor and scene) in steps of 1 / `NOISE_STEPS`.
     """
 
-    mean: Planes
-    variance: Planes
-    noise: Planes
+    mean: NDArray[np.int16]
+    variance: NDArray[np.uint16]
+    noise: NDArray[np.uint16]
+
+
+class StoredPlanes(NamedTuple):
+    """Colours of a whole picture as they are stored: `values` of so many grey levels (`step`) each.
+
+    `values` is `(channels, height, width)` of any type of numbers, in the planes of `colour`.
+    """
+
+    values: NDArray[np.generic]
+    step: np.float32
+
+    def grey_levels(self) -> Planes:
+        """`(channels, height, width)` float32."""
+        levels: Planes = self.values * self.step
+        return levels
 
 
 class Light(NamedTuple):
@@ -51,6 +87,27 @@ class Light(NamedTuple):
 
     rows: Planes
     positions: Planes
+
+
+class Certain(NamedTuple):
+    """What `usual_update` needs to know, in the steps of the numbers that are stored, all float32.
+
+    Log odds are at their bound of 6 nats where the squared distance does not exceed t (c - channels log t),
+    t being its variance. That is concave in t, so that chords are below it: `offset` and `slope` of one that
+    ends where the second begins, which ends at `most`. With the probability w of background there, `weight`
+    is w, `weights` w (1 - w), `step` w times the steps of means; `noise_share` is times w, too.
+    """
+
+    offset: np.float32
+    slope: np.float32
+    offset_beyond: np.float32
+    slope_beyond: np.float32
+    most: np.float32
+    drift: np.float32
+    weight: np.float32
+    weights: np.float32
+    step: np.float32
+    noise_share: np.float32
 
 
 class PixelModel(NamedTuple):
@@ -71,36 +128,65 @@ class PixelModel(NamedTuple):
     unknown_variance: np.float32
 
 
-class SecondColours(NamedTuple):
-    """A second hypothesis: `(n_pixels * channels,)` uint8 colours, and for how long each was seen.
-
-    `seen` is `(n_pixels,)` uint16, the share of the settling time in steps of 1 / `SETTLED`.
-    """
-
-    colours: NDArray[np.uint8]
-    seen: NDArray[np.uint16]
-
-
-class Settling(NamedTuple):
-    """When a second colour takes the mean's place.
-
-    It is the same colour within `tolerance` (squared grey levels); `step` is what one observation adds to the
-    time for which it was seen, `least` the least time. It has `variance` then; a mean of more than
-    `unsure_variance` gives way earlier.
-    """
-
-    tolerance: np.float32
-    step: int
-    least: int
-    variance: np.float32
-    unsure_variance: np.float32
-
-
 @inlined
 def light_beside(light, y):
     """The rows of the light above and below a row of pixels, and the share of the lower one."""
     above = int(light.positions[y])
     return light.rows[above], light.rows[above + 1], light.positions[y] - _f4(above)
+
+
+@inlined
+def mean_of(steps):
+    """A mean that is stored."""
+    return _f4(steps) * _f4(1 / MEAN_STEPS)
+
+
+@inlined
+def variance_of(steps):
+    """A variance that is stored: of two lines the higher one."""
+    value = _f4(steps)
+    return max(value * _f4(1 / VARIANCE_STEPS), value * _f4(1 / COARSE_STEPS) - _f4(_COARSE_START))
+
+
+@inlined
+def noise_of(steps):
+    """A noise that is stored."""
+    return _f4(steps) * _f4(1 / NOISE_STEPS)
+
+
+@inlined
+def whole_steps(value, rounding):
+    """A number of steps, cut off at both ends of the range."""
+    steps = _i4(value + rounding) - _i4(ROUNDING)
+    return np.int16(min(max(steps, _i4(-32768)), _i4(32767)))
+
+
+@inlined
+def mean_steps(value, rounding):
+    """A mean to be stored; `rounding` is `ROUNDING` and a number from 0 to 1.
+
+    Where that is drawn evenly no step is too small to be learned: it is taken as often as it is large.
+    """
+    return whole_steps(value * _f4(MEAN_STEPS), rounding)
+
+
+@inlined
+def variance_steps(value, rounding):
+    """A variance to be stored."""
+    fine, coarse = value * _f4(VARIANCE_STEPS), (value + _f4(_COARSE_START)) * _f4(COARSE_STEPS)
+    return np.uint16(_i4(min(fine, coarse) + rounding))
+
+
+@inlined
+def noise_steps(value, rounding):
+    """A noise to be stored."""
+    return np.uint16(_i4(value * _f4(NOISE_STEPS) + rounding))
+
+
+@inlined
+def rounding_along(rounding, y):
+    """What row `y` is rounded by, of the table for all."""
+    return rounding[(37 * y) % ROUNDING_PERIOD :]
 
 
 @inlined
@@ -130,53 +216,164 @@ def posterior(distance, light, variance, noise, model, channels):
     return odds, step, after, noisier
 
 
+@inlined
+def usual_update(distance, light, spread, noise, certain):
+    """What `posterior` gives where the log odds are at their bound, without its logarithm and exponential.
+
+    Everything is in the steps of the numbers that are stored: `spread`, the variance with the drift, and
+    `distance` per channel in those of variances. Gives the step of the mean in theirs per grey level,
+    variance and noise to be stored, and whether the log odds are at their bound indeed.
+    """
+    over = light * spread
+    total = light * over + _f4(VARIANCE_STEPS / NOISE_STEPS) * noise
+    gain = over / total
+    narrower = spread - gain * (certain.weight * over - certain.weights * gain * distance)
+    narrower = min(max(narrower, _f4(LOWEST_VARIANCE * VARIANCE_STEPS)), _f4(_HIGHEST))
+    noisier = noise + certain.noise_share * (distance - total)
+    noisier = min(max(noisier, _f4(LOWEST_NOISE * NOISE_STEPS)), _f4(HIGHEST_NOISE * NOISE_STEPS))
+    bound = min(certain.offset + certain.slope * total, certain.offset_beyond + certain.slope_beyond * total)
+    sure = (distance <= bound) & (total <= certain.most)
+    return certain.step * gain, narrower, noisier, sure
+
+
 @compiled
-def subtract_colour(first, end, pixels, before, light_field, model, after, log_odds):
-    """Rows `first` to `end` of a colour picture: log odds of background, and the update that they imply."""
+def usual_rows_of_colour(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds):
+    """Rows `first` to `end` of a colour picture where they show the background for sure.
+
+    Their `log_odds` are `_UNSURE` where they do not; what follows for the Gaussians, in `after` from pixel
+    `to` on, holds only where they do. (A loop over rows that is a function of its own keeps the constants of
+    the inner one from being spilled: measured once, a third of the time.)
+    """
     luma, red, blue = before.mean[0], before.mean[1], before.mean[2]
     new_luma, new_red, new_blue = after.mean[0], after.mean[1], after.mean[2]
     variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
     width = light_field.rows.shape[1]
     for y in range(first, end):
         upper, lower, below_share = light_beside(light_field, y)
-        base = np.uint64(y * width)
+        cut = rounding_along(rounding, y)
+        own = (y - first) * width
+        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
         for x in range(np.uint64(width)):
-            i = base + x
+            i, j = base + x, base_after + x
             k = _THREE * i
             b, g, r = _f4(pixels[k]), _f4(pixels[k + _ONE]), _f4(pixels[k + _TWO])
             grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
             light = upper[x] + below_share * (lower[x] - upper[x])
-            d0 = grey - light * luma[i]
-            d1 = _f4(1.426) * (r - grey) - light * red[i]
-            d2 = _f4(1.128) * (b - grey) - light * blue[i]
-            distance = d0 * d0 + d1 * d1 + d2 * d2
-            odds, step, spread, noisier = posterior(distance, light, variance[i], noise[i], model, _f4(3.0))
-            new_luma[i] = luma[i] + step * d0
-            new_red[i] = red[i] + step * d1
-            new_blue[i] = blue[i] + step * d2
-            new_variance[i] = spread
-            new_noise[i] = noisier
-            log_odds[i] = np.int8(odds * _f4(ODDS_STEPS))
+            glow = light * _f4(1 / MEAN_STEPS)
+            m0, m1, m2 = _f4(luma[i]), _f4(red[i]), _f4(blue[i])
+            d0 = grey - glow * m0
+            d1 = _f4(1.426) * (r - grey) - glow * m1
+            d2 = _f4(1.128) * (b - grey) - glow * m2
+            distance = (d0 * d0 + d1 * d1 + d2 * d2) * _f4(VARIANCE_STEPS / 3)
+            known, grain = _f4(variance[i]), _f4(noise[i])
+            step, narrower, noisier, sure = usual_update(
+                distance, light, known + certain.drift, grain, certain
+            )
+            new_luma[j] = whole_steps(m0 + step * d0, cut[x])
+            new_red[j] = whole_steps(m1 + step * d1, cut[x])
+            new_blue[j] = whole_steps(m2 + step * d2, cut[x])
+            new_variance[j] = np.uint16(_i4(narrower + cut[x]))
+            new_noise[j] = np.uint16(_i4(noisier + cut[x]))
+            log_odds[base_odds + x] = SURE if sure & (known <= _f4(_HIGHEST)) else _UNSURE
 
 
 @compiled
-def subtract_grey(first, end, pixels, before, light_field, model, after, log_odds):
-    """Rows `first` to `end` of a grey picture: log odds of background, and the update that they imply."""
+def usual_rows_of_grey(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds):
+    """Rows `first` to `end` of a grey picture, as `usual_rows_of_colour`."""
     luma, new_luma = before.mean[0], after.mean[0]
     variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
     width = light_field.rows.shape[1]
     for y in range(first, end):
         upper, lower, below_share = light_beside(light_field, y)
-        base = np.uint64(y * width)
+        cut = rounding_along(rounding, y)
+        own = (y - first) * width
+        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
         for x in range(np.uint64(width)):
-            i = base + x
+            i, j = base + x, base_after + x
             light = upper[x] + below_share * (lower[x] - upper[x])
-            d0 = _f4(pixels[i]) - light * luma[i]
-            odds, step, spread, noisier = posterior(d0 * d0, light, variance[i], noise[i], model, _f4(1.0))
-            new_luma[i] = luma[i] + step * d0
-            new_variance[i] = spread
-            new_noise[i] = noisier
-            log_odds[i] = np.int8(odds * _f4(ODDS_STEPS))
+            m0 = _f4(luma[i])
+            d0 = _f4(pixels[i]) - light * _f4(1 / MEAN_STEPS) * m0
+            known, grain = _f4(variance[i]), _f4(noise[i])
+            distance = d0 * d0 * _f4(VARIANCE_STEPS)
+            step, narrower, noisier, sure = usual_update(
+                distance, light, known + certain.drift, grain, certain
+            )
+            new_luma[j] = whole_steps(m0 + step * d0, cut[x])
+            new_variance[j] = np.uint16(_i4(narrower + cut[x]))
+            new_noise[j] = np.uint16(_i4(noisier + cut[x]))
+            log_odds[base_odds + x] = SURE if sure & (known <= _f4(_HIGHEST)) else _UNSURE
+
+
+@compiled
+def other_rows_of_colour(first, end, pixels, before, light_field, model, rounding, to, after, log_odds):
+    """Rows `first` to `end` of a colour picture again, in spans where that is not sure.
+
+    Gives the greatest variance there, as it is stored.
+    """
+    luma, red, blue = before.mean[0], before.mean[1], before.mean[2]
+    new_luma, new_red, new_blue = after.mean[0], after.mean[1], after.mean[2]
+    variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
+    width = light_field.rows.shape[1]
+    spans = np.empty(width // SPAN + 1, np.int64)
+    most = _i4(0)
+    for y in range(first, end):
+        upper, lower, below_share = light_beside(light_field, y)
+        cut = rounding_along(rounding, y)
+        own = (y - first) * width
+        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
+        for span in range(foreground_spans(log_odds[own : own + width], spans)):
+            for x in range(np.uint64(spans[span]), np.uint64(min(spans[span] + SPAN, width))):
+                i, j = base + x, base_after + x
+                k = _THREE * i
+                b, g, r = _f4(pixels[k]), _f4(pixels[k + _ONE]), _f4(pixels[k + _TWO])
+                grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
+                light = upper[x] + below_share * (lower[x] - upper[x])
+                m0, m1, m2 = mean_of(luma[i]), mean_of(red[i]), mean_of(blue[i])
+                d0 = grey - light * m0
+                d1 = _f4(1.426) * (r - grey) - light * m1
+                d2 = _f4(1.128) * (b - grey) - light * m2
+                distance = d0 * d0 + d1 * d1 + d2 * d2
+                odds, step, spread, grain = posterior(
+                    distance, light, variance_of(variance[i]), noise_of(noise[i]), model, _f4(3.0)
+                )
+                new_luma[j] = mean_steps(m0 + step * d0, cut[x])
+                new_red[j] = mean_steps(m1 + step * d1, cut[x])
+                new_blue[j] = mean_steps(m2 + step * d2, cut[x])
+                new_variance[j] = variance_steps(spread, cut[x])
+                new_noise[j] = noise_steps(grain, cut[x])
+                log_odds[base_odds + x] = np.int8(odds * _f4(ODDS_STEPS))
+                most = max(most, _i4(variance[i]))
+    return most
+
+
+@compiled
+def other_rows_of_grey(first, end, pixels, before, light_field, model, rounding, to, after, log_odds):
+    """Rows `first` to `end` of a grey picture, as `other_rows_of_colour`."""
+    luma, new_luma = before.mean[0], after.mean[0]
+    variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
+    width = light_field.rows.shape[1]
+    spans = np.empty(width // SPAN + 1, np.int64)
+    most = _i4(0)
+    for y in range(first, end):
+        upper, lower, below_share = light_beside(light_field, y)
+        cut = rounding_along(rounding, y)
+        own = (y - first) * width
+        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
+        for span in range(foreground_spans(log_odds[own : own + width], spans)):
+            for x in range(np.uint64(spans[span]), np.uint64(min(spans[span] + SPAN, width))):
+                i, j = base + x, base_after + x
+                light = upper[x] + below_share * (lower[x] - upper[x])
+                m0 = mean_of(luma[i])
+                d0 = _f4(pixels[i]) - light * m0
+                odds, step, spread, grain = posterior(
+                    d0 * d0, light, variance_of(variance[i]), noise_of(noise[i]), model, _f4(1.0)
+                )
+                new_luma[j] = mean_steps(m0 + step * d0, cut[x])
+                new_variance[j] = variance_steps(spread, cut[x])
+                new_noise[j] = noise_steps(grain, cut[x])
+                log_odds[base_odds + x] = np.int8(odds * _f4(ODDS_STEPS))
+                most = max(most, _i4(variance[i]))
+    return most
 
 
 @compiled
@@ -230,44 +427,29 @@ def log_evidence(pixels, before, light_field, model, shift):
             for x in range(width):
                 b, g, r = _f4(shown[3 * x]), _f4(shown[3 * x + 1]), _f4(shown[3 * x + 2])
                 grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-                d0 = grey - light[x] * luma[x]
-                d1 = _f4(1.426) * (r - grey) - light[x] * red[x]
-                d2 = _f4(1.128) * (b - grey) - light[x] * blue[x]
+                d0 = grey - light[x] * mean_of(luma[x])
+                d1 = _f4(1.426) * (r - grey) - light[x] * mean_of(red[x])
+                d2 = _f4(1.128) * (b - grey) - light[x] * mean_of(blue[x])
                 distance[x] = d0 * d0 + d1 * d1 + d2 * d2
         else:
             for x in range(width):
-                d0 = _f4(shown[x]) - light[x] * luma[x]
+                d0 = _f4(shown[x]) - light[x] * mean_of(luma[x])
                 distance[x] = d0 * d0
         variance, noise = before.variance[row], before.noise[row]
         if shift.size > 1:
             added[:] = shift[row]
         in_row = _f4(0)
         for x in range(width):
-            spread = light[x] * light[x] * (variance[x] + model.drift) + noise[x]
+            known = variance_of(variance[x])
+            spread = light[x] * light[x] * (known + model.drift) + noise_of(noise[x])
             odds = model.log_prior_odds - _f4(0.5) * (
                 _f4(channels) * logarithm(spread) + distance[x] / spread
             )
-            odds = odds if variance[x] <= _f4(HIGHEST_VARIANCE) else model.label_odds
+            odds = odds if known <= _f4(HIGHEST_VARIANCE) else model.label_odds
             odds += added[x]
             in_row += max(odds, _f4(0.0)) + logarithm(_f4(1.0) + exponential(-abs(odds)))
         total += in_row
     return total
-
-
-@inlined
-def colour_gap(pixels, candidate, i, channels):
-    """Squared distance in the planes of pixel `i` of a picture and of the candidates."""
-    k = channels * i
-    if channels == 1:
-        d0 = _f4(pixels[k]) - _f4(candidate[k])
-        return d0 * d0
-    b = _f4(pixels[k]) - _f4(candidate[k])
-    g = _f4(pixels[k + 1]) - _f4(candidate[k + 1])
-    r = _f4(pixels[k + 2]) - _f4(candidate[k + 2])
-    grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-    d1 = _f4(1.426) * (r - grey)
-    d2 = _f4(1.128) * (b - grey)
-    return grey * grey + d1 * d1 + d2 * d2
 
 
 @inlined
@@ -281,88 +463,14 @@ def _any_negative(words, first):
 
 @compiled
 def foreground_spans(log_odds, spans):
-    """Starts of the runs of 64 pixels in which there is foreground; returns how many there are.
+    """Starts of the runs of `SPAN` pixels in which there is foreground; returns how many there are.
 
     Most of a picture is background, and looking at 64 signs at once costs little more than looking at one.
     """
     words = log_odds[: log_odds.size // 8 * 8].view(np.uint64)
     count = 0
-    for start in range(0, log_odds.size, 64):
-        if start + 64 > log_odds.size or _any_negative(words, start // 8):
+    for start in range(0, log_odds.size, SPAN):
+        if start + SPAN > log_odds.size or _any_negative(words, start // 8):
             spans[count] = start
             count += 1
     return count
-
-
-@compiled
-def recall(first, end, pixels, second, tolerance, model, log_odds):
-    """Foreground that shows the second colour of a pixel known to have two is background after all.
-
-    A colour that was the scene's before counts as the mean does, one that was seen for half the settling time
-    just so much that a pixel by itself is background. `first` and `end` are pixels.
-    """
-    channels = second.colours.size // second.seen.size
-    variance = tolerance * _f4(0.25) / _f4(channels)  # the tolerance is two standard deviations
-    best = model.log_prior_odds - _f4(0.5) * _f4(channels) * logarithm(variance)
-    spans = np.empty((end - first) // 64 + 1, np.int64)
-    for k in range(foreground_spans(log_odds[first:end], spans)):
-        start = first + spans[k]
-        for i in range(start, min(start + 64, end)):
-            if log_odds[i] >= 0 or 2 * second.seen[i] < SETTLED:
-                continue
-            gap = colour_gap(pixels, second.colours, i, channels)
-            if gap < tolerance:
-                known = second.seen[i] >= SETTLED
-                odds = best - _f4(0.5) * gap / variance if known else _f4(1)
-                log_odds[i] = np.int8(min(max(odds, _f4(1)), _f4(6)) * _f4(ODDS_STEPS))
-
-
-@compiled
-def learn_second_colours(
-    pixels, log_odds, covered, light_field, to_planes, from_planes, settling, after, second
-):
-    """A second hypothesis for pixels that show neither the background nor a predicted object.
-
-    A colour that lasts changes places with the mean (see `Settling`); another one wears it out twice as fast.
-    A mean that was hardly seen itself gives way to one that was seen about twice as often, also behind an
-    object: it may only seem to be one because the scene was never seen without what stood there at first.
-    """
-    mean, variance, candidate, seen = after.mean, after.variance, second.colours, second.seen
-    channels, width = mean.shape[0], light_field.rows.shape[1]
-    old = np.empty(channels, np.float32)
-    spans = np.empty(log_odds.size // 64 + 1, np.int64)
-    for span in range(foreground_spans(log_odds, spans)):
-        for i in range(spans[span], min(spans[span] + 64, log_odds.size)):
-            unsure = variance[i] > settling.unsure_variance
-            if log_odds[i] >= 0 or (covered[i] != 0 and not unsure):
-                continue
-            if seen[i] == 0 or colour_gap(pixels, candidate, i, channels) >= settling.tolerance:
-                if seen[i] > 2 * settling.step:
-                    seen[i] -= 2 * settling.step
-                else:
-                    seen[i] = settling.step
-                    for k in range(channels):
-                        candidate[channels * i + k] = pixels[channels * i + k]
-                continue
-            seen[i] += settling.step
-            # noise over variance is about how often the mean was seen
-            own = settling.least + settling.step * int(2 * after.noise[i] / variance[i])
-            if seen[i] < (min(SETTLED, own) if unsure else SETTLED):
-                continue
-            y = i // width
-            x = i - y * width
-            upper, lower, below_share = light_beside(light_field, y)
-            light = upper[x] + below_share * (lower[x] - upper[x])
-            for channel in range(channels):
-                old[channel] = light * mean[channel, i]
-                value = _f4(0)
-                for k in range(channels):
-                    value += to_planes[channel, k] * _f4(pixels[channels * i + k])
-                mean[channel, i] = value / light
-            for channel in range(channels):
-                value = _f4(0)
-                for k in range(channels):
-                    value += from_planes[channel, k] * old[k]
-                candidate[channels * i + channel] = np.uint8(min(max(value + _f4(0.5), _f4(0)), _f4(255)))
-            variance[i] = settling.variance
-            seen[i] = 0 if unsure else KNOWN

@@ -1,9 +1,11 @@
 """Loops over a picture for its light: the field between blocks, and how bright every block is seen."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ...numerics.compiled import compiled, logarithm
-from .gaussian import light_beside
+from .gaussian import light_beside, mean_of
 
 _f4 = np.float32
 _UNUSABLE = _f4(1e30)
@@ -13,12 +15,162 @@ LUMA_NOISE = 20.0
 
 
 @compiled
-def interpolate(blocks, left, share, rows):
-    """Rows of blocks along x: between the block `left` of every pixel and the next."""
+def interpolate(blocks, left, share, darkest, brightest, rows):
+    """The field along x at the blocks' centres, between the block `left` of every pixel and the next.
+
+    There is one more block on every side, as the slope of the logarithm goes on; all are within bounds.
+    """
+    around = beyond(np.log(blocks))
     for row in range(rows.shape[0]):
-        values, out = blocks[row], rows[row]
+        out = rows[row]
+        values = np.empty(around.shape[1], np.float32)
+        for column in range(values.size):
+            values[column] = min(max(np.exp(around[row, column]), darkest), brightest)
         for x in range(out.size):
             out[x] = values[left[x]] + share[x] * (values[left[x] + 1] - values[left[x]])
+
+
+@compiled
+def beyond(blocks):
+    """With one more block all around, as slopes go on: light at the border is no mean of that inside."""
+    rows, columns = blocks.shape
+    out = np.empty((rows + 2, columns + 2), blocks.dtype)
+    out[1:-1, 1:-1] = blocks
+    out[0], out[-1] = 2 * out[1] - out[2], 2 * out[-2] - out[-3]
+    out[:, 0], out[:, -1] = 2 * out[:, 1] - out[:, 2], 2 * out[:, -2] - out[:, -3]
+    return out
+
+
+class Following(NamedTuple):
+    """How light may move within a frame; numbers are those of `models.background.light`, for its time.
+
+    `fastest` is the log of the most that it changes; below a `steady` one only the share `slowly` is
+    followed, and the share `hidden` is what a block that is not seen takes from those around it.
+    """
+
+    fastest: float
+    steady: float
+    slowly: float
+    hidden: float
+    same: float
+    least_agreement: float
+    unseen: float
+    window_weight: float
+    own_weight: float
+    darkest: float
+    brightest: float
+
+
+@compiled
+def follow(blocks, ratios, agreement, texture, covered, rule, after):
+    """Blocks of light `after` a frame, of what is measured in it (see `light_ratios`)."""
+    rows, columns = blocks.shape
+    change, weight = np.log(ratios).astype(np.float64), np.empty((rows, columns), np.float64)
+    for row in range(rows):
+        for column in range(columns):
+            # by what is known to be there (the median is that of the larger half), and by its texture
+            clear = min(max(1 - 2 * np.float64(covered[row, column]), 0.0), 1.0) ** 2
+            clear = min(max(clear, rule.unseen), 1 - rule.unseen)
+            odds = np.log(clear) - np.log1p(-clear) + texture[row, column]
+            seen = 1 / (1 + np.exp(-min(max(odds, -30.0), 30.0)))
+            agreed = np.float64(agreement[row, column])
+            weight[row, column] = seen * agreed if agreed > rule.least_agreement else 0.0
+    smooth = _smoothed(beyond(_medians(beyond(_filled(change, weight, rule)))))
+    moved = np.empty((rows, columns), np.float64)
+    for row in range(rows):
+        for column in range(columns):
+            step = smooth[row, column]
+            if abs(change[row, column] - step) >= rule.same:
+                weight[row, column] = 0.0
+            step *= 1.0 if abs(step) > rule.steady else rule.slowly
+            moved[row, column] = np.log(blocks[row, column]) + min(max(step, -rule.fastest), rule.fastest)
+    around = _filled(moved, weight, rule)
+    for row in range(rows):
+        for column in range(columns):
+            share = (1 - weight[row, column]) * rule.hidden
+            value = moved[row, column] + share * (around[row, column] - moved[row, column])
+            after[row, column] = min(max(np.exp(value), rule.darkest), rule.brightest)
+
+
+@compiled
+def _filled(values, weight, rule):
+    """Normalised convolution over narrowing windows: where the weight is small, what is around counts."""
+    rows, columns = weight.shape
+    sums = np.zeros((2, rows + 1, columns + 1))  # of all that is above and left
+    for row in range(rows):
+        for column in range(columns):
+            for k in range(2):
+                own = weight[row, column] * (values[row, column] if k == 0 else 1.0)
+                before = sums[k, row, column + 1] + sums[k, row + 1, column] - sums[k, row, column]
+                sums[k, row + 1, column + 1] = own + before
+    filled = np.full((rows, columns), sums[0, rows, columns] / (sums[1, rows, columns] + 1))
+    reach = 1
+    while 2 * reach < max(rows, columns):
+        reach *= 2
+    while True:
+        wider = rule.window_weight if reach > 0 else rule.own_weight
+        for row in range(rows):
+            top, bottom = max(row - reach, 0), min(row + reach + 1, rows)
+            for column in range(columns):
+                left, right = max(column - reach, 0), min(column + reach + 1, columns)
+                above = wider * filled[row, column]
+                below = wider
+                above += (
+                    sums[0, bottom, right] - sums[0, top, right] - sums[0, bottom, left] + sums[0, top, left]
+                )
+                below += (
+                    sums[1, bottom, right] - sums[1, top, right] - sums[1, bottom, left] + sums[1, top, left]
+                )
+                filled[row, column] = above / below
+        if reach == 0:
+            return filled
+        reach //= 2
+
+
+@compiled
+def _medians(blocks):
+    """Of 3 x 3 blocks, without those at the border."""
+    out = np.empty((blocks.shape[0] - 2, blocks.shape[1] - 2))
+    nine = np.empty(9)
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            for k in range(9):
+                value, place = blocks[row + k // 3, column + k % 3], k
+                while place > 0 and nine[place - 1] > value:
+                    nine[place] = nine[place - 1]
+                    place -= 1
+                nine[place] = value
+            out[row, column] = nine[4]
+    return out
+
+
+@compiled
+def _smoothed(blocks):
+    """By 1 2 1 both ways, without those at the border: errors of no wavelength grow."""
+    across = 0.25 * blocks[:, :-2] + 0.5 * blocks[:, 1:-1] + 0.25 * blocks[:, 2:]
+    return 0.25 * across[:-2] + 0.5 * across[1:-1] + 0.25 * across[2:]
+
+
+@compiled
+def share_covered(covered, sampled, shares):
+    """Share of every block of `covered` `(height, width)`, of one in `sampled` pixels along either axis."""
+    height, width = covered.shape
+    rows, columns = shares.shape
+    per_row, per_column = np.zeros(rows, np.int32), np.zeros(columns, np.int32)
+    column_of = np.empty(width, np.int64)
+    for x in range(0, width, sampled):
+        column_of[x] = x * columns // width
+        per_column[column_of[x]] += 1
+    shares[:] = 0
+    for y in range(0, height, sampled):
+        row = y * rows // height
+        per_row[row] += 1
+        for x in range(0, width, sampled):
+            if covered[y, x] == 255:
+                shares[row, column_of[x]] += 1
+    for row in range(rows):
+        for column in range(columns):
+            shares[row, column] /= max(per_row[row] * per_column[column], 1)
 
 
 @compiled
@@ -55,7 +207,7 @@ def light_ratios(pixels, mean, light, ratios, agreement, texture):
                     seen = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
                 else:
                     seen = _f4(shown[x])
-                expected = (upper[x] + below_share * (lower[x] - upper[x])) * own[x]
+                expected = (upper[x] + below_share * (lower[x] - upper[x])) * mean_of(own[x])
                 usable = (expected > _f4(16.0)) & (seen > _f4(2.0)) & (seen < _f4(250.0))
                 out[k] = seen / expected if usable else _UNUSABLE
                 scene[k] = expected

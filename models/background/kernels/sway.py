@@ -6,7 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled, inlined, logarithm
-from .gaussian import ODDS_STEPS, foreground_spans, light_beside
+from .gaussian import (
+    MOST_RECALLED,
+    ODDS_STEPS,
+    SPAN,
+    SURE,
+    foreground_spans,
+    light_beside,
+    mean_of,
+    noise_of,
+    variance_of,
+)
 
 _f4 = np.float32
 
@@ -20,6 +30,10 @@ SAMPLED = 5
 """px between the pixels of which the rates are learned."""
 
 
+_FAR = _f4(1e15)
+_SPAN, _TWO, _THREE, _FOUR, _FIVE = (np.uint64(number) for number in (SPAN, 2, 3, 4, 5))
+
+
 class Sway(NamedTuple):
     """How often pixels show what is beside them, `(block_rows, block_columns)`, and from how far, px."""
 
@@ -27,95 +41,224 @@ class Sway(NamedTuple):
     reach: int
 
 
-@inlined
-def squared_gap(pixels, mean, i, shown, light):
-    """Squared distance in the planes of pixel `shown` of a picture from the background of pixel `i`."""
-    if mean.shape[0] == 1:
-        d0 = _f4(pixels[shown]) - light * mean[0, i]
-        return d0 * d0
-    b, g, r = _f4(pixels[3 * shown]), _f4(pixels[3 * shown + 1]), _f4(pixels[3 * shown + 2])
-    grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-    d0 = grey - light * mean[0, i]
-    d1 = _f4(1.426) * (r - grey) - light * mean[1, i]
-    d2 = _f4(1.128) * (b - grey) - light * mean[2, i]
-    return d0 * d0 + d1 * d1 + d2 * d2
-
-
-@inlined
-def luma_gap(pixels, mean, i, light):
-    """Luma of pixel `i` of a picture less that of its background."""
-    if mean.shape[0] == 1:
-        return _f4(pixels[i]) - light * mean[0, i]
-    b, g, r = _f4(pixels[3 * i]), _f4(pixels[3 * i + 1]), _f4(pixels[3 * i + 2])
-    return _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r - light * mean[0, i]
-
-
-@inlined
-def _least_gap(pixels, mean, y, x, size, reach, light):
-    """The least squared distance of a pixel from the background within `reach` px, on a grid of 7 x 7."""
-    height, width = size
-    step = max(reach // 3, 1)
-    least = _f4(1e30)
-    for row in range(max(y - 3 * step, 0), min(y + 3 * step, height - 1) + 1, step):
-        for column in range(max(x - 3 * step, 0), min(x + 3 * step, width - 1) + 1, step):
-            least = min(least, squared_gap(pixels, mean, row * width + column, y * width + x, light))
-    return least
-
-
 @compiled
-def recall_moved(first, end, pixels, before, light_field, model, sway, log_odds):
+def recall_moved(first, pixels, before, light_field, model, sway, log_odds):
     """Foreground that shows the background of a place nearby, where such things happen, is background.
 
     p(I) = rate max_d N(I; m(k + d), noise), d within the reach (a neighbourhood likelihood as Elgammal,
-    Harwood and Davis', ECCV 2000). `first` and `end` are rows.
+    Harwood and Davis', ECCV 2000), on a grid of 7 x 7. `log_odds` are those from row `first` on.
     """
-    mean, noise = before.mean, before.noise
-    channels, height, width = mean.shape[0], light_field.positions.size, light_field.rows.shape[1]
+    mean, channels = before.mean, _f4(before.mean.shape[0])
+    height, width = light_field.positions.size, light_field.rows.shape[1]
     block_rows, block_columns = sway.rates.shape
-    spans = np.empty((end - first) * width // 64 + 1, np.int64)
-    for k in range(foreground_spans(log_odds[first * width : end * width], spans)):
-        start = first * width + spans[k]
-        for i in range(start, min(start + 64, end * width)):
-            y = i // width
-            x = i - y * width
-            rate = sway.rates[y * block_rows // height, x * block_columns // width]
-            if log_odds[i] >= 0 or rate < _f4(LEAST_RATE):
+    spans = np.empty(width // SPAN + 1, np.int64)
+    work = np.empty(8 * SPAN + 18 * max(sway.reach // 3, 1), np.float32)
+    light, least = work[:SPAN], work[SPAN : 2 * SPAN]
+    for row in range(log_odds.size // width):
+        y = first + row
+        rates = sway.rates[y * block_rows // height]
+        if rates.max() < _f4(LEAST_RATE):
+            continue
+        odds_here = log_odds[row * width : (row + 1) * width]
+        for span in range(foreground_spans(odds_here, spans)):
+            left, right = spans[span], min(spans[span] + SPAN, width)
+            left, right = _swaying_foreground(odds_here, left, right, rates)
+            if left == right:
                 continue
-            upper, lower, below_share = light_beside(light_field, y)
-            light = upper[x] + below_share * (lower[x] - upper[x])
-            gap = _least_gap(pixels, mean, y, x, (height, width), sway.reach, light)
-            spread = noise[i] + light * light * before.variance[i]
-            odds = model.log_prior_odds + logarithm(rate)
-            odds -= _f4(0.5) * (_f4(channels) * logarithm(spread) + gap / spread)
-            log_odds[i] = max(log_odds[i], np.int8(min(max(odds, _f4(-6)), _f4(6)) * _f4(ODDS_STEPS)))
+            _least_gaps(pixels, mean, y, left, right, sway.reach, light_field, work)
+            for x in range(left, right):
+                rate, i = rates[x * block_columns // width], y * width + x
+                if odds_here[x] >= 0 or rate < _f4(LEAST_RATE):
+                    continue
+                glow = light[x - left]
+                spread = noise_of(before.noise[i]) + glow * glow * variance_of(before.variance[i])
+                odds = model.log_prior_odds + logarithm(rate)
+                odds -= _f4(0.5) * (channels * logarithm(spread) + least[x - left] / spread)
+                odds_here[x] = max(
+                    odds_here[x], np.int8(min(max(odds, _f4(-6)), _f4(MOST_RECALLED)) * _f4(ODDS_STEPS))
+                )
+
+
+@inlined
+def _swaying_foreground(log_odds, left, right, rates):
+    """The part of a span that its foreground in swaying blocks lies in; empty where there is none."""
+    width, columns = log_odds.size, rates.size
+    while left < right and (log_odds[left] >= 0 or rates[left * columns // width] < _f4(LEAST_RATE)):
+        left += 1
+    while left < right and (
+        log_odds[right - 1] >= 0 or rates[(right - 1) * columns // width] < _f4(LEAST_RATE)
+    ):
+        right -= 1
+    return left, right
 
 
 @compiled
-def count_moved(pixels, before, light_field, covered, reach, counts):
+def _least_gaps(pixels, mean, y, left, right, reach, light_field, work):
+    """The least squared distances of pixels `left` to `right` of a row from what is beside them.
+
+    `work` gets `SPAN` numbers each: the light, the least distances, and the planes of what is seen; then
+    planes of one row of the background about the span, far from any colour beyond the picture's edges.
+    """
+    channels, height, width = mean.shape[0], light_field.positions.size, light_field.rows.shape[1]
+    start = y * width + left
+    upper, lower, below_share = light_beside(light_field, y)
+    for x in range(right - left):
+        work[x] = upper[left + x] + below_share * (lower[left + x] - upper[left + x])
+        grey = luma_of(pixels, start + x, channels)
+        work[2 * SPAN + x] = grey
+        if channels == 3:
+            k = 3 * (start + x)
+            work[3 * SPAN + x] = _f4(1.426) * (_f4(pixels[k + 2]) - grey)
+            work[4 * SPAN + x] = _f4(1.128) * (_f4(pixels[k]) - grey)
+    work[SPAN : 2 * SPAN] = _FAR * _FAR
+    step = max(reach // 3, 1)
+    wide = right - left + 6 * step
+    begin, end = max(0, 3 * step - left), min(wide, width - left + 3 * step)
+    work[5 * SPAN :] = _FAR
+    for row in range(max(y - 3 * step, 0), min(y + 3 * step, height - 1) + 1, step):
+        there = row * width + left - 3 * step
+        for channel in range(channels):
+            beside = work[5 * SPAN + channel * (SPAN + 6 * step) :][begin:end]
+            stored = mean[channel, there + begin : there + end]
+            for x in range(stored.size):
+                beside[x] = mean_of(stored[x])
+        for aside in range(0, 6 * step + 1, step):
+            _nearer(work, np.uint64(aside), np.uint64(SPAN + 6 * step), channels)
+
+
+@inlined
+def _nearer(work, aside, plane, channels):
+    """What is nearer to pixels than all before, of the background `aside` px from where its row begins."""
+    luma = _SPAN * _FIVE + aside
+    if channels == 3:
+        red, blue = luma + plane, luma + plane + plane
+        for x in range(_SPAN):
+            d0 = work[_SPAN * _TWO + x] - work[x] * work[luma + x]
+            d1 = work[_SPAN * _THREE + x] - work[x] * work[red + x]
+            d2 = work[_SPAN * _FOUR + x] - work[x] * work[blue + x]
+            work[_SPAN + x] = min(work[_SPAN + x], d0 * d0 + d1 * d1 + d2 * d2)
+    else:
+        for x in range(_SPAN):
+            d0 = work[_SPAN * _TWO + x] - work[x] * work[luma + x]
+            work[_SPAN + x] = min(work[_SPAN + x], d0 * d0)
+
+
+@inlined
+def luma_of(pixels, i, channels):
+    """Luma of pixel `i` of a picture."""
+    if channels == 1:
+        return _f4(pixels[i])
+    return (
+        _f4(0.114) * _f4(pixels[3 * i])
+        + _f4(0.587) * _f4(pixels[3 * i + 1])
+        + _f4(0.299) * _f4(pixels[3 * i + 2])
+    )
+
+
+@compiled
+def count_moved(pixels, before, light_field, log_odds, covered, reach, counts):
     """Counts per block, `(block_rows, block_columns, 4)`, of a sample of its pixels.
 
     Those that nothing covers; those that were moved; and of these the sum of differences in luma from the
     background, and of their sizes. A pixel was moved if its own background does not explain what it shows,
-    but that of a place nearby does.
+    but that of a place nearby does; where its own `log_odds` are at their bound, its own does.
     """
     mean = before.mean
-    height, width = light_field.positions.size, light_field.rows.shape[1]
+    size = height, width = light_field.positions.size, light_field.rows.shape[1]
     block_rows, block_columns = counts.shape[:2]
+    columns = np.empty(width, np.int64)
+    per_column = np.zeros(block_columns, np.float32)
+    for x in range(width):
+        columns[x] = x * block_columns // width
+        per_column[columns[x]] += x % SAMPLED == SAMPLED // 2
     counts[:] = 0
     for y in range(SAMPLED // 2, height, SAMPLED):
+        row = counts[y * block_rows // height]
+        row[:, 0] += per_column
         upper, lower, below_share = light_beside(light_field, y)
-        for x in range(SAMPLED // 2, width, SAMPLED):
-            i = y * width + x
-            if covered[i] != 0:
+        for left in range(0, width, SPAN):
+            right = min(left + SPAN, width)
+            behind = covered[y * width + left : y * width + right]
+            sure = _all_alike(log_odds[y * width + left : y * width + right], SURE)
+            if sure and _all_alike(behind, np.uint8(0)):
                 continue
-            row, column = y * block_rows // height, x * block_columns // width
-            counts[row, column, 0] += 1
-            light = upper[x] + below_share * (lower[x] - upper[x])
-            spread = before.noise[i] + light * light * before.variance[i]
-            if squared_gap(pixels, mean, i, i, light) > _f4(SURPRISE) * spread:
-                gap = _least_gap(pixels, mean, y, x, (height, width), reach, light)
-                if gap < _f4(SURPRISE) * spread:
-                    brighter = luma_gap(pixels, mean, i, light)
-                    counts[row, column, 1] += 1
-                    counts[row, column, 2] += brighter
-                    counts[row, column, 3] += abs(brighter)
+            for x in range(left + (SAMPLED // 2 - left) % SAMPLED, right, SAMPLED):
+                i, block = y * width + x, row[columns[x]]
+                if behind[x - left] != 0:
+                    block[0] -= 1
+                    continue
+                if log_odds[i] == SURE:
+                    continue
+                light = upper[x] + below_share * (lower[x] - upper[x])
+                spread = noise_of(before.noise[i]) + light * light * variance_of(before.variance[i])
+                shown = _planes_of_pixel(pixels, i, mean.shape[0])
+                if _squared_gap(shown, mean, i, light) <= _f4(SURPRISE) * spread:
+                    continue
+                if _least_gap(shown, mean, y, x, reach, light, size) < _f4(SURPRISE) * spread:
+                    brighter = shown[0] - light * mean_of(mean[0, i])
+                    block[1] += 1
+                    block[2] += brighter
+                    block[3] += abs(brighter)
+
+
+@compiled
+def learn_rates(counts, rates, share, least_seen, after):
+    """Rates of blocks `after` a frame, of the counts in 3 x 3 blocks about each; `share` is that of the frame.
+
+    Leaves change places, some get brighter and some darker; a shade and a person change all one way.
+    """
+    rows, columns = rates.shape
+    for row in range(rows):
+        for column in range(columns):
+            seen = moved = brighter = changed = _f4(0)
+            for k in range(9):
+                y, x = row + k // 3 - 1, column + k % 3 - 1
+                block = counts[min(max(y, 0), rows - 1), min(max(x, 0), columns - 1)]
+                seen, moved = seen + block[0], moved + block[1]
+                brighter, changed = brighter + block[2], changed + block[3]
+            own = rates[row, column]
+            if seen > least_seen:
+                now = moved * (_f4(1) - abs(brighter) / max(changed, _f4(1e-6))) / seen
+                own += share * (now - own)
+            after[row, column] = own
+
+
+@inlined
+def _all_alike(values, wanted):
+    different = np.int32(0)
+    for k in range(values.size):
+        different += np.int32(values[k] != wanted)
+    return different == 0
+
+
+@inlined
+def _planes_of_pixel(pixels, i, channels):
+    """Planes of pixel `i` of a picture; those that it has not are 0."""
+    grey = luma_of(pixels, i, channels)
+    if channels == 1:
+        return grey, _f4(0), _f4(0)
+    return grey, _f4(1.426) * (_f4(pixels[3 * i + 2]) - grey), _f4(1.128) * (_f4(pixels[3 * i]) - grey)
+
+
+@inlined
+def _squared_gap(shown, mean, i, light):
+    """Squared distance of the planes of a pixel from the background of pixel `i`."""
+    d0 = shown[0] - light * mean_of(mean[0, i])
+    if mean.shape[0] == 1:
+        return d0 * d0
+    d1, d2 = shown[1] - light * mean_of(mean[1, i]), shown[2] - light * mean_of(mean[2, i])
+    return d0 * d0 + d1 * d1 + d2 * d2
+
+
+@compiled
+def _least_gap(shown, mean, y, x, reach, light, size):
+    """As `_least_gaps`, of one pixel."""
+    height, width = size
+    step = max(reach // 3, 1)
+    left, right = x - min(x // step, 3) * step, min(x + 3 * step, width - 1) + 1
+    least = _FAR
+    for row in range(y - min(y // step, 3) * step, min(y + 3 * step, height - 1) + 1, step):
+        there = mean[:, row * width + left : row * width + right : step]
+        for k in range(there.shape[1]):
+            least = min(least, _squared_gap(shown, there, k, light))
+    return least

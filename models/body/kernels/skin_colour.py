@@ -1,8 +1,10 @@
-"""Loop over an image's pixels that reads a table of colours."""
+"""Loops over an image's pixels that read a table of colours, and blend what two of them say."""
 
 import numpy as np
 
-from ...numerics.compiled import compiled
+from ...numerics.compiled import compiled, exponential, logarithm
+
+_f4 = np.float32
 
 
 @compiled
@@ -11,3 +13,11 @@ def looked_up(luma_red_blue, table, out):
     for i in range(out.size):
         luma, red, blue = luma_red_blue[i, 0], luma_red_blue[i, 1], luma_red_blue[i, 2]
         out[i] = table[(np.int32(luma >> 5) << 12) | (np.int32(red >> 2) << 6) | np.int32(blue >> 2)]
+
+
+@compiled
+def blended(odds, others, own, other):
+    """Turn log odds `odds` `(n,)` float32 into those of a mixture with `others` `(n,)`, by their shares."""
+    own, other = _f4(own), _f4(other)
+    for k in range(len(odds)):
+        odds[k] = logarithm(own * exponential(odds[k]) + other * exponential(others[k]))

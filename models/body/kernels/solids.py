@@ -43,12 +43,12 @@ class Solid(NamedTuple):
     torso: NDArray[np.float32]
     """`(4, 4)`, see `_torso_fronts`."""
     torso_points: NDArray[np.float32]
-    """`(r, 4, LANES)`: x and y px of its contour from the root, in its plane, and of the contour's normals."""
+    """`(r, 4, LANES)`: x and y px of its contour from the root, in its plane, and those of its normals."""
     circles: NDArray[np.float32]
     """`(rows, 2, LANES)`: points of unit circles for head and hands."""
     limb_points: NDArray[np.float32]
-    """`(3, LANES)`: by how many steps a point is from the beginning of a limb's outline, on which side, and in
-    the first number of all how many steps there are."""
+    """`(3, LANES)`: by how many steps a point is from the beginning of a limb's outline, on which side it is,
+    and how many steps there are."""
     firsts: NDArray[np.intp]
     """`(9,)`: part j has the rows `firsts[j]` to `firsts[j + 1]`."""
     counted: NDArray[np.float32]

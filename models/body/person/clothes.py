@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.short_repr import short_repr
+from ..kernels.skin_colour import blended
 from ..skin.colour import N_BINS, SkinColour, colour_counts, has_colour, log_ratio_of, looked_up_in
 
 Array = NDArray[np.float64]
@@ -81,13 +82,13 @@ class ClothesColour:
             return None
         return cls(log_ratio_of(on, off))
 
-    def arm_map(self, image: Image, head_height: float, skin: Map, bare: float) -> Map:
+    def arm_map(self, colours: Image, head_height: float, skin: Map, bare: float) -> Map:
         """Log odds of an arm against anything else, half as large as the image and smoothed.
 
         Parameters
         ----------
-        image
-            `(height, width, 3)` uint8 BGR.
+        colours
+            `(height, width, 3)` uint8: the `smoothed` image.
         head_height
             px.
         skin
@@ -95,10 +96,8 @@ class ClothesColour:
         bare
             probability that arms are bare.
         """
-        odds = looked_up_in(self.table, image)
+        odds = looked_up_in(self.table, colours)
         if bare > 0:
-            odds = np.logaddexp(
-                odds + np.float32(np.log1p(-min(bare, 0.999))), skin + np.float32(np.log(bare))
-            )
+            blended(odds.reshape(-1), skin.reshape(-1), 1 - min(bare, 0.999), bare)
         half = cv2.resize(odds, None, fx=SHRINK, fy=SHRINK, interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.GaussianBlur(half, (0, 0), BLUR * SHRINK * head_height), np.float32)

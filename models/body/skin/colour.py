@@ -112,14 +112,16 @@ class SkinColour:
         ValueError
             if the image has one channel.
         """
-        if image.ndim != 3:
-            raise ValueError(f"image: got {image.shape}, expected (height, width, 3)")
-        return looked_up_in(self.table, image)
+        return self.log_odds_of(smoothed(image))
+
+    def log_odds_of(self, colours: Image) -> NDArray[np.float32]:
+        """The same, of what `smoothed` gives."""
+        return looked_up_in(self.table, colours)
 
 
 def colour_counts(image: Image, where: NDArray[np.bool_]) -> Array:
     """How often colours are seen in an image `where` `(height, width)`, by bins."""
-    return np.asarray(np.bincount(_bins(_smoothed(image))[where], minlength=N_BINS), np.float64)
+    return np.asarray(np.bincount(_bins(smoothed(image))[where], minlength=N_BINS), np.float64)
 
 
 def log_ratio_of(some: Array, others: Array) -> NDArray[np.float32]:
@@ -128,10 +130,10 @@ def log_ratio_of(some: Array, others: Array) -> NDArray[np.float32]:
     return np.asarray(np.clip(ratio, -HIGHEST, HIGHEST), np.float32)
 
 
-def looked_up_in(table: NDArray[np.float32], image: Image) -> NDArray[np.float32]:
-    """`(height, width)` nats: what a table over `BINS` says of the colours of an image."""
-    out = np.empty(image.shape[:2], np.float32)
-    looked_up(_smoothed(image).reshape(-1, 3), table.reshape(-1), out.reshape(-1))
+def looked_up_in(table: NDArray[np.float32], colours: Image) -> NDArray[np.float32]:
+    """`(height, width)` nats: what a table over `BINS` says of the colours that `smoothed` gives."""
+    out = np.empty(colours.shape[:2], np.float32)
+    looked_up(colours.reshape(-1, 3), table.reshape(-1), out.reshape(-1))
     return out
 
 
@@ -143,8 +145,16 @@ def has_colour(image: Image) -> bool:
     return bool(np.percentile(np.ptp(some, axis=2), 99) > LEAST_COLOUR)
 
 
-def _smoothed(image: Image) -> Image:
-    """`(height, width, 3)` Y, Cr, Cb."""
+def smoothed(image: Image) -> Image:
+    """`(height, width, 3)` Y, Cr, Cb of a BGR image, as tables of colours are asked for them.
+
+    Raises
+    ------
+    ValueError
+        if the image has one channel.
+    """
+    if image.ndim != 3:
+        raise ValueError(f"image: got {image.shape}, expected (height, width, 3)")
     return np.asarray(cv2.cvtColor(cv2.GaussianBlur(image, (0, 0), BLUR), cv2.COLOR_BGR2YCrCb), np.uint8)
 
 

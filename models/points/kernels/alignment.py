@@ -7,11 +7,19 @@ from numpy.typing import NDArray
 
 from ...numerics.compiled import compiled, inlined
 
+_f4 = np.float32
+
 UNKNOWNS = 8
 """Offset, gain, rotation, scale and two stretches of a patch, and two by which it moves."""
 
-REGISTERS = 8
-"""Numbers of the vector registers that a sum fills at once: with zeros behind, none are left over."""
+ROWS = UNKNOWNS + 1
+"""Of a system of equations: the unknowns', and the right side, below which sums of squares remain."""
+
+PIECE = 25
+"""Pixels of a patch over which sums are written out; larger patches are several, filled up with zeros."""
+
+LANES = 64
+"""Patches that are worked on side by side: in all loops over numbers they are the last axis."""
 
 STEPS = 8
 """Gauss-Newton steps at most."""
@@ -19,7 +27,7 @@ STEPS = 8
 SMALL = 0.1
 """px: a step after which there is no other, which would be about a tenth of it: much less than noise does."""
 
-FLAT = 1e-3
+FLAT = 0.02
 """Squared grey values: the variance of what has no texture at all."""
 
 LONGEST = 0.5
@@ -64,161 +72,265 @@ def _cubic(f, k):
 
 
 @compiled
-def sample_about(grey, x, y, along, out):
-    """Grey values on a grid of `out`'s size with its middle at (x, y); beyond the edge they are the edge's.
+def sample_all(grey, positions, which, patches):
+    """Grey values about those positions `(n, 2)` whose numbers are in `which`, into `patches`.
 
-    `along` is room for as many columns as `out` has, and three more rows.
+    These are `(n, side, side)`, and have their middle there; beyond the edge they are the edge's.
     """
-    height, width = grey.shape
-    side = out.shape[0]
-    left, top = int(np.floor(x)), int(np.floor(y))
-    fx, fy = x - left, y - top
-    left, top = left - side // 2 - 1, top - side // 2 - 1
-    w0, w1, w2, w3 = _cubic(fx, 0), _cubic(fx, 1), _cubic(fx, 2), _cubic(fx, 3)
-    if left >= 0 and top >= 0 and left + side + 3 <= width and top + side + 3 <= height:
-        for i in range(side + 3):
-            row, here = grey[top + i, left : left + side + 3], along[i]
-            for j in range(side):
-                here[j] = w0 * row[j] + w1 * row[j + 1] + w2 * row[j + 2] + w3 * row[j + 3]
-    else:
-        for i in range(side + 3):
-            row, here = grey[min(max(top + i, 0), height - 1)], along[i]
-            for j in range(side):
-                a, b = min(max(left + j, 0), width - 1), min(max(left + j + 1, 0), width - 1)
-                c, d = min(max(left + j + 2, 0), width - 1), min(max(left + j + 3, 0), width - 1)
-                here[j] = w0 * row[a] + w1 * row[b] + w2 * row[c] + w3 * row[d]
-    w0, w1, w2, w3 = _cubic(fy, 0), _cubic(fy, 1), _cubic(fy, 2), _cubic(fy, 3)
-    for i in range(side):
-        here, p, q, r, s = out[i], along[i], along[i + 1], along[i + 2], along[i + 3]
-        for j in range(side):
-            here[j] = w0 * p[j] + w1 * q[j] + w2 * r[j] + w3 * s[j]
-
-
-@compiled
-def sample_all(grey, positions, patches):
-    """Patches `(n, side, side)` about positions `(n, 2)`."""
     side = patches.shape[1]
-    along, out = np.empty((side + 3, side)), np.empty((side, side))
-    for n in range(patches.shape[0]):
-        sample_about(grey, positions[n, 0], positions[n, 1], along, out)
-        patches[n] = out
+    sampler = _sampler(side)
+    for first in range(0, which.size, LANES):
+        lanes = min(LANES, which.size - first)
+        for k in range(LANES):
+            n = which[first + min(k, lanes - 1)]
+            sampler.x[k], sampler.y[k] = positions[n, 0], positions[n, 1]
+        _sample(grey, side, sampler)
+        for k in range(lanes):
+            n = which[first + k]
+            for i in range(side):
+                for j in range(side):
+                    patches[n, i, j] = sampler.seen[i * side + j, k]
+
+
+class Sampler(NamedTuple):
+    """Places `(LANES,)`, what is `seen` there, `(side * side, LANES)`, and room for what leads to it."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    pixels: NDArray[np.uint8]
+    along: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    seen: NDArray[np.float32]
 
 
 @compiled
-def _eliminate(a, b, first, last):
-    """Make zeros below the diagonal of a x = b in the columns from `first` to before `last`.
+def _sampler(side):
+    line = side + 3
+    return Sampler(
+        np.empty(LANES),
+        np.empty(LANES),
+        np.empty((line * line, LANES), np.uint8),
+        np.empty((line * side, LANES), _f4),
+        np.empty((8, LANES), _f4),
+        np.empty((side * side, LANES), _f4),
+    )
 
-    `a` is symmetric, and only its upper triangle is read and written. What is then left at the lower right is
-    the system of the other unknowns alone.
+
+@compiled
+def _sample(grey, side, sampler):
+    """Look at the places of a sampler: squares of `side` px about them."""
+    height, width = grey.shape
+    pixels, along, weights, line = sampler.pixels, sampler.along, sampler.weights, side + 3
+    for k in range(LANES):
+        x, y = sampler.x[k], sampler.y[k]
+        left, top = int(np.floor(x)), int(np.floor(y))
+        for m in range(4):
+            weights[m, k], weights[4 + m, k] = _cubic(x - left, m), _cubic(y - top, m)
+        left, top = left - side // 2 - 1, top - side // 2 - 1
+        if left >= 0 and top >= 0 and left + line <= width and top + line <= height:
+            for i in range(line):
+                for j in range(line):
+                    pixels[i * line + j, k] = grey[top + i, left + j]
+        else:
+            for i in range(line):
+                row = grey[min(max(top + i, 0), height - 1)]
+                for j in range(line):
+                    pixels[i * line + j, k] = row[min(max(left + j, 0), width - 1)]
+    p, q, r, s = weights[0], weights[1], weights[2], weights[3]
+    for n in range(line * side):
+        m = n // side * line + n % side
+        out, a, b, c, d = along[n], pixels[m], pixels[m + 1], pixels[m + 2], pixels[m + 3]
+        for k in range(LANES):
+            out[k] = p[k] * _f4(a[k]) + q[k] * _f4(b[k]) + r[k] * _f4(c[k]) + s[k] * _f4(d[k])
+    p, q, r, s = weights[4], weights[5], weights[6], weights[7]
+    for n in range(side * side):
+        out, e, f, g, h = sampler.seen[n], along[n], along[n + side], along[n + 2 * side], along[n + 3 * side]
+        for k in range(LANES):
+            out[k] = p[k] * e[k] + q[k] * f[k] + r[k] * g[k] + s[k] * h[k]
+
+
+@compiled
+def _changes(seen, patch, mean, side, change):
+    """What changes the pixels of a patch, `(ROWS, side * side, LANES)`, and what they are off by.
+
+    Offset (ones, which are there), gain, rotation, scale, stretch along the axes and along the diagonals, then
+    columns and rows by which it moves, and what is off. `seen` has a pixel more on all sides.
     """
+    half, line = side // 2, side + 2
+    for n in range(side * side):
+        x, y = _f4(n % side - half), _f4(n // side - half)
+        m = (n // side + 1) * line + n % side + 1
+        gx, gy = change[6, n], change[7, n]
+        _mean_less(seen[m + 1], seen[m - 1], _f4(0.5), gx)
+        _mean_less(seen[m + line], seen[m - line], _f4(0.5), gy)
+        _mean_less(patch[n], mean, _f4(1), change[1, n])
+        _mean_less(seen[m], patch[n], _f4(1), change[8, n])
+        _turned(gy, gx, x, -y, change[2, n])
+        _turned(gx, gy, x, y, change[3, n])
+        _turned(gx, gy, x, -y, change[4, n])
+        _turned(gy, gx, x, y, change[5, n])
+
+
+@compiled
+def _mean_less(one, other, scale, out):
+    for k in range(LANES):
+        out[k] = scale * (one[k] - other[k])
+
+
+@compiled
+def _turned(one, other, x, y, out):
+    for k in range(LANES):
+        out[k] = x * one[k] + y * other[k]
+
+
+@compiled
+def _products(change, part, products):
+    """Sums over patches of products of what changes their pixels: upper triangles `(ROWS, ROWS, LANES)`.
+
+    `change` is `(ROWS, pieces, PIECE, LANES)`, and `part`, `(LANES,)`, room for the sum over one.
+    """
+    for piece in range(change.shape[1]):
+        for k in range(ROWS):
+            for m in range(k, ROWS):
+                one, other, out = change[k, piece], change[m, piece], products[k, m]
+                for lane in range(LANES):
+                    total = _f4(0)
+                    for n in range(PIECE):
+                        total += one[n, lane] * other[n, lane]
+                    part[lane] = total
+                for lane in range(LANES):
+                    out[lane] = part[lane] if piece == 0 else out[lane] + part[lane]
+
+
+@compiled
+def _eliminate(normal, first, last):
+    """Make zeros below the diagonals of systems `(ROWS, ROWS, LANES)` in the columns from `first` to before `last`.
+
+    They are symmetric, and only upper triangles are read and written. What is then left at the lower right is
+    the system of the other unknowns alone, and what their sums of squares are without those that went.
+    """
+    share = np.empty(LANES)
     for k in range(first, last):
-        inverse = 1.0 / a[k, k]
-        for i in range(k + 1, b.size):
-            share = a[k, i] * inverse
-            for j in range(i, b.size):
-                a[i, j] -= share * a[k, j]
-            b[i] -= share * b[k]
+        for i in range(k + 1, ROWS):
+            one, other = normal[k, i], normal[k, k]
+            for lane in range(LANES):
+                share[lane] = one[lane] / other[lane]
+            for j in range(i, ROWS):
+                here, above = normal[i, j], normal[k, j]
+                for lane in range(LANES):
+                    here[lane] -= share[lane] * above[lane]
 
 
 @compiled
-def _dot(one, other):
-    total = 0.0
-    for i in range(one.size):
-        total += one[i] * other[i]
-    return total
+def align_all(grey, patches, which, positions, expected, light, farthest, covariance, ncc):
+    """Move those `positions` `(m, 2)` whose numbers are in `which` to where the picture is like a patch.
 
-
-@compiled
-def _normal_equations(patch, mean, wide, change, normal, right):
-    """Sums over a patch of products of what changes its pixels, and with what they are off by.
-
-    Rows of `change`, `(UNKNOWNS + 1, pixels or more)`: offset, gain, rotation, scale, stretch along the axes
-    and along the diagonals, then columns and rows by which it moves, and what is off. Of `normal` the upper
-    triangle is written. Returned: the sums of squares of what is off and of the patch, of its product with
-    the picture, and of the picture and its square.
-    """
-    side = patch.shape[0]
-    half = side // 2
-    own = cross = level = total = 0.0
-    n = 0
-    for i in range(side):
-        y = i - half
-        for j in range(side):
-            x = j - half
-            value, centred = wide[i + 1, j + 1], patch[i, j] - mean
-            gx, gy = 0.5 * (wide[i + 1, j + 2] - wide[i + 1, j]), 0.5 * (wide[i + 2, j + 1] - wide[i, j + 1])
-            change[0, n], change[1, n] = 1.0, centred
-            change[2, n], change[3, n] = x * gy - y * gx, x * gx + y * gy
-            change[4, n], change[5, n] = x * gx - y * gy, x * gy + y * gx
-            change[6, n], change[7, n] = gx, gy
-            change[8, n] = value - patch[i, j]
-            own += centred * centred
-            cross += centred * value
-            level += value
-            total += value * value
-            n += 1
-    for k in range(UNKNOWNS):
-        for m in range(k, UNKNOWNS):
-            normal[k, m] = _dot(change[k], change[m])
-        right[k] = _dot(change[k], change[UNKNOWNS])
-    return _dot(change[UNKNOWNS], change[UNKNOWNS]), own, cross, level, total
-
-
-@compiled
-def align_all(grey, patches, positions, expected, light, farthest, covariance, ncc):
-    """Move `positions` `(n, 2)` to where the picture is like `patches` `(n, side, side)`.
-
-    Picture = patch + offset + gain (patch - its mean) + its change by a small linear map + noise; offset,
-    gain and map have inverse variances `light.precisions`, `(6,)`, in units of the noise's, whose variance is
-    `light.smoothed` times that of what is left, plus `light.rounding`. Positions have the prior `expected`.
-    Written: `covariance` `(n, 2, 2)` px^2 by the picture alone, with offset, gain and map integrated out; and
+    Of `patches` `(n, side, side)` each has as many positions, one after the other. Picture = patch + offset +
+    gain (patch - its mean) + its change by a small linear map + noise; offset, gain and map have inverse variances `light.precisions`, `(6,)`, in units of the noise's, whose variance is
+    `light.smoothed` times that of what is left, plus `light.rounding`. Patches have the prior `expected`.
+    Written: `covariance` `(m, 2, 2)` px^2 by the picture alone, with offset, gain and map integrated out; and
     the normalised correlation, -1 where the way leads farther than `farthest` px or picture or patch are
     flat.
     """
+    side, each = patches.shape[1], positions.shape[0] // max(patches.shape[0], 1)
+    sampler = _sampler(side + 2)
+    patch, mean, part = np.empty((side * side, LANES), _f4), np.empty(LANES, _f4), np.empty(LANES, _f4)
+    change = np.zeros((ROWS, -(-side * side // PIECE), PIECE, LANES), _f4)
+    lines = change.reshape(ROWS, -1, LANES)
+    lines[0, : side * side] = 1
+    products, normal = np.empty((ROWS, ROWS, LANES), _f4), np.empty((ROWS, ROWS, LANES))
+    start, todo = positions.copy(), which.copy()
+    moving = todo.size
+    for _ in range(STEPS):
+        first = still = 0
+        while first < moving:
+            lanes = min(LANES, moving - first)
+            _take(todo[first : first + lanes], patches, each, positions, patch, mean, sampler)
+            _sample(grey, side + 2, sampler)
+            _changes(sampler.seen, patch, mean, side, lines)
+            _products(change, part, products)
+            _without_light(products, light, normal)
+            for lane in range(lanes):
+                n = todo[first + lane]
+                k, x, y = n // each, positions[n, 0], positions[n, 1]
+                off_x, off_y = x - expected.mean[k, 0], y - expected.mean[k, 1]
+                a, b, c = expected.precision[k, 0, 0], expected.precision[k, 0, 1], expected.precision[k, 1, 1]
+                dx, dy, xx, xy, yy = _step(normal, lane, side, (off_x, off_y, a, b, c), light)
+                x -= min(max(dx, -LONGEST), LONGEST)
+                y -= min(max(dy, -LONGEST), LONGEST)
+                positions[n, 0], positions[n, 1] = x, y
+                covariance[n, 0, 0], covariance[n, 1, 1] = xx, yy
+                covariance[n, 0, 1] = covariance[n, 1, 0] = xy
+                near = abs(x - start[n, 0]) <= farthest and abs(y - start[n, 1]) <= farthest
+                ncc[n] = _correlation(products, lane, side) if near else -1.0
+                if near and max(abs(dx), abs(dy)) >= SMALL:
+                    todo[still] = n
+                    still += 1
+            first += lanes
+        moving = still
+
+
+@compiled
+def _take(which, patches, each, positions, patch, mean, sampler):
+    """Side by side: patches, their means, and where they are; the last one again in lanes that are left over."""
     side = patches.shape[1]
-    count = side * side
-    precisions = light.precisions
-    moves = precisions.size
-    along, wide = np.empty((side + 5, side + 2)), np.empty((side + 2, side + 2))
-    change = np.zeros((UNKNOWNS + 1, -(-count // REGISTERS) * REGISTERS))
-    normal, right = np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS)
-    for n in range(patches.shape[0]):
-        patch, prior = patches[n], expected.precision[n]
-        mean = 0.0
+    for lane in range(LANES):
+        n = which[min(lane, which.size - 1)]
+        sampler.x[lane], sampler.y[lane] = positions[n, 0], positions[n, 1]
+        total = _f4(0)
         for i in range(side):
             for j in range(side):
-                mean += patch[i, j]
-        mean /= count
-        x, y = positions[n, 0], positions[n, 1]
-        near = True
-        for _ in range(STEPS):
-            sample_about(grey, x, y, along, wide)
-            left, own, cross, level, total = _normal_equations(patch, mean, wide, change, normal, right)
-            for k in range(moves):
-                normal[k, k] += precisions[k]
-            least = 1e-6 * (normal[moves, moves] + normal[moves + 1, moves + 1]) + 1e-12
-            normal[moves, moves] += least
-            normal[moves + 1, moves + 1] += least
-            _eliminate(normal, right, 0, moves)
-            for k in range(moves):
-                left -= right[k] * right[k] / normal[k, k]
-            xx, xy, yy = normal[moves, moves], normal[moves, moves + 1], normal[moves + 1, moves + 1]
-            noise = light.smoothed * max(left, 0.0) / (count - 4) + light.rounding
-            off_x, off_y = x - expected.mean[n, 0], y - expected.mean[n, 1]
-            a, b, c = xx + noise * prior[0, 0], xy + noise * prior[0, 1], yy + noise * prior[1, 1]
-            u = right[moves] + noise * (prior[0, 0] * off_x + prior[0, 1] * off_y)
-            v = right[moves + 1] + noise * (prior[0, 1] * off_x + prior[1, 1] * off_y)
-            inverse = 1.0 / (a * c - b * b)
-            dx, dy = inverse * (c * u - b * v), inverse * (a * v - b * u)
-            x -= min(max(dx, -LONGEST), LONGEST)
-            y -= min(max(dy, -LONGEST), LONGEST)
-            near = abs(x - positions[n, 0]) <= farthest and abs(y - positions[n, 1]) <= farthest
-            if not near or (abs(dx) < SMALL and abs(dy) < SMALL):
-                break
-        spread = total - level * level / count
-        textured = spread > FLAT * count and own > FLAT * count
-        ncc[n] = cross / np.sqrt(spread * own) if near and textured else -1.0
-        scale = noise / (xx * yy - xy * xy)
-        covariance[n, 0, 0], covariance[n, 1, 1] = scale * yy, scale * xx
-        covariance[n, 0, 1] = covariance[n, 1, 0] = -scale * xy
-        positions[n, 0], positions[n, 1] = x, y
+                patch[i * side + j, lane] = patches[n // each, i, j]
+                total += patches[n // each, i, j]
+        mean[lane] = total / _f4(side * side)
+
+
+@compiled
+def _without_light(products, light, normal):
+    """Equations of the two moves alone: what else changes a patch is eliminated."""
+    moves = UNKNOWNS - 2
+    for k in range(ROWS):
+        for m in range(k, ROWS):
+            one, out = products[k, m], normal[k, m]
+            for lane in range(LANES):
+                out[lane] = one[lane]
+    for k in range(moves):
+        precision, out = light.precisions[k], normal[k, k]
+        for lane in range(LANES):
+            out[lane] += precision
+    one, other = normal[moves, moves], normal[moves + 1, moves + 1]
+    for lane in range(LANES):
+        least = 1e-6 * (one[lane] + other[lane]) + 1e-12
+        one[lane] += least
+        other[lane] += least
+    _eliminate(normal, 0, moves)
+
+
+@compiled
+def _step(normal, lane, side, prior, light):
+    """How far a patch is off along both axes, and the covariance that the picture gives its place.
+
+    The `prior` is how far it is from where it is expected, and the precision of that: xx, xy and yy.
+    """
+    k, m, end = UNKNOWNS - 2, UNKNOWNS - 1, UNKNOWNS
+    off_x, off_y, px, pxy, py = prior
+    xx, xy, yy = normal[k, k, lane], normal[k, m, lane], normal[m, m, lane]
+    noise = light.smoothed * max(normal[end, end, lane], 0.0) / (side * side - 4) + light.rounding
+    a, b, c = xx + noise * px, xy + noise * pxy, yy + noise * py
+    u = normal[k, end, lane] + noise * (px * off_x + pxy * off_y)
+    v = normal[m, end, lane] + noise * (pxy * off_x + py * off_y)
+    inverse = 1.0 / (a * c - b * b)
+    scale = noise / max(xx * yy - xy * xy, 1e-9 * (xx + yy) ** 2)  # rounding may take what an edge has left
+    return inverse * (c * u - b * v), inverse * (a * v - b * u), scale * yy, -scale * xy, scale * xx
+
+
+@compiled
+def _correlation(products, lane, side):
+    """Of a patch with the picture, from sums over it and over what the picture is off by; -1 if one is flat."""
+    count = side * side
+    off, bright = UNKNOWNS, products[0, UNKNOWNS, lane]
+    own, cross = products[1, 1, lane], products[1, off, lane]
+    spread = products[off, off, lane] + 2.0 * cross + own - bright * bright / count
+    if spread <= FLAT * count or own <= FLAT * count:
+        return -1.0
+    return (cross + own) / np.sqrt(spread * own)

@@ -8,11 +8,24 @@ from numpy.typing import NDArray
 from ...numerics.compiled import compiled
 
 Numbers = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 _f4 = np.float32
 
 USUAL = 5
 """px, side of patches for which loops are written out."""
+
+REGISTER = 16
+"""Numbers of a vector register: of multiples of it none are left over, which would go one by one."""
+
+SHARPNESS, NCC_NOISE = 3.5, 0.02
+"""How -log(1 - correlation^2) grows into a log likelihood, and the noise that limits it."""
+
+LEAST_NCC = 0.5
+"""Normalised correlation from which on anything counts as like a patch."""
+
+LEAST_WEIGHT = -1e30
+"""Log weight of where a patch cannot be."""
 
 
 class Windows(NamedTuple):
@@ -47,7 +60,7 @@ class Candidates(NamedTuple):
     ncc
         `(n, 2)` normalised correlation at that pixel; -1 where there is no such place.
     weight
-        `(n, 2)` log of likelihood and prior, up to a constant; -inf where there is no such place.
+        `(n, 2)` log of likelihood and prior, up to a constant; `LEAST_WEIGHT` where there is no such place.
     """
 
     position: Numbers
@@ -56,182 +69,186 @@ class Candidates(NamedTuple):
 
 
 @compiled
-def _weighted_rows(image, a, b, c, d, e, out):
-    """Add to `out` weighted sums of five pixels of `image` in a row."""
-    for i in range(out.size):
-        out[i] += a * image[i] + b * image[i + 1] + c * image[i + 2] + d * image[i + 3] + e * image[i + 4]
+def best_places(image, windows, patches, which, found):
+    """Fill in the two likeliest places of those patches of `(n, side, side)` whose numbers are in `which`.
+
+    A place's weight is `SHARPNESS` times -log(1 - correlation^2 + `NCC_NOISE`), plus the log prior. Only places
+    are taken of a correlation of `LEAST_NCC` or more, and that no neighbour is more like the patch than; where
+    there are none, what is `found` stays as it is.
+    """
+    mean, covariance, prior, reach, farthest = windows
+    height, width = image.shape
+    side = patches.shape[1]
+    half = side // 2
+    radii = np.empty(which.size, np.int64)
+    most = 0
+    for m in range(which.size):
+        k = which[m]
+        deviation = np.sqrt(max(covariance[k, 0, 0], covariance[k, 1, 1]))
+        radii[m] = np.int64(min(np.ceil(reach * deviation + 0.5), farthest))
+        most = max(most, radii[m])
+    line = 2 * most + 2 + side + REGISTER
+    rooms = np.zeros((6, line * line), _f4)
+    flags = np.zeros(-(-line * line // 8) * 8, np.uint8)
+    eight = flags.view(np.uint64)
+    template, places, weights = np.empty(side * side, _f4), np.empty((2, 3)), np.empty(2)
+    for m in range(which.size):
+        k, radius = which[m], radii[m]
+        x0, y0 = int(np.rint(mean[k, 0])), int(np.rint(mean[k, 1]))
+        # one more on all sides, to see where correlation falls off
+        left, top = max(x0 - radius - 1 - half, 0), max(y0 - radius - 1 - half, 0)
+        columns = min(x0 + radius + 1 + half, width - 1) - left + 2 - side
+        rows = min(y0 + radius + 1 + half, height - 1) - top + 2 - side
+        if columns < 3 or rows < 3:
+            continue
+        line = columns + side - 1
+        count = -(-rows * line // REGISTER) * REGISTER
+        _normalise(patches, k, template)
+        _lift(image, left, top, rows + side - 1, line, rooms[0])
+        correlate(rooms, line, count, template, side)
+        _flag_peaks(rooms[1], line, count, rooms[2], flags)
+        a, b, c = covariance[k, 0, 0], covariance[k, 0, 1], covariance[k, 1, 1]
+        scale = (1.0 if prior else 0.0) / (a * c - b * b)
+        known = scale * c, -2 * scale * b, scale * a, reach * reach
+        offset = left + half - mean[k, 0], top + half - mean[k, 1]
+        _keep_two(rooms[1], line, rows, columns, offset, known, flags, eight, places, weights)
+        for place in range(2):
+            if weights[place] > LEAST_WEIGHT:
+                found.position[k, place, 0] = mean[k, 0] + places[place, 0]
+                found.position[k, place, 1] = mean[k, 1] + places[place, 1]
+                found.ncc[k, place], found.weight[k, place] = places[place, 2], weights[place]
 
 
 @compiled
-def _box_sums(image, width, side, rows, out):
+def _lift(image, left, top, rows, line, pixels):
+    """A window's pixels, less one of them: squares of small numbers are summed exactly enough.
+
+    A line that is filled up to whole registers runs into the next one, which then comes over it.
+    """
+    beyond = image.shape[1]
+    level = _f4(image[top + rows // 2, left + line // 2])
+    filled = -(-line // REGISTER) * REGISTER
+    for y in range(rows):
+        row, here = image[top + y, left : min(left + filled, beyond)], pixels[y * line :]
+        for x in range(row.size):
+            here[x] = _f4(row[x]) - level
+
+
+@compiled
+def correlate(rooms, line, count, template, side):
+    """Correlation of a template of mean 0 and length 1 with all patches of a window.
+
+    `rooms`, `(6, enough)`, has the window's pixels in row 0, `line` in a line, and gets the correlations of
+    the first `count` places in row 1; what is at a line's end means nothing. The others are room for sums.
+    """
+    pixels, score = rooms[0], rooms[1, :count]
+    size = count + (side - 1) * line
+    squares, total, energy = rooms[2, : size + REGISTER], rooms[4, :count], rooms[5, :count]
+    for i in range(squares.size):
+        squares[i] = pixels[i] * pixels[i]
+    if side == USUAL:
+        a, b, c, d, e = pixels, pixels[line:], pixels[2 * line :], pixels[3 * line :], pixels[4 * line :]
+        w = template
+        for i in range(count):
+            upper = _five(a, i, w, 0) + _five(b, i, w, 5) + _five(c, i, w, 10)
+            score[i] = upper + _five(d, i, w, 15) + _five(e, i, w, 20)
+    else:
+        score[:] = 0
+        for y in range(side):
+            for x in range(side):
+                weight, seen = template[y * side + x], pixels[y * line + x :]
+                for i in range(count):
+                    score[i] += weight * seen[i]
+    sums = rooms[3, :size]
+    _box_sums(pixels, line, side, sums, total)
+    _box_sums(squares, line, side, sums, energy)
+    share, least = _f4(1 / (side * side)), _f4(0.25 * side * side)
+    for i in range(count):
+        score[i] *= _f4(1) / np.sqrt(max(energy[i] - share * total[i] * total[i], least))
+
+
+@compiled
+def _five(pixels, i, weights, first):
+    total = weights[first] * pixels[i] + weights[first + 1] * pixels[i + 1] + weights[first + 2] * pixels[i + 2]
+    return total + weights[first + 3] * pixels[i + 3] + weights[first + 4] * pixels[i + 4]
+
+
+@compiled
+def _box_sums(image, line, side, rows, out):
     """Sums of `image` over squares, each at its upper left pixel; `rows` is room for those of its lines."""
     count = out.size
     if side == USUAL:
         for i in range(rows.size):
             rows[i] = image[i] + image[i + 1] + image[i + 2] + image[i + 3] + image[i + 4]
-        a, b, c = rows[:count], rows[width : width + count], rows[2 * width : 2 * width + count]
-        d, e = rows[3 * width : 3 * width + count], rows[4 * width : 4 * width + count]
+        a, b, c, d, e = rows, rows[line:], rows[2 * line :], rows[3 * line :], rows[4 * line :]
         for i in range(count):
             out[i] = a[i] + b[i] + c[i] + d[i] + e[i]
         return
     rows[:], out[:] = 0, 0
     for x in range(side):
-        shifted = image[x : x + rows.size]
+        shifted = image[x:]
         for i in range(rows.size):
             rows[i] += shifted[i]
     for y in range(side):
-        below = rows[y * width : y * width + count]
+        below = rows[y * line :]
         for i in range(count):
             out[i] += below[i]
 
 
 @compiled
-def correlate(image, left, top, columns, rows, template, side, lines, score):
-    """Correlation of a template of mean 0 and length 1 with all patches of a window.
+def _keep_two(score, line, rows, columns, offset, prior, flags, eight, places, weights):
+    """Fill in the two likeliest of the flagged peaks: x, y and correlation `(2, 3)`, and weights `(2,)`.
 
-    The window holds `rows` x `columns` patches, the first of which begins at (top, left). `lines` is room for
-    five pictures of the window and `side` px more, `score` for the result, both as long as they may have to
-    be. The result has the window's width: what is at a line's end means nothing.
+    `offset` is where the first place is from where the patch should be, `prior` the precision of that, xx,
+    twice xy and yy, and the square beyond which nothing is searched. `eight` are the flags, eight in a number.
     """
-    width = columns + side - 1
-    height = rows + side - 1
-    size = width * height
-    whole = 0
-    for y in range(height):
-        row = image[top + y, left : left + width]
-        for x in range(width):
-            whole += np.int32(row[x])
-    mean = _f4(whole) / _f4(size)  # the squares of small numbers are summed exactly enough
-    pixels, squares = lines[0, : size + side], lines[1, : size + side]
-    for y in range(height):
-        row, here = image[top + y, left : left + width], pixels[y * width : (y + 1) * width]
-        for x in range(width):
-            here[x] = _f4(row[x]) - mean
-    for i in range(size, size + side):
-        pixels[i] = _f4(0)
-    for i in range(size + side):
-        squares[i] = pixels[i] * pixels[i]
-    count = (rows - 1) * width + columns
-    scores, sums, total, energy = score[:count], lines[2], lines[3, :count], lines[4, :count]
-    for i in range(count):
-        scores[i] = _f4(0)
-    for y in range(side):
-        weights, below = template[y * side : (y + 1) * side], pixels[y * width : y * width + count + side]
-        if side == USUAL:
-            _weighted_rows(below, weights[0], weights[1], weights[2], weights[3], weights[4], scores)
-        else:
-            for x in range(side):
-                weight, shifted = weights[x], below[x : x + count]
-                for i in range(count):
-                    scores[i] += weight * shifted[i]
-    sums = sums[: count + (side - 1) * width]
-    _box_sums(pixels, width, side, sums, total)
-    _box_sums(squares, width, side, sums, energy)
-    share = _f4(1 / (side * side))
-    least = _f4(0.25 * side * side)
-    for i in range(count):
-        scores[i] *= _f4(1) / np.sqrt(max(energy[i] - share * total[i] * total[i], least))
-
-
-@compiled
-def best_places(image, windows, patches, sharpness, floor, least, candidates):
-    """Fill in the two likeliest places of each patch `(n, side, side)`.
-
-    A place's weight is `sharpness` times -log(1 - correlation^2 + floor), plus the log prior. Only places are
-    taken of a correlation of `least` or more, and that no neighbour is more like the patch than.
-    """
-    mean, covariance, prior, reach, farthest = windows
-    places, nccs, weights = candidates
-    height, width = image.shape
-    side = patches.shape[1]
-    half = side // 2
-    radii = np.empty(mean.shape[0], np.int64)
-    most = 0
-    for k in range(radii.size):
-        deviation = np.sqrt(max(covariance[k, 0, 0], covariance[k, 1, 1]))
-        radii[k] = np.int64(min(np.ceil(reach * deviation + 0.5), farthest))
-        most = max(most, 2 * radii[k] + 3 + side)
-    lines = np.empty((5, most * most + side), _f4)
-    score = np.empty(most * most, _f4)
-    template = np.empty(side * side, _f4)
-    for k in range(radii.size):
-        radius = radii[k]
-        x0, y0 = int(np.rint(mean[k, 0])), int(np.rint(mean[k, 1]))
-        # one more on all sides, to see where correlation falls off
-        left = max(x0 - radius - 1 - half, 0)
-        top = max(y0 - radius - 1 - half, 0)
-        columns = min(x0 + radius + 1 + half, width - 1) - left + 2 - side
-        rows = min(y0 + radius + 1 + half, height - 1) - top + 2 - side
-        if columns < 3 or rows < 3:
+    left, top = offset
+    xx, xy, yy, most = prior
+    weights[0] = weights[1] = LEAST_WEIGHT
+    for word in range(line // 8, (rows - 1) * line // 8 + 1):
+        if eight[word] == 0:
             continue
-        _normalise(patches[k], template)
-        correlate(image, left, top, columns, rows, template, side, lines, score)
-        line = columns + side - 1
-        best = second = -1e30
-        xx = xy = yy = 0.0
-        if prior:
-            a, b, c = covariance[k, 0, 0], covariance[k, 0, 1], covariance[k, 1, 1]
-            scale = 1 / (a * c - b * b)
-            xx, xy, yy = scale * c, -2 * scale * b, scale * a
-        peaks = lines[0]
-        _keep_peaks(score, line, (rows - 1) * line + columns, lines[1], peaks)
-        for y in range(1, rows - 1):
-            here = peaks[y * line : y * line + columns]
-            if _largest(here[1 : columns - 1]) < least:
+        for i in range(8 * word, 8 * word + 8):
+            y = i // line
+            x = i - y * line
+            if flags[i] == 0 or not (0 < x < columns - 1 and 0 < y < rows - 1):
                 continue
-            dy = top + half + y - mean[k, 1]
-            for x in range(1, columns - 1):
-                if here[x] < least:
-                    continue
-                dx = left + half + x - mean[k, 0]
-                square = xx * dx * dx + xy * dx * dy + yy * dy * dy
-                i = y * line + x
-                if square > reach * reach:
-                    continue
-                right, more_x = _parabola(score[i - 1], score[i], score[i + 1])
-                down, more_y = _parabola(score[i - line], score[i], score[i + line])
-                peak = min(here[x] + more_x + more_y, _f4(1))
-                weight = -sharpness * np.log(1.0 - peak * peak + floor) - 0.5 * square
-                if weight > best:
-                    second = best
-                    places[k, 1], nccs[k, 1], weights[k, 1] = places[k, 0], nccs[k, 0], weights[k, 0]
-                    place = 0
-                elif weight > second:
-                    place = 1
-                else:
-                    continue
-                if place:
-                    second = weight
-                else:
-                    best = weight
-                places[k, place, 0], places[k, place, 1] = left + half + x + right, top + half + y + down
-                nccs[k, place], weights[k, place] = here[x], weight
+            dx, dy = left + x, top + y
+            square = xx * dx * dx + xy * dx * dy + yy * dy * dy
+            if square > most:
+                continue
+            right, more_x = _parabola(score[i - 1], score[i], score[i + 1])
+            down, more_y = _parabola(score[i - line], score[i], score[i + line])
+            peak = min(score[i] + more_x + more_y, _f4(1))
+            weight = -SHARPNESS * np.log(1.0 - peak * peak + NCC_NOISE) - 0.5 * square
+            if weight <= weights[1]:
+                continue
+            place = 1
+            if weight > weights[0]:
+                place = 0
+                weights[1] = weights[0]
+                for m in range(3):
+                    places[1, m] = places[0, m]
+            weights[place] = weight
+            places[place, 0], places[place, 1], places[place, 2] = dx + right, dy + down, score[i]
 
 
 @compiled
-def _normalise(patch, template):
-    """A patch with mean 0 and length 1, row after row."""
-    side = patch.shape[0]
+def _normalise(patches, k, template):
+    """The k-th patch with mean 0 and length 1, row after row."""
+    side = patches.shape[1]
     total = squares = _f4(0)
     for y in range(side):
         for x in range(side):
-            total += patch[y, x]
+            total += patches[k, y, x]
     mean = total / _f4(side * side)
     for y in range(side):
         for x in range(side):
-            template[y * side + x] = patch[y, x] - mean
+            template[y * side + x] = patches[k, y, x] - mean
             squares += template[y * side + x] * template[y * side + x]
     scale = _f4(1) / max(np.sqrt(squares), _f4(1e-6))
     for i in range(template.size):
         template[i] *= scale
-
-
-@compiled
-def _largest(values):
-    most = values[0]
-    for i in range(1, values.size):
-        most = max(most, values[i])
-    return most
 
 
 @compiled
@@ -245,13 +262,13 @@ def _parabola(before, here, after):
 
 
 @compiled
-def _keep_peaks(score, line, count, room, peaks):
-    """Of places that have eight neighbours the score, or -1 where one of them has a larger one."""
-    across = room[:count]
-    for i in range(1, count - 1):
-        across[i] = max(score[i], max(score[i - 1], score[i + 1]))
-    above, here, below = across[: count - 2 * line], across[line : count - line], across[2 * line :]
-    middle, out = score[line : count - line], peaks[line : count - line]
-    for i in range(1, out.size - 1):
+def _flag_peaks(score, line, count, across, flags):
+    """Where a place is like the patch, and none of its eight neighbours more so; not in the outermost lines."""
+    after, further = score[1:], score[2:]
+    for i in range(count):
+        across[i] = max(after[i], max(score[i], further[i]))
+    # of three in a row the middle one is where the peak may be
+    above, here, below, middle, out = across, across[line:], across[2 * line :], after[line:], flags[line + 1 :]
+    for i in range(count):
         most = max(here[i], max(above[i], below[i]))
-        out[i] = middle[i] if middle[i] >= most else _f4(-1)
+        out[i] = middle[i] >= most and middle[i] >= LEAST_NCC

@@ -80,3 +80,21 @@ def test_path_of_a_track_is_bounded_and_ends_where_it_ended(n_frames: int) -> No
     assert history.foot == (n_frames + 1.0, 4.0)
     assert (history.last, history.n_frames) == (n_frames, n_frames)
     assert history.width / history.n_frames == 2
+
+
+@given(n_frames=st.integers(1, 700), more=st.integers(0, 300))
+def test_few_pictures_are_made_in_vain_where_the_length_is_known(n_frames: int, more: int) -> None:
+    calls = []
+
+    def made() -> np.ndarray:
+        calls.append(1)
+        return PICTURE
+
+    record = RunRecord()
+    record.expect(n_frames)
+    for number in range(1, n_frames + more + 1):
+        record.add(Frame(PICTURE, 0.0, number), [], MASK, lambda: PICTURE, made, 0.0, 0.0)
+        if number == n_frames:
+            assert len(calls) <= 2 * MOST_SNAPSHOTS
+            assert len(record.snapshots.kept) >= min(n_frames, MOST_SNAPSHOTS // 2 + 1)
+    assert len(record.snapshots.kept) <= MOST_SNAPSHOTS

@@ -48,7 +48,9 @@ def test_the_mass_of_what_begins_anew_is_that_of_the_prior(weight: float) -> Non
     dynamics, random = BodyDynamics(BODY), np.random.default_rng(1)
     poses, usual = anywhere(20_000, random)
     turns = dynamics.turn_spreads * random.standard_normal((20_000, 6))
-    every = BodyPoses(poses.roots, turns[:, :3], turns[:, 3:], usual_arms(20_000, random))
+    every = BodyPoses(
+        poses.roots, turns[:, :3], turns[:, 3:], usual_arms(np.tile([0, 1], (20_000, 1)), random)
+    )
     expected = usual * BODY.allowed(every).mean()
     found = []
     for run in range(RUNS):

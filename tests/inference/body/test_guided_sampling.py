@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.inference.body.dynamics import Ancestors, BodyDynamics
 from rsmcm.inference.body.guided_sampling import ANYWHERE, GUIDED, Guided, GuidedSampler, half_range
-from rsmcm.inference.body.kernels.dynamics import guided_values
+from rsmcm.inference.body.kernels.guided_sampling import choose, closeness_to, guided_values
 from rsmcm.models.body.inverse_kinematics import log_volume, swivels
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import JOINTS, UpperBody
@@ -174,7 +174,7 @@ def test_kernel_is_the_sum_over_targets() -> None:
     hands, means = random.normal(0, 30, (n, 2, 2)), random.normal(0, 30, (k, 2))
     chosen, sides = random.integers(ancestors, size=n), random.integers(2, size=k)
     walks, completions = random.normal(-3, 30, (2, n, 2))
-    closeness, shares = random.random((ancestors, k)), random.dirichlet(np.ones(k + 1))
+    closeness, shares = random.random((k, ancestors)), random.dirichlet(np.ones(k + 1))
     roots = random.normal(0, 10, (k, 2, 2))
     covariances = roots @ np.swapaxes(roots, 1, 2) + 9 * np.eye(2)
     heights = shares[:k] / (2 * np.pi * np.sqrt(np.linalg.det(covariances)))
@@ -187,12 +187,35 @@ def test_kernel_is_the_sum_over_targets() -> None:
         side = sides[target]
         at = multivariate_normal(means[target], covariances[target]).logpdf(hands[:, side])
         terms.append(
-            np.log(shares[target] * closeness[chosen, target])
+            np.log(shares[target] * closeness[target, chosen])
             + at
             + completions[:, side]
             + walks[:, 1 - side]
         )
     np.testing.assert_allclose(values, logsumexp(terms, axis=0), rtol=1e-9)
+
+
+def test_poses_are_chosen_for_targets_as_plain_numpy_and_systematic_resampling_have_it() -> None:
+    random = np.random.default_rng(3)
+    n, k = 300, 4
+    hands, means = random.normal(0, 30, (n, 2, 2)), random.normal(0, 30, (k, 2))
+    roots = random.normal(0, 8, (k, 2, 2))
+    precisions = np.linalg.inv(roots @ np.swapaxes(roots, 1, 2) + 20 * np.eye(2))
+    sides, choice = np.array([0, 1, 1, 0]), random.dirichlet(np.ones(n))
+    found = np.empty((k, n))
+    closeness_to(hands, sides, means, precisions, 1e-3, choice, found)
+    apart = hands[:, sides] - means
+    near = np.exp(-0.5 * np.einsum("nkx,kxy,nky->kn", apart, precisions, apart)) + 1e-3
+    np.testing.assert_allclose(found, near / (near @ choice)[:, None], rtol=1e-9)
+    counts, shifts = np.array([50, 0, 7, 200, 90]), random.random(5)
+    chosen = np.empty(counts.sum(), np.int64)
+    choose(choice, found, counts, shifts, chosen)
+    expected = []
+    for target, (count, shift) in enumerate(zip(counts, shifts, strict=True)):
+        ends = np.cumsum(choice * found[target] if target < k else choice)
+        points = (np.arange(count) + shift) * ends[-1] / max(count, 1)
+        expected.append(np.searchsorted(ends[:-1], points, side="right"))
+    np.testing.assert_array_equal(chosen, np.concatenate(expected))
 
 
 def test_where_nothing_is_possible_there_are_no_draws() -> None:

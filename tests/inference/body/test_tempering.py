@@ -289,7 +289,7 @@ def test_sums_over_preselected_poses_have_the_same_expectation(kind: str) -> Non
     """Whatever the first look says: mass, means and evidence over many draws, five standard errors."""
     poses, log_weights = scene_of_hands(11)
     places = np.median(BODY.parts(poses)[:, 1:], axis=0)
-    log_likelihood = looks(places, 40.0)(poses)
+    log_likelihood = looks(places, 200.0)(poses)  # no stratum is so improbable that it is forgotten
     first_look = {"nothing": nothing(poses), "right": log_likelihood, "wrong": -0.05 * log_likelihood}[kind]
     values = np.column_stack([np.ones(3000), hands(poses), np.exp(log_likelihood)])
     found = []

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from rsmcm.inference.objects.blobs import Blob, BlobState, DetectedBox, Track, middle_covariance
+from rsmcm.inference.objects.blob_table import Blobs, BlobState
+from rsmcm.inference.objects.blobs import Blob, DetectedBox, Track, middle_covariance
 from rsmcm.models.camera.affine_map import AffineMap
 
 
@@ -56,7 +57,7 @@ def test_who_is_seen_and_who_is_only_predicted(
     if unfound is not None:
         detected = DetectedBox(np.array([10.0, 30, 20, 30]), np.array([1.0, 2, 3, 8]), unfound)
     blob = known(unseen=unseen, detected=detected)
-    (track,) = BlobState((blob,), 1, (120, 160), elapsed, 0.35, detected is not None).tracks()
+    (track,) = BlobState(Blobs.of((blob,), 1), 1, (120, 160), elapsed, 0.35, detected is not None).tracks()
     assert track.seen == seen
     assert track.position_covariance == (
         ((4.0, 0.0), (0.0, 4.0)) if detected is None else ((5.0, 0.0), (0.0, 8.0))

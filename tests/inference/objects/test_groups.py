@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from rsmcm.inference.objects.blobs import MARGIN, Blob, BlobState
+from rsmcm.inference.objects.blob_table import Blobs, BlobState
+from rsmcm.inference.objects.blobs import Blob
 from rsmcm.inference.objects.groups import (
     alone,
-    fragment_time,
+    fragment_times,
     halves,
     merged,
     pair_evidence,
@@ -15,6 +16,7 @@ from rsmcm.inference.objects.groups import (
     with_parts,
 )
 from rsmcm.models.objects.box_message import Newcomers
+from rsmcm.models.objects.kernels.records import MARGIN
 
 F4 = np.float32
 
@@ -86,6 +88,11 @@ def test_halves_part_a_mask_where_it_is_thinnest():
 
 def test_what_is_much_smaller_than_anybody_is_not_reported_until_it_has_long_moved():
     legs, somebody = blob(1, 60, 50, 10, 12), blob(2, 60, 20, 16, 40)
+
+    def fragment_time(one, scene):
+        (time,) = fragment_times(Blobs.of([one], 3), scene)
+        return time
+
     assert fragment_time(somebody, Scene(people())) == 0
     assert fragment_time(legs, Scene(None)) == 0
     assert fragment_time(blob(3, 0, 50, 10, 12), Scene(people())) == 0  # may be cut off by the picture's edge
@@ -93,7 +100,7 @@ def test_what_is_much_smaller_than_anybody_is_not_reported_until_it_has_long_mov
 
     def reported(time, still):
         known = (legs.changed(fragment_time=time, still=still), somebody)
-        return [track.identity for track in BlobState(known, 2, (120, 160), 0.0, 0.35).tracks()]
+        return [track.identity for track in BlobState(Blobs.of(known, 3), 2, (120, 160), 0.0, 0.35).tracks()]
 
     assert reported(0.0, 0.0) == [1, 2]
     assert reported(0.1, 0.0) == reported(3.5, 2.0) == [2]
@@ -101,16 +108,16 @@ def test_what_is_much_smaller_than_anybody_is_not_reported_until_it_has_long_mov
 
 
 def wholes(*blobs, newcomers=None):
-    return [each.whole for each in with_parts(blobs, newcomers)]
+    return with_parts(Blobs.of(blobs, 3), newcomers).table["whole"].tolist()
 
 
 def test_edges_of_a_thing_that_sets_off_are_one_track_for_a_while():
     parts = [blob(k, 30 + 20 * k, 50, 12, 14, 25, 0.5) for k in (1, 2, 3)]
     assert wholes(*parts) == [1, 1, 1]
-    together = with_parts(parts, None)
-    assert alone(together) == []
-    assert len(alone(together[:2])) == 2
-    (track,) = BlobState(tuple(together), 3, (120, 160), 0.0, 0.35).tracks()
+    together = with_parts(Blobs.of(parts, 3), None)
+    assert len(alone(together)) == 0
+    assert len(alone(Blobs.of(together[:2], 3))) == 2
+    (track,) = BlobState(together, 3, (120, 160), 0.0, 0.35).tracks()
     assert track.box == pytest.approx((50, 50, 52, 14))
     assert track.velocity == (25, 0)
     assert wholes(*(part.changed(seen=2.5) for part in together)) == [1, 2, 3]
@@ -141,7 +148,7 @@ def test_people_side_by_side_are_no_parts_of_one():
 
 def test_a_piece_that_touches_right_after_its_birth_is_joined():
     body, head = blob(1, 30, 40, 16, 30, seen=2.0), blob(2, 34, 28, 8, 11, seen=0.0)
-    (both,) = merged([head, body])
+    (both,) = merged(Blobs.of([head, body], 3))
     assert both.identity == 1
     assert both.box == pytest.approx((30, 28, 16, 42))
-    assert len(merged([body, blob(2, 60, 28, 8, 11, seen=0.0)])) == 2
+    assert len(merged(Blobs.of([body, blob(2, 60, 28, 8, 11, seen=0.0)], 3))) == 2

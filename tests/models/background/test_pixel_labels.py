@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels
-from rsmcm.models.background.gaussian import BackgroundPrediction, LightField, colour
-from rsmcm.models.background.kernels import gaussian as gaussian_kernels
-from rsmcm.models.background.kernels import layers as layer_kernels
+from rsmcm.models.background.gaussian import BackgroundPrediction, LightField, colour, fixed_point
+from rsmcm.models.background.kernels.behind import REVEALED, update_behind
+from rsmcm.models.background.kernels.gaussian import Gaussians
+from rsmcm.models.background.kernels.second_colours import KNOWN, SecondColours
 from rsmcm.models.background.kernels.sway import Sway
 from rsmcm.models.background.layers import Layer, LayerStack
 from rsmcm.models.background.pixel_labels import PixelMessage
@@ -32,11 +33,12 @@ def background(channels=3, **changes):
     n_pixels = HEIGHT * WIDTH
     values = {
         "size": SIZE,
-        "pixels": gaussian_kernels.Gaussians(
+        "pixels": fixed_point(
             colour.to_planes(image_of(1, channels)),
             np.full(n_pixels, 10, np.float32),
             np.full(n_pixels, 100, np.float32),
         ),
+        "frames": 3,
         "light": LightField(np.ones((3, 4), np.float32), SIZE),
         "prior": 0.8,
         "drift": 1.0,
@@ -44,9 +46,7 @@ def background(channels=3, **changes):
         "first_variance": 20.0,
         "unknown_variance": 0.0,
         "pooling": 0.0,
-        "second": gaussian_kernels.SecondColours(
-            np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)
-        ),
+        "second": SecondColours(np.zeros(n_pixels * channels, np.uint8), np.zeros(n_pixels, np.uint16)),
         "tolerance": 50.0,
         "sway": Sway(np.zeros((3, 4), np.float32), 3),
     }
@@ -194,7 +194,7 @@ def test_log_mass_is_the_sum_over_labels(name, channels):
     image, scene = image_of(0, channels), background(channels)
     clear, explained = weights(layers, image)
     seen, covariance = colour.to_planes(image).astype(float), 111.0 * np.eye(channels)
-    away = (seen - scene.mean).T
+    away = (seen - scene.colours.grey_levels().reshape(channels, -1)).T
     density = colour.VOLUME[channels] * multivariate_normal.pdf(away, np.zeros(channels), covariance)
     labels = 0.8 * density * clear.reshape(-1) + 0.2 / 256**channels * explained.reshape(-1)
     message = PixelMessage(scene, LayerStack(layers), image)
@@ -235,8 +235,8 @@ def test_over_all_images_densities_sum_to_the_mass_without_one(strength, ghost):
         return np.full(1, value, np.float32)
 
     scene = background(
-        1, size=(1, 1), pixels=gaussian_kernels.Gaussians(one(130)[None], one(10), one(100)),
-        second=gaussian_kernels.SecondColours(np.zeros(1, np.uint8), np.zeros(1, np.uint16)),
+        1, size=(1, 1), pixels=fixed_point(one(130)[None], one(10), one(100)),
+        second=SecondColours(np.zeros(1, np.uint8), np.zeros(1, np.uint16)),
         light=LightField(np.ones((2, 2), np.float32), (1, 1)),
     )  # fmt: skip
     mask, appearance = one(0.7)[None], np.full((1, 1, 1), 90, np.float32)
@@ -254,8 +254,8 @@ def test_densities_of_a_pixel_sum_to_one_over_all_images(with_background, streng
         return np.full(1, value, np.float32)
 
     scene = background(
-        1, size=(1, 1), pixels=gaussian_kernels.Gaussians(one(130)[None], one(10), one(100)),
-        second=gaussian_kernels.SecondColours(np.zeros(1, np.uint8), np.zeros(1, np.uint16)),
+        1, size=(1, 1), pixels=fixed_point(one(130)[None], one(10), one(100)),
+        second=SecondColours(np.zeros(1, np.uint8), np.zeros(1, np.uint16)),
         light=LightField(np.ones((2, 2), np.float32), (1, 1)),
     )  # fmt: skip
     layers = LayerStack([Layer(0, 0, one(0.7)[None], np.full((1, 1, 1), 90, np.float32), strength=strength)])
@@ -345,16 +345,20 @@ def test_the_background_behind_layers_is_updated_with_what_they_say(channels, un
     rng = np.random.default_rng(7)
     scene, image = background(channels, noise_share=0.05, unknown_variance=unknown), image_of(0, channels)
     if unknown:
-        scene.pixels.variance[rng.random(1200) < 0.3] = 3000
+        scene.pixels.variance[rng.random(1200) < 0.3] = 60 * 256 + (3000 - 60) * 8
     shift = rng.normal(0, 3, (11, 21)).astype(np.float32)
     pooled = rng.integers(-127, 128, HEIGHT * WIDTH).astype(np.int8)
-    before = [rng.normal(size=shape).astype(np.float32) for shape in (scene.mean.shape, (1200,), (1200,))]
+    before = [rng.integers(0, 30000, array.shape).astype(array.dtype) for array in scene.pixels]
     after, covered = [array.copy() for array in before], np.zeros(1200, np.uint8)
     blocks = LightField(rng.uniform(0.8, 1.2, (3, 4)).astype(np.float32), SIZE)
     rows, position = blocks.along_rows
-    layer_kernels.update_behind(
-        6, 9, shift, colour.patch(image, 6, 9, 11, 21), pooled, scene.pixels, blocks.along_rows, scene.model,
-        gaussian_kernels.Gaussians(*after), covered,
+    second = SecondColours(np.zeros(image.size, np.uint8), np.full(1200, 5, np.uint16))
+    # a second region, in which nobody says anything, and which nothing else is in
+    apart = (20, 2, 3, 4)
+    update_behind(
+        np.array([(6, 9, 11, 21), apart]), np.append(shift.reshape(-1), np.zeros(12, np.float32)),
+        image.reshape(-1), pooled, scene.pixels, blocks.along_rows, scene.model, scene.rounding,
+        colour.to_pixels(channels), Gaussians(*after), second, covered,
     )  # fmt: skip
     box = (slice(6, 17), slice(9, 30))
     above = position.astype(int)
@@ -363,10 +367,10 @@ def test_the_background_behind_layers_is_updated_with_what_they_say(channels, un
     told, light = shift.astype(float), light[box]
     odds = pooled.reshape(SIZE)[box] / 20 + told
     weight = 1 / (1 + np.exp(-odds))
-    mean = scene.mean.reshape(-1, *SIZE)[:, *box].astype(float)
+    mean = scene.colours.grey_levels()[:, *box].astype(float)
     difference = colour.to_planes(image).reshape(-1, *SIZE)[:, *box] - light * mean
     square = (difference**2).mean(axis=0)
-    variance = scene.pixels.variance.reshape(SIZE)[box].astype(float)
+    variance = np.where(scene.pixels.variance > 60 * 256, 3000, 10).reshape(SIZE)[box].astype(float)
     wandered, wide = variance + 1, variance > 60
     total = light**2 * wandered + 100
     gain = light * wandered / total
@@ -381,15 +385,29 @@ def test_the_background_behind_layers_is_updated_with_what_they_say(channels, un
     assert (objects & (new_variance > 4000)).any() == (unknown > 0)
     new_variance = np.where(revealed, 20, new_variance)
     new_noise = np.where(revealed | wide, 100, np.clip(100 + 0.05 * weight * (square - total), 20, 400))
-    for got, old, expected in zip(after, before, (new_mean, new_variance, new_noise), strict=True):
+    steps = after[1].astype(float)
+    found = after[0] / 32, np.where(steps <= 15360, steps / 256, 60 + (steps - 15360) / 8), after[2] / 128
+    coarse = np.where(new_variance > 60, 1 / 8, 1 / 256)
+    for got, expected, step in zip(
+        found, (new_mean, new_variance, new_noise), (1 / 32, coarse, 1 / 128), strict=True
+    ):
+        got = got.reshape(-1, *SIZE)[:, *box]
+        assert (np.abs(got - expected) <= 1e-3 * np.abs(expected) + 2e-3 + step).all()
+    outside = np.ones(SIZE, bool)
+    outside[box] = outside[20:23, 2:6] = False
+    for got, old in zip(after, before, strict=True):
         got, old = got.reshape(-1, *SIZE), old.reshape(-1, *SIZE)
-        np.testing.assert_allclose(
-            got[:, *box], np.broadcast_to(expected, got[:, *box].shape), rtol=1e-3, atol=2e-3
-        )
-        got[:, *box] = old[:, *box]
-        np.testing.assert_array_equal(got, old)
+        np.testing.assert_array_equal(got[:, outside], old[:, outside])
+        assert (got[:, 20:23, 2:6] != old[:, 20:23, 2:6]).mean() > 0.5
+    seen = np.full(SIZE, 5)
+    seen[box][revealed] = KNOWN
+    np.testing.assert_array_equal(second.seen.reshape(SIZE), seen)
+    colours = colour.to_image((light * mean).reshape(channels, -1), (11, 21)).reshape(11, 21, channels)
+    kept = second.colours.reshape(*SIZE, channels)[box]
+    assert np.abs(kept[revealed].astype(int) - colours[revealed]).max(initial=0) <= 1
+    assert not kept[~revealed].any()
     expected = np.zeros(SIZE, np.uint8)
-    expected[box] = np.where(told < -0.5, 255, np.where(revealed, layer_kernels.REVEALED, 0))
+    expected[box] = np.where(told < -0.5, 255, np.where(revealed, REVEALED, 0))
     np.testing.assert_array_equal(covered.reshape(SIZE), expected)
 
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.silhouette import OUTLINE_PARTS, Silhouettes, silhouettes
 from rsmcm.models.body.upper_body import UpperBody
-from rsmcm.models.numerics.threads import set_threads, thread_count
 from scipy.spatial.transform import Rotation
 
 from ...support.body_poses import masks, resting
@@ -345,20 +344,3 @@ def test_bodies_out_of_the_picture_leave_it_empty() -> None:
     far = resting(np.array([[-5000.0, 100.0], [100.0, 1e5]]))
     assert not masks(BODY, far, (60, 80)).any()
     assert np.isfinite(silhouettes(BODY, far).points).all()
-
-
-def test_outlines_do_not_depend_on_threads() -> None:
-    random = np.random.default_rng(0)
-    arms = random.normal(size=(601, 2, 2, 3))
-    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
-    turns = 0.25 * random.normal(size=(2, 601, 3))
-    poses = BodyPoses(random.normal(250, 50, (601, 2)), turns[0], turns[1], arms)
-    before, found = thread_count(), []
-    try:
-        for threads in (1, 2):
-            set_threads(threads)
-            found.append(silhouettes(BODY, poses))
-    finally:
-        set_threads(before)
-    for name in ("points", "normals", "visible"):
-        np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))

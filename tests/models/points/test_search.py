@@ -12,16 +12,9 @@ from numpy.typing import NDArray
 from rsmcm.models.core.mahalanobis import squared_distances
 from rsmcm.models.points.alignment import align_patches, sample_patches
 from rsmcm.models.points.corners import find_corners
-from rsmcm.models.points.search import (
-    LEAST_NCC,
-    UNLIKE,
-    Before,
-    find_points,
-    forward_backward_check,
-    least_ncc,
-    likeliest_places,
-    odds_over_chance,
-)
+from rsmcm.models.points.kernels.correlation import LEAST_NCC, Candidates, Windows
+from rsmcm.models.points.kernels.search import GRID, REACH, UNLIKE, least_ncc, odds_over_chance
+from rsmcm.models.points.search import Before, find_points, leads_back, likeliest_places
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, film
 
@@ -48,6 +41,16 @@ def alike(deviation: float, n: int) -> Numbers:
 
 
 # --- correlation, pixel by pixel ---
+
+
+def windows(mean: Numbers, covariance: Numbers, farthest: float, *, prior: bool = True) -> Windows:
+    return Windows(mean, covariance + GRID**2 * np.eye(2), prior, REACH, farthest)
+
+
+def likeliest(
+    grey: Grey, patches: NDArray[np.float32], mean: Numbers, covariance: Numbers, farthest: float, **prior: bool
+) -> Candidates:
+    return likeliest_places(grey, patches, windows(mean, covariance, farthest, **prior), np.arange(len(patches)))
 
 
 def opencv_peaks(image: Grey, patch: NDArray[np.float32], x: int, y: int, radius: int) -> Numbers:
@@ -78,7 +81,7 @@ def test_without_a_prior_the_best_two_places_are_opencvs(
     image = np.asarray(cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX), np.uint8)  # type: ignore[call-overload]
     patches = sample_patches(image, np.random.default_rng(seed).uniform(8, 26, (1, 2)), side)
     mean = np.array([middle], np.float64)
-    found = likeliest_places(image, patches, mean, alike(deviation, 1), 9.0, prior=False)
+    found = likeliest(image, patches, mean, alike(deviation, 1), 9.0, prior=False)
     radius = min(int(np.ceil(3 * np.hypot(deviation, 0.5) + 0.5)), 9)
     peaks = opencv_peaks(image, patches[0], *middle, radius)
     if (np.abs(peaks[:, 0] - LEAST_NCC) < 1e-4).any() or (np.abs(np.diff(peaks[:, 0])) < 1e-4).any():
@@ -99,7 +102,7 @@ def test_the_prior_decides_between_equals() -> None:
     image[15:24, 10:19] = image[15:24, 26:35] = noise_picture(11, 9, 9)
     patches = sample_patches(image, np.array([[14.0, 19.0]]), 5)
     for x, best in ((19.0, 14), (25.0, 30)):
-        found = likeliest_places(image, patches, np.array([[x, 19.0]]), alike(5.0, 1), 24.0)
+        found = likeliest(image, patches, np.array([[x, 19.0]]), alike(5.0, 1), 24.0)
         np.testing.assert_allclose(found.position[0], [[best, 19], [44 - best, 19]], atol=0.02)
         np.testing.assert_allclose(found.ncc, 1, atol=1e-4)
 
@@ -110,10 +113,10 @@ def test_other_patches_do_not_matter(prior: bool) -> None:
     random = np.random.default_rng(0)
     positions, covariances = random.uniform(5, 55, (20, 2)), random.uniform(0.1, 9, (20, 1, 1)) * np.eye(2)
     patches = sample_patches(image, positions, 7)
-    together = likeliest_places(image, patches, positions, covariances, 12.0, prior=prior)
+    together = likeliest(image, patches, positions, covariances, 12.0, prior=prior)
     for k in range(20):
         one = slice(k, k + 1)
-        alone = likeliest_places(image, patches[one], positions[one], covariances[one], 12.0, prior=prior)
+        alone = likeliest(image, patches[one], positions[one], covariances[one], 12.0, prior=prior)
         for a, b in zip(alone, together, strict=True):
             np.testing.assert_array_equal(a, b[one])
 
@@ -128,20 +131,20 @@ def test_where_nothing_can_be_there_is_nothing() -> None:
         (flat, patches, inside),
         (image, 0 * patches, inside),
     ):
-        places = likeliest_places(grey, some, mean, alike(2.0, 5), 24.0)
+        places = likeliest(grey, some, mean, alike(2.0, 5), 24.0)
         np.testing.assert_array_equal(places.ncc, -1)
         assert not find_points(grey, some, mean, alike(2.0, 5), 0.05, 24.0).seen.any()
-    assert len(likeliest_places(image, patches[:0], outside[:0], alike(1.0, 0), 24.0).ncc) == 0
+    assert len(likeliest(image, patches[:0], outside[:0], alike(1.0, 0), 24.0).ncc) == 0
 
 
 # --- points ---
 
 
 def test_the_wider_the_window_the_more_correlation_is_asked_for() -> None:
-    asked = least_ncc(0.05, np.array([10, 100, 1000]), 5)
+    asked = [least_ncc(0.05, area, 5) for area in (10.0, 100.0, 1000.0)]
     assert (np.diff(asked) > 0).all()
-    assert (np.diff([least_ncc(0.05, 100, side) for side in (5, 7, 9, 11)]) < 0).all()
-    assert least_ncc(0.01, 100, 5) > least_ncc(0.1, 100, 5)
+    assert (np.diff([least_ncc(0.05, 100.0, side) for side in (5, 7, 9, 11)]) < 0).all()
+    assert least_ncc(0.01, 100.0, 5) > least_ncc(0.1, 100.0, 5)
 
 
 def test_among_equals_the_prior_decides_or_nobody_does() -> None:
@@ -163,7 +166,8 @@ def test_what_leads_back_elsewhere_is_refused() -> None:
     points = points[((points > 15) & (points < [WIDTH - 15, HEIGHT - 15])).all(axis=1)]
     for off, share in ((0.0, 1.0), (3.0, 0.0)):
         there = points + SHIFT + [off, 0.0]
-        back = forward_backward_check(after, there, before, points, alike(2.0, len(points)), 5, 24.0)
+        where = windows(points, alike(2.0, len(points)), 24.0, prior=False)
+        back = leads_back(after, there, before, where, np.arange(len(points)), 5)
         assert back.mean() == pytest.approx(share, abs=0.05)
 
 
@@ -257,13 +261,13 @@ def test_lost_points_are_found_where_they_are_and_rarely_where_they_are_not() ->
 def test_odds_over_chance_are_a_ratio_of_densities() -> None:
     """Both densities over correlation and place integrate to one point, and to the number that `least_ncc`
     states."""
-    ncc, area, side = np.linspace(0.7, 0.999, 3000), 100.0, 5
-    wide = np.tile(0.5 * np.eye(2), (len(ncc), 1, 1))
-    odds = odds_over_chance(ncc, np.zeros(len(ncc)), wide, np.full(len(ncc), area), side)
+    area, side, determinant = 100.0, 5, 0.5**2
+    ncc = np.linspace(0.7, 0.999, 3000)
+    odds = np.array([odds_over_chance(one, 0.0, determinant, area, side) for one in ncc])
     of_point = np.exp(-(1 - ncc) / UNLIKE) / UNLIKE / (2 * np.pi * 0.5)
     by_chance = of_point * np.exp(-odds) * area  # of the whole window
     expected = np.trapezoid(by_chance[ncc >= 0.9], ncc[ncc >= 0.9])
     # as `least_ncc` has it: at that correlation so many places are expected by chance
     assert least_ncc(1 - np.exp(-expected), area, side) == pytest.approx(0.9, abs=0.01)
-    farther = odds_over_chance(ncc, np.full(len(ncc), 4.0), wide, np.full(len(ncc), area), side)
+    farther = np.array([odds_over_chance(one, 4.0, determinant, area, side) for one in ncc])
     np.testing.assert_allclose(odds - farther, 2.0)

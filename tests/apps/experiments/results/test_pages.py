@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from rsmcm.apps.experiments.results.__main__ import collect, main, write_pages
 from rsmcm.apps.experiments.results.pages import BEGIN, END, Documents, figures, readme_with, results_page
+from rsmcm.apps.experiments.results.scale_page import PAGE, PICTURE, scale_page
 from rsmcm.apps.reports.expectations import Expectation
 from rsmcm.apps.reports.record import Provenance, Record, Table
 
@@ -80,6 +81,7 @@ def checkout(tmp_path: Path) -> Path:
     (tmp_path / "chains").mkdir()
     (tmp_path / "chains" / "one.py").write_text("pass")
     (tmp_path / "README.md").write_text(f"before\n{BEGIN}\nthe last ones\n{END}\nafter\n")
+    (tmp_path / PAGE).write_text((ROOT / PAGE).read_text())
     return tmp_path
 
 
@@ -93,6 +95,9 @@ def test_pages_are_what_is_made_of_the_records() -> None:
     assert (ROOT / "docs" / "results.md").read_text() == results_page(found, ROOT)
     readme = (ROOT / "README.md").read_text()
     assert readme == readme_with(readme, found, ROOT)
+    scale = (ROOT / PAGE).read_text()
+    assert scale == scale_page(scale, found.records, ROOT)
+    assert (ROOT / PICTURE).exists() == ("curves" in found.records)
 
 
 def test_figures_of_readme_are_in_its_records() -> None:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -56,12 +57,13 @@ def test_rounds_become_quartiles() -> None:
     assert math.isnan(found.memory)
 
 
-def test_curves_are_read_back_from_their_record() -> None:
+def test_curves_are_read_back_from_their_record(tmp_path: Path) -> None:
     one, other = curve([1e-3 * size for size in SIZES]), curve([1e-3] * 4, "another")
-    other = replace(other, points=[replace(each, memory=math.nan) for each in other.points])
+    other = replace(other, points=[replace(each, limit=math.nan, memory=math.nan) for each in other.points])
     made = tables([one, other])
     record = Record("curves", "Curves", "make bench", Stopwatch().provenance(), [], made)
-    back = of_record(record)
+    record.write(tmp_path / "curves.json")
+    back = of_record(Record.read(tmp_path / "curves.json"))
     assert list(back) == [("made up", "things"), ("another", "things")]
     for ours, theirs in zip(one.points, back["made up", "things"].points, strict=True):
         assert theirs.size == ours.size
@@ -69,5 +71,6 @@ def test_curves_are_read_back_from_their_record() -> None:
             (ours.seconds, ours.limit, ours.memory)
         )
         assert theirs.quartiles == pytest.approx(ours.quartiles)
+    assert math.isnan(back["another", "things"].points[0].limit)
     with pytest.raises(ValueError, match="curves: got a record without curves"):
         of_record(replace(record, expectations=[Expectation("x", 1.0)], tables=[Table(("x",), [])]))

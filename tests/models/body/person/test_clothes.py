@@ -10,7 +10,7 @@ from rsmcm.apps.scenes import signer
 from rsmcm.apps.scenes.signing.signer import Sleeves
 from rsmcm.models.body.parts import BodyParts
 from rsmcm.models.body.person.clothes import SHRINK, ClothesColour
-from rsmcm.models.body.skin.colour import HIGHEST, SkinColour
+from rsmcm.models.body.skin.colour import HIGHEST, SkinColour, smoothed
 from rsmcm.models.core.frame import Frame
 
 Image = NDArray[np.uint8]
@@ -58,7 +58,7 @@ def at(arms: NDArray[np.float32], x: float, y: float) -> float:
 
 
 def arm_map(image: Image, bare: float = 0.0) -> NDArray[np.float32]:
-    return learned(image).arm_map(image, HEIGHT, skin_of(image).log_odds(image), bare)
+    return learned(image).arm_map(smoothed(image), HEIGHT, skin_of(image).log_odds(image), bare)
 
 
 @pytest.mark.parametrize("shirt", [SHIRT, (40, 40, 40), (200, 200, 230), (150, 60, 160)])
@@ -91,9 +91,9 @@ def test_the_map_is_the_log_of_a_mixture(bare: float) -> None:
     """Of the odds of cloth and of skin, where both are the same in the whole picture."""
     image = np.full((80, 100, 3), SHIRT, np.uint8)
     clothes = learned(picture())
-    cloth = float(clothes.arm_map(image, HEIGHT, np.zeros((80, 100), np.float32), 0.0)[20, 20])
+    cloth = float(clothes.arm_map(smoothed(image), HEIGHT, np.zeros((80, 100), np.float32), 0.0)[20, 20])
     for skin in (-3.0, 2.0):
-        found = clothes.arm_map(image, HEIGHT, np.full((80, 100), skin, np.float32), bare)
+        found = clothes.arm_map(smoothed(image), HEIGHT, np.full((80, 100), skin, np.float32), bare)
         share = min(bare, 0.999)
         expected = np.log((1 - share) * np.exp(cloth) + bare * np.exp(skin))
         np.testing.assert_allclose(found, expected, atol=1e-4)
@@ -107,7 +107,7 @@ def test_clothes_like_the_wall_say_nothing() -> None:
 
 def test_colours_that_nobody_has_seen_say_nothing() -> None:
     image = np.full((80, 100, 3), (250, 10, 240), np.uint8)
-    arms = learned(picture()).arm_map(image, HEIGHT, np.zeros((80, 100), np.float32), 0.0)
+    arms = learned(picture()).arm_map(smoothed(image), HEIGHT, np.zeros((80, 100), np.float32), 0.0)
     assert np.abs(arms).max() < 0.1
 
 
@@ -120,7 +120,7 @@ def test_of_several_frames_all_count() -> None:
     clothes = ClothesColour.learned(images, np.stack([HEAD, HEAD]), HEIGHT, skin)
     assert clothes is not None
     for image in images:
-        arms = clothes.arm_map(image, HEIGHT, skin.log_odds(image), 0.0)
+        arms = clothes.arm_map(smoothed(image), HEIGHT, skin.log_odds(image), 0.0)
         assert at(arms, 263, 114) > 1
         assert at(arms, 40, 60) < -2
 
@@ -146,7 +146,7 @@ def test_arms_of_a_generated_signer(sleeves: Sleeves) -> None:
     assert node.skin is not None
     along, rest = [], []
     for image, joints in zip(images, scene.joints[::8, :, :2], strict=True):
-        arms = node.clothes.arm_map(image, node.head_height, node.skin.log_odds(image), node.bare)
+        arms = node.clothes.arm_map(smoothed(image), node.head_height, node.skin.log_odds(image), node.bare)
         along += [at(arms, *(0.5 * (joints[first] + joints[first + 1]))) for first in (2, 3, 5, 6)]
         rest.append(np.median(arms))
     assert np.mean(along) > np.mean(rest) + 2
@@ -162,7 +162,7 @@ def test_the_evidence_of_an_image_holds_the_map() -> None:
     for bare in (0.0, 1.0):
         seen = replace(node, bare=bare).evidence(Frame(image, 0.0, 1), node.uniform()).image
         assert seen is not None
-        expected = node.clothes.arm_map(image, node.head_height, node.skin.log_odds(image), bare)
+        expected = node.clothes.arm_map(smoothed(image), node.head_height, node.skin.log_odds(image), bare)
         np.testing.assert_array_equal(seen.arms, expected)
     for less in (replace(node, clothes=None), replace(node, skin=None)):
         seen = less.evidence(Frame(image, 0.0, 1), node.uniform()).image

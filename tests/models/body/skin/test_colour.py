@@ -13,6 +13,7 @@ from rsmcm.models.body.skin.colour import (
     has_colour,
     log_ratio_of,
     looked_up_in,
+    smoothed,
 )
 
 Image = NDArray[np.uint8]
@@ -100,7 +101,7 @@ def test_pixels_are_counted_by_luma_and_the_two_differences_of_colour() -> None:
     assert np.unravel_index(counts.argmax(), BINS) == place
     table = np.zeros(BINS, np.float32)
     table[place] = 2.5
-    np.testing.assert_array_equal(looked_up_in(table, image), np.full((30, 40), 2.5, np.float32))
+    np.testing.assert_array_equal(looked_up_in(table, smoothed(image)), np.full((30, 40), 2.5, np.float32))
 
 
 def test_the_log_ratio_changes_its_sign_with_the_counts() -> None:

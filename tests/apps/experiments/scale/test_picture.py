@@ -2,7 +2,7 @@
 
 from matplotlib.figure import Figure
 from rsmcm.apps.experiments.scale.curve import Curve, Measured
-from rsmcm.apps.experiments.scale.curves import draw, size
+from rsmcm.apps.experiments.scale.picture import draw, size
 
 
 def test_picture() -> None:
