@@ -206,14 +206,13 @@ class BackgroundPrediction:
         log_odds, smoothed = np.empty((2, self.size[0] * self.size[1]), np.int8)
         flat = np.ascontiguousarray(image).reshape(-1)
         light, hypotheses = self.light.along_rows, (self.second, np.float32(self.tolerance), self.sway)
-        models = self.model, certain_model(self.model, self.channels)
+        models = self.model, certain_model(self.model, self.channels), self.rounding
         pooling = Pooling(_prior_steps(self.prior), np.float32(self.pooling))
 
         def work(first: int, end: int) -> None:
             subtract(
-                first, end, flat, self.pixels, light, models, self.rounding, hypotheses, pooling,
-                after, log_odds, smoothed,
-            )  # fmt: skip
+                first, end, flat, self.pixels, light, models, hypotheses, pooling, after, (log_odds, smoothed)
+            )
 
         over_bands(work, self.size[0])
         return Subtraction(log_odds, smoothed), after
