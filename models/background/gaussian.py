@@ -250,7 +250,8 @@ def rounding_of(width: int, frames: int) -> Planes:
     """
     along = np.arange(width + ROUNDING_PERIOD) * 0.7548776662466927 + frames * 0.5698402909980532
     steps = np.floor(along % 1 * 128)  # as fine as float32 is beside `ROUNDING`
-    return (steps / 128 + ROUNDING).astype(np.float32)
+    rounding: Planes = (steps / 128 + ROUNDING).astype(np.float32)
+    return rounding
 
 
 def certain_model(model: PixelModel, channels: int) -> Certain:
