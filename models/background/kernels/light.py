@@ -35,9 +35,14 @@ def beyond(blocks):
     """With one more block all around, as slopes go on: light at the border is no mean of that inside."""
     rows, columns = blocks.shape
     out = np.empty((rows + 2, columns + 2), blocks.dtype)
-    out[1:-1, 1:-1] = blocks
-    out[0], out[-1] = 2 * out[1] - out[2], 2 * out[-2] - out[-3]
-    out[:, 0], out[:, -1] = 2 * out[:, 1] - out[:, 2], 2 * out[:, -2] - out[:, -3]
+    for row in range(rows):
+        for column in range(columns):
+            out[row + 1, column + 1] = blocks[row, column]
+        out[row + 1, 0] = 2 * out[row + 1, 1] - out[row + 1, 2]
+        out[row + 1, columns + 1] = 2 * out[row + 1, columns] - out[row + 1, columns - 1]
+    for column in range(columns + 2):
+        out[0, column] = 2 * out[1, column] - out[2, column]
+        out[rows + 1, column] = 2 * out[rows, column] - out[rows - 1, column]
     return out
 
 
@@ -147,8 +152,15 @@ def _medians(blocks):
 @compiled
 def _smoothed(blocks):
     """By 1 2 1 both ways, without those at the border: errors of no wavelength grow."""
-    across = 0.25 * blocks[:, :-2] + 0.5 * blocks[:, 1:-1] + 0.25 * blocks[:, 2:]
-    return 0.25 * across[:-2] + 0.5 * across[1:-1] + 0.25 * across[2:]
+    out = np.empty((blocks.shape[0] - 2, blocks.shape[1] - 2))
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            value = 0.0
+            for k in range(9):
+                weight = (2 - abs(k // 3 - 1)) * (2 - abs(k % 3 - 1))
+                value += weight * blocks[row + k // 3, column + k % 3]
+            out[row, column] = value / 16
+    return out
 
 
 @compiled
