@@ -140,7 +140,15 @@ def eliminated(by_point, inverses, mixed, mixed_border, point_vector, matrix, ve
             run = 0
             while run <= k:  # frames of a point are in order
                 end = min(until[run], k + 1)
-                _take_out(lifted, lines, CAMERA * run, CAMERA * (end - run), matrix, row, CAMERA * other[first + run])
+                _take_out(
+                    lifted,
+                    lines,
+                    CAMERA * run,
+                    CAMERA * (end - run),
+                    matrix,
+                    row,
+                    CAMERA * other[first + run],
+                )
                 run = end
 
 

@@ -77,9 +77,9 @@ class Candidates(NamedTuple):
 def best_places(image, windows, patches, which, found):
     """Fill in the two likeliest places of those patches of `(n, side, side)` whose numbers are in `which`.
 
-    A place's weight is `SHARPNESS` times -log(1 - correlation^2 + `NCC_NOISE`), plus the log prior. Only places
-    are taken of a correlation of `LEAST_NCC` or more, and that no neighbour is more like the patch than; where
-    there are none, what is `found` stays as it is.
+    A place's weight is `SHARPNESS` times -log(1 - correlation^2 + `NCC_NOISE`), plus the log prior. Only
+    places are taken of a correlation of `LEAST_NCC` or more, and that no neighbour is more like the patch
+    than; where there are none, what is `found` stays as it is.
     """
     mean, covariance, prior, reach, farthest = windows
     height, width = image.shape
@@ -197,13 +197,17 @@ def _box_sums(rooms, what, line, side, count, out):
 
 @compiled
 def _flag_peaks(rooms, line, count, flags):
-    """Where a place is like the patch, and none of its eight neighbours more so; not in the outermost lines."""
+    """Whether a place is like the patch, and none of its eight neighbours more so; not at the edge."""
     for i in range(count):
         here, after, further = rooms[SCORE, _at(i)], rooms[SCORE, _at(i + 1)], rooms[SCORE, _at(i + 2)]
         rooms[ACROSS, _at(i)] = max(after, max(here, further))
     # of three in a row the middle one is where the peak may be
     for i in range(count):
-        above, here, below = rooms[ACROSS, _at(i)], rooms[ACROSS, _at(i + line)], rooms[ACROSS, _at(i + 2 * line)]
+        above, here, below = (
+            rooms[ACROSS, _at(i)],
+            rooms[ACROSS, _at(i + line)],
+            rooms[ACROSS, _at(i + 2 * line)],
+        )
         middle = rooms[SCORE, _at(i + line + 1)]
         flags[_at(i + line + 1)] = middle >= max(here, max(above, below)) and middle >= LEAST_NCC
 
@@ -213,7 +217,7 @@ def _keep_two(score, line, rows, columns, offset, prior, flags, eight, places, w
     """Fill in the two likeliest of the flagged peaks: x, y and correlation `(2, 3)`, and weights `(2,)`.
 
     `offset` is where the first place is from where the patch should be, `prior` the precision of that, xx,
-    twice xy and yy, and the square beyond which nothing is searched. `eight` are the flags, eight in a number.
+    twice xy and yy, and the square beyond which nothing is searched; `eight` the flags, eight in a number.
     """
     left, top = offset
     xx, xy, yy, most = prior
