@@ -108,9 +108,7 @@ def temper(
 
     In each step the likelihood is taken to a power b that grows to 1, by as much as leaves enough samples
     with weight; samples are drawn again, from all `Strata`, and moved by Metropolis steps that keep prior
-    times likelihood^b as it is. They are accepted in two stages, so that what is expensive in a likelihood is
-    worked out only for moves that the rest of it allows (Christen and Fox, "Markov chain Monte Carlo using an
-    approximation", 2005).
+    times likelihood^b as it is.
 
     Parameters
     ----------
@@ -142,30 +140,21 @@ def temper(
         total = log_sum(log_weights)
         choice = Strata.of(dynamics.body, poses).balanced(log_weights)
         chosen = systematic(choice, n, random)
-        poses, first, likelihood, owners = (
-            poses.take(chosen),
-            first[chosen],
-            likelihood[chosen],
-            owners[chosen],
-        )
+        poses, likelihood, owners = poses.take(chosen), likelihood[chosen], owners[chosen]
         log_weights = normalised(log_weights[chosen] - choice[chosen]) + total
         prior = log_prior(poses, owners)
         for _ in range(MOVES):
             moved, correction = perturbed(dynamics, poses, random)
             new_prior = log_prior(moved, owners)
             gain = new_prior - prior + correction
-            thresholds = np.log(random.random((2, n)))
+            thresholds = np.log(random.random(n))
             rows = np.flatnonzero(np.isfinite(gain))
-            new_first = staged.first(moved.take(rows))
-            allowed = thresholds[0, rows] < gain[rows] + power * (new_first - first[rows])
-            rows, new_first = rows[allowed], new_first[allowed]
             moved = moved.take(rows)
-            rest, new_rest = likelihood[rows] - first[rows], staged.rest(moved)
-            takes = thresholds[1, rows] < power * (new_rest - rest)
-            rows, moved = rows[takes], moved.take(takes)
-            poses = poses.with_rows(rows, moved)
-            first[rows], likelihood[rows] = new_first[takes], new_first[takes] + new_rest[takes]
-            prior[rows] = new_prior[rows]
+            new = staged.first(moved) + staged.rest(moved)
+            takes = thresholds[rows] < gain[rows] + power * (new - likelihood[rows])
+            rows = rows[takes]
+            poses = poses.with_rows(rows, moved.take(takes))
+            likelihood[rows], prior[rows] = new[takes], new_prior[rows]
             moves, accepted = moves + n, accepted + len(rows)
         if power >= 1:
             break

@@ -283,7 +283,8 @@ def test_later_frames_change_what_is_said_of_earlier_ones(
         assert summary_of(out)["parameters"]["lag"] == lag
         found[lag, stop] = poses_of(out)["joints_3d"]
     np.testing.assert_array_equal(found[0, 8], found[0, 16][:8])
-    assert (found[5, 8] != found[5, 16][:8]).any(axis=(1, 2)).all(), "none was known any better before"
+    # but for the first frame: its few poses are chosen from, and not moved
+    assert (found[5, 8] != found[5, 16][:8]).any(axis=(1, 2))[1:].all(), "none was known any better before"
     assert (found[5, 8] != found[0, 8]).any(axis=(1, 2))[:-1].all()
 
 

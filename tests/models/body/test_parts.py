@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.models.body.part_message import PartMessage
-from rsmcm.models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
+from rsmcm.models.body.parts import ANYWHERE, CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
 from rsmcm.models.body.skin.colour import SkinColour
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
@@ -157,6 +157,39 @@ def test_nothing_to_see() -> None:
     # it multiplies as the constant 1 does
     message = told(HEAD, 5.0)
     np.testing.assert_allclose((message * seen).mixtures.log_masses[0], message.mixtures.log_masses[0])
+
+
+def test_faces_are_sought_about_the_head_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There they are where they are in the whole picture; elsewhere only if there is none, or now and then."""
+    shown: list[tuple[int, ...]] = []
+
+    def brightest(self: HaarFaces, frame: Frame) -> Array:
+        """A box about the middle of what is white, if anything is."""
+        assert frame.image is not None
+        shown.append(frame.image.shape[:2])
+        rows, columns = np.nonzero(frame.image[..., 0] == 255)
+        boxes = [[columns.mean() - 30, rows.mean() - 30, 60, 60]] if len(rows) else []
+        return np.array(boxes, np.float64).reshape(-1, 4)
+
+    monkeypatch.setattr(HaarFaces, "__call__", brightest)
+    node = BodyParts(80.0, detector=HaarFaces())
+    image = np.zeros((360, 640, 3), np.uint8)
+    image[140:150, 300:320] = 255
+    for place, number, size in (
+        ((310.0, 150.0), 1, [(200, 200)]),
+        ((310.0, 150.0), ANYWHERE, [(360, 640)]),
+        ((40.0, 300.0), 2, [(160, 140), (360, 640)]),
+    ):
+        shown.clear()
+        known = GaussianMixtures.of_parts(
+            [np.zeros(1)] * 3, [np.array([place])] * 3, [25.0 * np.eye(2)[None]] * 3
+        )
+        boxes = node._faces(Frame(image, 0.0, number), PartMessage(known))
+        np.testing.assert_allclose(boxes, [[279.5, 114.5, 60, 60]])
+        assert shown == size
+    shown.clear()
+    node._faces(Frame(image, 0.0, 1), node.uniform())
+    assert shown == [(360, 640)], "of a head that nobody knows of"
 
 
 def test_grey_video() -> None:

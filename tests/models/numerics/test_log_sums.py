@@ -1,0 +1,23 @@
+"""Sums of exponentials against scipy's."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from rsmcm.models.numerics.log_sums import log_sums
+from scipy.special import logsumexp
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0, 1, 2, -1]))
+def test_sums_are_those_of_scipy(seed: int, axis: int) -> None:
+    """Of numbers far apart, some of which are infinite."""
+    random = np.random.default_rng(seed)
+    values = random.normal(0, 300, (4, 3, 5))
+    values[random.random(values.shape) < 0.3] = -np.inf
+    values[random.random(values.shape) < 0.02] = np.inf
+    np.testing.assert_allclose(log_sums(values, axis), logsumexp(values, axis=axis), rtol=1e-12)
+
+
+def test_a_sum_of_nothing_is_minus_infinity() -> None:
+    np.testing.assert_array_equal(log_sums(np.full((2, 3), -np.inf)), [-np.inf, -np.inf])
+    np.testing.assert_array_equal(log_sums(np.zeros((2, 0))), [-np.inf, -np.inf])
+    assert float(log_sums(np.zeros(1))) == 0.0
