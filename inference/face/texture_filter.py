@@ -14,7 +14,7 @@ from .kernels import textures as kernels
 from .pose_dynamics import SHORTEST
 
 Map = NDArray[np.float32]
-AnyTuple = TypeVar("AnyTuple", kernels.Noises, kernels.Memory, kernels.Lasting)
+AnyTuple = TypeVar("AnyTuple", kernels.Noises, kernels.Memory)
 
 UNKNOWN_VARIANCE = 60.0**2
 """Squared grey levels: of a texel that has never been seen."""
@@ -141,13 +141,14 @@ class LastingTexture:
         `observed` `(n_experts, n_levels, n_texels)`, and `gain` of every texel, or `(1, n_texels)`.
         """
         weight = np.float32(max(elapsed, SHORTEST) * USUAL_RATE)
-        memory = kernels.Memory(weight, 1 / gain, (1 - (1 - gain**2) ** weight).astype(np.float32))
+        share = 1 - (1 - gain**2) ** weight
+        memory = kernels.Memory((1 / gain).astype(np.float32), share.astype(np.float32))
         after = kernels.Lasting(np.empty_like(self.mean), np.empty_like(self.looks))
 
         def work(a: int, b: int) -> None:
             kernels.learn_lasting(
                 observed[a:b], seen[a:b], kernels.Lasting(self.mean[a:b], self.looks[a:b]),
-                _rows(memory, a, b), kernels.Lasting(after.mean[a:b], after.looks[a:b]),
+                _rows(memory, a, b), weight, kernels.Lasting(after.mean[a:b], after.looks[a:b]),
             )  # fmt: skip
 
         over_bands(work, len(seen), worth=seen.size > WORTH)
@@ -283,6 +284,5 @@ def explained(observed: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArra
 
 
 def _rows(arrays: AnyTuple, a: int, b: int) -> AnyTuple:
-    """Arrays of experts a to b; those that are the same for all, and numbers, as they are."""
-    parts = (part[a:b] if np.ndim(part) and len(part) > 1 else part for part in arrays)
-    return type(arrays)(*parts)
+    """Arrays of experts a to b; those that are the same for all as they are."""
+    return type(arrays)(*(part[a:b] if len(part) > 1 else part for part in arrays))

@@ -62,7 +62,8 @@ class SurfaceTexels:
     def used_on(self, level: int) -> NDArray[np.bool_]:
         """`(n_texels,)`: which are used on a level of the picture, a fourth of those of the level before."""
         most = -(-self.counts // 4**level)
-        return self.row_of_texel < most[self.group_of_texel]
+        used: NDArray[np.bool_] = self.row_of_texel < most[self.group_of_texel]
+        return used
 
     @classmethod
     def dense(cls, model: MorphableModel, n_texels: int) -> Self:

@@ -30,13 +30,13 @@ def inlined(function: Function) -> Function:
     return jitted
 
 
-def _intrinsic(function: Function) -> Function:
+def llvm_code(function: Function) -> Function:
     """Make LLVM code a function of its arguments without the typing context that writes it."""
     made: Function = intrinsic(function)
     return made
 
 
-@_intrinsic
+@llvm_code
 def _bits_as_float(typing_context: Any, bits: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.FloatType())
@@ -44,7 +44,7 @@ def _bits_as_float(typing_context: Any, bits: Any) -> Any:
     return numba.types.float32(numba.types.int32), generate
 
 
-@_intrinsic
+@llvm_code
 def float_as_bits(typing_context: Any, number: Any) -> Any:
     """Give the int32 of the same bits; those of numbers above 0 are in the same order."""
 

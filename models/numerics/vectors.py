@@ -5,9 +5,9 @@ from typing import Any
 
 import numba
 from llvmlite import ir
-from numba.extending import intrinsic
+from numba.np.numpy_support import carray
 
-from .compiled import inlined
+from .compiled import inlined, llvm_code
 
 Function = Callable[..., Any]
 
@@ -53,13 +53,13 @@ def _adding(terms: int) -> Function:
     return typed
 
 
-@intrinsic
+@llvm_code
 def add_vector(typing_context: Any, target: Any, at: Any, a: Any, x: Any, i: Any) -> Any:
     """Add a x[i : i + 16] to target[at : at + 16]; float32, 1-D."""
     return _adding(1)(typing_context, target, at, a, x, i)
 
 
-@intrinsic
+@llvm_code
 def add_vectors(
     typing_context: Any, target: Any, at: Any, a: Any, x: Any, i: Any, b: Any, y: Any, j: Any
 ) -> Any:
@@ -67,14 +67,15 @@ def add_vectors(
     return _adding(2)(typing_context, target, at, a, x, i, b, y, j)
 
 
-@intrinsic
+@llvm_code
 def _on_stack(typing_context: Any, kind: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         room = ir.ArrayType(context.get_value_type(kind.dtype), MOST)
         with builder.goto_entry_block():
             return builder.bitcast(builder.alloca(room), ir.PointerType(room.element))
 
-    return numba.types.CPointer(kind.dtype)(kind), generate
+    pointer: Any = numba.types.CPointer
+    return pointer(kind.dtype)(kind), generate
 
 
 @inlined
@@ -83,4 +84,4 @@ def own_array(kind: Any) -> Any:
 
     Loops that write to such arrays only are vectorised without asking whether they overlap with what is read.
     """
-    return numba.carray(_on_stack(kind), (MOST,))
+    return carray(_on_stack(kind), (MOST,))

@@ -104,7 +104,8 @@ def memory_expectation(scene: FaceScene) -> Expectation:
 
 def flow_expectation(scene: FaceScene) -> Expectation:
     """One expert, dense, beside optic flow of as many points, forwards only and without a model."""
-    before, after = _frames(scene)[WARM_UP : WARM_UP + 2]
+    after = _frames(scene)[WARM_UP + 1]
+    here, there = scene.image(WARM_UP), scene.image(WARM_UP + 1)
     chain = GFlow(scene.model, scene.poses[0], experts=1, texels=TEXELS, spread=0.0)
     state: GFlowState | None = None
     for frame in _frames(scene)[: WARM_UP + 1]:
@@ -112,10 +113,11 @@ def flow_expectation(scene: FaceScene) -> Expectation:
     surface = chain.object
     corners = surface.positions(scene.poses[WARM_UP])[0][surface.used_texels.groups]
     points = np.einsum("na,nac->nc", surface.texels.weights, corners[surface.texels.group_of_texel])
+    nowhere: Any = None  # to begin from
     spent = in_turns(
         {
             "expert": lambda: _followed(chain, state, after),
-            "flow": lambda: cv2.calcOpticalFlowPyrLK(before.image, after.image, points[:, None], None),
+            "flow": lambda: cv2.calcOpticalFlowPyrLK(here, there, points[:, None], nowhere),
         },
         ROUNDS,
         TURNS,

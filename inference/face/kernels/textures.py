@@ -32,10 +32,9 @@ class Lasting(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """How lasting textures learn: what a picture counts for, and of texels, `(n_experts, n_texels)` or
-    `(1, n_texels)`, what their first one does, and the least share of a new one."""
+    """How lasting textures learn, of texels `(n_experts, n_texels)` or `(1, n_texels)`: what their first
+    picture counts for, and the least share of a new one."""
 
-    weight: np.float32
     first: Map
     share: Map
 
@@ -87,9 +86,9 @@ def learn(observed, seen, mean, variance, noises, unknown, new_mean, new_varianc
 
 
 @compiled
-def learn_lasting(observed, seen, lasting, memory, after):
-    """Means over all that was seen, of texels that are seen; as of `LastingTexture`."""
-    weight = memory.weight
+def learn_lasting(observed, seen, lasting, memory, weight, after):
+    """Means over all that was seen, of texels that are seen; as of `LastingTexture`. A picture counts for
+    `weight` of the usual rate."""
     for d in range(len(seen)):
         own = d if len(memory.first) > 1 else 0
         first, least, look, shown = memory.first[own], memory.share[own], observed[d, 0], seen[d]

@@ -9,6 +9,7 @@ from rsmcm.inference.face.texture_likelihood import TexturedObject, TextureLikel
 from rsmcm.models.face.image_pyramid import image_pyramid
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.numerics.threads import set_threads, thread_count
 
 from ...support.surfaces import bumpy, poses_near, smooth_picture
 
@@ -147,3 +148,21 @@ def test_experts_do_not_disturb_each_other() -> None:
         )
         np.testing.assert_allclose(alone.poses.rotations[0], together.poses.rotations[expert], atol=1e-7)
         np.testing.assert_allclose(alone.poses.morphs[0], together.poses.morphs[expert], atol=1e-6)
+
+
+def test_modes_are_the_same_on_any_number_of_threads() -> None:
+    truth = poses_near(7, 3, 12)
+    likelihood = learned_at(truth)
+    start = moved_by(truth, 2.0, 13)
+    prior = PosePrior.after(start, PoseDynamics(), 24.0, 0.04)
+    before, found = thread_count(), []
+    try:
+        for threads in (1, 2, 3):
+            set_threads(threads)
+            found.append(find_modes(likelihood, prior, start, EFFECTIVE, 2))
+    finally:
+        set_threads(before)
+    for other in found[1:]:
+        np.testing.assert_array_equal(other.precision, found[0].precision)
+        np.testing.assert_array_equal(other.poses.rotations, found[0].poses.rotations)
+        np.testing.assert_array_equal(other.poses.morphs, found[0].poses.morphs)

@@ -111,3 +111,20 @@ def test_without_triangles_everything_is_visible() -> None:
     model = bumpy(closed=False)
     surface = TexturedObject(model, SurfaceTexels.patches(model, 2))
     assert surface.visible(poses_near(2, 3, 0)).all()
+
+
+def test_at_the_edge_of_the_picture_every_level_has_to_show_a_texel() -> None:
+    likelihood = seen_by(2)
+    poses = poses_near(2, 4, 2)
+    off = likelihood.surface.positions(poses).min(axis=(0, 1)) + 3.0
+    poses = Poses(poses.rotations, poses.translations - off, poses.morphs)
+    looks, seen = likelihood.surface.observe(likelihood.levels, poses, likelihood.visible)
+    texels = likelihood.surface.texels
+    corners = likelihood.surface.model.project(poses)[:, texels.groups][:, texels.group_of_texel]
+    places = np.einsum("nc,pnca->pna", texels.weights, corners)
+    # pixel 0 of the half-size picture is at 0.5, and its last one at half a pixel from the end
+    inside = ((places >= 0.5) & (places <= np.array([158.5, 118.5]))).all(axis=2)
+    near = (np.abs(places - 0.5) < 1e-3).any(axis=2)
+    np.testing.assert_array_equal(seen[~near], (likelihood.visible & inside)[~near])
+    assert (likelihood.visible & ~inside).sum() > 0
+    assert looks.shape == (2, 2, len(texels))
