@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ....inference.filters.kalman import PointStates, filter_tracks, predict, smooth, update
 from ....inference.filters.linear_motion import kinematic
 from ....models.points.alignment import sample_patches
-from ....models.points.point_tracks import PointTracks
 from ....models.points.kernels.search import GRID, NEAR, REACH, WHOLE
+from ....models.points.point_tracks import PointTracks
 from ....models.points.search import Before, find_points
 from ...reports.expectations import HEADER, Expectation, in_columns
 from .timing import in_turns, over_rounds
