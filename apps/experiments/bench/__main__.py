@@ -18,7 +18,7 @@ from pathlib import Path
 from ...options.library_threads import thread_limits
 from ...reports.expectations import Expectation
 from ...reports.record import ROOT, Record, Stopwatch
-from ..results.regressions import joined, regressions
+from ..measuring.regressions import joined, regressions
 from .part import CURVES, FOLDER, LONG, PARTS, folder_of
 
 RECORD = FOLDER / "benchmarks.json"

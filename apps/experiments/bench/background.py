@@ -19,8 +19,8 @@ from ...reports.experiment import Experiment
 from ...reports.record import Table
 from ...runs.progress import Progress
 from ...scenes import sleeping_man
-from ..scale.machine import moving
-from ..scale.stages import n_bytes, of_chain, shares, stages
+from ..measuring.machine import moving
+from ..measuring.stages import n_bytes, of_chain, shares, stages
 from .crowd_scene import crowd
 from .timing import ROUNDS, Spent, over_frames, over_rounds
 

@@ -16,6 +16,9 @@ LONG = "--long"
 CURVES = "curves"
 """The part that is a record of its own: there nothing is beside a peer."""
 
+MANY_FRAMES, SOME_FRAMES = 10_000, 1_500
+"""Of the film over which time and memory are watched, with `--long` and without."""
+
 
 def folder_of(name: str) -> Path:
     """Where a part leaves its record."""
@@ -29,9 +32,9 @@ def main(name: str, *options: str) -> None:
 
 
 def _function(name: str) -> Any:
-    """`module.function` of the bench; what that needs is imported now."""
-    module, function = name.split(".")
-    return getattr(import_module(f".{module}", __package__), function)
+    """`.module.function`, from here; what that needs is imported now."""
+    module, _, function = name.rpartition(".")
+    return getattr(import_module(module, __package__), function)
 
 
 def _whole(name: str, _: bool) -> Experiment:
@@ -46,15 +49,15 @@ def _figures(title: str, name: str, _: bool) -> Experiment:
 
 
 def _structure(long: bool) -> Experiment:
-    return Experiment("Structure", [], _function("structure.structure_expectations")(100 if long else 25))
+    return Experiment("Structure", [], _function(".structure.structure_expectations")(100 if long else 25))
 
 
 def _bodies(_: bool) -> Experiment:
-    expectations, stages = _function("body_tracker.body_expectations")()
+    expectations, stages = _function(".body_tracker.body_expectations")()
     table = Table(
         ("stage", "ms", "share, %"), stages, "Where the time of the body tracker goes, on one thread."
     )
-    return Experiment("Bodies", [table], [*expectations, *_function("body_samples.bootstrap_times")()])
+    return Experiment("Bodies", [table], [*expectations, *_function(".body_samples.bootstrap_times")()])
 
 
 def _exactness(_: bool) -> Experiment:
@@ -65,20 +68,19 @@ def _exactness(_: bool) -> Experiment:
 
 
 def _curves(long: bool) -> Experiment:
-    from ..scale.curves import MANY_FRAMES, SOME_FRAMES, curves
-
-    return curves(MANY_FRAMES if long else SOME_FRAMES)
+    found: Experiment = _function("..scale.curves.curves")(MANY_FRAMES if long else SOME_FRAMES)
+    return found
 
 
 PARTS: dict[str, Callable[[bool], Experiment]] = {
-    "background": partial(_whole, "background.speeds"),
-    "large": partial(_whole, "background.large"),
-    "objects": partial(_whole, "background.objects"),
-    "command": partial(_figures, "The whole command", "whole_command.whole_command_expectations"),
-    "start": partial(_figures, "Time to the first frame", "start.start_expectations"),
-    "points": partial(_figures, "Points", "points.point_expectations"),
+    "background": partial(_whole, ".background.speeds"),
+    "large": partial(_whole, ".background.large"),
+    "objects": partial(_whole, ".background.objects"),
+    "command": partial(_figures, "The whole command", ".whole_command.whole_command_expectations"),
+    "start": partial(_figures, "Time to the first frame", ".start.start_expectations"),
+    "points": partial(_figures, "Points", ".points.point_expectations"),
     "structure": _structure,
-    "faces": partial(_figures, "Faces", "face.face_expectations"),
+    "faces": partial(_figures, "Faces", ".face.face_expectations"),
     "bodies": _bodies,
     "exactness": _exactness,
     CURVES: _curves,

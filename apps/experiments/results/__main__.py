@@ -12,9 +12,8 @@ from pathlib import Path
 
 from ....models.files.atomic_files import write_text
 from ...reports.record import ROOT, Record
-from ..bench.part import CURVES
 from .pages import Documents, readme_with, results_page
-from .scale_page import PAGE, PICTURE, scale_page, write_picture
+from .scale_page import CURVES, PAGE, PICTURE, scale_page, write_picture
 
 KEPT = ROOT / "docs" / "results"
 

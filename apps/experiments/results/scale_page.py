@@ -13,6 +13,9 @@ from .plan import of_cameras, of_observations, room
 
 PAGE, PICTURE = Path("docs") / "scale.md", Path("docs") / "pictures" / "curves.png"
 ALT = "![Time over size, log scales, a panel for each kind of size, with limits dashed]({})\n"
+CURVES = "curves"
+"""The record that is drawn."""
+
 NOT_YET = "*Not recorded yet.*\n"
 
 

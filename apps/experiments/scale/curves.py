@@ -6,15 +6,12 @@ from ....models.numerics.threads import set_threads
 from ...reports.expectations import Expectation
 from ...reports.experiment import Experiment, Plot
 from ...reports.record import Table
+from ..measuring.machine import bandwidth, drawing, operations
 from .curve import tables
-from .machine import bandwidth, drawing, operations
 from .of_pictures import over_frames_of_a_film, over_objects, over_pixels
 from .of_points import over_observations, over_points, over_tracks
 from .of_poses import over_experts, over_samples, over_texels
 from .picture import draw, size
-
-MANY_FRAMES, SOME_FRAMES = 10_000, 1_500
-"""Of the film over which time and memory are watched."""
 
 WANTED: Mapping[str, float] = {"frames so far": 0.05, "tracks": 1.2}
 """Powers by unit; of all others `LINEAR`."""

@@ -19,9 +19,9 @@ from ...runs.progress import Progress
 from ..bench.background import in_steps, pass_bytes, preloaded, subtracting
 from ..bench.crowd_scene import crowd
 from ..bench.timing import over_frames
+from ..measuring.machine import moving
+from ..measuring.stages import n_bytes, of_chain, stages
 from .curve import Curve, Measured
-from .machine import moving
-from .stages import n_bytes, of_chain, stages
 
 SIZES = ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
 OF_CROWD = (1920, 1080)

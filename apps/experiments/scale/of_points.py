@@ -17,9 +17,9 @@ from ....models import Frame
 from ....models.points.point_tracks import PointTracks
 from ..bench.structure import turning_points
 from ..bench.timing import in_turns
+from ..measuring.machine import moving, multiplying
+from ..measuring.stages import n_bytes
 from .curve import Curve, Measured
-from .machine import moving, multiplying
-from .stages import n_bytes
 
 Grey = NDArray[np.uint8]
 

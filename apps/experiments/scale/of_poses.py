@@ -14,9 +14,9 @@ from ....models.numerics.threads import set_threads
 from ...scenes import FaceScene, face
 from ..bench import face as face_tracker
 from ..bench.body_tracker import BodyFilm
+from ..measuring.machine import drawing, moving, multiplying
+from ..measuring.stages import n_bytes, of_chain, timed
 from .curve import Curve, Measured
-from .machine import drawing, moving, multiplying
-from .stages import n_bytes, of_chain, timed
 
 ROUNDS, WARM_UP = 7, 3
 SAMPLES = (250, 1000, 4000, 16_000)

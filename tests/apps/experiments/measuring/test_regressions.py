@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.experiments.results.regressions import joined, regressions
+from rsmcm.apps.experiments.measuring.regressions import joined, regressions
 from rsmcm.apps.reports.expectations import Expectation
 from rsmcm.apps.reports.record import Provenance, Record, Table, joint_state
 

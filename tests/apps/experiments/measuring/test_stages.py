@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.background.application import build_model
-from rsmcm.apps.experiments.scale.stages import n_bytes, of_chain, shares, stages
+from rsmcm.apps.experiments.measuring.stages import n_bytes, of_chain, shares, stages
 from rsmcm.apps.scenes import sleeping_man
 
 

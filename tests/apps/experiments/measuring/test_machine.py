@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from rsmcm.apps.experiments.scale.machine import bandwidth, moving, multiplying, operations
+from rsmcm.apps.experiments.measuring.machine import bandwidth, moving, multiplying, operations
 
 
 def test_moving_takes_as_long_as_a_copy() -> None:
