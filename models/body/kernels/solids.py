@@ -60,8 +60,10 @@ class Solid(NamedTuple):
 
 
 @inlined
-def _put_ellipsoid(shapes, part, bounds, x, y, z, xx, xy, yy, xz, yz, zz):
-    """An ellipsoid |S^(-1/2) (p - c)| <= 1 from its centre and its matrix S."""
+def _put_ellipsoid(shapes, part, bounds, middle, matrix):
+    """An ellipsoid |S^(-1/2) (p - c)| <= 1 from its centre and its matrix S (xx, xy, yy, xz, yz, zz)."""
+    x, y, z = middle
+    xx, xy, yy, xz, yz, zz = matrix
     inverse = 1 / (xx * yy - xy * xy)
     gx, gy = inverse * (yy * xz - xy * yz), inverse * (xx * yz - xy * xz)
     shapes[part, 0], shapes[part, 1], shapes[part, 2] = x, y, z
@@ -74,8 +76,10 @@ def _put_ellipsoid(shapes, part, bounds, x, y, z, xx, xy, yy, xz, yz, zz):
 
 
 @inlined
-def _put_capsule(shapes, part, bounds, x, y, z, ex, ey, ez, first, last):
-    """A limb from `(x, y, z)` along `(ex, ey, ez)` whose radius goes from `first` to `last`."""
+def _put_capsule(shapes, part, bounds, start, extent, first, last):
+    """A limb from `start` along `extent`, both x, y, z, whose radius goes from `first` to `last`."""
+    x, y, z = start
+    ex, ey, ez = extent
     shapes[part, 0], shapes[part, 1], shapes[part, 2] = x, y, z
     shapes[part, 3], shapes[part, 4], shapes[part, 5] = ex, ey, ez
     change = last - first
@@ -138,13 +142,13 @@ def put_body(roots, torsos, necks, arms, pose, lengths, torso, shapes, bounds):
     )
     a, b, c = lengths[1] * lengths[1], lengths[2] * lengths[2], lengths[3] * lengths[3]
     _put_ellipsoid(
-        shapes, HEAD, bounds, x - neck * r01, y - neck * r11, -neck * r21,
+        shapes, HEAD, bounds, (x - neck * r01, y - neck * r11, -neck * r21), (
         a * r00 * r00 + b * r01 * r01 + c * r02 * r02,
         a * r00 * r10 + b * r01 * r11 + c * r02 * r12,
         a * r10 * r10 + b * r11 * r11 + c * r12 * r12,
         a * r00 * r20 + b * r01 * r21 + c * r02 * r22,
         a * r10 * r20 + b * r11 * r21 + c * r12 * r22,
-        a * r20 * r20 + b * r21 * r21 + c * r22 * r22,
+        a * r20 * r20 + b * r21 * r21 + c * r22 * r22),
     )  # fmt: skip
     axes = rotation(torsos[pose, 0], torsos[pose, 1], torsos[pose, 2])
     _put_torso(shapes, bounds, axes, lengths[11], x, y, lengths[3], torso, 0.25 * neck)
@@ -156,13 +160,13 @@ def put_body(roots, torsos, necks, arms, pose, lengths, torso, shapes, bounds):
         sx, sy, sz = x + aside * right[0], y + aside * right[1], aside * right[2]
         ex, ey, ez = arms[pose, side, 0, 0], arms[pose, side, 0, 1], arms[pose, side, 0, 2]
         ex, ey, ez = lengths[5] * ex, lengths[5] * ey, lengths[5] * ez
-        _put_capsule(shapes, part, bounds, sx, sy, sz, ex, ey, ez, lengths[8], lengths[9])
+        _put_capsule(shapes, part, bounds, (sx, sy, sz), (ex, ey, ez), lengths[8], lengths[9])
         sx, sy, sz = sx + ex, sy + ey, sz + ez
         ex, ey, ez = arms[pose, side, 1, 0], arms[pose, side, 1, 1], arms[pose, side, 1, 2]
         ex, ey, ez = lengths[6] * ex, lengths[6] * ey, lengths[6] * ez
-        _put_capsule(shapes, part + 1, bounds, sx, sy, sz, ex, ey, ez, lengths[9], lengths[10])
+        _put_capsule(shapes, part + 1, bounds, (sx, sy, sz), (ex, ey, ez), lengths[9], lengths[10])
         sx, sy, sz = sx + ex, sy + ey, sz + ez
-        _put_ellipsoid(shapes, part + 2, bounds, sx, sy, sz, square, 0.0, square, 0.0, 0.0, square)
+        _put_ellipsoid(shapes, part + 2, bounds, (sx, sy, sz), (square, 0.0, square, 0.0, 0.0, square))
 
 
 @inlined
