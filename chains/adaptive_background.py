@@ -227,19 +227,13 @@ class AdaptiveBackground:
         composed = others.layers.composition(image, state.size)
         if len(composed.boxes):
             update_behind(
-                composed.boxes, composed.shift, flat, subtraction.smoothed, prediction.pixels, light,
-                prediction.model, prediction.rounding, colour.to_pixels(channels), after, second, covered,
+                (composed.boxes, composed.shift), flat, subtraction.smoothed, prediction.pixels, light,
+                prediction.model, prediction.rounding, colour.to_pixels(channels), (after, second, covered),
             )  # fmt: skip
         times = state.age, state.elapsed
         sway = learned_rates(
-            prediction.sway,
-            image,
-            prediction.pixels,
-            light,
-            subtraction.log_odds,
-            covered,
-            times,
-        )  # fmt: skip
+            prediction.sway, image, prediction.pixels, light, subtraction.log_odds, covered, times
+        )
         if state.elapsed > 0 and np.isfinite(self.settle_time):
             scale = SETTLED / self.settle_time
             settling = Settling(

@@ -28,8 +28,8 @@ from ..inference.objects.blob_table import Blobs, BlobState
 from ..inference.objects.blobs import Blob
 from ..inference.objects.ghosts import VIEW_TIME, inherited
 from ..inference.objects.groups import alone, fragment_times, halves, merged, parting_columns, with_parts
-from ..inference.objects.registration import front_to_back, layers_of, matching, registered
-from ..models.background.layers import LayerStack
+from ..inference.objects.registration import front_to_back, layers_of, registered
+from ..models.background.layers import LayerStack, log_uniform
 from ..models.background.pixel_labels import PixelLabels, PixelMessage
 from ..models.core.frame import Frame
 from ..models.core.short_repr import short_repr
@@ -156,8 +156,7 @@ class BlobTracker:
         if pixels.subtraction is None:
             return state
         scene = BlobScene(pixels, layers, boxes, state.elapsed)
-        terms = matching(blobs.channels, self.outliers, self.temper, state.elapsed)
-        learned, alive = scene.learned(blobs, terms, self._rule(scene))
+        learned, alive = scene.learned(blobs, self._rule(blobs.channels, scene))
         kept = learned.taken(alive).and_also(newborn)
         scene.colour(kept, int(alive.sum()))
         numbers = count(state.born + 1)
@@ -202,13 +201,15 @@ class BlobTracker:
     def _layers(self, blobs: Blobs) -> LayerStack:
         return LayerStack(layers_of(blobs, self.outliers, self.strength, self.ghost_evidence))
 
-    def _rule(self, scene: BlobScene) -> Learning:
+    def _rule(self, channels: int, scene: BlobScene) -> Learning:
         """How blobs follow what this frame shows."""
 
         def share(time: float) -> float:
             return -math.expm1(-scene.elapsed / time)
 
         return Learning(
+            log_uniform=log_uniform(channels),
+            outliers=self.outliers,
             elapsed=scene.elapsed,
             mask_share=share(self.mask_time),
             colour_share=share(self.colour_time),

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.face.surface_texels import SurfaceTexels
-from ...models.face.visibility import visible
+from ...models.face.visibility import front_triangles, visible
 from ...models.numerics.rotations import exponential
 from ..drawing.boxes import draw_overlay
 from ..drawing.overlay_video import enlargement
@@ -23,7 +23,6 @@ LEAST_HEIGHT = (
     480  # px; smaller frames are enlarged, so that the shape's views beside the face can be made out
 )
 MOST_DOTS = 80  # of an expert: the whole mesh of a fine model would hide the face
-N_SHADED = 24_000  # points of the surface from which a view is put together
 PANEL_WIDTH = 0.32  # of the picture's height
 VIEWS = 0.4, 0.4, 0.2  # of the panel's height: from the front, from the side, axes
 ROOM = 1.1  # a view's sides, by those of the typical shape
@@ -81,7 +80,6 @@ class FaceOverlay:
     def __init__(self, model: MorphableModel) -> None:
         self._model = model
         self._dots = spread_vertices(model.bases[0], MOST_DOTS)
-        self._surface = SurfaceTexels.dense(model, N_SHADED)
         low, high = model.bases[0].min(axis=0), model.bases[0].max(axis=0)
         self._middle, self._sides = (low + high) / 2, ROOM * (high - low)
 
@@ -141,23 +139,16 @@ class FaceOverlay:
         px = sides[1] / height
         size = np.array([max(1, round(sides[0] / px)), height])
         vertices = self._model.positions(pose)[0] - pose.rotations[0] @ self._middle
-        a, b, c = (vertices[self._surface.groups[:, corner]] for corner in range(3))
+        a, b, c = (vertices[self._model.triangles[:, corner]] for corner in range(3))
         normals = np.cross(b - a, c - a)
         lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
         # the back of an open surface is shown as well, in the shade
         brightness = 0.35 + 0.65 * np.clip(normals @ LIGHT / lengths, 0, 1)
-        places = _places(self._surface, vertices)
-        far_first = np.argsort(-places[:, 2])
-        corner = np.floor(places[far_first, :2] / px + (size - 1) / 2).astype(np.int64)
-        inside = ((corner >= 0) & (corner < size - 1)).all(axis=1)
-        # each point covers 2 x 2 px, so that no hole is left between them
-        columns, rows = corner[inside, :1] + (0, 1, 0, 1), corner[inside, 1:] + (0, 0, 1, 1)
-        shades = brightness[self._surface.group_of_texel[far_first[inside]], None] * SKIN
-        picture, covered = np.zeros((*size[::-1], 3), np.uint8), np.zeros(size[::-1], np.uint8)
-        picture[rows, columns] = shades[:, None]
-        covered[rows, columns] = 1
-        picture, covered = (np.asarray(cv2.medianBlur(each, 3), np.uint8) for each in (picture, covered))
-        return picture, covered > 0
+        places = vertices / px
+        places[:, :2] += (size - 1) / 2
+        seen = front_triangles(places, self._model.triangles, (int(size[0]), height))
+        shades = np.vstack([brightness[:, None] * SKIN, np.zeros(3)]).astype(np.uint8)
+        return shades[seen], seen >= 0
 
     def _panel(self, mean: Poses, height: int) -> Image:
         """The mean by itself: `(height, width, 3)` BGR."""

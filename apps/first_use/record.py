@@ -5,6 +5,7 @@ have changed much, the list wants to be made again.
 """
 
 import os
+import runpy
 import subprocess
 import sys
 import tempfile
@@ -14,9 +15,10 @@ from typing import Any
 
 from numba.core import event
 
-from ..command_line import main as command
 from .ahead import COMPILES
 from .kernels import PACKAGE, Kernel, named, plain, write_kernels
+
+COMMAND = f"{PACKAGE}apps.command_line"
 
 
 class Compiled(event.Listener):
@@ -52,7 +54,8 @@ def main(arguments: Sequence[str]) -> int:
             return subprocess.run(again, env=environment).returncode
     compiled = Compiled()
     with event.install_listener(COMPILES, compiled), suppress(SystemExit):
-        command(["--threads", "1", *arguments[1:]])
+        sys.argv = [COMMAND, "--threads", "1", *arguments[1:]]
+        runpy.run_module(COMMAND, run_name="__main__")
     write_kernels(arguments[1], compiled.kernels)
     print(f"{len(compiled.kernels)} loops of {arguments[1]}")
     return 0

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.face.pose import Poses
+from ...models.numerics.threads import over_bands
 from .kernels import newton as kernels
 from .pose_dynamics import PosePrior
 from .pose_terms import PoseEvidence, PoseTerm
@@ -26,6 +27,8 @@ SHORTEST_STEP = 0.03
 REFERENCE_SIZE = 40.0
 FIRST_DAMPING = 1e-3
 """Of Levenberg, on every level: a share of the curvature."""
+FEW = 3
+"""Experts of which the search is done before another thread is awake."""
 MOST_STEPS = (6, 4, 4)
 """Evaluations on each level, fine to coarse, the first at the start included."""
 
@@ -77,77 +80,80 @@ def find_modes(
     With a turn w of the object as the camera sees it and p = r h c, dx/dw = -g [p]x, dx/dl = 1 and
     dx/dc = g r h; with J = (grad y)' dx/du the curvature is beta sum a_i J_i' J_i / tau_i and the prior's.
     """
+    n, poses = len(start), start
     unit = float(start.sizes.mean()) / REFERENCE_SIZE
-    climb = _start_of_climb(start)
+    precision = np.empty((n, start.dimension, start.dimension))
     for level in range(coarsest, -1, -1):
-        active, tried = np.arange(len(start)), Poses(*(part.copy() for part in climb.poses))
-        terms = [evidence.around(tried, level) for evidence in more]
-        climb.damping[:] = FIRST_DAMPING
-        for number in range(MOST_STEPS[level]):
-            pace = kernels.Pace(LONGEST_STEP[level] * unit, SHORTEST_STEP * unit, number == 0)
-            equations = likelihood.equations(level, tried, active)
-            belief = _belief(equations, tried, active, effective_pixels, terms)
-            if number == 0:
-                climb = climb._replace(rows=belief.rows.copy())
-            active, tried = _advanced(climb, tried, active, belief, prior, pace)
-            if not len(active):
-                break
+        terms = [evidence.around(poses, level) for evidence in more]
+        belief = _Belief(likelihood, prior, level, effective_pixels, unit, terms)
+        after = kernels.PoseArrays(*(part.copy() for part in _parts(poses)))
+
+        def work(a: int, b: int, belief: "_Belief" = belief, after: kernels.PoseArrays = after) -> None:
+            found = belief.climbed(kernels.PoseArrays(*(part[a:b] for part in after)), np.arange(a, b))
+            precision[a:b] = found.curvature
+
+        over_bands(work, n, worth=n > FEW)
+        poses = Poses(*after)
     # single precision sums may miss positive definiteness by a rounding
-    precision = climb.curvature
-    diagonal = np.arange(precision.shape[1])
+    diagonal = np.arange(start.dimension)
     precision[:, diagonal, diagonal] *= 1 + RELATIVE_ROUNDING
-    return Modes(Poses(*climb.poses), precision)
+    return Modes(poses, precision)
 
 
-def _start_of_climb(start: Poses) -> kernels.Climb:
-    n, d = len(start), start.dimension
-    parts = (start.rotations, start.translations, start.morphs)
-    return kernels.Climb(
-        poses=kernels.PoseArrays(*(np.array(part, np.float64, order="C") for part in parts)),
-        energy=np.empty(n),
-        gradient=np.empty((n, d)),
-        curvature=np.empty((n, d, d)),
-        rows=np.empty((n, 0, 2, 0), np.float32),
-        damping=np.empty(n),
-    )
+@dataclass(frozen=True, eq=False)
+class _Belief:
+    """Minus the log of what experts believe on a level."""
 
+    likelihood: PoseLikelihood
+    prior: PosePrior
+    level: int
+    effective_pixels: float
+    unit: float
+    terms: Sequence[PoseTerm]
 
-def _belief(
-    equations: Equations,
-    poses: Poses,
-    owner: NDArray[np.int64],
-    effective_pixels: float,
-    terms: Sequence[PoseTerm],
-) -> kernels.Belief:
-    """Minus the log of the belief at poses, but for the prior."""
-    area = equations.sums[:, 2]
-    beta = effective_pixels / np.maximum(area, 1e-9)
-    energy = 0.5 * beta * equations.sums[:, 0]
-    gradient = beta[:, None] * equations.vectors
-    curvature = beta[:, None, None] * equations.matrices
-    for term in terms:
-        its_energy, its_gradient, its_curvature = term.equations(poses, owner)
-        energy += its_energy
-        gradient += its_gradient
-        curvature += its_curvature
-    return kernels.Belief(energy, gradient, curvature, area > 0, equations.rows)
+    def climbed(self, poses: kernels.PoseArrays, experts: NDArray[np.int64]) -> kernels.Climb:
+        """Climb from the `poses` of some experts, and leave the best ones found in their place."""
+        n, dimension = len(experts), len(self.prior.variance)
+        mean = kernels.PoseArrays(*(part[experts] for part in _parts(self.prior.mean)))
+        active, tried = np.arange(n), Poses(*poses)
+        there = self.at(tried, experts)
+        climb = kernels.Climb(
+            poses=poses,
+            energy=np.empty(n),
+            gradient=np.empty((n, dimension)),
+            curvature=np.empty((n, dimension, dimension)),
+            rows=np.empty_like(there.rows),
+            damping=np.full(n, FIRST_DAMPING),
+        )
+        longest, shortest = LONGEST_STEP[self.level] * self.unit, SHORTEST_STEP * self.unit
+        for number in range(MOST_STEPS[self.level]):
+            if number:
+                there = self.at(tried, experts[active])
+            going = np.empty_like(active)
+            following = kernels.PoseArrays(*(np.empty_like(part) for part in _parts(tried)))
+            pace = kernels.Pace(longest, shortest, number == 0)
+            n_going = kernels.advance(
+                active, _parts(tried), there, mean, self.prior.precision, climb, pace, going, following
+            )
+            active, tried = going[:n_going], Poses(*(part[:n_going] for part in following))
+            if not n_going:
+                break
+        return climb
 
-
-def _advanced(
-    climb: kernels.Climb,
-    tried: Poses,
-    active: NDArray[np.int64],
-    belief: kernels.Belief,
-    prior: PosePrior,
-    pace: kernels.Pace,
-) -> tuple[NDArray[np.int64], Poses]:
-    """Experts that go on, and the poses that they try next."""
-    going = np.empty_like(active)
-    following = kernels.PoseArrays(*(np.empty_like(part) for part in _parts(tried)))
-    n = kernels.advance(
-        active, _parts(tried), belief, _parts(prior.mean), prior.precision, climb, pace, going, following
-    )
-    return going[:n], Poses(*(part[:n] for part in following))
+    def at(self, poses: Poses, owner: NDArray[np.int64]) -> kernels.Belief:
+        """Of poses of owners, but for the prior."""
+        equations = self.likelihood.equations(self.level, poses, owner)
+        area = equations.sums[:, 2]
+        beta = self.effective_pixels / np.maximum(area, 1e-9)
+        energy = 0.5 * beta * equations.sums[:, 0]
+        gradient = beta[:, None] * equations.vectors
+        curvature = beta[:, None, None] * equations.matrices
+        for term in self.terms:
+            its_energy, its_gradient, its_curvature = term.equations(poses, owner)
+            energy += its_energy
+            gradient += its_gradient
+            curvature += its_curvature
+        return kernels.Belief(energy, gradient, curvature, area > 0, equations.rows)
 
 
 def _parts(poses: Poses) -> kernels.PoseArrays:

@@ -446,5 +446,5 @@ def vertex_moments(model: MorphableModel, state: GFlowState) -> tuple[Array, Arr
     mean = np.einsum("n,nva->va", state.weights, positions)
     off = positions - mean
     spread = np.einsum("n,nva,nvb->vab", state.weights, off, off)
-    weighted = rows @ (state.weights[:, None, None] * state.covariance)[:, None]
-    return mean, spread + (weighted @ np.swapaxes(rows, -1, -2)).sum(axis=0)
+    weighted = rows.reshape(len(rows), -1, rows.shape[3]) @ (state.weights[:, None, None] * state.covariance)
+    return mean, spread + np.einsum("nvap,nvbp->vab", weighted.reshape(rows.shape), rows)

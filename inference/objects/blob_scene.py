@@ -1,18 +1,19 @@
 """A frame as blobs need it: what it teaches them, and what it shows that nobody explains."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.background.layers import LayerStack
 from ...models.background.pixel_labels import PixelMessage
+from ...models.numerics.threads import side_by_side, thread_count
 from ...models.objects.box_detector import HEIGHT, WIDTH
 from ...models.objects.box_message import BoxMessage
 from ...models.objects.kernels.learning import THINNEST, Learning, Scene, fit, learn_all, scratch_for_learning
 from ...models.objects.kernels.patches import Patch, colour_newborn, cover_by, gather
 from ...models.objects.kernels.records import MARGIN
-from ...models.objects.kernels.registration import Matching
 from ...models.objects.kernels.spots import find_spots
 from .blob_table import Blobs
 from .blobs import Map, Pair
@@ -71,7 +72,7 @@ class BlobScene:
         both = (own * sizes + others * expected) / (own + others)
         return np.where(known[:, None], np.maximum(both, 0.5 * sizes), sizes)
 
-    def learned(self, blobs: Blobs, terms: Matching, rule: Learning) -> tuple[Blobs, NDArray[np.bool_]]:
+    def learned(self, blobs: Blobs, rule: Learning) -> tuple[Blobs, NDArray[np.bool_]]:
         """Blobs, given front to back, after the frame, and which of them live on."""
         before, table = blobs.table, blobs.table.copy()
         total, channels = fit(table, rule.ghost_evidence), blobs.channels
@@ -88,11 +89,16 @@ class BlobScene:
             composed.explained,
             self.expected_sizes(blobs),
         )
-        scratch = np.empty(scratch_for_learning(table, channels), np.float32)
-        learn_all(
-            before, blobs.pools, table, after.pools, self.picture, scene, terms, rule,
-            alive, scratch,
-        )  # fmt: skip
+        room, count = scratch_for_learning(table, channels), min(thread_count(), len(table))
+
+        def work(first: int) -> None:
+            which, scratch = np.arange(first, len(table), count), np.empty(room, np.float32)
+            learn_all(
+                which, before, blobs.pools, table, after.pools, self.picture, scene, rule, alive, scratch
+            )
+
+        if count:
+            side_by_side([partial(work, first) for first in range(count)])
         return after, alive.astype(bool)
 
     def colour(self, blobs: Blobs, first: int) -> None:

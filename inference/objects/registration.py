@@ -1,13 +1,16 @@
 """Finding blobs again: where a frame shows each of them, front to back, and as which layers."""
 
+from functools import partial
+
 import cv2
 import numpy as np
 
 from ...models.background.kernels.layers import LAYER, Pools
 from ...models.background.layers import LayerSheet, log_density_ratio, log_uniform
 from ...models.background.pixel_labels import PixelMessage
+from ...models.numerics.threads import side_by_side, thread_count
 from ...models.objects.kernels.records import Picture
-from ...models.objects.kernels.registration import Matching, register, scratch_for_search
+from ...models.objects.kernels.registration import Matching, deal, register, scratch_for_search
 from .blob_table import Blobs
 from .blobs import Map
 
@@ -21,11 +24,6 @@ def picture_of(pixels: PixelMessage) -> Picture:
     image = image if image.ndim == 3 else image[:, :, None]
     odds = pixels.subtraction.smoothed.reshape(image.shape[:2])
     return Picture(image, odds, np.float32(pixels.background.prior))
-
-
-def matching(channels: int, outliers: float, temper: float, elapsed: float) -> Matching:
-    """How blobs and pixels are compared (see `Matching`)."""
-    return Matching(log_uniform(channels), outliers, temper, elapsed)
 
 
 def registered(blobs: Blobs, pixels: PixelMessage, outliers: float, temper: float, elapsed: float) -> Blobs:
@@ -46,9 +44,16 @@ def registered(blobs: Blobs, pixels: PixelMessage, outliers: float, temper: floa
     """
     if not len(blobs):
         return blobs
-    table, terms = blobs.table.copy(), matching(blobs.channels, outliers, temper, elapsed)
-    scratch = np.empty(scratch_for_search(table, blobs.channels), np.float32)
-    register(table, blobs.pools, picture_of(pixels), terms, scratch)
+    table, terms = blobs.table.copy(), Matching(log_uniform(blobs.channels), outliers, temper, elapsed)
+    picture, room = picture_of(pixels), scratch_for_search(table, blobs.channels)
+    lots, count = np.zeros(len(table), np.int64), min(thread_count(), len(table))
+    if count > 1:
+        deal(table, count, lots)
+
+    def work(lot: int) -> None:
+        register(table, blobs.pools, picture, terms, lots, lot, np.empty(room, np.float32))
+
+    side_by_side([partial(work, lot) for lot in range(count)])
     return blobs.with_table(table)
 
 

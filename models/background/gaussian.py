@@ -206,14 +206,13 @@ class BackgroundPrediction:
         log_odds, smoothed = np.empty((2, self.size[0] * self.size[1]), np.int8)
         flat = np.ascontiguousarray(image).reshape(-1)
         light, hypotheses = self.light.along_rows, (self.second, np.float32(self.tolerance), self.sway)
-        models = self.model, certain_model(self.model, self.channels)
+        models = self.model, certain_model(self.model, self.channels), self.rounding
         pooling = Pooling(_prior_steps(self.prior), np.float32(self.pooling))
 
         def work(first: int, end: int) -> None:
             subtract(
-                first, end, flat, self.pixels, light, models, self.rounding, hypotheses, pooling,
-                after, log_odds, smoothed,
-            )  # fmt: skip
+                first, end, flat, self.pixels, light, models, hypotheses, pooling, after, (log_odds, smoothed)
+            )
 
         over_bands(work, self.size[0])
         return Subtraction(log_odds, smoothed), after
@@ -251,7 +250,8 @@ def rounding_of(width: int, frames: int) -> Planes:
     """
     along = np.arange(width + ROUNDING_PERIOD) * 0.7548776662466927 + frames * 0.5698402909980532
     steps = np.floor(along % 1 * 128)  # as fine as float32 is beside `ROUNDING`
-    return (steps / 128 + ROUNDING).astype(np.float32)
+    rounding: Planes = (steps / 128 + ROUNDING).astype(np.float32)
+    return rounding
 
 
 def certain_model(model: PixelModel, channels: int) -> Certain:

@@ -287,7 +287,7 @@ class BodyParts:
                         replace(frame, image=about, boxes=None, points=None, keypoints=None)
                     )
                     if len(found):
-                        return found + np.array([left, top, 0, 0])
+                        return np.asarray(found + (left, top, 0, 0))
         return self.detector(frame)
 
     def _moving(self, skin: NDArray[np.float32], faces: Array) -> NDArray[np.float32]:

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics.threads import over_bands
+from ..numerics.vectors import LANES
 from .kernels import visibility as visibility_kernels
 from .surface_texels import SurfaceTexels
 
@@ -65,3 +66,32 @@ def visible(
 
     over_bands(work, len(positions), worth=len(positions) > 4)
     return seen
+
+
+def front_triangles(
+    vertices: Array, triangles: NDArray[np.int64], size: tuple[int, int]
+) -> NDArray[np.int64]:
+    """Which triangle of a mesh is seen at each pixel of a picture.
+
+    Parameters
+    ----------
+    vertices
+        `(n_vertices, 3)` px, z away from the viewer; triangles are seen from both sides.
+    triangles
+        `(n_triangles, 3)`.
+    size
+        `(width, height)` px of the picture.
+
+    Returns
+    -------
+    NDArray[np.int64]
+        `(height, width)`, -1 where there is none.
+    """
+    width, height = size
+    corners = vertices + np.array([0.5, 0.5, 1 - vertices[:, 2].min()])
+    buffer = np.empty((height, width + LANES), np.int64)
+    planes = np.empty((len(triangles) + 1, 4), np.float32)
+    mesh = np.ascontiguousarray(triangles, np.uint32)
+    visibility_kernels.draw(corners, mesh, 1.0, width, planes, buffer)
+    numbers: NDArray[np.int64] = (buffer[:, :width] & 0xFFFFFFFF) - 1
+    return numbers

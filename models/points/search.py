@@ -3,7 +3,8 @@
 A patch of 5x5 pixels is easily found where it is not. Four things are asked of a place:
 
 - It is like the patch. The wider the window, the likelier something in it is so by chance. How likely was
-  counted on pairs of nine unrelated pictures, corners of one looked for in the other; see `kernels.search.least_ncc`.
+  counted on pairs of nine unrelated pictures, corners of one looked for in the other; see `least_ncc` of
+  `kernels.search`.
 - It has no rival. Where a second place is nearly as like it, the prior decides between them, or nobody does.
 - It is no chance find, if the point was not there in the picture before, and may be hidden: what is there by
   chance is one more rival; see `odds_over_chance` there.
@@ -114,8 +115,8 @@ def leads_back(
 ) -> Mask:
     """Whether what is at `position (n, 2)` px was in the middle of its window in the picture before.
 
-    It is searched for there in windows as wide as on the way forth; there should be no prior on the way back.
-    Asked, and answered, is it of those numbers that are in `which` only.
+    It is searched for there in windows as wide as on the way forth, without a prior. Only those are asked
+    for, and answered, whose numbers are in `which`.
     """
     patches = np.empty((len(position), side, side), np.float32)
     sample_all(grey, position, which, patches)
@@ -125,10 +126,8 @@ def leads_back(
     return back
 
 
-def likeliest_places(
-    grey: Grey, patches: Pixels, windows: Windows, which: NDArray[np.int64]
-) -> Candidates:
-    """Search for those of `patches (n, side, side)` whose numbers are in `which`, where all of a patch is seen."""
+def likeliest_places(grey: Grey, patches: Pixels, windows: Windows, which: NDArray[np.int64]) -> Candidates:
+    """Search for those of `patches (n, side, side)` whose numbers are in `which`; all of a patch is seen."""
     count = len(patches)
     found = Candidates(np.zeros((count, 2, 2)), np.full((count, 2), -1.0), np.full((count, 2), LEAST_WEIGHT))
     best_places(grey, windows, patches, which, found)

@@ -55,7 +55,7 @@ def _structure(long: bool) -> Experiment:
 def _bodies(_: bool) -> Experiment:
     expectations, stages = _function(".body_tracker.body_expectations")()
     table = Table(
-        ("stage", "ms", "share, %"), stages, "Where the time of the body tracker goes, two threads."
+        ("stage", "ms", "share, %"), stages, "Where the time of the body tracker goes, on one thread."
     )
     return Experiment("Bodies", [table], [*expectations, *_function(".body_samples.bootstrap_times")()])
 

@@ -5,6 +5,7 @@ answered its first frame and its last one.
 """
 
 import os
+import runpy
 import statistics
 import subprocess
 import sys
@@ -71,7 +72,6 @@ def _help_seconds() -> float:
 
 def main() -> None:
     """The command, which says when (s since 1970) it answered its first frame and its last one."""
-    from ...command_line import main as command
     from ...view.film import FilmWriter
 
     moments: list[float] = []
@@ -83,7 +83,7 @@ def main() -> None:
 
     with patch.object(FilmWriter, "add", noted):
         try:
-            command()
+            runpy.run_module("rsmcm.apps.command_line", run_name="__main__")
         finally:
             print(moments[0], moments[-1])
 

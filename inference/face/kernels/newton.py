@@ -118,29 +118,31 @@ def advance(active, tried, belief, prior, precision, climb, pace, going, followi
 def _solve(curvature, gradient, damping, lower, solution):
     """Solve (H + damping diag H) x = g in columns of like scale (radians stand beside px), by Cholesky."""
     n = len(gradient)
+    scale = np.empty(n)
     for i in range(n):
+        scale[i] = 1 / np.sqrt(curvature[i, i])
         for j in range(i + 1):
-            entry = curvature[i, j] / np.sqrt(curvature[i, i] * curvature[j, j])
+            entry = curvature[i, j] * scale[i] * scale[j]
             if i == j:
                 entry += damping
             for k in range(j):
                 entry -= lower[i, k] * lower[j, k]
             if i == j:
-                lower[i, i] = np.sqrt(max(entry, SLIGHTEST))
+                lower[i, i] = 1 / np.sqrt(max(entry, SLIGHTEST))  # its inverse
             else:
-                lower[i, j] = entry / lower[j, j]
+                lower[i, j] = entry * lower[j, j]
     for i in range(n):
-        right = gradient[i] / np.sqrt(curvature[i, i])
+        right = gradient[i] * scale[i]
         for k in range(i):
             right -= lower[i, k] * solution[k]
-        solution[i] = right / lower[i, i]
+        solution[i] = right * lower[i, i]
     for i in range(n - 1, -1, -1):
         right = solution[i]
         for k in range(i + 1, n):
             right -= lower[k, i] * solution[k]
-        solution[i] = right / lower[i, i]
+        solution[i] = right * lower[i, i]
     for i in range(n):
-        solution[i] /= np.sqrt(curvature[i, i])
+        solution[i] *= scale[i]
 
 
 @compiled

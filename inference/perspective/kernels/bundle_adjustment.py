@@ -10,6 +10,8 @@ from ....models.numerics.compiled import compiled, inlined
 
 CAMERA = 6
 
+_at = np.uint64  # a number that is no index from the end, which loops would have to ask of each
+
 
 @compiled
 def squared_distances(by_point, rotations, scales, shifts, curvature, shape, nearest, behind):
@@ -108,7 +110,8 @@ def eliminated(by_point, inverses, mixed, mixed_border, point_vector, matrix, ve
     """
     edges, _, other, _, _, _ = by_point
     last = vector.size - 1
-    lifted = np.empty((CAMERA, 3))
+    lifted, lines = np.empty((CAMERA, 3)), np.empty((3, last))
+    until = np.empty(last // CAMERA, np.int64)
     for i in range(edges.size - 1):
         inverse = inverses[i]
         q0, q1, q2 = mixed_border[i, 0], mixed_border[i, 1], mixed_border[i, 2]
@@ -118,22 +121,47 @@ def eliminated(by_point, inverses, mixed, mixed_border, point_vector, matrix, ve
         g0, g1, g2 = point_vector[i, 0], point_vector[i, 1], point_vector[i, 2]
         matrix[last, last] -= e0 * q0 + e1 * q1 + e2 * q2
         vector[last] -= e0 * g0 + e1 * g1 + e2 * g2
-        for k in range(edges[i], edges[i + 1]):
-            row = CAMERA * other[k]
+        first, n_seen = edges[i], edges[i + 1] - edges[i]
+        for k in range(n_seen - 1, -1, -1):
+            # frames one after the other have their columns side by side, too
+            joined = k + 1 < n_seen and other[first + k + 1] == other[first + k] + 1
+            until[k] = until[k + 1] if joined else k + 1
             for m in range(CAMERA):
-                a0, a1, a2 = mixed[k, 0, m], mixed[k, 1, m], mixed[k, 2, m]
+                for n in range(3):
+                    lines[n, CAMERA * k + m] = mixed[first + k, n, m]
+        for k in range(n_seen):
+            row = CAMERA * other[first + k]
+            for m in range(CAMERA):
+                a0, a1, a2 = lines[0, CAMERA * k + m], lines[1, CAMERA * k + m], lines[2, CAMERA * k + m]
                 for n in range(3):
                     lifted[m, n] = a0 * inverse[0, n] + a1 * inverse[1, n] + a2 * inverse[2, n]
                 vector[row + m] -= lifted[m, 0] * g0 + lifted[m, 1] * g1 + lifted[m, 2] * g2
                 matrix[last, row + m] -= lifted[m, 0] * q0 + lifted[m, 1] * q1 + lifted[m, 2] * q2
-            for l in range(edges[i], k + 1):  # frames of a point are in order  # noqa: E741
-                column = CAMERA * other[l]
-                for m in range(CAMERA):
-                    b0, b1, b2 = lifted[m, 0], lifted[m, 1], lifted[m, 2]
-                    for n in range(CAMERA):
-                        matrix[row + m, column + n] -= (
-                            b0 * mixed[l, 0, n] + b1 * mixed[l, 1, n] + b2 * mixed[l, 2, n]
-                        )
+            run = 0
+            while run <= k:  # frames of a point are in order
+                end = min(until[run], k + 1)
+                _take_out(
+                    lifted,
+                    lines,
+                    CAMERA * run,
+                    CAMERA * (end - run),
+                    matrix,
+                    row,
+                    CAMERA * other[first + run],
+                )
+                run = end
+
+
+@compiled
+def _take_out(lifted, lines, start, count, matrix, row, column):
+    """A point's part in the rows of a camera, in as many columns as are side by side."""
+    for m in range(0, CAMERA, 2):
+        a0, a1, a2 = lifted[m, 0], lifted[m, 1], lifted[m, 2]
+        b0, b1, b2 = lifted[m + 1, 0], lifted[m + 1, 1], lifted[m + 1, 2]
+        for c in range(count):
+            x, y, z = lines[0, _at(start + c)], lines[1, _at(start + c)], lines[2, _at(start + c)]
+            matrix[row + m, _at(column + c)] -= a0 * x + a1 * y + a2 * z
+            matrix[row + m + 1, _at(column + c)] -= b0 * x + b1 * y + b2 * z
 
 
 @compiled

@@ -27,9 +27,7 @@ REVEALED = 1
 
 
 @compiled
-def update_behind(
-    boxes, shifts, pixels, log_odds, before, light_field, model, rounding, from_planes, after, second, covered
-):
+def update_behind(regions, pixels, log_odds, before, light_field, model, rounding, from_planes, results):
     """Background of some regions again, now with what layers say of it.
 
     Pixels are weighted by their log odds and what is said of them. Where others are sure of background that
@@ -39,10 +37,12 @@ def update_behind(
     beginning, and it looks as the prediction does, that was learned from the object: the background is
     unknown there.
 
-    Of each region `boxes` `(n, 4)` have top, left, height and width px, and `shifts` in one row after the
-    other the log ratio of what layers say for background and for objects. `covered` becomes 255 where an
-    object is predicted, and `REVEALED` where the picture was taken as it is.
+    Of each of the `regions` boxes `(n, 4)` have top, left, height and width px, and shifts in one row after
+    the other the log ratio of what layers say for background and for objects. The `results` are the Gaussians
+    and second colours after the frame, and what is covered: it becomes 255 where an object is predicted, and
+    `REVEALED` where the picture was taken as it is.
     """
+    (boxes, shifts), (after, second, covered) = regions, results
     width = light_field.rows.shape[1]
     start = 0
     for region in range(len(boxes)):

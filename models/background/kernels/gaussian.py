@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ...numerics.compiled import compiled, exponential, inlined, logarithm, sigmoid
 
 _f4, _i4 = np.float32, np.int32
-_ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
 
 ODDS_STEPS = 20.0
 """Steps of the stored log odds per nat; they saturate at +-6 nats."""
@@ -39,13 +38,12 @@ SPAN = 64
 """Pixels that are looked at together for whether any of them needs more than most pixels do."""
 
 _SIGNS = np.uint64(0x8080808080808080)
-SURE, _UNSURE = np.int8(6 * ODDS_STEPS), np.int8(-128)
-"""Log odds at their bound, which only a pixel's own Gaussian gives; and where they are not known yet."""
+SURE = np.int8(6 * ODDS_STEPS)
+"""Log odds at their bound, which only a pixel's own Gaussian gives."""
 
 MOST_RECALLED = 5.95
 """Nats at most, of pixels that are background for another reason: a step less than `SURE`."""
 
-_HIGHEST = HIGHEST_VARIANCE * VARIANCE_STEPS
 
 Planes = NDArray[np.float32]
 
@@ -214,166 +212,6 @@ def posterior(distance, light, variance, noise, model, channels):
     noisier = noise + share * weight * (per_channel - total)
     noisier = min(max(noisier, _f4(LOWEST_NOISE)), _f4(HIGHEST_NOISE))
     return odds, step, after, noisier
-
-
-@inlined
-def usual_update(distance, light, spread, noise, certain):
-    """What `posterior` gives where the log odds are at their bound, without its logarithm and exponential.
-
-    Everything is in the steps of the numbers that are stored: `spread`, the variance with the drift, and
-    `distance` per channel in those of variances. Gives the step of the mean in theirs per grey level,
-    variance and noise to be stored, and whether the log odds are at their bound indeed.
-    """
-    over = light * spread
-    total = light * over + _f4(VARIANCE_STEPS / NOISE_STEPS) * noise
-    gain = over / total
-    narrower = spread - gain * (certain.weight * over - certain.weights * gain * distance)
-    narrower = min(max(narrower, _f4(LOWEST_VARIANCE * VARIANCE_STEPS)), _f4(_HIGHEST))
-    noisier = noise + certain.noise_share * (distance - total)
-    noisier = min(max(noisier, _f4(LOWEST_NOISE * NOISE_STEPS)), _f4(HIGHEST_NOISE * NOISE_STEPS))
-    bound = min(certain.offset + certain.slope * total, certain.offset_beyond + certain.slope_beyond * total)
-    sure = (distance <= bound) & (total <= certain.most)
-    return certain.step * gain, narrower, noisier, sure
-
-
-@compiled
-def usual_rows_of_colour(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds):
-    """Rows `first` to `end` of a colour picture where they show the background for sure.
-
-    Their `log_odds` are `_UNSURE` where they do not; what follows for the Gaussians, in `after` from pixel
-    `to` on, holds only where they do. (A loop over rows that is a function of its own keeps the constants of
-    the inner one from being spilled: measured once, a third of the time.)
-    """
-    luma, red, blue = before.mean[0], before.mean[1], before.mean[2]
-    new_luma, new_red, new_blue = after.mean[0], after.mean[1], after.mean[2]
-    variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
-    width = light_field.rows.shape[1]
-    for y in range(first, end):
-        upper, lower, below_share = light_beside(light_field, y)
-        cut = rounding_along(rounding, y)
-        own = (y - first) * width
-        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
-        for x in range(np.uint64(width)):
-            i, j = base + x, base_after + x
-            k = _THREE * i
-            b, g, r = _f4(pixels[k]), _f4(pixels[k + _ONE]), _f4(pixels[k + _TWO])
-            grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-            light = upper[x] + below_share * (lower[x] - upper[x])
-            glow = light * _f4(1 / MEAN_STEPS)
-            m0, m1, m2 = _f4(luma[i]), _f4(red[i]), _f4(blue[i])
-            d0 = grey - glow * m0
-            d1 = _f4(1.426) * (r - grey) - glow * m1
-            d2 = _f4(1.128) * (b - grey) - glow * m2
-            distance = (d0 * d0 + d1 * d1 + d2 * d2) * _f4(VARIANCE_STEPS / 3)
-            known, grain = _f4(variance[i]), _f4(noise[i])
-            step, narrower, noisier, sure = usual_update(
-                distance, light, known + certain.drift, grain, certain
-            )
-            new_luma[j] = whole_steps(m0 + step * d0, cut[x])
-            new_red[j] = whole_steps(m1 + step * d1, cut[x])
-            new_blue[j] = whole_steps(m2 + step * d2, cut[x])
-            new_variance[j] = np.uint16(_i4(narrower + cut[x]))
-            new_noise[j] = np.uint16(_i4(noisier + cut[x]))
-            log_odds[base_odds + x] = SURE if sure & (known <= _f4(_HIGHEST)) else _UNSURE
-
-
-@compiled
-def usual_rows_of_grey(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds):
-    """Rows `first` to `end` of a grey picture, as `usual_rows_of_colour`."""
-    luma, new_luma = before.mean[0], after.mean[0]
-    variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
-    width = light_field.rows.shape[1]
-    for y in range(first, end):
-        upper, lower, below_share = light_beside(light_field, y)
-        cut = rounding_along(rounding, y)
-        own = (y - first) * width
-        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
-        for x in range(np.uint64(width)):
-            i, j = base + x, base_after + x
-            light = upper[x] + below_share * (lower[x] - upper[x])
-            m0 = _f4(luma[i])
-            d0 = _f4(pixels[i]) - light * _f4(1 / MEAN_STEPS) * m0
-            known, grain = _f4(variance[i]), _f4(noise[i])
-            distance = d0 * d0 * _f4(VARIANCE_STEPS)
-            step, narrower, noisier, sure = usual_update(
-                distance, light, known + certain.drift, grain, certain
-            )
-            new_luma[j] = whole_steps(m0 + step * d0, cut[x])
-            new_variance[j] = np.uint16(_i4(narrower + cut[x]))
-            new_noise[j] = np.uint16(_i4(noisier + cut[x]))
-            log_odds[base_odds + x] = SURE if sure & (known <= _f4(_HIGHEST)) else _UNSURE
-
-
-@compiled
-def other_rows_of_colour(first, end, pixels, before, light_field, model, rounding, to, after, log_odds):
-    """Rows `first` to `end` of a colour picture again, in spans where that is not sure.
-
-    Gives the greatest variance there, as it is stored.
-    """
-    luma, red, blue = before.mean[0], before.mean[1], before.mean[2]
-    new_luma, new_red, new_blue = after.mean[0], after.mean[1], after.mean[2]
-    variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
-    width = light_field.rows.shape[1]
-    spans = np.empty(width // SPAN + 1, np.int64)
-    most = _i4(0)
-    for y in range(first, end):
-        upper, lower, below_share = light_beside(light_field, y)
-        cut = rounding_along(rounding, y)
-        own = (y - first) * width
-        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
-        for span in range(foreground_spans(log_odds[own : own + width], spans)):
-            for x in range(np.uint64(spans[span]), np.uint64(min(spans[span] + SPAN, width))):
-                i, j = base + x, base_after + x
-                k = _THREE * i
-                b, g, r = _f4(pixels[k]), _f4(pixels[k + _ONE]), _f4(pixels[k + _TWO])
-                grey = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
-                light = upper[x] + below_share * (lower[x] - upper[x])
-                m0, m1, m2 = mean_of(luma[i]), mean_of(red[i]), mean_of(blue[i])
-                d0 = grey - light * m0
-                d1 = _f4(1.426) * (r - grey) - light * m1
-                d2 = _f4(1.128) * (b - grey) - light * m2
-                distance = d0 * d0 + d1 * d1 + d2 * d2
-                odds, step, spread, grain = posterior(
-                    distance, light, variance_of(variance[i]), noise_of(noise[i]), model, _f4(3.0)
-                )
-                new_luma[j] = mean_steps(m0 + step * d0, cut[x])
-                new_red[j] = mean_steps(m1 + step * d1, cut[x])
-                new_blue[j] = mean_steps(m2 + step * d2, cut[x])
-                new_variance[j] = variance_steps(spread, cut[x])
-                new_noise[j] = noise_steps(grain, cut[x])
-                log_odds[base_odds + x] = np.int8(odds * _f4(ODDS_STEPS))
-                most = max(most, _i4(variance[i]))
-    return most
-
-
-@compiled
-def other_rows_of_grey(first, end, pixels, before, light_field, model, rounding, to, after, log_odds):
-    """Rows `first` to `end` of a grey picture, as `other_rows_of_colour`."""
-    luma, new_luma = before.mean[0], after.mean[0]
-    variance, noise, new_variance, new_noise = before.variance, before.noise, after.variance, after.noise
-    width = light_field.rows.shape[1]
-    spans = np.empty(width // SPAN + 1, np.int64)
-    most = _i4(0)
-    for y in range(first, end):
-        upper, lower, below_share = light_beside(light_field, y)
-        cut = rounding_along(rounding, y)
-        own = (y - first) * width
-        base, base_after, base_odds = np.uint64(y * width), np.uint64(to + own), np.uint64(own)
-        for span in range(foreground_spans(log_odds[own : own + width], spans)):
-            for x in range(np.uint64(spans[span]), np.uint64(min(spans[span] + SPAN, width))):
-                i, j = base + x, base_after + x
-                light = upper[x] + below_share * (lower[x] - upper[x])
-                m0 = mean_of(luma[i])
-                d0 = _f4(pixels[i]) - light * m0
-                odds, step, spread, grain = posterior(
-                    d0 * d0, light, variance_of(variance[i]), noise_of(noise[i]), model, _f4(1.0)
-                )
-                new_luma[j] = mean_steps(m0 + step * d0, cut[x])
-                new_variance[j] = variance_steps(spread, cut[x])
-                new_noise[j] = noise_steps(grain, cut[x])
-                log_odds[base_odds + x] = np.int8(odds * _f4(ODDS_STEPS))
-                most = max(most, _i4(variance[i]))
-    return most
 
 
 @compiled

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...numerics.compiled import compiled, logarithm
-from .gaussian import light_beside, mean_of
+from .gaussian import mean_of
 
 _f4 = np.float32
 _UNUSABLE = _f4(1e30)
@@ -35,9 +35,14 @@ def beyond(blocks):
     """With one more block all around, as slopes go on: light at the border is no mean of that inside."""
     rows, columns = blocks.shape
     out = np.empty((rows + 2, columns + 2), blocks.dtype)
-    out[1:-1, 1:-1] = blocks
-    out[0], out[-1] = 2 * out[1] - out[2], 2 * out[-2] - out[-3]
-    out[:, 0], out[:, -1] = 2 * out[:, 1] - out[:, 2], 2 * out[:, -2] - out[:, -3]
+    for row in range(rows):
+        for column in range(columns):
+            out[row + 1, column + 1] = blocks[row, column]
+        out[row + 1, 0] = 2 * out[row + 1, 1] - out[row + 1, 2]
+        out[row + 1, columns + 1] = 2 * out[row + 1, columns] - out[row + 1, columns - 1]
+    for column in range(columns + 2):
+        out[0, column] = 2 * out[1, column] - out[2, column]
+        out[rows + 1, column] = 2 * out[rows, column] - out[rows - 1, column]
     return out
 
 
@@ -147,8 +152,15 @@ def _medians(blocks):
 @compiled
 def _smoothed(blocks):
     """By 1 2 1 both ways, without those at the border: errors of no wavelength grow."""
-    across = 0.25 * blocks[:, :-2] + 0.5 * blocks[:, 1:-1] + 0.25 * blocks[:, 2:]
-    return 0.25 * across[:-2] + 0.5 * across[1:-1] + 0.25 * across[2:]
+    out = np.empty((blocks.shape[0] - 2, blocks.shape[1] - 2))
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            value = 0.0
+            for k in range(9):
+                weight = (2 - abs(k // 3 - 1)) * (2 - abs(k % 3 - 1))
+                value += weight * blocks[row + k // 3, column + k % 3]
+            out[row, column] = value / 16
+    return out
 
 
 @compiled
@@ -181,33 +193,34 @@ def light_ratios(pixels, mean, light, ratios, agreement, texture):
     `agreement` the share of samples within 5 % of it, and `texture` nats for the scene's own texture under
     that light, over a flat surface: the log ratio of two Gaussian densities of the samples' luma.
     """
-    channels = mean.shape[0]
-    luma = mean[0]
+    channels, luma = mean.shape[0], mean[0]
     height, width = light.positions.size, light.rows.shape[1]
     block_rows, block_columns = ratios.shape
     samples = 6 * block_columns
-    columns = np.empty(samples, np.int64)
+    columns = np.empty(samples, np.uint32)
     for k in range(samples):
         columns[k] = int((k + 0.5) * width / samples)
     values = np.empty((6, samples), np.float32)
     predicted = np.empty((6, samples), np.float32)
+    lit = _sampled_light(light.rows, columns)
+    shown, known = np.zeros((3, samples), np.uint8), np.empty(samples, np.int16)
     block = np.full((8, 6), _UNUSABLE)
     below = np.empty(48, np.float32)
     for row in range(block_rows):
         for sample_row in range(6):
             y = int((6 * row + sample_row + 0.5) * height / (6 * block_rows))
-            upper, lower, below_share = light_beside(light, y)
-            own = luma[y * width : (y + 1) * width]
-            shown = pixels[channels * y * width : channels * (y + 1) * width]
-            out, scene = values[sample_row], predicted[sample_row]
+            # bytes first, and nothing else: what is not in the cache is waited for all at once
+            _sample(pixels[channels * y * width :], luma[y * width :], columns, channels, shown, known)
+            above = int(light.positions[y])
+            below_share = light.positions[y] - _f4(above)
+            upper, lower, out, scene = lit[above], lit[above + 1], values[sample_row], predicted[sample_row]
             for k in range(samples):
-                x = columns[k]
                 if channels == 3:
-                    b, g, r = _f4(shown[3 * x]), _f4(shown[3 * x + 1]), _f4(shown[3 * x + 2])
+                    b, g, r = _f4(shown[0, k]), _f4(shown[1, k]), _f4(shown[2, k])
                     seen = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
                 else:
-                    seen = _f4(shown[x])
-                expected = (upper[x] + below_share * (lower[x] - upper[x])) * mean_of(own[x])
+                    seen = _f4(shown[0, k])
+                expected = (upper[k] + below_share * (lower[k] - upper[k])) * mean_of(known[k])
                 usable = (expected > _f4(16.0)) & (seen > _f4(2.0)) & (seen < _f4(250.0))
                 out[k] = seen / expected if usable else _UNUSABLE
                 scene[k] = expected
@@ -217,6 +230,32 @@ def light_ratios(pixels, mean, light, ratios, agreement, texture):
             texture[row, column] = _texture(
                 block, predicted[:, 6 * column : 6 * column + 6], ratios[row, column]
             )
+
+
+@compiled
+def _sampled_light(rows, columns):
+    out = np.empty((rows.shape[0], columns.size), np.float32)
+    for row in range(rows.shape[0]):
+        for k in range(columns.size):
+            out[row, k] = rows[row, columns[k]]
+    return out
+
+
+@compiled
+def _sample(pixels, luma, columns, channels, shown, known):
+    """Some pixels of a row of a picture, and of the stored means."""
+    if channels == 3:
+        blue, green, red = shown[0], shown[1], shown[2]
+        for k in range(columns.size):
+            x = np.uint64(columns[k])
+            start = x + x + x
+            blue[k] = pixels[start]
+            green[k], red[k] = pixels[start + np.uint64(1)], pixels[start + np.uint64(2)]
+            known[k] = luma[x]
+    else:
+        for k in range(columns.size):
+            shown[0, k] = pixels[columns[k]]
+            known[k] = luma[columns[k]]
 
 
 @compiled

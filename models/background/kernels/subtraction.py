@@ -10,12 +10,9 @@ from .gaussian import (
     ODDS_STEPS,
     VARIANCE_STEPS,
     Gaussians,
-    other_rows_of_colour,
-    other_rows_of_grey,
     smooth_log_odds,
-    usual_rows_of_colour,
-    usual_rows_of_grey,
 )
+from .rows import other_rows, usual_rows_of_colour, usual_rows_of_grey
 from .second_colours import recall
 from .sway import LEAST_RATE, recall_moved
 
@@ -23,7 +20,7 @@ HALO = 2
 """Rows beyond a band that its own log odds depend on."""
 
 
-BLOCK = 16
+BLOCK = 32
 """Rows that are worked on at a time: small enough to stay in the cache."""
 
 
@@ -35,17 +32,16 @@ class Pooling(NamedTuple):
 
 
 @compiled
-def subtract(
-    first, end, pixels, before, light_field, models, rounding, hypotheses, pooling, after, log_odds, smoothed
-):
+def subtract(first, end, pixels, before, light_field, models, hypotheses, pooling, after, results):
     """Rows `first` to `end` of a picture: log odds of background, and the update that they imply.
 
-    `models` are the pixels' model, and what of it pixels need that show background for sure. `hypotheses` are
-    what else a pixel may show and be background: its second colour, within a tolerance, and what sways. What
-    rows of other bands add to the neighbours' share is worked out again here, so that no band waits for
-    another one.
+    `models` are the pixels' model, what of it pixels need that show background for sure, and what is added
+    to numbers before they are cut off. `hypotheses` are what else a pixel may show and be background: its
+    second colour, within a tolerance, and what sways. `results` get the log odds of each pixel by itself, and
+    smoothed. What rows of other bands add to the neighbours' share is worked out again here, so that no band
+    waits for another one.
     """
-    model = models[0]
+    model, (log_odds, smoothed) = models[0], results
     second, tolerance, sway = hypotheses
     channels, (height, width) = before.mean.shape[0], (light_field.positions.size, light_field.rows.shape[1])
     top, bottom = max(first - HALO, 0), min(end + HALO, height)
@@ -61,13 +57,13 @@ def subtract(
         odds = own[(start - top) * width : (stop - top) * width]
         most = max(
             most,
-            _rows(start, stop, pixels, before, light_field, models, rounding, start * width, after, odds),
+            _rows(start, stop, pixels, before, light_field, models, start * width, after, odds),
         )
     if top < first:
-        _rows(top, first, pixels, before, light_field, models, rounding, 0, beyond, own)
+        _rows(top, first, pixels, before, light_field, models, 0, beyond, own)
     if end < bottom:
         odds = own[(end - top) * width :]
-        _rows(end, bottom, pixels, before, light_field, models, rounding, 0, beyond, odds)
+        _rows(end, bottom, pixels, before, light_field, models, 0, beyond, odds)
     recall(top * width, pixels, second, tolerance, model, own)
     if sway.rates.max() >= LEAST_RATE:
         recall_moved(top, pixels, before, light_field, model, sway, own)
@@ -83,13 +79,11 @@ def subtract(
 
 
 @compiled
-def _rows(first, end, pixels, before, light_field, models, rounding, to, after, log_odds):
+def _rows(first, end, pixels, before, light_field, models, to, after, log_odds):
     """Rows `first` to `end`: their `log_odds`, and the Gaussians `after` them from pixel `to` on."""
-    model, certain = models
+    model, certain, rounding = models
     if before.mean.shape[0] == 3:
         usual_rows_of_colour(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds)
-        return other_rows_of_colour(
-            first, end, pixels, before, light_field, model, rounding, to, after, log_odds
-        )
-    usual_rows_of_grey(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds)
-    return other_rows_of_grey(first, end, pixels, before, light_field, model, rounding, to, after, log_odds)
+    else:
+        usual_rows_of_grey(first, end, pixels, before, light_field, certain, rounding, to, after, log_odds)
+    return other_rows(first, end, pixels, before, light_field, model, rounding, to, after, log_odds)

@@ -203,7 +203,7 @@ def count_moved(pixels, before, light_field, log_odds, covered, reach, counts):
 
 @compiled
 def learn_rates(counts, rates, share, least_seen, after):
-    """Rates of blocks `after` a frame, of the counts in 3 x 3 blocks about each; `share` is that of the frame.
+    """Rates of blocks `after` a frame, of counts in 3 x 3 blocks about each; `share` is that of the frame.
 
     Leaves change places, some get brighter and some darker; a shade and a person change all one way.
     """

@@ -11,11 +11,12 @@ _NOBODY = np.int64(0x7F800000) << np.int64(32)
 
 
 @compiled
-def _draw(corners, triangles, per_px, columns, planes, buffer):
+def draw(corners, triangles, per_px, columns, planes, buffer):
     """Fill the z-buffer: which triangle is front-most at the middle of each cell, and how deep it is.
 
     `corners` `(n_vertices, 3)` are px from the upper left of the buffer, at depths above 0. A cell has the
-    bits of the depth, which rise with it, before the triangle's number, from 1; 0 is nobody. The `planes` of
+    bits of the depth, which rise with it, before the triangle's number, from 1; 0 is nobody. The buffer has
+    `LANES` columns more than are used. The `planes` of
     triangles say where z is: at that corner, per px along x, per px along y, and its least.
     """
     rows = len(buffer)
@@ -82,7 +83,7 @@ def see(positions, triangles, groups, first, weights, facing, cells, least_cell,
         columns = min(max(int(np.ceil((right - left) / cell)), 1), cells)
         rows = min(max(int(np.ceil((bottom - top) / cell)), 1), cells)
         buffer = whole[:rows]
-        _draw(corners, triangles, 1 / cell, columns, planes, buffer)
+        draw(corners, triangles, 1 / cell, columns, planes, buffer)
         slack = tolerance * (farthest - nearest)
         _query(corners, groups, first, weights, (facing, slack, cell), planes, buffer, columns, seen[pose])
 

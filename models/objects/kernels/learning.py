@@ -59,9 +59,11 @@ class Learning(NamedTuple):
 
     Shares by which something follows the last frame: `mask_share`, `colour_share`, `view_share`,
     `size_share`, and `first_size_share` of a blob that is fresh; `kept` is what a mask keeps where it reaches
-    too far. The rest as of `BlobTracker`, `least_area` in px, and `elapsed` s since the last frame.
+    too far. `log_uniform` and `elapsed` as of `Matching`, the rest as of `BlobTracker`, `least_area` in px.
     """
 
+    log_uniform: float
+    outliers: float
     elapsed: float
     mask_share: float
     colour_share: float
@@ -343,26 +345,28 @@ def _note_seen(blob, variance, box, length, rule):
 
 
 @compiled
-def learn_all(before, old, blobs, pools, picture, scene, terms, rule, alive, scratch):
-    """Blobs after a frame, front to back.
+def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scratch):
+    """Some blobs after a frame, each for itself.
 
     Parameters
     ----------
+    which
+        `(m,)` int64 numbers of blobs.
     before, old
-        records and pools of the blobs, as they are placed.
+        records and pools of all blobs, front to back, as they are placed.
     blobs, pools
         the same records with fitted patches (see `fit`), which change, and pools to be filled.
     picture, scene
         the frame.
-    terms, rule
-        `Matching` and `Learning`.
+    rule
+        how they follow the frame.
     alive
         `(n,)` uint8: 1 where a blob lives on.
     scratch
         memory for `scratch_for_learning` numbers.
     """
     height, width, channels = picture.image.shape
-    for k in range(blobs.size):
+    for k in which:
         blob, size = blobs[k], blobs[k].rows * blobs[k].columns
         mask = mask_of(blob, pools)
         covers, own, rest = _refitted(blob, before[k], old, channels, scratch)
@@ -387,7 +391,7 @@ def learn_all(before, old, blobs, pools, picture, scene, terms, rule, alive, scr
                         own[:, row, x] = patch.planes[:, row, x]
         colours = colours_of(blob, pools, channels)
         total, visible, seen, variance = learn(
-            patch, explained, sprite_of(blob, covers, own, terms), _f4(rule.strength),
+            patch, explained, sprite_of(blob, covers, own, rule), _f4(rule.strength),
             _f4(rule.mask_share), _f4(rule.colour_share),
             _f4(BENEFIT_OF_DOUBT if blob.still > 0.2 else 0.0), mask, colours, rest,
         )  # fmt: skip

@@ -265,19 +265,56 @@ def _likely_part(blob):
 
 
 @compiled
-def register(blobs, pools, picture, terms, scratch):
-    """Update place and velocity of blobs, front to back, by the pixels that nothing in front covers.
+def _reach(blob):
+    """px by which a blob is looked for off its expected place."""
+    most = max(6.0, min(0.35 * length_of(blob), float(WIDEST_REACH)))
+    return int(min(max(2.5 * np.sqrt(blob.covariance[0, 0]) + 1, 2.0), most))
 
-    Records change; `scratch` is memory for `scratch_for_search` numbers.
+
+@compiled
+def deal(blobs, count, lots):
+    """Deal blobs, front to back, out to `count` lots `(n,)`, so that none may meet one of another lot.
+
+    Each lot gets about as many pixels as the others.
     """
     for k in range(blobs.size):
+        lots[k] = k
+        top, left = corner_of(blobs[k])
+        reach = _reach(blobs[k])
+        for j in range(k):
+            down, right = corner_of(blobs[j])
+            both = reach + _reach(blobs[j]) + 1
+            meets = top - both < down + blobs[j].rows and down - both < top + blobs[k].rows
+            if meets and left - both < right + blobs[j].columns and right - both < left + blobs[k].columns:
+                own, other = lots[k], lots[j]
+                for i in range(k + 1):
+                    lots[i] = other if lots[i] == own else lots[i]
+    loads = np.zeros(count, np.int64)
+    of_group = np.full(blobs.size, -1)
+    for k in range(blobs.size):
+        group = lots[k]
+        if of_group[group] < 0:
+            of_group[group] = np.argmin(loads)
+        lots[k] = of_group[group]
+        loads[lots[k]] += blobs[k].rows * blobs[k].columns
+
+
+@compiled
+def register(blobs, pools, picture, terms, lots, lot, scratch):
+    """Update place and velocity of a lot of blobs, front to back, by the pixels that nothing in front covers.
+
+    Records change; `lots` `(n,)` are as `deal` gives them, `scratch` is memory for `scratch_for_search`
+    numbers.
+    """
+    for k in range(blobs.size):
+        if lots[k] != lot:
+            continue
         blob = blobs[k]
         if blob.detected and (blob.confidence < 0.5 or blob.seen < FRESH):
             continue  # its mask shows nothing that could be found again
         top, left = corner_of(blob)
         place, both, speed = blob.covariance[0, 0], blob.covariance[0, 1], blob.covariance[1, 1]
-        most = max(6.0, min(0.35 * length_of(blob), float(WIDEST_REACH)))
-        reach, step = int(min(max(2.5 * np.sqrt(place) + 1, 2.0), most)), _step(blob)
+        reach, step = _reach(blob), _step(blob)
         channels = picture.image.shape[2]
         whole_sprite = sprite_of(blob, mask_of(blob, pools), colours_of(blob, pools, channels), terms)
         within = _likely_part(blob)

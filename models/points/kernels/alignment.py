@@ -153,8 +153,8 @@ def _sample(grey, side, sampler):
 def _changes(seen, patch, mean, side, change):
     """What changes the pixels of a patch, `(ROWS, side * side, LANES)`, and what they are off by.
 
-    Offset (ones, which are there), gain, rotation, scale, stretch along the axes and along the diagonals, then
-    columns and rows by which it moves, and what is off. `seen` has a pixel more on all sides.
+    Offset (ones, which are there), gain, rotation, scale, stretch along the axes and along the diagonals,
+    then columns and rows by which it moves, and what is off. `seen` has a pixel more on all sides.
     """
     half, line = side // 2, side + 2
     for n in range(side * side):
@@ -204,10 +204,11 @@ def _products(change, part, products):
 
 @compiled
 def _eliminate(normal, first, last):
-    """Make zeros below the diagonals of systems `(ROWS, ROWS, LANES)` in the columns from `first` to before `last`.
+    """Make zeros below diagonals in the columns from `first` to before `last`.
 
-    They are symmetric, and only upper triangles are read and written. What is then left at the lower right is
-    the system of the other unknowns alone, and what their sums of squares are without those that went.
+    The systems, `(ROWS, ROWS, LANES)`, are symmetric, and only upper triangles are read and written. What is
+    then left at the lower right is the system of the other unknowns alone, and what their sums of squares are
+    without those that went.
     """
     share = np.empty(LANES)
     for k in range(first, last):
@@ -225,9 +226,11 @@ def _eliminate(normal, first, last):
 def align_all(grey, patches, which, positions, expected, light, farthest, covariance, ncc):
     """Move those `positions` `(m, 2)` whose numbers are in `which` to where the picture is like a patch.
 
-    Of `patches` `(n, side, side)` each has as many positions, one after the other. Picture = patch + offset +
-    gain (patch - its mean) + its change by a small linear map + noise; offset, gain and map have inverse variances `light.precisions`, `(6,)`, in units of the noise's, whose variance is
-    `light.smoothed` times that of what is left, plus `light.rounding`. Patches have the prior `expected`.
+    Of `patches` `(n, side, side)` each has as many positions, one after the other. Picture = patch + offset
+    + gain (patch - its mean) + its change by a small linear map + noise; offset, gain and map have inverse
+    variances `light.precisions`, `(6,)`, in units of the noise's, whose variance is `light.smoothed` times
+    that of what is left, plus `light.rounding`. Patches have the prior `expected`.
+
     Written: `covariance` `(m, 2, 2)` px^2 by the picture alone, with offset, gain and map integrated out; and
     the normalised correlation, -1 where the way leads farther than `farthest` px or picture or patch are
     flat.
@@ -254,7 +257,11 @@ def align_all(grey, patches, which, positions, expected, light, farthest, covari
                 n = todo[first + lane]
                 k, x, y = n // each, positions[n, 0], positions[n, 1]
                 off_x, off_y = x - expected.mean[k, 0], y - expected.mean[k, 1]
-                a, b, c = expected.precision[k, 0, 0], expected.precision[k, 0, 1], expected.precision[k, 1, 1]
+                a, b, c = (
+                    expected.precision[k, 0, 0],
+                    expected.precision[k, 0, 1],
+                    expected.precision[k, 1, 1],
+                )
                 dx, dy, xx, xy, yy = _step(normal, lane, side, (off_x, off_y, a, b, c), light)
                 x -= min(max(dx, -LONGEST), LONGEST)
                 y -= min(max(dy, -LONGEST), LONGEST)
@@ -272,7 +279,7 @@ def align_all(grey, patches, which, positions, expected, light, farthest, covari
 
 @compiled
 def _take(which, patches, each, positions, patch, mean, sampler):
-    """Side by side: patches, their means, and where they are; the last one again in lanes that are left over."""
+    """Side by side: patches, their means, and places; the last one again in lanes that are left over."""
     side = patches.shape[1]
     for lane in range(LANES):
         n = which[min(lane, which.size - 1)]
@@ -326,7 +333,7 @@ def _step(normal, lane, side, prior, light):
 
 @compiled
 def _correlation(products, lane, side):
-    """Of a patch with the picture, from sums over it and over what the picture is off by; -1 if one is flat."""
+    """Of a patch with the picture, from sums over it and what the picture is off by; -1 if one is flat."""
     count = side * side
     off, bright = UNKNOWNS, products[0, UNKNOWNS, lane]
     own, cross = products[1, 1, lane], products[1, off, lane]

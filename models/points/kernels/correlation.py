@@ -5,12 +5,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...numerics.compiled import compiled
+from ...numerics.compiled import compiled, logarithm
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _f4 = np.float32
+
+_at = np.uint64  # a number that is no index from the end, which loops would have to ask of each
+
+PIXELS, SCORE, SQUARES, ACROSS, TOTAL, ENERGY = range(6)
+"""Rows of the room for a window."""
 
 USUAL = 5
 """px, side of patches for which loops are written out."""
@@ -72,9 +77,9 @@ class Candidates(NamedTuple):
 def best_places(image, windows, patches, which, found):
     """Fill in the two likeliest places of those patches of `(n, side, side)` whose numbers are in `which`.
 
-    A place's weight is `SHARPNESS` times -log(1 - correlation^2 + `NCC_NOISE`), plus the log prior. Only places
-    are taken of a correlation of `LEAST_NCC` or more, and that no neighbour is more like the patch than; where
-    there are none, what is `found` stays as it is.
+    A place's weight is `SHARPNESS` times -log(1 - correlation^2 + `NCC_NOISE`), plus the log prior. Only
+    places are taken of a correlation of `LEAST_NCC` or more, and that no neighbour is more like the patch
+    than; where there are none, what is `found` stays as it is.
     """
     mean, covariance, prior, reach, farthest = windows
     height, width = image.shape
@@ -104,14 +109,14 @@ def best_places(image, windows, patches, which, found):
         line = columns + side - 1
         count = -(-rows * line // REGISTER) * REGISTER
         _normalise(patches, k, template)
-        _lift(image, left, top, rows + side - 1, line, rooms[0])
+        _lift(image, left, top, rows + side - 1, line, rooms)
         correlate(rooms, line, count, template, side)
-        _flag_peaks(rooms[1], line, count, rooms[2], flags)
+        _flag_peaks(rooms, line, count, flags)
         a, b, c = covariance[k, 0, 0], covariance[k, 0, 1], covariance[k, 1, 1]
         scale = (1.0 if prior else 0.0) / (a * c - b * b)
         known = scale * c, -2 * scale * b, scale * a, reach * reach
         offset = left + half - mean[k, 0], top + half - mean[k, 1]
-        _keep_two(rooms[1], line, rows, columns, offset, known, flags, eight, places, weights)
+        _keep_two(rooms[SCORE], line, rows, columns, offset, known, flags, eight, places, weights)
         for place in range(2):
             if weights[place] > LEAST_WEIGHT:
                 found.position[k, place, 0] = mean[k, 0] + places[place, 0]
@@ -120,79 +125,91 @@ def best_places(image, windows, patches, which, found):
 
 
 @compiled
-def _lift(image, left, top, rows, line, pixels):
+def _lift(image, left, top, rows, line, rooms):
     """A window's pixels, less one of them: squares of small numbers are summed exactly enough.
 
     A line that is filled up to whole registers runs into the next one, which then comes over it.
     """
-    beyond = image.shape[1]
     level = _f4(image[top + rows // 2, left + line // 2])
-    filled = -(-line // REGISTER) * REGISTER
+    filled = min(-(-line // REGISTER) * REGISTER, image.shape[1] - left)
     for y in range(rows):
-        row, here = image[top + y, left : min(left + filled, beyond)], pixels[y * line :]
-        for x in range(row.size):
-            here[x] = _f4(row[x]) - level
+        for x in range(filled):
+            rooms[PIXELS, _at(y * line + x)] = _f4(image[_at(top + y), _at(left + x)]) - level
 
 
 @compiled
 def correlate(rooms, line, count, template, side):
     """Correlation of a template of mean 0 and length 1 with all patches of a window.
 
-    `rooms`, `(6, enough)`, has the window's pixels in row 0, `line` in a line, and gets the correlations of
-    the first `count` places in row 1; what is at a line's end means nothing. The others are room for sums.
+    `rooms`, `(6, enough)`, has the window's `PIXELS`, `line` in a line, and gets the `SCORE` of the first
+    `count` places; what is at a line's end means nothing. The others are room for sums.
     """
-    pixels, score = rooms[0], rooms[1, :count]
-    size = count + (side - 1) * line
-    squares, total, energy = rooms[2, : size + REGISTER], rooms[4, :count], rooms[5, :count]
-    for i in range(squares.size):
-        squares[i] = pixels[i] * pixels[i]
+    for i in range(count + side * line):
+        pixel = rooms[PIXELS, _at(i)]
+        rooms[SQUARES, _at(i)] = pixel * pixel
     if side == USUAL:
-        a, b, c, d, e = pixels, pixels[line:], pixels[2 * line :], pixels[3 * line :], pixels[4 * line :]
-        w = template
         for i in range(count):
-            upper = _five(a, i, w, 0) + _five(b, i, w, 5) + _five(c, i, w, 10)
-            score[i] = upper + _five(d, i, w, 15) + _five(e, i, w, 20)
+            upper = _five(rooms, i, template, 0) + _five(rooms, i + line, template, 5)
+            lower = _five(rooms, i + 3 * line, template, 15) + _five(rooms, i + 4 * line, template, 20)
+            rooms[SCORE, _at(i)] = upper + _five(rooms, i + 2 * line, template, 10) + lower
     else:
-        score[:] = 0
+        rooms[SCORE, :count] = 0
         for y in range(side):
             for x in range(side):
-                weight, seen = template[y * side + x], pixels[y * line + x :]
+                weight = template[y * side + x]
                 for i in range(count):
-                    score[i] += weight * seen[i]
-    sums = rooms[3, :size]
-    _box_sums(pixels, line, side, sums, total)
-    _box_sums(squares, line, side, sums, energy)
+                    rooms[SCORE, _at(i)] += weight * rooms[PIXELS, _at(i + y * line + x)]
+    _box_sums(rooms, PIXELS, line, side, count, TOTAL)
+    _box_sums(rooms, SQUARES, line, side, count, ENERGY)
     share, least = _f4(1 / (side * side)), _f4(0.25 * side * side)
     for i in range(count):
-        score[i] *= _f4(1) / np.sqrt(max(energy[i] - share * total[i] * total[i], least))
+        total = rooms[TOTAL, _at(i)]
+        rooms[SCORE, _at(i)] /= np.sqrt(max(rooms[ENERGY, _at(i)] - share * total * total, least))
 
 
 @compiled
-def _five(pixels, i, weights, first):
-    total = weights[first] * pixels[i] + weights[first + 1] * pixels[i + 1] + weights[first + 2] * pixels[i + 2]
-    return total + weights[first + 3] * pixels[i + 3] + weights[first + 4] * pixels[i + 4]
+def _five(rooms, i, weights, k):
+    a, b, c = rooms[PIXELS, _at(i)], rooms[PIXELS, _at(i + 1)], rooms[PIXELS, _at(i + 2)]
+    d, e = rooms[PIXELS, _at(i + 3)], rooms[PIXELS, _at(i + 4)]
+    return weights[k] * a + weights[k + 1] * b + weights[k + 2] * c + weights[k + 3] * d + weights[k + 4] * e
 
 
 @compiled
-def _box_sums(image, line, side, rows, out):
-    """Sums of `image` over squares, each at its upper left pixel; `rows` is room for those of its lines."""
-    count = out.size
+def _box_sums(rooms, what, line, side, count, out):
+    """Sums over squares, each at its upper left pixel."""
+    size = count + (side - 1) * line
     if side == USUAL:
-        for i in range(rows.size):
-            rows[i] = image[i] + image[i + 1] + image[i + 2] + image[i + 3] + image[i + 4]
-        a, b, c, d, e = rows, rows[line:], rows[2 * line :], rows[3 * line :], rows[4 * line :]
+        for i in range(size):
+            left = rooms[what, _at(i)] + rooms[what, _at(i + 1)] + rooms[what, _at(i + 2)]
+            rooms[ACROSS, _at(i)] = left + rooms[what, _at(i + 3)] + rooms[what, _at(i + 4)]
         for i in range(count):
-            out[i] = a[i] + b[i] + c[i] + d[i] + e[i]
+            upper = rooms[ACROSS, _at(i)] + rooms[ACROSS, _at(i + line)] + rooms[ACROSS, _at(i + 2 * line)]
+            rooms[out, _at(i)] = upper + rooms[ACROSS, _at(i + 3 * line)] + rooms[ACROSS, _at(i + 4 * line)]
         return
-    rows[:], out[:] = 0, 0
+    rooms[ACROSS, :size], rooms[out, :count] = 0, 0
     for x in range(side):
-        shifted = image[x:]
-        for i in range(rows.size):
-            rows[i] += shifted[i]
+        for i in range(size):
+            rooms[ACROSS, _at(i)] += rooms[what, _at(i + x)]
     for y in range(side):
-        below = rows[y * line :]
         for i in range(count):
-            out[i] += below[i]
+            rooms[out, _at(i)] += rooms[ACROSS, _at(i + y * line)]
+
+
+@compiled
+def _flag_peaks(rooms, line, count, flags):
+    """Whether a place is like the patch, and none of its eight neighbours more so; not at the edge."""
+    for i in range(count):
+        here, after, further = rooms[SCORE, _at(i)], rooms[SCORE, _at(i + 1)], rooms[SCORE, _at(i + 2)]
+        rooms[ACROSS, _at(i)] = max(after, max(here, further))
+    # of three in a row the middle one is where the peak may be
+    for i in range(count):
+        above, here, below = (
+            rooms[ACROSS, _at(i)],
+            rooms[ACROSS, _at(i + line)],
+            rooms[ACROSS, _at(i + 2 * line)],
+        )
+        middle = rooms[SCORE, _at(i + line + 1)]
+        flags[_at(i + line + 1)] = middle >= max(here, max(above, below)) and middle >= LEAST_NCC
 
 
 @compiled
@@ -200,7 +217,7 @@ def _keep_two(score, line, rows, columns, offset, prior, flags, eight, places, w
     """Fill in the two likeliest of the flagged peaks: x, y and correlation `(2, 3)`, and weights `(2,)`.
 
     `offset` is where the first place is from where the patch should be, `prior` the precision of that, xx,
-    twice xy and yy, and the square beyond which nothing is searched. `eight` are the flags, eight in a number.
+    twice xy and yy, and the square beyond which nothing is searched; `eight` the flags, eight in a number.
     """
     left, top = offset
     xx, xy, yy, most = prior
@@ -220,7 +237,7 @@ def _keep_two(score, line, rows, columns, offset, prior, flags, eight, places, w
             right, more_x = _parabola(score[i - 1], score[i], score[i + 1])
             down, more_y = _parabola(score[i - line], score[i], score[i + line])
             peak = min(score[i] + more_x + more_y, _f4(1))
-            weight = -SHARPNESS * np.log(1.0 - peak * peak + NCC_NOISE) - 0.5 * square
+            weight = -SHARPNESS * logarithm(_f4(1 + NCC_NOISE) - peak * peak) - 0.5 * square
             if weight <= weights[1]:
                 continue
             place = 1
@@ -259,16 +276,3 @@ def _parabola(before, here, after):
         return _f4(0), _f4(0)
     off = _f4(0.5) * (before - after) / bent
     return off, _f4(-0.25) * (before - after) * off
-
-
-@compiled
-def _flag_peaks(score, line, count, across, flags):
-    """Where a place is like the patch, and none of its eight neighbours more so; not in the outermost lines."""
-    after, further = score[1:], score[2:]
-    for i in range(count):
-        across[i] = max(after[i], max(score[i], further[i]))
-    # of three in a row the middle one is where the peak may be
-    above, here, below, middle, out = across, across[line:], across[2 * line :], after[line:], flags[line + 1 :]
-    for i in range(count):
-        most = max(here[i], max(above[i], below[i]))
-        out[i] = middle[i] >= most and middle[i] >= LEAST_NCC

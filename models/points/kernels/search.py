@@ -102,7 +102,10 @@ def decide(places, asked, better, seen):
             weight = LEAST_WEIGHT
             if nccs[k, place] > 0 and square < REACH**2:
                 weight = -SHARPNESS * np.log(1 - min(nccs[k, place], 1.0) ** 2 + NCC_NOISE) - 0.5 * square
-            apart_x, apart_y = abs(position[k, 1, 0] - position[k, 0, 0]), abs(position[k, 1, 1] - position[k, 0, 1])
+            apart_x, apart_y = (
+                abs(position[k, 1, 0] - position[k, 0, 0]),
+                abs(position[k, 1, 1] - position[k, 0, 1]),
+            )
             if place == 1 and max(apart_x, apart_y) < NEAR:
                 continue
             if weight > best:

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 from rsmcm.models.background import colour
-from rsmcm.models.background.gaussian import BackgroundPrediction, fixed_point
+from rsmcm.models.background.gaussian import (
+    BackgroundPrediction,
+    fixed_point,
+    rounding_of,
+    stored_planes,
+)
 from rsmcm.models.background.kernels import gaussian as kernels
 from rsmcm.models.background.kernels import second_colours as seconds
 from rsmcm.models.background.kernels.sway import Sway
@@ -115,6 +120,79 @@ def test_update(channels):
     np.testing.assert_allclose(after[1], np.clip(variance, 0.5, 60), rtol=1e-3, atol=1 / 256)
     noise = noise + prediction.noise_share * weight * (square - total)
     np.testing.assert_allclose(after[2], np.clip(noise, 20, 400), rtol=1e-3, atol=1 / 128)
+
+
+def plainly(mean, variance, noise, image, prediction):
+    """One update in plain float64: mean, variance, noise, and the log odds."""
+    light, channels = light_of(prediction.light), len(mean)
+    seen = colour.FROM_BGR @ image.reshape(-1, 3).T if channels == 3 else image.reshape(1, -1).astype(float)
+    before = variance + prediction.drift
+    total = light**2 * before + noise
+    difference = seen - light * mean
+    odds = np.log(prediction.prior) - np.log1p(-prediction.prior) + np.log(colour.VOLUME[channels])
+    odds = odds + norm.logpdf(difference, 0, np.sqrt(total)).sum(axis=0) + channels * np.log(256)
+    odds = np.clip(odds, -6, 6)
+    weight, gain, square = 1 / (1 + np.exp(-odds)), light * before / total, (difference**2).mean(axis=0)
+    spread = (1 - weight * gain * light) * before + weight * (1 - weight) * gain**2 * square
+    grain = noise + prediction.noise_share * weight * (square - total)
+    mean = mean + weight * gain * difference
+    return mean, np.clip(spread, 0.5, 60), np.clip(grain, 20, 400), odds
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("drift", [0.0, 0.05])
+def test_over_a_long_film_16_bits_say_what_float64_does(channels, drift):
+    """The scene drifts, light comes and goes, things pass; without a drift a mean moves by 1/40 of a step."""
+    rng, size = np.random.default_rng(11), (24, 32)
+    shape = size if channels == 1 else (*size, 3)
+    room, grain = rng.uniform(60, 160, shape), rng.uniform(3, 22, (*size, *shape[2:]))
+    state = fixed_point(
+        colour.to_planes(room.astype(np.uint8)), np.full(768, 20, np.float32), np.full(768, 100, np.float32)
+    )
+    known, differing, compared = decoded(state), 0, 0
+    for frame in range(400):
+        light = 1 + 0.3 * np.sin(frame / 40)
+        shown = light * (room + 0.02 * frame) + rng.normal(0, 1, shape) * grain
+        shown[(frame % 60) // 4 : (frame % 60) // 4 + 8, 8:16] = 20
+        image = np.clip(np.rint(shown), 0, 255).astype(np.uint8)
+        prediction, _ = scene(
+            channels, size=size, pixels=state, frames=frame, drift=drift, noise_share=0.02, pooling=0.0,
+            light=LightField(np.full((3, 4), light, np.float32), size),
+        )  # fmt: skip
+        *known, odds = plainly(*known, image, prediction)
+        reading, state = prediction.compare(image), prediction.update(image)
+        differing += np.count_nonzero((reading.log_odds < 0) != (odds <= -STEP))  # cut off towards 0
+        compared += odds.size
+    mean, variance, noise = decoded(state)
+    assert differing < 2e-4 * compared
+    away = mean - known[0]
+    assert abs(away.mean()) < 0.02  # no rounding one way, and no small step that is lost
+    assert away.std() < 0.25 * np.sqrt(known[1]).min()  # of what is not known of it anyway
+    np.testing.assert_allclose(variance, known[1], rtol=0.05, atol=1 / 256)
+    assert np.abs(noise / known[2] - 1).mean() < 0.01
+
+
+def test_each_frame_rounds_otherwise_and_over_time_evenly():
+    drawn = np.array([rounding_of(100, frame) for frame in range(512)]) - kernels.ROUNDING
+    assert drawn.min() >= 0
+    assert drawn.max() < 1
+    assert np.abs(drawn.mean(axis=0) - 0.5).max() < 0.01
+    shares = np.array([(drawn < bound).mean(axis=0) for bound in (0.1, 0.3, 0.9)])
+    assert np.abs(shares - np.array([0.1, 0.3, 0.9])[:, None]).max() < 0.02
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_numbers_are_kept_and_end_at_their_bounds(channels):
+    numbers = np.array([0.5, 1.25, 59.75, 60.0, 61.0, 5418.75], np.float32)
+    means = np.linspace(-1023, 1023, 6 * channels, dtype=np.float32).reshape(channels, 6)
+    mean, variance, noise = decoded(fixed_point(means, numbers, np.full(6, 30.125, np.float32)))
+    np.testing.assert_allclose(mean, means, atol=1 / 64)
+    np.testing.assert_array_equal(variance, np.where(numbers > 60, np.rint(numbers * 8) / 8, numbers))
+    assert (noise == 30.125).all()
+    beyond = fixed_point(2000 * np.sign(means), numbers, numbers)
+    assert set(np.unique(beyond.mean)) <= {-32768, 0, 32767}
+    planes = stored_planes(fixed_point(means, numbers, numbers).mean, (2, 3)).grey_levels()
+    np.testing.assert_allclose(planes, means.reshape(channels, 2, 3), atol=1 / 64)
 
 
 def test_the_update_is_the_moments_of_a_mixture():

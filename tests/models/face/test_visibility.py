@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
-from rsmcm.models.face.visibility import visible
+from rsmcm.models.face.visibility import front_triangles, visible
 from rsmcm.models.numerics.rotations import exponential
 
 Array = NDArray[np.float64]
@@ -203,3 +203,21 @@ def test_a_pose_gone_astray_is_no_crash() -> None:
     for scale in (0.0, 1e-9, 1e12, np.nan):
         seen = visible(scale * mesh.vertices[None], mesh.triangles, points(mesh.triangles[chosen], weights))
         assert seen.shape == (1, 50)
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.3, -0.8, 0.2)])
+def test_the_triangle_at_a_pixel_is_the_front_most_on_its_line_of_sight(turn: tuple[float, ...]) -> None:
+    mesh = sphere(10)
+    vertices = 20 * mesh.vertices @ exponential(np.array([turn]))[0].T + [31.3, 24.6, 0]
+    found = front_triangles(vertices, mesh.triangles, (60, 50))
+    rows, columns = np.indices((50, 60))
+    depth = cast(
+        Mesh(vertices, mesh.triangles), np.stack([columns, rows], axis=2).reshape(-1, 2).astype(float)
+    )
+    np.testing.assert_array_equal(found.ravel() >= 0, np.isfinite(depth))
+    seen = found.ravel() >= 0
+    # all corners of a front-most triangle are in the near half of the ball
+    corners = vertices[mesh.triangles[found.ravel()[seen]], 2]
+    assert corners.min(axis=1).max() <= 1e-6
+    assert (corners.min(axis=1) <= depth[seen] + 1e-6).all()
+    assert (corners.max(axis=1) >= depth[seen] - 1e-6).all()

@@ -48,9 +48,16 @@ def windows(mean: Numbers, covariance: Numbers, farthest: float, *, prior: bool 
 
 
 def likeliest(
-    grey: Grey, patches: NDArray[np.float32], mean: Numbers, covariance: Numbers, farthest: float, **prior: bool
+    grey: Grey,
+    patches: NDArray[np.float32],
+    mean: Numbers,
+    covariance: Numbers,
+    farthest: float,
+    **prior: bool,
 ) -> Candidates:
-    return likeliest_places(grey, patches, windows(mean, covariance, farthest, **prior), np.arange(len(patches)))
+    return likeliest_places(
+        grey, patches, windows(mean, covariance, farthest, **prior), np.arange(len(patches))
+    )
 
 
 def opencv_peaks(image: Grey, patch: NDArray[np.float32], x: int, y: int, radius: int) -> Numbers:

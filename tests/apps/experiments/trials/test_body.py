@@ -176,7 +176,21 @@ def test_stages_of_the_benchmark_add_up(film: SignerFilm, monkeypatch: pytest.Mo
     assert rows[-1][0] == "total"
     assert {name: ms for name, ms, _ in rows}["hindsight"] > 0
     assert sum(share for _, _, share in rows[:-1]) == pytest.approx(100)
-    assert bench_body_tracker.rate_expectation(one, whole).measured == pytest.approx(1 / whole.mean())
+
+
+def test_the_benchmark_of_bodies_times_one_thread_beside_two(
+    film: SignerFilm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench_body_tracker, "SAMPLES", 50)
+    monkeypatch.setattr(bench_body_tracker, "WARM_UP", 1)
+    monkeypatch.setattr(bench_body_tracker, "TURN", 2)
+    one = bench_body_tracker.BodyFilm("generated", film.frames, film.scene.body, film.parts)
+    rates = bench_body_tracker.rate_expectations(one)
+    assert len(rates) == 3
+    assert all(rate.measured > 0 and rate.seeds == 2 for rate in rates)
+    assert [rate.ratio for rate in rates] == [False, False, True]
+    monkeypatch.setattr(bench_body_tracker.BodyFilm, "found", lambda: one)
+    assert 0 < bench_body_tracker.frame_seconds(50, 2) < 60
 
 
 def test_answers_with_hindsight_are_measured_beside_the_filters(film: SignerFilm) -> None:
