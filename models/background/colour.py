@@ -75,7 +75,7 @@ def to_image(planes: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.u
     np.clip(np.rint(values, out=values), 0, 255, out=values)
     channels = values.astype(np.uint8).reshape(-1, *size)
     if len(channels) == 1:
-        return channels[0]
+        return np.asarray(channels[0], np.uint8)
     return np.asarray(cv2.merge(list(channels)), np.uint8)
 
 

@@ -18,9 +18,10 @@ def compiled(function: Function) -> Function:
     infinity; results are still the same on every run of the same machine code.
     """
     # nothing calls them from C, and every function that is not made shortens the first start
-    jitted: Function = numba.njit(
-        cache=True, nogil=True, fastmath=True, error_model="numpy", no_cfunc_wrapper=True
-    )(function)
+    options: dict[str, Any] = {"no_cfunc_wrapper": True}
+    jitted: Function = numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy", **options)(
+        function
+    )
     return jitted
 
 

@@ -1,7 +1,7 @@
 """Work that threads share: bands of rows, and pieces that do not wait for each other.
 
-It pays where kernels release the interpreter's lock. OpenCV's own threads are another matter: most calls here are
-too short for them, so that it has one in all commands.
+It pays where kernels release the interpreter's lock. OpenCV's own threads are another matter: most calls here
+are too short for them, so that it has one in all commands.
 """
 
 import itertools
@@ -77,11 +77,10 @@ def side_by_side(works: Sequence[Callable[[], Result]]) -> list[Result]:
     itself have some to share. What one raises is raised here, when those that have begun have ended.
     """
     count = min(_settings["threads"], len(works))
-    if count == 1:
+    if count <= 1:
         return [work() for work in works]
     if count not in _workers:
-        # twice as many as work at a time: a piece of work that shares its own finds one that is free
-        _workers[count] = ThreadPoolExecutor(2 * count - 2, thread_name_prefix="rsmcm-band")
+        _workers[count] = ThreadPoolExecutor(count - 1, thread_name_prefix="rsmcm-band")
     waiting = dict(enumerate(works))
     turns = itertools.count()  # taking the next one is a single step, whichever thread does it
     results: dict[int, Result] = {}

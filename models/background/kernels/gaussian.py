@@ -67,7 +67,7 @@ class StoredPlanes(NamedTuple):
     `values` is `(channels, height, width)` of any type of numbers, in the planes of `colour`.
     """
 
-    values: NDArray[np.generic]
+    values: NDArray[np.int16] | Planes
     step: np.float32
 
     def grey_levels(self) -> Planes:

@@ -160,7 +160,7 @@ def test_nothing_to_see() -> None:
 
 
 def test_faces_are_sought_about_the_head_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There they are where they are in the whole picture; elsewhere only if there is none, or now and then."""
+    """There they are where they are in the whole picture; elsewhere if there is none, or now and then."""
     shown: list[tuple[int, ...]] = []
 
     def brightest(self: HaarFaces, frame: Frame) -> Array:
