@@ -18,6 +18,9 @@ types: Any = numba.types  # most of which say nothing to type checkers
 
 LIST = Path(__file__).parent / "kernels.json"
 
+RECORDS = ("models.objects.kernels.records:RECORD", "models.background.kernels.layers:LAYER")
+"""Types of records, of which loops are given arrays."""
+
 PACKAGE = "rsmcm."
 ARRAY = re.compile(r"(readonly )?array\((\w+), (\d+)d, ([CFA])\)")
 
@@ -51,10 +54,14 @@ def plain(kind: Any) -> Plain:
     Raises
     ------
     TypeError
-        if it is none of arrays, numbers, literals and tuples of these.
+        if it is none of arrays, also of `RECORDS`, numbers, literals and tuples of these.
     """
     if isinstance(kind, types.Literal):
         return {"literal": kind.literal_value}
+    if isinstance(kind, types.Array) and isinstance(kind.dtype, types.Record):
+        for name in RECORDS:
+            if numba.from_dtype(_named(name)) == kind.dtype:
+                return {"records": name, "axes": kind.ndim, "layout": kind.layout, "aligned": kind.aligned}
     if isinstance(kind, types.BaseTuple):
         made = getattr(kind, "instance_class", tuple)
         name = "" if made is tuple else f"{made.__module__}:{made.__qualname__}"
@@ -74,6 +81,9 @@ def type_of(told: Plain) -> Any:
         return types.Array(getattr(types, element), int(n_axes), layout, readonly=bool(readonly))
     if "literal" in told:
         return types.literal(told["literal"])
+    if "records" in told:
+        element = numba.from_dtype(_named(told["records"]))
+        return types.Array(element, told["axes"], told["layout"], aligned=told["aligned"])
     parts = tuple(map(type_of, told["of"]))
     if not told["tuple"]:
         return types.Tuple(parts)
@@ -96,5 +106,10 @@ def compile_loop(name: str, *arguments: Plain) -> None:
     ImportError, AttributeError
         if it, or a type of its arguments, is not there any more.
     """
-    module, _, function = name.partition(":")
-    getattr(import_module(f"{PACKAGE}{module}"), function).compile(tuple(map(type_of, arguments)))
+    _named(name).compile(tuple(map(type_of, arguments)))
+
+
+def _named(name: str) -> Any:
+    """What is called `module:name`."""
+    module, _, attribute = name.partition(":")
+    return getattr(import_module(f"{PACKAGE}{module}"), attribute)

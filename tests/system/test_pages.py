@@ -34,6 +34,7 @@ WHOLE_SCENE = ("validity",)
 NOT_RUN_BLOCKS = {
     "bodies": 1,  # joints that somebody has noted
     "detectors": 1,  # networks of others
+    "figures": 1,  # the bench, which takes minutes
     "keypoints": 1,  # the same
     "running": 1,  # a camera
     "scale": 2,  # a cluster

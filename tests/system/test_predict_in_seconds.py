@@ -26,6 +26,7 @@ from rsmcm.chains import (
 from rsmcm.chains.condensation import Condensation
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.inference.body.samples import BodySamples
+from rsmcm.inference.objects.blob_table import Blobs
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels, PointTracks, ScenePixels
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import GivenBoxes, GivenPoints
@@ -133,7 +134,9 @@ BATCH_ONLY = {"FactorStructure", "FeatureMatcher", "NonrigidStructure", "ObjectT
 def assert_close(one: Any, other: Any, place: str = "state") -> None:
     """The same to 1e-9 of the largest number in an array; generators of random numbers do not count."""
     assert type(one) is type(other), place
-    if is_dataclass(one):
+    if isinstance(one, Blobs):
+        assert_close(list(one), list(other), place)  # rows, not the words in which they are kept
+    elif is_dataclass(one):
         for field in fields(one):
             assert_close(getattr(one, field.name), getattr(other, field.name), f"{place}.{field.name}")
     elif isinstance(one, tuple | list):

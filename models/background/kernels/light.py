@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...numerics.compiled import compiled, logarithm
+from ...numerics.compiled import compiled, logarithm, put
 from .gaussian import mean_of
 
 _f4 = np.float32
@@ -225,7 +225,8 @@ def light_ratios(pixels, mean, light, ratios, agreement, texture):
                 out[k] = seen / expected if usable else _UNUSABLE
                 scene[k] = expected
         for column in range(block_columns):
-            block[:6] = values[:, 6 * column : 6 * column + 6]
+            for row_of_block in range(6):
+                put(values[row_of_block, 6 * column : 6 * column + 6], block[row_of_block])
             ratios[row, column], agreement[row, column] = _agreed(block.reshape(-1), below)
             texture[row, column] = _texture(
                 block, predicted[:, 6 * column : 6 * column + 6], ratios[row, column]

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...numerics.compiled import compiled
+from ...numerics.compiled import compiled, put
 from .gaussian import (
     HIGHEST_VARIANCE,
     ODDS_STEPS,
@@ -67,7 +67,7 @@ def subtract(first, end, pixels, before, light_field, models, hypotheses, poolin
     recall(top * width, pixels, second, tolerance, model, own)
     if sway.rates.max() >= LEAST_RATE:
         recall_moved(top, pixels, before, light_field, model, sway, own)
-    log_odds[first * width : end * width] = own[(first - top) * width : (end - top) * width]
+    put(own[(first - top) * width : (end - top) * width], log_odds[first * width : end * width])
     smooth_log_odds(
         first - top, end - top, bottom - top, width, own, pooling.prior, pooling.share,
         smoothed[top * width : bottom * width],

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...background.kernels.gaussian import StoredPlanes
-from ...numerics.compiled import compiled, exponential
+from ...numerics.compiled import compiled, exponential, put
 from .masks import fade_beyond, measure
 from .outlines import outline_evidence
 from .patches import UNKNOWN_COLOUR, cover_by, gather, patch_in
@@ -220,10 +220,10 @@ def _refitted(blob, before, old, channels, scratch):
         if end - first < blob.columns:
             maps[0, row] = _f4(0)
             maps[1:, row] = _f4(UNKNOWN_COLOUR)
-        maps[0, row, first - new_left : end - new_left] = mask[y, first - left : end - left]
+        put(mask[y, first - left : end - left], maps[0, row, first - new_left : end - new_left])
         for channel in range(colours.shape[0]):
             part = colours[channel, y, first - left : end - left]
-            maps[1 + channel, row, first - new_left : end - new_left] = part
+            put(part, maps[1 + channel, row, first - new_left : end - new_left])
     return maps[0], maps[1:], scratch[(1 + channels) * size :]
 
 
@@ -269,7 +269,8 @@ def _learn_entered(mask, colours, patch, explained, inside, before):
             new = min(_f4(0.9), patch.free[row, x] / (explained[row, x] * odds))
             if new > _f4(0.2) and new > mask[row, x]:
                 mask[row, x] = new
-                colours[:, row, x] = patch.planes[:, row, x]
+                for channel in range(colours.shape[0]):
+                    colours[channel, row, x] = patch.planes[channel, row, x]
 
 
 @compiled
@@ -373,8 +374,9 @@ def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scr
         top, left = corner_of(blob)
         inside = _inside(top, left, blob.rows, blob.columns, height, width)
         if is_ghost(before[k], rule.ghost_evidence):
-            mask[:] = covers
-            colours_of(blob, pools, channels)[:] = own[: channels * blob.coloured]
+            put(covers.reshape(-1), mask.reshape(-1))
+            colours = colours_of(blob, pools, channels).reshape(-1)
+            put(own.reshape(-1)[: colours.size], colours)
             blob.unseen = np.inf
             alive[k] = blob.detected
             continue
@@ -388,7 +390,8 @@ def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scr
             for row in range(blob.rows):
                 for x in range(blob.columns):
                     if covers[row, x] > _f4(0.2):
-                        own[:, row, x] = patch.planes[:, row, x]
+                        for channel in range(channels):
+                            own[channel, row, x] = patch.planes[channel, row, x]
         colours = colours_of(blob, pools, channels)
         total, visible, seen, variance = learn(
             patch, explained, sprite_of(blob, covers, own, rule), _f4(rule.strength),

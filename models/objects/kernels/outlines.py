@@ -6,7 +6,7 @@ Of a blob two things may be true: something real stands there, or it is a ghost 
 
 import numpy as np
 
-from ...numerics.compiled import compiled
+from ...numerics.compiled import compiled, put
 
 _f4 = np.float32
 
@@ -90,7 +90,7 @@ def outline_contrasts(planes, top, left, other, free, mask, within, reach, out):
 @compiled
 def _median(values, order):
     """The median of some numbers, as they are partly sorted in `order`, which is overwritten."""
-    order[:] = values
+    put(values, order)
     low, high, middle = 0, values.size - 1, values.size // 2
     while low < high:
         pivot = order[(low + high) // 2]

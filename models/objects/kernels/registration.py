@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...background.kernels.layers import Sprite
-from ...numerics.compiled import compiled, exponential, inlined, logarithm
+from ...numerics.compiled import compiled, exponential, inlined, logarithm, put
 from .patches import cover_by, gather, patch_in
 from .records import FRESH, colours_of, corner_of, length_of, mask_of
 
@@ -159,8 +159,10 @@ def packed(sprite, within, step, scratch):
     maps = scratch[: (1 + channels) * size].reshape(1 + channels, height, width)
     for row in range(height):
         if row < kept:
-            maps[0, row, :columns] = sprite.mask[top + row * step, left:right]
-            maps[1:, row, :columns] = sprite.appearance[:, top + row * step, left:right]
+            put(sprite.mask[top + row * step, left:right], maps[0, row, :columns])
+            for channel in range(channels):
+                own = sprite.appearance[channel, top + row * step, left:right]
+                put(own, maps[1 + channel, row, :columns])
             maps[:, row, columns:] = _f4(0)
         else:
             maps[:, row] = _f4(0)

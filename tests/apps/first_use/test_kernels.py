@@ -10,6 +10,8 @@ import pytest
 from numba import types
 from rsmcm.apps.first_use.kernels import LIST, compile_loop, listed, named, plain, type_of, write_kernels
 from rsmcm.models.background.colour import _planes_of_colour as loop
+from rsmcm.models.background.kernels.layers import LAYER
+from rsmcm.models.objects.kernels.records import RECORD
 
 
 class Pair(NamedTuple):
@@ -43,6 +45,8 @@ def read_only() -> np.ndarray:
         (1, 2.0),
         (1, 2),
         Pair(np.zeros((1, 2, 3)), 1.0),
+        np.zeros(2, RECORD),
+        np.zeros(2, LAYER)[::2],
         Twins(1.0, 2.0),
     ],
 )

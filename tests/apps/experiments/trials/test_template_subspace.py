@@ -120,9 +120,9 @@ def test_equations_are_those_with_appearance_eliminated(number: int) -> None:
         number, poses, np.zeros(2, np.int64)
     )
     group = texels.group_of_texel
-    counts = np.diff(texels.first)
+    counts = texels.counts
     part = -(-counts // 4**number)
-    used = (np.arange(count) - texels.first[group] < part[group]) & visible & subspace.known
+    used = (texels.row_of_texel < part[group]) & visible & subspace.known
     scale = levels[number].scale
     for m in range(2):
         corners, moves = model.project(poses[m])[0][texels.groups], model.jacobian(poses[m])[0][texels.groups]
