@@ -29,7 +29,7 @@ from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source
 from ...reports.expectations import HEADER, Expectation, in_columns
 from ..trials.body import LAG, SignerFilm
-from .timing import medians, over_frames, over_rounds
+from .timing import over_frames, over_rounds
 
 Numbers = NDArray[np.float64]
 
@@ -101,14 +101,6 @@ def tracker(film: BodyFilm, samples: int) -> Callable[[Frame], object]:
         return hindsight.add(frame, belief[pose], belief.evidence(film.parts).image)
 
     return step
-
-
-def frame_seconds(samples: int, threads: int) -> float:
-    """Mean seconds of a frame with so many samples on so many threads, the median over turns."""
-    film = BodyFilm.found()
-    with _threads(threads):
-        spent = over_frames({"one": tracker(film, samples)}, film.frames, TURN, WARM_UP)
-    return medians(spent)["one"]
 
 
 def seconds_a_frame(film: BodyFilm, samples: int) -> tuple[Numbers, dict[str, Numbers]]:

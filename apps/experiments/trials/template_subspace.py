@@ -200,10 +200,9 @@ class SubspaceLikelihood:
         texels = self.surface.texels
         visible = self._templates.visible[:1].repeat(len(poses), axis=0)
         values, areas = self.surface.sampled(self.levels[level], poses, visible)
-        group, counts = texels.group_of_texel, texels.counts
-        part = -(-counts // 4**level)  # a coarse level takes a first part of each group
-        used = texels.row_of_texel < part[group]
-        share = np.where(used, (counts / part)[group], 0.0)
+        group, used = texels.group_of_texel, texels.used_on(level)
+        kept = np.bincount(group, used, minlength=len(texels.counts))  # those used stand for all of a group
+        share = np.where(used, (texels.counts / kept)[group], 0.0)
         return values.astype(np.float64), np.maximum(areas, 0).astype(np.float64) * share
 
 

@@ -9,21 +9,9 @@ from rsmcm.apps.experiments.measuring.regressions import joined, regressions
 from rsmcm.apps.reports.expectations import Expectation
 from rsmcm.apps.reports.record import Provenance, Record, Table, joint_state
 
-MADE = Provenance(
-    date="2026-11-22T10:00:00+00:00",
-    seconds=30.0,
-    commit="0123456789",
-    changed=False,
-    modules=["chains/one.py"],
-    state="",
-    processor="Processor",
-    cores=2,
-    memory=24.0,
-    load=0.25,
-    threads=1,
-    versions={"python": "3.11.7", "rsmcm": "0.1.0"},
-    others=0.1,
-)
+from ....support.made_up_records import MADE as SOMEWHERE
+
+MADE = replace(SOMEWHERE, others=0.1)
 
 
 def ratio(

@@ -10,7 +10,9 @@ from rsmcm.apps.experiments.results.__main__ import collect, main, write_pages
 from rsmcm.apps.experiments.results.pages import BEGIN, END, Documents, figures, readme_with, results_page
 from rsmcm.apps.experiments.results.scale_page import PAGE, PICTURE, scale_page
 from rsmcm.apps.reports.expectations import Expectation
-from rsmcm.apps.reports.record import Provenance, Record, Table
+from rsmcm.apps.reports.record import Record, Table
+
+from ....support.made_up_records import MADE
 
 ROOT = Path(__file__).parents[4]
 NOTES = """
@@ -47,20 +49,7 @@ STATE = "dfd46ee5f521"
 
 
 def record(name: str, *expectations: Expectation) -> Record:
-    made = Provenance(
-        date="2026-11-22T10:00:00+00:00",
-        seconds=300.0,
-        commit="0123456789",
-        changed=False,
-        modules=["chains/one.py"],
-        state=STATE,
-        processor="Processor",
-        cores=2,
-        memory=24.0,
-        load=0.25,
-        threads=1,
-        versions={"python": "3.11.7", "rsmcm": "0.1.0"},
-    )
+    made = replace(MADE, seconds=300.0, state=STATE)
     tables = [Table(("method", "F"), [["ours", 0.87654], ["a|b", math.nan]], "All of them.")]
     return Record(name, name.title(), f"rsmcm reproduce {name}", made, expectations, tables)
 

@@ -1,6 +1,7 @@
 """Made-up records: what a thousand cameras and a billion observations need follows from them."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from rsmcm.apps.experiments.results.plan import (
@@ -15,12 +16,11 @@ from rsmcm.apps.experiments.results.scale_page import between, scale_page
 from rsmcm.apps.experiments.scale.capacity import HEADER
 from rsmcm.apps.experiments.scale.curve import Curve, Measured, tables
 from rsmcm.apps.reports.expectations import Expectation
-from rsmcm.apps.reports.record import ROOT, Provenance, Record, Table
+from rsmcm.apps.reports.record import ROOT, Record, Table
 
-MADE = Provenance(
-    "2026-11-22T10:00:00+00:00", 30.0, "0123456789", False, [], "", "Processor", 2, 24.0, 0.2, 1,
-    {"python": "3.11.7", "rsmcm": "0.1.0"},
-)  # fmt: skip
+from ....support.made_up_records import MADE as SOMEWHERE
+
+MADE = replace(SOMEWHERE, modules=[], load=0.2)
 
 
 def capacity() -> Record:

@@ -2,25 +2,10 @@
 
 import numpy as np
 import pytest
-from rsmcm.models.background.kernels.layers import Sprite
 from rsmcm.models.objects.kernels import registration as kernels
 from rsmcm.models.objects.kernels.patches import Patch
 
-F4 = np.float32
-
-
-def textured(rng, channels, height, width):
-    """Smooth random planes, so that small shifts look alike."""
-    coarse = rng.uniform(30, 220, (channels, height // 4 + 2, width // 4 + 2))
-    rows, columns = np.arange(height) / 4, np.arange(width) / 4
-    across = np.array([[np.interp(columns, np.arange(len(row)), row) for row in plane] for plane in coarse])
-    out = [[np.interp(rows, np.arange(len(line)), line) for line in plane.T] for plane in across]
-    return np.ascontiguousarray(np.array(out).transpose(0, 2, 1), F4)
-
-
-def density_of(planes, appearance):
-    distance = np.square(planes.astype(float) - appearance).sum(axis=0)
-    return 0.9 * np.exp(4.0 - 0.5 / 300 * distance) + 0.1
+from ....support.blob_patches import F4, density_of, sprite, textured
 
 
 def registration(channels, down, right, reach=8, size=(40, 21)):
@@ -35,10 +20,6 @@ def registration(channels, down, right, reach=8, size=(40, 21)):
     shape = planes.shape[1:]
     patch = Patch(planes, np.zeros(shape, F4), np.ones(shape, F4))
     return patch, rng.uniform(0.5, 2, shape).astype(F4), sprite(mask, appearance)
-
-
-def sprite(mask, appearance):
-    return Sprite(mask, appearance, F4(0.5 / 300), F4(4.0), F4(0.1))
 
 
 def searched(reach, expected, step, patch, rivals, blob):
