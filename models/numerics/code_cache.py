@@ -1,15 +1,22 @@
-"""Compiled code on disk, made once for all processes.
+"""Compiled code on disk, made once for all processes, and again where anything that it was made from changes.
 
 What a loop is compiled to may depend on which of the loops that it calls were on disk by then: sums are
 ordered in another way, so that two processes which compile the same one may have results that differ in the
 last digits. Here the first one compiles, and those who come meanwhile wait for what it leaves.
+
+What a loop calls becomes part of its code, and so do the constants that it names, in whatever file they are.
+numba looks at the loop's own file alone: code from before an upgrade would run on where only they have
+changed.
 """
 
+import hashlib
 import os
 import time
 from contextlib import suppress
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
+import numpy as np
 from numba.core.caching import FunctionCache
 
 try:
@@ -36,9 +43,13 @@ class CodeCache(FunctionCache):
     def __init__(self, function: Any) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
         self._lock: int | None = None
+        self._stamped = False
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """What is kept for these types; where nothing is, the caller compiles it and nobody else does."""
+        if not self._stamped:  # only now: what a function calls may come after it in its file
+            self._cache_file._source_stamp = digest_of(self._py_func)
+            self._stamped = True
         found = super().load_overload(signature, context)  # type: ignore[no-untyped-call]
         if found is None and self._lock is None and fcntl is not None:
             self._wait()
@@ -71,3 +82,49 @@ class CodeCache(FunctionCache):
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
+
+
+def digest_of(function: Any) -> str:
+    """What a function is compiled from, in short: its code, what it calls, and the constants that it names.
+
+    Comments, docstrings and places in the file are left out.
+    """
+    digest, seen = hashlib.sha256(), set[int]()
+
+    def add_code(code: CodeType, named: dict[str, Any], text: str | None) -> None:
+        digest.update(code.co_code)
+        for name in (*code.co_varnames, *code.co_names):
+            digest.update(name.encode())
+        for constant in code.co_consts:
+            if isinstance(constant, CodeType):
+                add_code(constant, named, None)
+            elif constant != text:
+                digest.update(repr(constant).encode())
+        modules = [value for name in code.co_names if isinstance(value := named.get(name), ModuleType)]
+        ours = [
+            vars(module) for module in modules if module.__name__.startswith(__package__.partition(".")[0])
+        ]
+        for name in code.co_names:
+            for names in (named, *ours):
+                if name in names:
+                    add(names[name])
+
+    def add(value: Any) -> None:
+        value = getattr(value, "py_func", getattr(value, "_defn", value))  # as numba wraps it
+        if isinstance(value, ModuleType):
+            return
+        if isinstance(value, FunctionType):
+            if id(value) not in seen:
+                seen.add(id(value))
+                add_code(value.__code__, value.__globals__, value.__doc__)
+                for cell in value.__closure__ or ():
+                    add(cell.cell_contents)
+        elif isinstance(value, np.ndarray):
+            digest.update(value.tobytes())
+        elif isinstance(value, type):
+            digest.update(f"{value.__qualname__} {getattr(value, '_fields', '')}".encode())
+        else:
+            digest.update(repr(value).encode())
+
+    add(function)
+    return digest.hexdigest()

@@ -47,17 +47,21 @@ def gather(image, log_odds, top, left, patch):
     height, width, channels = image.shape
     rows, columns = free.shape
     first, end = min(max(0, -left), columns), max(min(columns, width - left), 0)
-    pixels, steps = image.reshape(-1), log_odds.reshape(-1)
+    first_row, end_row = min(max(0, -top), rows), max(min(rows, height - top), 0)
+    if first >= end:
+        end_row = first_row
     for row in range(rows):
-        y = top + row
-        if y < 0 or y >= height or end - first < columns:
+        if row < first_row or row >= end_row or end - first < columns:
             free[row] = _f4(0)
             odds[row] = _f4(0)
             planes[:, row] = _f4(0)
-            if y < 0 or y >= height or end <= first:
-                continue
+    pixels, steps = image.reshape(-1), log_odds.reshape(-1)
+    # No row outside the picture in this loop: before it, it is looked up whether what it reads and what it
+    # writes are apart, and where what is read seems to go beyond the picture, that depends on where in memory
+    # they are. Last digits would, too.
+    for row in range(first_row, end_row):
         free[row, first:end] = _f4(1)
-        start, count = np.uint64(y * width + left + first), np.uint64(end - first)
+        start, count = np.uint64((top + row) * width + left + first), np.uint64(end - first)
         out = odds[row, first:end]
         for x in range(count):
             out[x] = _f4(steps[start + x]) * _f4(1 / ODDS_STEPS)

@@ -146,6 +146,12 @@ def _agreement(start, step, every, patch, rivals, whole, sprite):
 
 
 @compiled
+def _packed_size(rows, columns, step):
+    kept = -(-rows // step)
+    return kept + -kept % (2 * _ROWS), columns + -columns % _VECTOR
+
+
+@compiled
 def packed(sprite, within, step, scratch):
     """Every `step`-th row of a part of a sprite, with zeros to the right and below; the rest of `scratch`.
 
@@ -154,7 +160,7 @@ def packed(sprite, within, step, scratch):
     channels = sprite.appearance.shape[0]
     top, left, bottom, right = within
     kept, columns = -(-(bottom - top) // step), right - left
-    height, width = kept + -kept % (2 * _ROWS), columns + -columns % _VECTOR
+    height, width = _packed_size(bottom - top, columns, step)
     size = height * width
     maps = scratch[: (1 + channels) * size].reshape(1 + channels, height, width)
     for row in range(height):
@@ -274,20 +280,30 @@ def _reach(blob):
 
 
 @compiled
+def patch_box(blob):
+    """Top, left, rows and columns of pixels that a blob is compared with: of its likely part, as `packed`."""
+    top, left = corner_of(blob)
+    first_row, first_column, end_row, end_column = _likely_part(blob)
+    reach, step = _reach(blob), _step(blob)
+    rows, columns = _packed_size(end_row - first_row, end_column - first_column, step)
+    return top + first_row - reach, left + first_column - reach, 2 * reach + step * rows, 2 * reach + columns
+
+
+@compiled
 def deal(blobs, count, lots):
     """Deal blobs, front to back, out to `count` lots `(n,)`, so that none may meet one of another lot.
 
+    None is compared with pixels that one in front of it and of another lot covers, wherever that is found.
     Each lot gets about as many pixels as the others.
     """
     for k in range(blobs.size):
         lots[k] = k
-        top, left = corner_of(blobs[k])
-        reach = _reach(blobs[k])
+        top, left, rows, columns = patch_box(blobs[k])
         for j in range(k):
             down, right = corner_of(blobs[j])
-            both = reach + _reach(blobs[j]) + 1
-            meets = top - both < down + blobs[j].rows and down - both < top + blobs[k].rows
-            if meets and left - both < right + blobs[j].columns and right - both < left + blobs[k].columns:
+            moves = _reach(blobs[j]) + 1
+            meets = top - moves < down + blobs[j].rows and down - moves < top + rows
+            if meets and left - moves < right + blobs[j].columns and right - moves < left + columns:
                 own, other = lots[k], lots[j]
                 for i in range(k + 1):
                     lots[i] = other if lots[i] == own else lots[i]
@@ -315,15 +331,13 @@ def register(blobs, pools, picture, terms, lots, lot, scratch):
         if blob.detected and (blob.confidence < 0.5 or blob.seen < FRESH):
             continue  # its mask shows nothing that could be found again
         top, left = corner_of(blob)
+        first_row, first_column, rows, columns = patch_box(blob)
         place, both, speed = blob.covariance[0, 0], blob.covariance[0, 1], blob.covariance[1, 1]
         reach, step = _reach(blob), _step(blob)
         channels = picture.image.shape[2]
         whole_sprite = sprite_of(blob, mask_of(blob, pools), colours_of(blob, pools, channels), terms)
-        within = _likely_part(blob)
-        sprite, rest = packed(whole_sprite, within, step, scratch)
-        rows, columns = 2 * reach + step * sprite.mask.shape[0], 2 * reach + sprite.mask.shape[1]
+        sprite, rest = packed(whole_sprite, _likely_part(blob), step, scratch)
         patch, rest = patch_in(rest, channels, rows, columns)
-        first_row, first_column = top + within[0] - reach, left + within[1] - reach
         gather(picture.image, picture.log_odds, first_row, first_column, patch)
         cover_by(patch.free, first_row, first_column, blobs[:k], pools)
         rivals, rest = rest[: rows * columns].reshape(rows, columns), rest[rows * columns :]

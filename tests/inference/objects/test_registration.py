@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from rsmcm.apps.experiments.bench.crowd_scene import crowd
 from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference.objects import registration
 from rsmcm.models import PixelLabels
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from rsmcm.models.objects.kernels.records import RECORD
-from rsmcm.models.objects.kernels.registration import deal
+from rsmcm.models.objects.kernels.registration import deal, patch_box
 
 
 @settings(max_examples=100, deadline=None)
@@ -24,30 +26,50 @@ def test_blobs_that_may_meet_are_in_one_lot(seed: int, n_blobs: int, count: int)
     deal(table, count, lots)
     assert lots.min() >= 0
     assert lots.max() < count
-    for one in range(n_blobs):
-        for other in range(one):
-            first = np.maximum(*(table["position"][k] - 2 for k in (one, other)))
-            end = np.minimum(
-                *(table["position"][k] + [table["rows"][k], table["columns"][k]] + 2 for k in (one, other))
+    for behind in range(n_blobs):
+        top, left, rows, columns = patch_box(table[behind])
+        for front in range(behind):
+            # its smallest reach is 2 px, and it covers pixels of its own box alone
+            first, room = (
+                table["position"][front] - 2,
+                [table["rows"][front] + 4, table["columns"][front] + 4],
             )
-            if (first < end).all():
-                assert lots[one] == lots[other]
+            overlap = np.minimum(first + room, [top + rows, left + columns]) - np.maximum(first, [top, left])
+            if (overlap > 0).all():
+                assert lots[behind] == lots[front]
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_lots_may_be_done_in_any_order(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    frames = list(crowd(10, 30, (240, 320)))
+    results = []
+    for order in (1, -1):
+        monkeypatch.setattr(
+            registration, "side_by_side", lambda works, order=order: [w() for w in works[::order]]
+        )
+        monkeypatch.setattr(registration, "thread_count", lambda: count)
+        results.append(states_of(frames))
+    monkeypatch.setattr(registration, "thread_count", lambda: 1)
+    assert results[0] == results[1] == states_of(frames)
+
+
+def states_of(frames: list[NDArray[np.uint8]]) -> list[bytes]:
+    """All that is known of blobs after each frame."""
+    pixels = PixelLabels()
+    model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
+    states = [belief["blobs"].blobs for belief in RecursiveBP(model).run(frames)]
+    assert len(states[-1]) > 5
+    return [blobs.words.tobytes() + blobs.masks.tobytes() for blobs in states]
 
 
 @pytest.mark.parametrize("threads", [2, 3])
 def test_any_number_of_threads_gives_the_same_bytes(threads: int) -> None:
     frames = list(crowd(12, 25, (300, 400)))
-
-    def run(count: int) -> list[bytes]:
-        set_threads(count)
-        pixels = PixelLabels()
-        model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
-        states = [belief["blobs"] for belief in RecursiveBP(model).run(frames)]
-        assert len(states[-1].blobs) > 5
-        return [blobs.words.tobytes() + blobs.masks.tobytes() for blobs in (each.blobs for each in states)]
-
     before = thread_count()
     try:
-        assert run(threads) == run(1)
+        set_threads(1)
+        alone = states_of(frames)
+        set_threads(threads)
+        assert states_of(frames) == alone
     finally:
         set_threads(before)

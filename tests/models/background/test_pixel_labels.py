@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference.objects.blob_table import Blobs
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.background.gaussian import BackgroundPrediction, LightField, colour, fixed_point
 from rsmcm.models.background.kernels.behind import REVEALED, update_behind
@@ -441,8 +442,8 @@ def arrays_of(state):
     for value in vars(state).values():
         if isinstance(value, np.ndarray):
             found.append(value)
-        elif isinstance(value, tuple) and value and hasattr(value[0], "mask"):
-            found += [array for blob in value for array in arrays_of(blob)]
+        elif isinstance(value, Blobs):
+            found += [value.words, value.masks, value.colours]
     return found
 
 

@@ -1,12 +1,14 @@
-"""Compiled code that processes share."""
+"""Compiled code that processes share, and that follows what it was made from."""
 
+import importlib
 import os
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
-from rsmcm.models.numerics.code_cache import fcntl
+from rsmcm.models.numerics.code_cache import digest_of, fcntl
 
 PROGRAM = """
 import sys, time
@@ -39,3 +41,91 @@ def test_one_of_two_processes_compiles_and_both_have_its_code(tmp_path: Path) ->
     said = [process.communicate(timeout=120)[0].split() for process in both]
     assert sorted(compiled for compiled, _ in said) == ["False", "True"]
     assert said[0][1] == said[1][1]
+
+
+CALLED = """
+import numpy as np
+from rsmcm.models.numerics.compiled import compiled, inlined
+
+STEP = 0.25
+TABLE = np.arange(5000.0)
+
+@inlined
+def smaller(x):
+    return x - STEP
+
+@compiled
+def larger(x):
+    'In steps.'
+    return smaller(x) + TABLE[1] + 2.0
+"""
+
+CALLER = """
+import numpy as np
+from rsmcm.models.numerics.compiled import compiled
+from called import larger
+
+@compiled
+def twice(x):
+    return 2.0 * larger(x)
+
+@compiled
+def before(x):
+    return after(x)
+
+@compiled
+def after(x):
+    return x + np.float64(1)
+"""
+
+
+@pytest.fixture
+def modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+
+    def write(called: str, caller: str) -> tuple[ModuleType, ModuleType]:
+        for name, text in (("called", called), ("caller", caller)):
+            (tmp_path / f"{name}.py").write_text(text)
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        return importlib.import_module("called"), importlib.import_module("caller")
+
+    yield write
+    for name in ("called", "caller"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "changes"),
+    [
+        ("STEP = 0.25", "STEP = 0.5", True),
+        ("arange(5000.0)", "arange(5000.0)[::-1].copy()", True),
+        ("x - STEP", "x + STEP", True),
+        ("+ 2.0", "+ 3.0", True),
+        ("In steps.", "By steps.", False),
+        ("@inlined", "# smaller\n@inlined", False),
+    ],
+)
+def test_what_is_called_is_part_of_the_digest(modules, old: str, new: str, changes: bool) -> None:
+    first = modules(CALLED, CALLER)[1]
+    again = modules(CALLED, CALLER)[1]
+    other = modules(CALLED.replace(old, new), CALLER)[1]
+    assert digest_of(first.twice.py_func) == digest_of(again.twice.py_func)
+    assert (digest_of(first.twice.py_func) != digest_of(other.twice.py_func)) == changes
+    assert digest_of(first.before.py_func) == digest_of(other.before.py_func)
+
+
+def test_what_comes_later_in_a_file_and_what_calls_itself(modules) -> None:
+    first = modules(CALLED, CALLER)[1]
+    other = modules(CALLED, CALLER.replace("np.float64(1)", "np.float64(2) + (after(x) if x > 9 else 0)"))[1]
+    assert digest_of(first.before.py_func) != digest_of(other.before.py_func)
+    assert digest_of(first.twice.py_func) == digest_of(other.twice.py_func)
+
+
+def test_code_on_disk_is_made_again_where_a_constant_elsewhere_has_changed(modules) -> None:
+    assert modules(CALLED, CALLER)[1].twice(1.0) == 7.5
+    kept = modules(CALLED, CALLER)[1].twice
+    assert kept(1.0) == 7.5
+    assert sum(kept.stats.cache_hits.values()) == 1
+    assert modules(CALLED.replace("STEP = 0.25", "STEP = 0.5"), CALLER)[1].twice(1.0) == 7.0
