@@ -14,8 +14,8 @@ _f4 = np.float32
 WIDEST_REACH = 24
 """px, by which a blob is looked for off its expected place at most."""
 
-ROOM = 2
-"""px about what a mask may cover, in which it is compared with the picture."""
+TRACE = 0.05
+"""Probability of cover from which on pixels are compared with the picture: what grows is faint at first."""
 
 FINEST_ROWS = 1500
 """px of a patch, for each of which one row more is left out."""
@@ -146,12 +146,6 @@ def _agreement(start, step, every, patch, rivals, whole, sprite):
 
 
 @compiled
-def _packed_size(rows, columns, step):
-    kept = -(-rows // step)
-    return kept + -kept % (2 * _ROWS), columns + -columns % _VECTOR
-
-
-@compiled
 def packed(sprite, within, step, scratch):
     """Every `step`-th row of a part of a sprite, with zeros to the right and below; the rest of `scratch`.
 
@@ -160,7 +154,7 @@ def packed(sprite, within, step, scratch):
     channels = sprite.appearance.shape[0]
     top, left, bottom, right = within
     kept, columns = -(-(bottom - top) // step), right - left
-    height, width = _packed_size(bottom - top, columns, step)
+    height, width = kept + -kept % (2 * _ROWS), columns + -columns % _VECTOR
     size = height * width
     maps = scratch[: (1 + channels) * size].reshape(1 + channels, height, width)
     for row in range(height):
@@ -260,16 +254,23 @@ def _step(blob):
 
 
 @compiled
-def _likely_part(blob):
-    """Top, left, bottom and right of the part of a blob's patch in which it may be, with a little room."""
-    if blob.faint_bottom == 0 or blob.faint_right == 0:
-        return 0, 0, blob.rows, blob.columns
-    return (
-        max(blob.faint_top - ROOM, 0),
-        max(blob.faint_left - ROOM, 0),
-        min(blob.faint_bottom + ROOM, blob.rows),
-        min(blob.faint_right + ROOM, blob.columns),
-    )
+def _traced_part(mask):
+    """Top, left, bottom and right of the part of a mask in which there is more than a trace of it."""
+    rows, columns = mask.shape
+    top, left, bottom, right = rows, columns, 0, 0
+    for row in range(rows):
+        highest = _f4(0)
+        for x in range(columns):
+            highest = max(highest, mask[row, x])
+        if highest > _f4(TRACE):
+            top, bottom = min(top, row), row + 1
+            first, end = 0, columns
+            while first < left and mask[row, first] <= _f4(TRACE):
+                first += 1
+            while end > right and mask[row, end - 1] <= _f4(TRACE):
+                end -= 1
+            left, right = min(left, first), max(right, end)
+    return (top, left, bottom, right) if bottom > 0 else (0, 0, rows, columns)
 
 
 @compiled
@@ -280,13 +281,11 @@ def _reach(blob):
 
 
 @compiled
-def patch_box(blob):
-    """Top, left, rows and columns of pixels that a blob is compared with: of its likely part, as `packed`."""
-    top, left = corner_of(blob)
-    first_row, first_column, end_row, end_column = _likely_part(blob)
-    reach, step = _reach(blob), _step(blob)
-    rows, columns = _packed_size(end_row - first_row, end_column - first_column, step)
-    return top + first_row - reach, left + first_column - reach, 2 * reach + step * rows, 2 * reach + columns
+def patch_bounds(blob):
+    """Top, left, rows and columns of all pixels that a blob may be compared with, whatever its mask shows."""
+    (top, left), reach = corner_of(blob), _reach(blob)
+    rows, columns = blob.rows + 2 * reach + 2 * _ROWS * _step(blob), blob.columns + 2 * reach + _VECTOR
+    return top - reach, left - reach, rows, columns
 
 
 @compiled
@@ -298,7 +297,7 @@ def deal(blobs, count, lots):
     """
     for k in range(blobs.size):
         lots[k] = k
-        top, left, rows, columns = patch_box(blobs[k])
+        top, left, rows, columns = patch_bounds(blobs[k])
         for j in range(k):
             down, right = corner_of(blobs[j])
             moves = _reach(blobs[j]) + 1
@@ -331,13 +330,16 @@ def register(blobs, pools, picture, terms, lots, lot, scratch):
         if blob.detected and (blob.confidence < 0.5 or blob.seen < FRESH):
             continue  # its mask shows nothing that could be found again
         top, left = corner_of(blob)
-        first_row, first_column, rows, columns = patch_box(blob)
         place, both, speed = blob.covariance[0, 0], blob.covariance[0, 1], blob.covariance[1, 1]
         reach, step = _reach(blob), _step(blob)
         channels = picture.image.shape[2]
-        whole_sprite = sprite_of(blob, mask_of(blob, pools), colours_of(blob, pools, channels), terms)
-        sprite, rest = packed(whole_sprite, _likely_part(blob), step, scratch)
+        mask = mask_of(blob, pools)
+        whole_sprite = sprite_of(blob, mask, colours_of(blob, pools, channels), terms)
+        within = _traced_part(mask)
+        sprite, rest = packed(whole_sprite, within, step, scratch)
+        rows, columns = 2 * reach + step * sprite.mask.shape[0], 2 * reach + sprite.mask.shape[1]
         patch, rest = patch_in(rest, channels, rows, columns)
+        first_row, first_column = top + within[0] - reach, left + within[1] - reach
         gather(picture.image, picture.log_odds, first_row, first_column, patch)
         cover_by(patch.free, first_row, first_column, blobs[:k], pools)
         rivals, rest = rest[: rows * columns].reshape(rows, columns), rest[rows * columns :]

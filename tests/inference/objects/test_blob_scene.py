@@ -36,6 +36,7 @@ def test_what_is_learned_does_not_depend_on_where_in_memory_arrays_lie(
         calls.append(len(others[3]))
 
     monkeypatch.setattr(blob_scene, "learn_all", learn_anywhere)
+    monkeypatch.setattr(blob_scene, "thread_count", lambda: 1)
     pixels = PixelLabels()
     model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
     *_, last = RecursiveBP(model).run(crowd(10, 15, (240, 320)))

@@ -12,7 +12,7 @@ from rsmcm.inference.objects import registration
 from rsmcm.models import PixelLabels
 from rsmcm.models.numerics.threads import set_threads, thread_count
 from rsmcm.models.objects.kernels.records import RECORD
-from rsmcm.models.objects.kernels.registration import deal, patch_box
+from rsmcm.models.objects.kernels.registration import deal, patch_bounds
 
 
 @settings(max_examples=100, deadline=None)
@@ -27,7 +27,7 @@ def test_blobs_that_may_meet_are_in_one_lot(seed: int, n_blobs: int, count: int)
     assert lots.min() >= 0
     assert lots.max() < count
     for behind in range(n_blobs):
-        top, left, rows, columns = patch_box(table[behind])
+        top, left, rows, columns = patch_bounds(table[behind])
         for front in range(behind):
             # its smallest reach is 2 px, and it covers pixels of its own box alone
             first, room = (
