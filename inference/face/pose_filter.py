@@ -33,9 +33,6 @@ from .texture_likelihood import TexturedObject, TextureLikelihood
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-UNSURE_OF_SIZE = 0.2
-"""Standard deviation of the size of an object that is searched for, as a share of it."""
-
 COVERING_TEXELS = 1500
 """Of the mesh where it is integrated over what it hides."""
 
