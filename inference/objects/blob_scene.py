@@ -57,7 +57,7 @@ class BlobScene:
 
     def expected_sizes(self, blobs: Blobs) -> Pair:
         """`(n, 2)` px, usual height and width, and what other chains expect of them, by their precisions."""
-        sizes: Pair = blobs.table["size"]
+        sizes: Pair = np.ascontiguousarray(blobs.table["size"])
         if self._objects is None or not len(self._objects.identities) or not len(blobs):
             return sizes
         identities, means, covariances = self._objects.moments

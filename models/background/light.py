@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.short_repr import short_repr
+from ..numerics.threads import over_bands
 from .kernels.gaussian import Light
 from .kernels.light import Following, follow, interpolate, light_ratios, share_covered
 
@@ -110,7 +111,12 @@ def followed(
     """
     ratios, agreement, texture = (np.empty_like(before.blocks) for _ in range(3))
     flat = np.ascontiguousarray(image).reshape(-1)
-    light_ratios(flat, mean, before.along_rows, ratios, agreement, texture)
+    light = before.along_rows  # made before the threads ask for it
+
+    def work(first: int, end: int) -> None:
+        light_ratios(first, end, flat, mean, light, ratios, agreement, texture)
+
+    over_bands(work, len(before.blocks))
     rule = Following(
         FASTEST_LIGHT * elapsed, STEADY_LIGHT, -math.expm1(-elapsed / LIGHT_TIME),
         -math.expm1(-elapsed / HIDDEN_TIME), SAME_LIGHT, LEAST_AGREEMENT, UNSEEN, WINDOW_WEIGHT, OWN_WEIGHT,

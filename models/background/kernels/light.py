@@ -20,7 +20,7 @@ def interpolate(blocks, left, share, darkest, brightest, rows):
 
     There is one more block on every side, as the slope of the logarithm goes on; all are within bounds.
     """
-    around = beyond(np.log(blocks))
+    around = beyond(np.log(blocks).astype(np.float64))
     for row in range(rows.shape[0]):
         out = rows[row]
         values = np.empty(around.shape[1], np.float32)
@@ -186,8 +186,8 @@ def share_covered(covered, sampled, shares):
 
 
 @compiled
-def light_ratios(pixels, mean, light, ratios, agreement, texture):
-    """Robust brightness of the picture relative to the prediction, per block of the light field.
+def light_ratios(first, end, pixels, mean, light, ratios, agreement, texture):
+    """Robust brightness of the picture relative to the prediction, in rows `first` to `end` of blocks.
 
     A block is sampled on a grid of 6 x 6 pixels. `ratios` gets the median of luma seen over luma predicted,
     `agreement` the share of samples within 5 % of it, and `texture` nats for the scene's own texture under
@@ -206,7 +206,7 @@ def light_ratios(pixels, mean, light, ratios, agreement, texture):
     shown, known = np.zeros((3, samples), np.uint8), np.empty(samples, np.int16)
     block = np.full((8, 6), _UNUSABLE)
     below = np.empty(48, np.float32)
-    for row in range(block_rows):
+    for row in range(first, end):
         for sample_row in range(6):
             y = int((6 * row + sample_row + 0.5) * height / (6 * block_rows))
             # bytes first, and nothing else: what is not in the cache is waited for all at once

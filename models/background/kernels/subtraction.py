@@ -51,19 +51,16 @@ def subtract(first, end, pixels, before, light_field, models, hypotheses, poolin
         np.empty(HALO * width, np.uint16),
         np.empty(HALO * width, np.uint16),
     )
-    most = 0
-    for start in range(first, end, BLOCK):
-        stop = min(start + BLOCK, end)
+    most, start = 0, top
+    while start < bottom:
+        is_own = first <= start < end
+        stop = min(start + BLOCK, end) if is_own else first if start < first else bottom
+        # one call for all rows: a copy of the loops inside is compiled for each
+        to, updated = (start * width, after) if is_own else (0, beyond)
         odds = own[(start - top) * width : (stop - top) * width]
-        most = max(
-            most,
-            _rows(start, stop, pixels, before, light_field, models, start * width, after, odds),
-        )
-    if top < first:
-        _rows(top, first, pixels, before, light_field, models, 0, beyond, own)
-    if end < bottom:
-        odds = own[(end - top) * width :]
-        _rows(end, bottom, pixels, before, light_field, models, 0, beyond, odds)
+        highest = _rows(start, stop, pixels, before, light_field, models, to, updated, odds)
+        most = max(most, highest) if is_own else most
+        start = stop
     recall(top * width, pixels, second, tolerance, model, own)
     if sway.rates.max() >= LEAST_RATE:
         recall_moved(top, pixels, before, light_field, model, sway, own)

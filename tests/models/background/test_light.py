@@ -49,7 +49,7 @@ def test_a_blocks_light_is_a_median_of_samples(channels):
     field = LightField(rng.uniform(0.8, 1.2, (3, 4)).astype(np.float32), (61, 83))
     image[:20, :20] = 255  # nothing to be learned from saturated pixels
     ratios, agreement, texture = (np.empty((3, 4), np.float32) for _ in range(3))
-    light_ratios(image.reshape(-1), mean, field.along_rows, ratios, agreement, texture)
+    light_ratios(0, len(field.blocks), image.reshape(-1), mean, field.along_rows, ratios, agreement, texture)
     luma = colour.to_planes(image)[0].reshape(61, 83)
     expected = (light_of(field) * mean[0] / 32).reshape(61, 83)
     for row in range(3):
