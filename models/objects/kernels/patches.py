@@ -56,9 +56,9 @@ def gather(image, log_odds, top, left, patch):
             odds[row] = _f4(0)
             planes[:, row] = _f4(0)
     pixels, steps = image.reshape(-1), log_odds.reshape(-1)
-    # Rows inside the picture only. Compiled code looks first whether all that the loop reads is apart from what
-    # it writes, and goes another way, with other last digits, if it is not. With rows beyond the picture that
-    # would depend on what lies behind it in memory.
+    # Rows inside the picture only. Compiled code looks first whether all that the loop reads is apart from
+    # what it writes, and goes another way, with other last digits, if it is not. With rows beyond the picture
+    # that would depend on what lies behind it in memory.
     for row in range(first_row, end_row):
         free[row, first:end] = _f4(1)
         start, count = np.uint64((top + row) * width + left + first), np.uint64(end - first)
