@@ -37,18 +37,19 @@ class CodeCache(FunctionCache):
     Parameters
     ----------
     function
-        in Python.
+        that numba compiles.
     """
 
     def __init__(self, function: Any) -> None:
-        super().__init__(function)  # type: ignore[no-untyped-call]
+        super().__init__(function.py_func)  # type: ignore[no-untyped-call]
+        self._function = function
         self._lock: int | None = None
         self._stamped = False
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """What is kept for these types; where nothing is, the caller compiles it and nobody else does."""
         if not self._stamped:  # only now: what a function calls may come after it in its file
-            self._cache_file._source_stamp = digest_of(self._py_func)
+            self._cache_file._source_stamp = digest_of(self._function)
             self._stamped = True
         found = super().load_overload(signature, context)  # type: ignore[no-untyped-call]
         if found is None and self._lock is None and fcntl is not None:
@@ -85,21 +86,22 @@ class CodeCache(FunctionCache):
 
 
 def digest_of(function: Any) -> str:
-    """What a function is compiled from, in short: its code, what it calls, and the constants that it names.
+    """What a function is compiled from, in short: code, options, what it calls, and constants that it names.
 
     Comments, docstrings and places in the file are left out.
     """
     digest, seen = hashlib.sha256(), set[int]()
 
+    def note(*facts: object) -> None:
+        digest.update(repr(facts).encode() + b"\0")
+
     def add_code(code: CodeType, named: dict[str, Any], text: str | None) -> None:
-        digest.update(code.co_code)
-        for name in (*code.co_varnames, *code.co_names):
-            digest.update(name.encode())
+        note(code.co_code, code.co_varnames, code.co_names)
         for constant in code.co_consts:
             if isinstance(constant, CodeType):
                 add_code(constant, named, None)
             elif constant != text:
-                digest.update(repr(constant).encode())
+                note(constant)
         modules = [value for name in code.co_names if isinstance(value := named.get(name), ModuleType)]
         ours = [
             vars(module) for module in modules if module.__name__.startswith(__package__.partition(".")[0])
@@ -110,21 +112,24 @@ def digest_of(function: Any) -> str:
                     add(names[name])
 
     def add(value: Any) -> None:
+        note(sorted(getattr(value, "targetoptions", {}).items()))
         value = getattr(value, "py_func", getattr(value, "_defn", value))  # as numba wraps it
-        if isinstance(value, ModuleType):
-            return
         if isinstance(value, FunctionType):
             if id(value) not in seen:
                 seen.add(id(value))
                 add_code(value.__code__, value.__globals__, value.__doc__)
-                for cell in value.__closure__ or ():
-                    add(cell.cell_contents)
+                add(value.__defaults__)
+                add(tuple(cell.cell_contents for cell in value.__closure__ or ()))
         elif isinstance(value, np.ndarray):
-            digest.update(value.tobytes())
+            note(value.dtype, value.shape, value.tobytes())
         elif isinstance(value, type):
-            digest.update(f"{value.__qualname__} {getattr(value, '_fields', '')}".encode())
-        else:
-            digest.update(repr(value).encode())
+            note(value.__qualname__, getattr(value, "_fields", ()))
+        elif isinstance(value, tuple):
+            note(type(value).__qualname__, len(value))
+            for each in value:
+                add(each)
+        elif not isinstance(value, ModuleType):
+            note(value)
 
     add(function)
     return digest.hexdigest()

@@ -35,7 +35,7 @@ def _kept(function: Any) -> Function:
     """Have what a function is compiled to kept on disk."""
     is_compiled = isinstance(function, Dispatcher)  # it is none where numba is told to compile nothing
     if is_compiled:
-        function._cache = CodeCache(function.py_func)
+        function._cache = CodeCache(function)
     kept: Function = function
     return kept
 

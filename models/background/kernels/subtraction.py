@@ -53,10 +53,12 @@ def subtract(first, end, pixels, before, light_field, models, hypotheses, poolin
     )
     most, start = 0, top
     while start < bottom:
-        is_own = first <= start < end
-        stop = min(start + BLOCK, end) if is_own else first if start < first else bottom
         # one call for all rows: a copy of the loops inside is compiled for each
-        to, updated = (start * width, after) if is_own else (0, beyond)
+        is_own = first <= start < end
+        if is_own:
+            stop, to, updated = min(start + BLOCK, end), start * width, after
+        else:
+            stop, to, updated = first if start < first else bottom, 0, beyond
         odds = own[(start - top) * width : (stop - top) * width]
         highest = _rows(start, stop, pixels, before, light_field, models, to, updated, odds)
         most = max(most, highest) if is_own else most

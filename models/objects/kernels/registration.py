@@ -243,9 +243,15 @@ def scratch_for_search(blobs, channels):
     """Numbers that `register` needs to remember while it looks for the largest of some blobs."""
     most = 0
     for k in range(blobs.size):
-        rows = blobs[k].rows + 2 * (WIDEST_REACH + _ROWS * _step(blobs[k]))
-        most = max(most, rows * (blobs[k].columns + 2 * WIDEST_REACH + _VECTOR))
+        rows, columns = _widest_patch(blobs[k], WIDEST_REACH)
+        most = max(most, rows * columns)
     return (2 * channels + 4) * most + 2 * (2 * WIDEST_REACH + 1) ** 2
+
+
+@compiled
+def _widest_patch(blob, reach):
+    """Rows and columns of the largest patch that a blob, `packed`, may need, with `reach` px about it."""
+    return blob.rows + 2 * (reach + _ROWS * _step(blob)), blob.columns + 2 * reach + _VECTOR
 
 
 @compiled
@@ -284,7 +290,7 @@ def _reach(blob):
 def patch_bounds(blob):
     """Top, left, rows and columns of all pixels that a blob may be compared with, whatever its mask shows."""
     (top, left), reach = corner_of(blob), _reach(blob)
-    rows, columns = blob.rows + 2 * reach + 2 * _ROWS * _step(blob), blob.columns + 2 * reach + _VECTOR
+    rows, columns = _widest_patch(blob, reach)
     return top - reach, left - reach, rows, columns
 
 
@@ -292,7 +298,7 @@ def patch_bounds(blob):
 def deal(blobs, count, lots):
     """Deal blobs, front to back, out to `count` lots `(n,)`, so that none may meet one of another lot.
 
-    None is compared with pixels that one in front of it and of another lot covers, wherever that is found.
+    None is compared with pixels that one of another lot covers, however far that one moves.
     Each lot gets about as many pixels as the others.
     """
     for k in range(blobs.size):

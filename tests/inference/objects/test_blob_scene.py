@@ -33,7 +33,8 @@ def test_what_is_learned_does_not_depend_on_where_in_memory_arrays_lie(
             learn_all(*others, memory[start : start + scratch.nbytes].view(np.float32))
             results.append([array.tobytes() for array in (others[3], *others[4], others[8])])
         assert results[0] == results[1] == results[2]
-        calls.append(len(others[3]))
+        ends = np.floor(others[1]["position"][:, 0] + 0.5) + others[1]["rows"]
+        calls.append(bool((ends > len(image)).any()))
 
     monkeypatch.setattr(blob_scene, "learn_all", learn_anywhere)
     monkeypatch.setattr(blob_scene, "thread_count", lambda: 1)
@@ -41,4 +42,4 @@ def test_what_is_learned_does_not_depend_on_where_in_memory_arrays_lie(
     model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
     *_, last = RecursiveBP(model).run(crowd(10, 15, (240, 320)))
     assert len(last["blobs"].blobs) > 5
-    assert max(calls) > 2
+    assert any(calls)

@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rsmcm.models.objects.kernels import registration as kernels
 from rsmcm.models.objects.kernels.patches import Patch
+from rsmcm.models.objects.kernels.records import RECORD
 
 from ....support.blob_patches import F4, density_of, sprite, textured
 
@@ -80,3 +83,21 @@ def test_search_stays_at_the_prior_where_pixels_say_nothing():
     y, x, variance_y, variance_x = searched(8, kernels.Expected(0.0, 0.0, 1.0), 1, patch, rivals, blob)
     assert (y, x) == (0, 0)
     assert (variance_y, variance_x) == (25, 25)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 90), st.integers(1, 90), st.integers(0, 40), st.integers(0, 40), st.floats(0.1, 200))
+def test_no_patch_reaches_beyond_its_bounds(rows, columns, top, left, variance):
+    blob = np.zeros(1, RECORD)
+    blob["rows"], blob["columns"], blob["position"] = rows, columns, (30, 50)
+    blob["covariance"] = variance * np.eye(2)
+    first_row, first_column, height, width = kernels.patch_bounds(blob[0])
+    reach = 30 - first_row
+    assert first_column == 50 - reach
+    part = (min(top, rows - 1), min(left, columns - 1), rows, columns)
+    step = max(1, rows * columns // kernels.FINEST_ROWS)
+    whole = sprite(np.zeros((rows, columns), F4), np.zeros((1, rows, columns), F4))
+    packed = kernels.packed(whole, part, step, np.empty(100_000, F4))[0].mask.shape
+    assert part[0] + 2 * reach + step * packed[0] <= height
+    assert part[1] + 2 * reach + packed[1] <= width
+    assert height * width * 4 <= kernels.scratch_for_search(blob, 0)
