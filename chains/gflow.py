@@ -231,7 +231,8 @@ class GFlow(PickledByFields):
         n_texels, learn = len(self.object.texels), self.gain == "learned"
         texture = Texture.unknown(1, self.levels, n_texels, learn=learn)
         if self.texture is not None:
-            texture = replace(texture, mean=self.texture.mean[:1], variance=self.texture.variance[:1])
+            # with what it returns to, which would else be what the experts' first poses show
+            texture = replace(self.texture.of(np.zeros(1, np.int64)), learned=texture.learned)
         return GFlowState.first(start[one_each], texture, np.random.default_rng(self.seed))
 
     def predict(self, state: GFlowState, dt: float) -> GFlowState:

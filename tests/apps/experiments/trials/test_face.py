@@ -104,6 +104,12 @@ def test_scattered_experts_are_as_far_as_they_should_be(clip: Clip) -> None:
     assert len(poses) == recovery.N_EXPERTS
 
 
+def test_a_known_texture_brings_scattered_experts_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recovery, "SCENE", {"n_frames": recovery.SOON + 1})
+    for seed in range(2):
+        assert recovery.recover(seed)[recovery.KNOWN].errors[recovery.SOON] < recovery.NEAR
+
+
 def made_up(errors: dict[str, float], usual: float, names: list[str]) -> Measured:
     return {name: [evaluation([0.0] + [errors.get(name, usual)] * 5) for _ in range(4)] for name in names}
 
