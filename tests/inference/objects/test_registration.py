@@ -30,10 +30,8 @@ def test_blobs_that_may_meet_are_in_one_lot(seed: int, n_blobs: int, count: int)
         top, left, rows, columns = patch_bounds(table[behind])
         for front in range(behind):
             # its smallest reach is 2 px, and it covers pixels of its own box alone
-            first, room = (
-                table["position"][front] - 2,
-                [table["rows"][front] + 4, table["columns"][front] + 4],
-            )
+            first = table["position"][front] - 2
+            room = [table["rows"][front] + 4, table["columns"][front] + 4]
             overlap = np.minimum(first + room, [top + rows, left + columns]) - np.maximum(first, [top, left])
             if (overlap > 0).all():
                 assert lots[behind] == lots[front]
@@ -41,13 +39,12 @@ def test_blobs_that_may_meet_are_in_one_lot(seed: int, n_blobs: int, count: int)
 
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_lots_may_be_done_in_any_order(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
-    frames = list(crowd(10, 30, (240, 320)))
-    results = []
+    frames, results = list(crowd(10, 30, (240, 320))), []
+    monkeypatch.setattr(registration, "thread_count", lambda: count)
     for order in (1, -1):
         monkeypatch.setattr(
             registration, "side_by_side", lambda works, order=order: [w() for w in works[::order]]
         )
-        monkeypatch.setattr(registration, "thread_count", lambda: count)
         results.append(states_of(frames))
     monkeypatch.setattr(registration, "thread_count", lambda: 1)
     assert results[0] == results[1] == states_of(frames)

@@ -11,7 +11,6 @@ import pytest
 from rsmcm.models.numerics.code_cache import digest_of, fcntl
 
 PROGRAM = """
-import sys, time
 from numba.core import event
 import numpy as np
 from rsmcm.models.core.kernels.gaussians import invert
