@@ -25,7 +25,7 @@ class ShapeJob(Job):
         best that were held out.
     smooth
         The tracks are a film, its frames are successive: weights and turns change smoothly, by as much as the
-        tracks tell. Noisy tracks gain by it.
+        tracks tell. Turns then shake less; the error in depth hardly changes.
     truth
         Where the points really are in space: .npy or .npz, (n_frames, n_points, 3), or motion capture (.mat),
         as many frames as the tracks. The error in 3-D is reported.

@@ -268,7 +268,8 @@ def test_rounds_that_are_not_compared_cost_no_objective() -> None:
     assert np.isnan([report.objective for report in last.rounds]).all()
     assert not last.converged
     first = CoordinateAscent(model, most_rounds=1, tolerance=None).run(FRAMES)
-    np.testing.assert_array_equal(last["worsening"].values, first["worsening"].values + 2)
+    # the engine went on from each round's values: each added 1, and each time a system was solved anew
+    np.testing.assert_allclose(last["worsening"].values, first["worsening"].values + 2, rtol=0, atol=1e-12)
 
 
 class Film(LazyFrames):
