@@ -18,11 +18,9 @@ from .batch.commands import batch
 from .body.job import BodyJob
 from .experiments.reproduce import EXPERIMENTS, LONG, PARALLEL, run_experiment, usual_folder
 from .face.job import FaceJob
-from .io.sources.quiet import own_standard_error
 from .options.complaints import about_options, convert_strictly, one_line
 from .options.job import Flag, Job
-from .options.library_threads import have_one_thread
-from .options.opencv_packages import opencv_hint
+from .options.libraries import have_one_thread, opencv_hint, own_standard_error
 from .options.settings import options_from_file
 from .runs.interruption import SIGNALLED, Outcome
 from .shape.job import ShapeJob

@@ -18,10 +18,9 @@ from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring, scoring_of
 from ..evaluation.tracks import track_rows
 from ..events.drawing import draw_zones
-from ..events.event_files import EVENTS, EventWriter, read_events
 from ..events.report import Happened
-from ..events.zone_files import read_zones
-from ..events.zones import Zones
+from ..events.watch import EVENTS, EventWriter, read_events
+from ..events.zones import Zones, read_zones
 from ..exports.track_table import TABLE, TrackTableWriter
 from ..io.detections.attached import given_boxes, with_boxes
 from ..io.detections.read import digest

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ...models.files.atomic_files import write_text
+from ...models.files import write_text
 from ..drawing.mosaic import mosaic
 from ..evaluation.scoring import Scoring, scoring_of
 from ..experiments.trials.baselines import CleanUp, OpenCVSubtractor

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import JOINTS
-from ...models.files.atomic_files import write_atomically, write_text
+from ...models.files import write_atomically, write_text
 from ..body.joint_files import COLUMNS
 from ..io.files import write_image
 from ..reports.expectations import in_columns

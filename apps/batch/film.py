@@ -18,7 +18,7 @@ from ...inference.core import checkpoint
 from ..io.sources.open_source import fingerprint
 from ..options.complaints import one_line
 from ..options.job import Job
-from ..options.opencv_packages import opencv_hint
+from ..options.libraries import opencv_hint
 from ..runs.interruption import Outcome
 from ..runs.parallel import end_working, is_ending
 from ..runs.saved_run import STATE, about_of, check_source

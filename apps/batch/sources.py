@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from ..io.sources.image_reader import images_among, in_natural_order
-from ..io.sources.images import IMAGE_SUFFIXES
+from ..io.sources.images import IMAGE_SUFFIXES, images_among, in_natural_order
 from ..options.settings import read_settings
 from ..runs.output_folder import MANIFEST
 from ..runs.saved_run import STATE

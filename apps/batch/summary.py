@@ -12,8 +12,7 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
-from ...models.files.atomic_files import write_text
-from ...models.files.text_files import read_text
+from ...models.files import read_text, write_text
 from ..reports.page import cards, paragraph, templates_in, write_page
 from .film import State, Told
 from .folders import plain_name

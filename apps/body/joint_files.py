@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import JOINTS
-from ...models.files.limits import LAST_FRAME, MOST_SETTINGS
-from ...models.files.text_files import read_text
+from ...models.files import LAST_FRAME, MOST_SETTINGS, read_text
 from ..io.point_files import FARTHEST
 
 Array = NDArray[np.float64]

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.body.samples import weighted_moments
+from ...models.array_files import read_arrays
 from ...models.body.inverse_kinematics import arm_at, swivels
 from ...models.body.poses import ANGLES, shoulder_rotations
 from ...models.body.upper_body import JOINTS, UpperBody
-from ...models.files.array_files import read_arrays
-from ...models.files.atomic_files import write_atomically
+from ...models.files import write_atomically
 from ...models.numerics.rotations import logarithm
 
 Array = NDArray[np.float64]

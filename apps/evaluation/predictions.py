@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.validity.estimate import RecordedPredictions
+from ...models.array_files import read_arrays
 from ...models.core.gaussian_message import GaussianMessage
-from ...models.files.array_files import read_arrays
-from ...models.files.atomic_files import write_atomically
+from ...models.files import write_atomically
 from ..reports.evenly_spaced import evenly_spread
 
 FILE = "predictions.npz"

@@ -1,7 +1,5 @@
-from .event_files import EventWriter, read_events
-from .watch import Event, Kind, Moment, Sighting, Watch
-from .zone_files import read_zones
-from .zones import Line, Zone, Zones
+from .watch import Event, EventWriter, Kind, Moment, Sighting, Watch, read_events
+from .zones import Line, Zone, Zones, read_zones
 
 __all__ = [
     "Event",

@@ -8,17 +8,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ...models.files.atomic_files import write_text
-from ...models.files.text_files import read_text
+from ...models.files import read_text, write_text
 from ..exports.track_table import TABLE, read_tracks_table
 from ..io.files import write_json
 from ..reports.page import Section, links, picture, write_page
 from ..runs.output_folder import output_folder
 from .drawing import draw_zones
-from .event_files import COLUMNS, EVENTS, line_of, read_events, sightings_of
 from .report import Happened
-from .watch import Event, Watch
-from .zone_files import read_zones
+from .watch import COLUMNS, EVENTS, Event, Watch, line_of, read_events, sightings_of
+from .zones import read_zones
 
 PAGE = "events.html"
 SUMMARY = "summary.json"

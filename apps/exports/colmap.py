@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ...inference.perspective.structure import PerspectiveStructure
-from ...models.files.atomic_files import write_atomically
+from ...models.files import write_atomically
 
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
 HALF = 0.5

@@ -3,7 +3,7 @@
 import zipfile
 from pathlib import Path
 
-from ...models.files.atomic_files import write_atomically
+from ...models.files import write_atomically
 from ..io.mot import box_columns
 from .finished_run import FinishedRun
 

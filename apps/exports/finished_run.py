@@ -13,11 +13,9 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.files.limits import LAST_FRAME
-from ...models.files.text_files import read_text
+from ...models.files import LAST_FRAME, read_text
 from ..io.mot import TrackedBox
-from ..io.sources.image_reader import images_among
-from ..io.sources.images import read_grey
+from ..io.sources.images import images_among, read_grey
 from ..runs.output_folder import application_of
 from .track_table import TABLE, table_rows
 

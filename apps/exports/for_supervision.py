@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..io.mot import TrackedObject
-from .object_masks import object_masks
-from .optional import needed
+from ..options.libraries import needed
+from .coco import object_masks
 
 if TYPE_CHECKING:
     import supervision

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.body.upper_body import PARTS
-from ...models.files.atomic_files import write_atomically
-from ...models.files.limits import MOST_NUMBERS
+from ...models.files import MOST_NUMBERS, write_atomically
+from ..options.libraries import needed
 from .finished_run import FinishedRun
-from .optional import needed
 from .track_table import read_tracks_table
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.files.limits import LAST_FRAME
+from ...models.files import LAST_FRAME
 from ..io.mot import LAST_IDENTITY, LONGEST_LINE, LineWriter, TrackedObject, box_columns
 from ..io.point_files import FARTHEST
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numba
 
-from ...models.files.atomic_files import write_text
+from ...models.files import write_text
 
 types: Any = numba.types  # most of which say nothing to type checkers
 

@@ -7,9 +7,8 @@ from .keypoints.read import read_keypoints
 from .keypoints.table import Keypoints
 from .masks import MaskWriter
 from .mot import TrackWriter, read_tracks
-from .point_files import read_points
+from .point_files import frames_of_tracks, read_points
 from .sources.open_source import Source, open_source
-from .track_files import frames_of_tracks
 
 __all__ = [
     "BoxTruth",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pooch
 
-from ...models.files.atomic_files import write_text
+from ...models.files import write_text
 
 VARIABLE = "RSMCM_DATA"
 """The environment variable that names the folder in which the sequences' folders lie."""

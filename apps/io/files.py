@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.files.atomic_files import write_atomically, write_text
+from ...models.files import write_atomically, write_text
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -1,10 +1,15 @@
-"""A film that is read again for every pass over it, so that its length costs no memory."""
+"""A film as a sequence that is read again for every pass, and its frames that show nothing."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Self, overload
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ...inference.core.sequence import LazyFrames
 from ...models.core.frame import Frame
+from ...models.core.grey import grey_of
 from .sources.open_source import Source
 
 
@@ -93,3 +98,49 @@ class Film(LazyFrames):
         self._source = self._open_again()
         self._frames = self._passing(self._source)
         self._held, self._index = None, -1
+
+
+LEAST_CONTRAST = 8
+"""Grey levels between the darker and the brighter part of a frame, below which nothing is seen in it."""
+
+
+def is_blank(image: NDArray[np.uint8]) -> bool:
+    """Whether a frame is black, saturated or otherwise without contrast, so that nothing is seen in it."""
+    darker, brighter = np.percentile(grey_of(image[::4, ::4]), (2, 98))
+    return bool(brighter - darker < LEAST_CONTRAST)
+
+
+class SeenFrames:
+    """The frames of a source until it ends, or breaks, with blank ones as missing.
+
+    Parameters
+    ----------
+    frames
+        of the source.
+    blank_is_missing
+        if not, blank frames come as they are.
+
+    Attributes
+    ----------
+    blank
+        numbers of the frames so far that were blank.
+    error
+        by which the source broke in the middle, if it did: told when the results until there are complete.
+    """
+
+    def __init__(self, frames: Iterator[Frame], *, blank_is_missing: bool = True) -> None:
+        self._frames = frames
+        self._blank_is_missing = blank_is_missing
+        self.blank: list[int] = []
+        self.error: Exception | None = None
+
+    def __iter__(self) -> Iterator[Frame]:
+        try:
+            for frame in self._frames:
+                if self._blank_is_missing and frame.image is not None and is_blank(frame.image):
+                    self.blank.append(frame.number)
+                    yield replace(frame, image=None, keypoints=None)  # of what is not seen
+                else:
+                    yield frame
+        except (ValueError, OSError) as error:
+            self.error = error

@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.array_files import ARCHIVE, PACKED
 from ...models.core.short_repr import short_repr
-from ...models.files.array_files import ARCHIVE, PACKED
-from ...models.files.limits import MOST_SETTINGS, MOST_TEXT
-from ...models.files.text_files import read_text
+from ...models.files import MOST_SETTINGS, MOST_TEXT, read_text
 from .mot import lines_of, read_lines
 from .sources.images import read_grey
 

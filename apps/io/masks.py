@@ -6,7 +6,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.files.atomic_files import sync
+from ...models.files import sync
 from .files import write_image
 from .segmented_video import LOSSLESS_GRAY, SegmentedVideo
 from .worker import Worker

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import BoundingBox
-from ...models.files.atomic_files import naming, write_text
-from ...models.files.limits import LAST_FRAME
+from ...models.files import LAST_FRAME, naming, write_text
 from .point_files import FARTHEST
 
 LONGEST_LINE = 10_000  # of a file of boxes: beyond, it is none

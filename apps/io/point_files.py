@@ -1,4 +1,4 @@
-"""Files of points over time, which are given as tracks or as landmarks: ours, and those of point trackers."""
+"""Files of points over time, given as tracks or as landmarks: ours, those of point trackers, their frames."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -6,8 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.files.array_files import SINGLE, Arrays, read_arrays
+from ...models.array_files import SINGLE, Arrays, read_arrays
+from ...models.core.frame import Frame, GivenPoints
 from ...models.points.point_arrays import FARTHEST, check_points
+from .sources.open_source import DEFAULT_RATE, Selection
 
 __all__ = ["FARTHEST", "read_points", "read_shapes"]
 
@@ -209,3 +211,51 @@ def _as_floats(array: NDArray[Any]) -> NDArray[np.float64]:
 def _wrong(path: Path, key: str, array: NDArray[Any], expected: str) -> ValueError:
     named = f"{key} " if key != SINGLE else ""
     return ValueError(f"{path}: got {named[:60]}{array.shape} {array.dtype}, {expected}")
+
+
+def read_track_file(
+    path: Path, selection: Selection, *, half: bool = False
+) -> tuple[NDArray[np.float64], range]:
+    """Read some frames of a file of tracks.
+
+    Parameters
+    ----------
+    path, half
+        as for `read_points`.
+    selection
+        which of its frames.
+
+    Returns
+    -------
+    tuple
+        tracks `(n_selected, n_points, 2)` float64 and the 1-based numbers of the selected frames.
+
+    Raises
+    ------
+    ValueError
+        naming what came and what was expected, if it is no such file, or the selection lies beyond its end.
+    OSError
+        if the file cannot be read.
+    """
+    tracks = read_points(path, half=half)
+    numbers = selection.numbers(len(tracks))
+    if not numbers:
+        raise ValueError(f"start: got {selection.start}, but {path} has only {len(tracks)} frames")
+    return tracks[[number - 1 for number in numbers]], numbers
+
+
+def frames_of_tracks(tracks: NDArray[np.float64], numbers: range | None = None) -> list[Frame]:
+    """Frames that hold the points of tracks; identities are the tracks' columns.
+
+    Parameters
+    ----------
+    tracks
+        `(n_frames, n_tracks, 2)` px, NaN where missing; one coordinate may be.
+    numbers
+        1-based number of each frame; default: 1, 2, ...
+    """
+    frames = []
+    for number, points in zip(numbers or range(1, len(tracks) + 1), tracks, strict=True):
+        seen = np.flatnonzero(~np.isnan(points).all(axis=1)).astype(np.int64)
+        frames.append(Frame(None, (number - 1) / DEFAULT_RATE, number, GivenPoints(points[seen], seen)))
+    return frames

@@ -11,7 +11,7 @@ from typing import IO, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.files.atomic_files import naming, sync, write_atomically
+from ...models.files import naming, sync, write_atomically
 from .segments import drop_segments, join_segments, segment_name
 
 CHUNK = 1 << 24

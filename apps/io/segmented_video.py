@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.files.atomic_files import UNFINISHED, naming, sync
+from ...models.files import UNFINISHED, naming, sync
 from .segments import drop_segments, join_segments, segment_name
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ...models.files.atomic_files import write_atomically
+from ...models.files import write_atomically
 
 
 def segment_name(path: Path, last: int) -> Path:

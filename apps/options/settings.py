@@ -11,8 +11,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 from cyclopts import App, Argument, ArgumentCollection
 from cyclopts.config import Dict
 
-from ...models.files.limits import MOST_SETTINGS
-from ...models.files.text_files import read_text
+from ...models.files import MOST_SETTINGS, read_text
 from .complaints import EXPECTED, meant
 
 T = TypeVar("T")

@@ -16,7 +16,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from ...models.files.atomic_files import write_text
+from ...models.files import write_text
 from .links import links_beside
 
 Image = NDArray[np.uint8]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup, escape
 
-from ...models.files.atomic_files import write_atomically
+from ...models.files import write_atomically
 from .page import captioned
 
 if TYPE_CHECKING:

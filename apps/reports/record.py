@@ -32,7 +32,7 @@ TRACKING = ("models", "inference", "chains")
 NOT_BUSY = ("idle", "iowait", "guest", "guest_nice")
 """Times of processors that are none, or are counted as a user's already."""
 
-PLUMBING = "models/files/"
+PLUMBING = ("models/files.py", "models/array_files.py")
 """What of it reads and writes files, and tracks nothing."""
 
 

@@ -19,7 +19,7 @@ from ...inference.core.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
 from ..io.files import write_json
-from ..io.sources.blank_frames import SeenFrames
+from ..io.film import SeenFrames
 from ..io.sources.open_source import Source, describe, open_source
 from ..live.address import read_address
 from ..live.running import Image, Running

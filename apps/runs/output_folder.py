@@ -13,7 +13,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from ...models.files.atomic_files import UNFINISHED, naming
+from ...models.files import UNFINISHED, naming
 from ..io.files import write_json
 from .saved_run import STATE
 

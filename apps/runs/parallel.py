@@ -19,7 +19,7 @@ from joblib import cpu_count
 from joblib.externals.loky import ProcessPoolExecutor
 
 from ...models.numerics.threads import set_threads
-from ..options.library_threads import thread_limits
+from ..options.libraries import thread_limits
 from .interruption import Interruption
 from .progress import Progress, show_messages
 

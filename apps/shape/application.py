@@ -13,9 +13,8 @@ from ...inference.nonrigid.comparison import shape_error
 from ...inference.nonrigid.learning import learn_shape
 from ...models.face.model_files import write_model
 from ..io.files import write_json
-from ..io.point_files import read_shapes
+from ..io.point_files import read_shapes, read_track_file
 from ..io.sources.open_source import Selection
-from ..io.track_files import read_track_file
 from ..reports.frame_lists import shortened
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.progress import Progress

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...models.files.atomic_files import write_atomically
+from ...models.files import write_atomically
 from .result import LearnedShape
 
 SHAPES, MODEL = "shapes.npz", "model.npz"

@@ -17,8 +17,8 @@ from ..evaluation.predictions import write_predictions
 from ..exports.colmap import FILES as COLMAP_FILES
 from ..exports.colmap import write_colmap
 from ..io.files import write_json
+from ..io.point_files import frames_of_tracks, read_track_file
 from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
-from ..io.track_files import frames_of_tracks, read_track_file
 from ..reports.frame_lists import listed
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, check_memory

@@ -12,7 +12,7 @@ from ...inference import Solution
 from ...inference.perspective.affine_fit import affine_fit
 from ...inference.perspective.structure import Lens, PerspectiveStructure, perspective_structure
 from ...models.core.frame import Frame
-from ..io.sources.focal_length import focal_of_picture
+from ..io.sources.images import focal_of_picture
 from .job import Camera
 from .reconstruction import FEWEST_POINTS, Reconstruction, observations_of_points, points_of_tracks
 

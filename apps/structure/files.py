@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...inference.perspective.structure import PerspectiveStructure
 from ...models.core.frame import Frame
-from ...models.files.atomic_files import write_atomically
+from ...models.files import write_atomically
 from ...models.points.affine_camera import scaled_rotations
 from ..io.files import write_json
 from .reconstruction import Numbers, Reconstruction

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ...models.files.atomic_files import sync, write_atomically
+from ...models.files import sync, write_atomically
 from ..io.segmented_video import PLAYABLE, SegmentedVideo
 from ..io.segments import drop_segments, join_segments, segment_name, segments_of
 from ..io.worker import Worker

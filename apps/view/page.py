@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from ...models.files.atomic_files import write_text
+from ...models.files import write_text
 from ..reports.links import links_beside
 from ..reports.page import templates_in
 from .film import Film

@@ -22,8 +22,8 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.files.array_files import read_arrays
-from ...models.files.atomic_files import write_atomically
+from ...models.array_files import read_arrays
+from ...models.files import write_atomically
 
 FORMAT = "rsmcm state 2"
 EXPECTED = "expected a state that was saved here"

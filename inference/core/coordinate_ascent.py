@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from . import checkpoint
+from ..core import checkpoint
 from .graph import MultiChain, require_model
 from .protocols import (
     BatchChain,

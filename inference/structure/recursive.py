@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...models.core.mahalanobis import squared_distances
 from ...models.core.short_repr import short_repr
 from ..factor_analysis.moments import homogeneous
-from . import camera_motion
+from ..structure import camera_motion
 from .camera_motion import CameraMotion
 
 Numbers = NDArray[np.float64]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ...models.core.short_repr import short_repr
 from ..factor_analysis.factorisation import Factorisation, factorise, projected
 from ..factor_analysis.moments import homogeneous
-from . import camera_motion
+from ..structure import camera_motion
 from .recursive import (
     GATE,
     LEAST_SCALE,

@@ -13,9 +13,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..background import colour
 from ..core.short_repr import short_repr
 from ..numerics.threads import over_bands
-from . import colour
 from .kernels.gaussian import (
     COARSE_STEPS,
     HIGHEST_VARIANCE,

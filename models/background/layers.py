@@ -7,8 +7,8 @@ from typing import Any, Self, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..background import colour
 from ..core.short_repr import short_repr
-from . import colour
 from .kernels.layers import LAYER, Composition, Pools, apart, compose, shift_of
 
 Map = NDArray[np.float32]

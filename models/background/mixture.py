@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..background import colour
 from ..core.short_repr import short_repr
 from ..numerics.threads import over_bands
-from . import colour
 from .gaussian import Subtraction, log_prior_odds, smooth
 from .kernels.gaussian import StoredPlanes
 from .kernels.mixture import Mixture, learn_mixture, mixture_log_evidence, subtract_mixture

@@ -16,10 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.array_files import read_arrays
-from ..files.atomic_files import write_atomically
-from ..files.limits import MOST_NUMBERS, MOST_SETTINGS
-from ..files.text_files import read_text
+from ..array_files import read_arrays
+from ..files import MOST_NUMBERS, MOST_SETTINGS, read_text, write_atomically
 from .morphable_model import MorphableModel, spread
 
 Array = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.apps.io.track_files import frames_of_tracks
+from rsmcm.apps.io.point_files import frames_of_tracks
 from rsmcm.apps.scenes import cylinder
 from rsmcm.chains import FactorStructure
 from rsmcm.chains.factor_structure import StructureTrajectory

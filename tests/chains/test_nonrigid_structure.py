@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.io.track_files import frames_of_tracks
+from rsmcm.apps.io.point_files import frames_of_tracks
 from rsmcm.chains import NonrigidStructure
 from rsmcm.chains.nonrigid_structure import NonrigidTrajectory
 from rsmcm.inference import CoordinateAscent, MultiChain, Solution

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...options.library_threads import thread_limits
+from ...options.libraries import thread_limits
 from ...reports.expectations import Expectation
 from ...reports.record import ROOT, Record, Stopwatch
 from ..measuring.regressions import joined, regressions

@@ -18,7 +18,7 @@ from ....inference.factor_analysis.factorisation import factorise
 from ....inference.factor_analysis.initialisation import mean_filled
 from ....inference.factor_analysis.observations import Observations
 from ....inference.factor_analysis.posterior import around_start
-from ...io.track_files import frames_of_tracks
+from ...io.point_files import frames_of_tracks
 from ...reports.expectations import Expectation
 from ...scenes import cylinder
 from ...structure.reconstruction import engine_for

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ....inference.factor_analysis.factorisation import factorise, predicted
 from ....models.points.affine_camera import affine_alignment
-from ...io.track_files import frames_of_tracks
+from ...io.point_files import frames_of_tracks
 from ...reports import page
 from ...reports.expectations import Expectation, over_seeds
 from ...reports.experiment import Experiment, Plot

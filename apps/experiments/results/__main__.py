@@ -10,7 +10,7 @@ between their marks, and the picture of the latter. Only in a checkout.
 import sys
 from pathlib import Path
 
-from ....models.files.atomic_files import write_text
+from ....models.files import write_text
 from ...reports.record import ROOT, Record
 from .pages import Documents, readme_with, results_page
 from .scale_page import CURVES, PAGE, PICTURE, scale_page, write_picture

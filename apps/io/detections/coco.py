@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 from reprlib import repr as brief
 from typing import Any
 
-from ....models.files.limits import LAST_FRAME
+from ....models.files import LAST_FRAME
 from .json_stream import JsonStream
 from .table import Columns, Detections, whole_frame
 

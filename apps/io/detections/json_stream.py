@@ -6,7 +6,7 @@ from json.decoder import JSONDecoder
 from pathlib import Path
 from typing import Any, TextIO
 
-from ....models.files.limits import MOST_TEXT
+from ....models.files import MOST_TEXT
 
 PIECE = 1 << 20
 """Characters that are read at once."""

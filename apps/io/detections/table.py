@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ....models.core.frame import Frame, GivenBoxes
 from ....models.core.short_repr import short_repr
-from ....models.files.limits import LAST_FRAME
+from ....models.files import LAST_FRAME
 from ...options.complaints import meant
 from ..point_files import FARTHEST
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TextIO
 
-from ....models.files.limits import LAST_FRAME
+from ....models.files import LAST_FRAME
 from ..mot import LONGEST_LINE, read_lines
 from .table import Columns, Detections, whole_frame
 

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from ....models.core.keypoints import SKELETONS
-from ....models.files.limits import MOST_SETTINGS
-from ....models.files.text_files import read_text
+from ....models.files import MOST_SETTINGS, read_text
 from ..detections.coco import Pictures
 from .coco import triples
 from .table import Keypoints, Persons

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ....models.core.keypoints import KEYPOINTS, KNOWN, POINTS
-from ....models.files.limits import LAST_FRAME
+from ....models.files import LAST_FRAME
 from ..detections.table import whole_frame
 from ..detections.text import short_lines
 from .table import Keypoints, Persons

@@ -1,8 +1,15 @@
-"""Still pictures: from a file's bytes to an array, and never more of them than memory holds."""
+"""Still pictures, one or a sequence: from a file's bytes to an array, and never more than memory holds."""
 
+import configparser
+import hashlib
 import io
+import math
+import os
+import re
+import threading
 import warnings
 import zlib
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ....models.files.limits import MOST_PIXELS
-from .quiet import quiet_libraries
+from ....models.core.frame import Frame
+from ....models.files import MOST_PIXELS
+from ...options.libraries import quiet_libraries
+from .reader import DEFAULT_RATE, Gap, Selection
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpg", ".jpeg", ".jp2", ".pbm", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
@@ -114,3 +123,121 @@ def _is_complete(data: bytes) -> bool:
             position += 12 + length
         return False
     return len(data) > 0
+
+
+SCALED = "Pictures of 16 bits a channel are scaled to 8: 65535 becomes 255."
+
+
+def images_among(paths: Iterable[Path]) -> list[Path]:
+    """Return the image files among some, in natural order."""
+    return in_natural_order(path for path in paths if _is_image(path))
+
+
+def in_natural_order(paths: Iterable[Path]) -> list[Path]:
+    """Return paths sorted as people count: `frame2` before `frame10`."""
+
+    def key(path: Path) -> tuple[tuple[str | int, ...], str]:
+        parts = re.split(r"(\d+)", str(path))  # text and numbers alternate, so that equals meet equals
+        return tuple(int(part) if index % 2 else part for index, part in enumerate(parts)), str(path)
+
+    return sorted(paths, key=key)
+
+
+def _is_image(path: Path) -> bool:
+    return path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
+
+
+class ImageReader:
+    """Images of one folder or glob, `rate` a second."""
+
+    kind = "images"
+    live = False
+    counted = True
+    truncated = False
+    lost: str | None = None
+    gaps: tuple[Gap, ...] = ()
+
+    def __init__(self, source: str, folder: Path, files: list[Path], rate: float | None) -> None:
+        self.name = source
+        self.total: int | None = len(files)
+        self.header_size = (0, 0)
+        self.rate = _sequence_rate(folder) if rate is None else rate
+        if not (math.isfinite(self.rate) and self.rate > 0):
+            raise ValueError(f"{source}: got {self.rate} frames per second, expected more than 0")
+        self.last_number = len(files)
+        self.notes: list[str] = []
+        self.pictures: Sequence[str] = [path.name for path in files]
+        self._files = files
+
+    def frames(self, selection: Selection, _stopping: threading.Event) -> Iterator[Frame]:
+        """Yield the selected images; one that is damaged is a missing frame."""
+        for number in selection.numbers(len(self._files)):
+            if number in selection:
+                yield Frame(self._image(self._files[number - 1]), (number - 1) / self.rate, number)
+
+    def _image(self, path: Path) -> NDArray[np.uint8] | None:
+        image = read_image(path)
+        if image is None:
+            return None
+        if image.dtype != np.uint8 and not self.notes:
+            self.notes.append(SCALED)
+        return to_8_bits(image)
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return names and sizes of all files, as one hash."""
+        digest = hashlib.sha256()
+        for path in self._files:
+            digest.update(f"{path.name}\0{path.stat().st_size}\n".encode("utf-8", "surrogateescape"))
+        return {
+            "kind": self.kind,
+            "name": os.path.abspath(self.name),
+            "count": len(self._files),
+            "sha256": digest.hexdigest(),
+        }
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def _sequence_rate(folder: Path) -> float:
+    """Return the frame rate of a MOT sequence, or the default for images that are none."""
+    for candidate in (folder / "seqinfo.ini", folder.absolute().parent / "seqinfo.ini"):
+        if candidate.is_file():
+            parser = configparser.ConfigParser()
+            try:
+                parser.read(candidate, encoding="utf-8")
+                return parser.getfloat("Sequence", "frameRate", fallback=DEFAULT_RATE)
+            except (configparser.Error, ValueError):
+                raise ValueError(f"{candidate}: frameRate under [Sequence] cannot be read") from None
+    return DEFAULT_RATE
+
+
+DETAILS = 0x8769
+"""The EXIF directory with what the camera was set to."""
+FOCAL_MM, FOCAL_35MM = 0x920A, 0xA405
+PLANE_RESOLUTION, PLANE_UNIT = 0xA20E, 0xA210
+MM_OF_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
+DIAGONAL_35MM = math.hypot(36, 24)
+"""mm: the equivalent focal length compares the pictures' diagonals (CIPA DCG-001)."""
+
+
+def focal_of_picture(path: Path) -> float | None:
+    """Focal length in px of the picture in a file; `None` where nothing usable is stated.
+
+    From the equivalent focal length for 35 mm film, or else from the focal length and the resolution of the
+    sensor.
+    """
+    try:
+        with Image.open(path) as picture:
+            details: dict[int, Any] = dict(picture.getexif().get_ifd(DETAILS))
+            diagonal = math.hypot(picture.width, picture.height)
+    except Exception:  # Pillow's readers raise whatever a damaged header leads to
+        return None
+    try:
+        if float(details.get(FOCAL_35MM, 0)) > 0:
+            return float(details[FOCAL_35MM]) * diagonal / DIAGONAL_35MM
+        millimetres, resolution = float(details.get(FOCAL_MM, 0)), float(details.get(PLANE_RESOLUTION, 0))
+        focal = millimetres * resolution / MM_OF_UNIT[int(details.get(PLANE_UNIT, 2))]
+    except (ArithmeticError, KeyError, TypeError, ValueError):
+        return None
+    return focal if math.isfinite(focal) and focal > 0 else None

@@ -18,8 +18,8 @@ from rsmcm.apps.body.hypotheses import HANDS, Hypotheses
 from rsmcm.apps.body.report import RARELY_SEEN, BodyRecord
 from rsmcm.apps.body.start import SavedPerson, read_head, start_from_faces, start_from_head
 from rsmcm.apps.body.writer import ANGLE_NAMES, N_DRAWN
+from rsmcm.apps.io import film as films
 from rsmcm.apps.io.segmented_video import PLAYABLE, SegmentedVideo
-from rsmcm.apps.io.sources import blank_frames
 from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.reports import time_plots
 from rsmcm.apps.runs import film_run
@@ -578,7 +578,7 @@ def test_control_c(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """The run ends after the current frame, with complete results if there are any."""
-    is_blank = blank_frames.is_blank
+    is_blank = films.is_blank
     seen: list[int] = []
 
     def interrupting(image: Image) -> bool:
@@ -587,7 +587,7 @@ def test_control_c(
             signal.raise_signal(signal.SIGINT)
         return is_blank(image) or n_frames == 0
 
-    monkeypatch.setattr(blank_frames, "is_blank", interrupting)
+    monkeypatch.setattr(films, "is_blank", interrupting)
     out = tmp_path / "out"
     assert run(film, *head, "--out", out, *FEW) == 130
     line = "" if n_frames else "rsmcm: interrupted before there was any result\n"
@@ -605,7 +605,7 @@ def test_control_c(
 def test_control_c_while_faces_are_looked_for(
     film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    is_blank = blank_frames.is_blank
+    is_blank = films.is_blank
     seen: list[int] = []
 
     def interrupting(image: Image) -> bool:
@@ -614,7 +614,7 @@ def test_control_c_while_faces_are_looked_for(
             signal.raise_signal(signal.SIGINT)
         return is_blank(image)
 
-    monkeypatch.setattr(blank_frames, "is_blank", interrupting)
+    monkeypatch.setattr(films, "is_blank", interrupting)
     assert run(film, "--out", tmp_path / "out", *FEW) == 130
     assert capfd.readouterr().err == "rsmcm: interrupted before there was any result\n"
     assert not (tmp_path / "out").exists()

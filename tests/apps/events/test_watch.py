@@ -1,23 +1,38 @@
 """What is true of events whatever the way: nobody leaves who is not in, and time and scale do not matter."""
 
+import csv
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.apps.events import Event, Line, Sighting, Watch, Zone, Zones
-from rsmcm.apps.events.watch import ERROR
+from rsmcm.apps.events import (
+    Event,
+    EventWriter,
+    Kind,
+    Line,
+    Moment,
+    Sighting,
+    Watch,
+    Zone,
+    Zones,
+    read_events,
+)
+from rsmcm.apps.events.watch import COLUMNS, ERROR, line_of, sightings_of
+from rsmcm.apps.exports import TrackTableWriter, read_tracks_table
+from rsmcm.apps.io.mot import TrackedBox
 
 SIZE = (320, 240)
 HEIGHT = 40.0
 STRIP = [[100, 0], [200, 0], [200, 240], [100, 240]]
 DIAMOND = [[160, 40], [260, 120], [160, 200], [60, 120]]
 IN, OUT = ("entered", "appeared"), ("left", "disappeared", "remained")
-Path = NDArray[np.float64]
+Way = NDArray[np.float64]
 
 
 def zones(scale: float = 1.0) -> Zones:
@@ -28,7 +43,7 @@ def zones(scale: float = 1.0) -> Zones:
 
 
 def events(
-    path: Path,
+    path: Way,
     rate: float = 25.0,
     there: Sequence[bool] | None = None,
     scale: float = 1.0,
@@ -47,7 +62,7 @@ def kinds(found: Sequence[Event]) -> list[tuple[str, str]]:
 
 
 @st.composite
-def ways(draw: st.DrawFn, least: int = 2, jitter: float = 2.0) -> Path:
+def ways(draw: st.DrawFn, least: int = 2, jitter: float = 2.0) -> Way:
     """Feet on straight ways between some places, with pauses there and errors."""
     place = st.tuples(st.floats(0, SIZE[0]), st.floats(0, SIZE[1]))
     places = np.array(draw(st.lists(place, min_size=least, max_size=6)))
@@ -60,7 +75,7 @@ def ways(draw: st.DrawFn, least: int = 2, jitter: float = 2.0) -> Path:
 
 
 @given(ways(), st.data())
-def test_who_is_in_has_come_in_and_not_gone(path: Path, data: st.DataObject) -> None:
+def test_who_is_in_has_come_in_and_not_gone(path: Way, data: st.DataObject) -> None:
     lost = data.draw(st.lists(st.tuples(st.integers(0, len(path)), st.integers(1, 120)), max_size=3))
     there = np.ones(len(path), bool)
     for start, length in lost:
@@ -84,7 +99,7 @@ def test_who_is_in_has_come_in_and_not_gone(path: Path, data: st.DataObject) -> 
 
 
 @given(ways())
-def test_a_film_backwards_swaps_directions(path: Path) -> None:
+def test_a_film_backwards_swaps_directions(path: Way) -> None:
     forth, back = events(path), events(path[::-1])
 
     def counted(found: Sequence[Event], swap: dict[str, str]) -> Counter[tuple[str, str, str]]:
@@ -108,7 +123,7 @@ def test_a_film_backwards_swaps_directions(path: Path) -> None:
 
 
 @given(ways(), st.sampled_from([0.25, 0.5, 2.0, 8.0]))
-def test_the_scale_changes_nothing_else(path: Path, scale: float) -> None:
+def test_the_scale_changes_nothing_else(path: Way, scale: float) -> None:
     one, other = events(path), events(path, scale=scale)
     assert kinds(one) == kinds(other)
     for small, large in zip(one, other, strict=True):
@@ -227,3 +242,101 @@ def test_memory_does_not_grow_with_those_who_are_gone() -> None:
     for number in range(1, 2000):
         watch.take_in(number / 5, number, [Sighting(number, 150.0, 120.0, HEIGHT, True)])
         assert len(watch._tracks) <= 17
+
+
+N_FRAMES = 120
+ZONES = Zones(
+    (Zone('a "door", left', np.array([[100.0, 0], [200, 0], [200, 240], [100, 240]]), (320, 240)),), ()
+)
+
+
+def boxes(number: int) -> list[TrackedBox]:
+    """One walks through, one stands, one is there now and then; none in every fifth frame."""
+    if number % 5 == 0:
+        return []
+    walks = TrackedBox(1, (50 + 1.237 * number, 100.111, 20.555, 40.333))
+    stands = TrackedBox(7, (149.999, 60.001, 20.005, 41.005), seen=number % 3 > 0)
+    now_and_then = TrackedBox(3, (100.004 + number % 7, 90, 10, 33.333))
+    return [walks, stands, now_and_then][: 2 + (number // 10) % 2]
+
+
+def write(folder: Path, first: int, last: int, every: int = 10) -> None:
+    """Frames first to last of a run that has got as far as first - 1."""
+    after = first - 1
+    table = TrackTableWriter(folder / "tracks.csv", after)
+    with table, EventWriter(folder / "events.csv", ZONES, folder / "tracks.csv", after) as writer:
+        for number in range(first, last + 1):
+            found, time = boxes(number), (number - 1) / 12.5 + 1e-7
+            table.write(number, time, found)
+            writer.write(number, time, found)
+            if number % every == 0:
+                table.checkpoint()
+                writer.checkpoint()
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    folder = tmp_path / "whole"
+    folder.mkdir()
+    write(folder, 1, N_FRAMES)
+    return folder
+
+
+@pytest.mark.parametrize(("stop", "go_on"), [(1, 2), (50, 51), (57, 51), (N_FRAMES, N_FRAMES + 1)])
+def test_a_run_that_goes_on_writes_the_same(stop: int, go_on: int, whole: Path, tmp_path: Path) -> None:
+    """It ended in frame `stop`, completely, or was killed after the state of frame `go_on - 1` was saved."""
+    write(tmp_path, 1, stop)
+    write(tmp_path, go_on, N_FRAMES)
+    assert (tmp_path / "events.csv").read_bytes() == (whole / "events.csv").read_bytes()
+
+
+def test_the_table_of_tracks_gives_the_same(whole: Path) -> None:
+    watch, found = Watch(ZONES), list[Event]()
+    for time, number, sightings in sightings_of(read_tracks_table(whole)):
+        found += watch.take_in(time, number, sightings)
+    found += watch.end(N_FRAMES)
+    lines = (whole / "events.csv").read_text().splitlines()
+    assert lines == [",".join(COLUMNS), *map(line_of, found)]
+    assert {event.kind for event in found} >= {Kind.ENTERED, Kind.APPEARED, Kind.STANDS, Kind.STOOD}
+
+
+def test_who_reads_along_sees_what_has_happened(tmp_path: Path) -> None:
+    path = tmp_path / "events.csv"
+    with EventWriter(path, ZONES, tmp_path / "tracks.csv") as writer:
+        assert read_events(path) == []
+        writer.write(1, 0.0, boxes(1))
+        (appeared,) = read_events(path)
+        assert appeared == Event(Moment(0.0, 1, 160.0, 101.01), Kind.APPEARED, ZONES.zones[0].name, 7)
+    assert [event.kind for event in read_events(path)] == [Kind.APPEARED, Kind.REMAINED]
+
+
+def test_read_back(whole: Path) -> None:
+    found = read_events(whole / "events.csv")
+    with (whole / "events.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["event"], row["zone"], int(row["id"])) for row in rows] == [
+        (each.kind, each.zone, each.identity) for each in found
+    ]
+    assert [line_of(event) for event in found] == (whole / "events.csv").read_text().splitlines()[1:]
+
+
+def test_another_file_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "events.csv"
+    path.write_text("a,b\n")
+    with pytest.raises(ValueError, match=r"events\.csv: got another header, expected time,frame,event"):
+        read_events(path)
+    path.write_text(",".join(COLUMNS) + "\n1.0,1,flew,a,1,1,1,,\n")
+    with pytest.raises(ValueError, match=r"events\.csv, line 2: got '1\.0,1,flew,a"):
+        read_events(path)
+
+
+def test_nobody_has_been_there_yet(tmp_path: Path) -> None:
+    """A run that is interrupted before its first track goes on; one without any has no events."""
+    for after in (0, 3):
+        table = TrackTableWriter(tmp_path / "tracks.csv", after)
+        with table, EventWriter(tmp_path / "events.csv", ZONES, tmp_path / "tracks.csv", after) as writer:
+            for number in range(after + 1, after + 4):
+                table.write(number, number / 25, [])
+                writer.write(number, number / 25, [])
+    assert list(sightings_of(read_tracks_table(tmp_path))) == []
+    assert read_events(tmp_path / "events.csv") == []

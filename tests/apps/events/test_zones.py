@@ -1,11 +1,14 @@
 """Distances from borders, against OpenCV's; no border at the picture's edge."""
 
+import json
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.events import Line, Zone
+from rsmcm.apps.events import Line, Zone, read_zones
 
 SIZE = (320, 240)
 STAR = np.array(
@@ -62,3 +65,129 @@ def test_a_line_that_reaches_the_edge_goes_on_beyond() -> None:
     across = Line("line", (0.0, 120.0), (320.0, 120.0), size=SIZE)
     assert across.is_beside((-9.0, 120.0))
     assert across.is_beside((330.0, 120.0))
+
+
+GOOD = """
+units = "relative"
+still_after = 3
+patience = 1.5
+
+[[zone]]
+name = "door, left"
+polygon = [[0, 0], [0.5, 0], [0.5, 0.5], [0, 0]]
+
+[[line]]
+name = "gate"
+from = [0.25, 1]
+to = [0.25, 0.5]
+left_to_right = "in"
+right_to_left = "out"
+
+[[line]]
+name = "road"
+from = [0, 0.1]
+to = [1, 0.1]
+"""
+
+
+def written(folder: Path, text: str, name: str = "zones.toml") -> Path:
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def test_all_that_a_file_may_say(tmp_path: Path) -> None:
+    zones = read_zones(written(tmp_path, GOOD), SIZE)
+    (door,) = zones.zones
+    gate, road = zones.lines
+    assert door.name == "door, left"
+    assert door.polygon.tolist() == [[0, 0], [160, 0], [160, 120]], "in px, and not closed"
+    assert (gate.start, gate.end, gate.left_to_right, gate.right_to_left) == (
+        (80, 240),
+        (80, 120),
+        "in",
+        "out",
+    )
+    assert (road.left_to_right, road.right_to_left) == ("left to right", "right to left")
+    assert (zones.still_after, zones.patience) == (3.0, 1.5)
+
+
+def test_labelme(tmp_path: Path) -> None:
+    """Places are those of a picture twice as large; what is neither polygon nor line is left out."""
+    content = {
+        "imageWidth": 640,
+        "imageHeight": 480,
+        "shapes": [
+            {"label": "a", "shape_type": "polygon", "points": [[0, 0], [64, 0], [64, 48]]},
+            {"label": "b", "shape_type": "line", "points": [[0, 480], [640, 0]]},
+            {"label": "c", "shape_type": "circle", "points": [[1, 1], [2, 2]]},
+        ],
+    }
+    zones = read_zones(written(tmp_path, json.dumps(content), "frame.json"), SIZE)
+    np.testing.assert_allclose(zones.zones[0].polygon, [[0, 0], [32, 0], [32, 24]])
+    assert (zones.lines[0].start, zones.lines[0].end) == ((0, 240), (320, 0))
+    with pytest.raises(ValueError, match=r"frame\.json: got something else, expected LabelMe's JSON"):
+        read_zones(written(tmp_path, '{"shapes": []}', "frame.json"), SIZE)
+
+
+def zone(*corners: tuple[float, float], name: str = "a") -> str:
+    return f'[[zone]]\nname = "{name}"\npolygon = {[list(corner) for corner in corners]}\n'
+
+
+def line(start: str, end: str, more: str = "") -> str:
+    return f'[[line]]\nname = "a"\nfrom = {start}\nto = {end}\n{more}\n'
+
+
+TRIANGLE = zone((1, 1), (9, 1), (9, 9))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "got neither [[zone]] nor [[line]], expected one at least"),
+        ("[[zoone]]", "unknown key 'zoone', expected zone, line, units, still_after, patience, did you"),
+        ("zone = 3", "zone: got 3, expected [[zone]]"),
+        ("zone = [3]", "zone 1: got 3, expected [[zone]]"),
+        ('units = "cm"\n' + TRIANGLE, "units: got 'cm', expected px or relative"),
+        ("still_after = 0\n" + TRIANGLE, "still_after: got 0, expected seconds, more than 0"),
+        ("patience = true\n" + TRIANGLE, "patience: got True, expected seconds, more than 0"),
+        ("[[zone]]\npolygon = []", "zone 1: name: got '', expected a text on one line"),
+        (f'[[zone]]\nname = "{201 * "a"}"', "of 200 letters at most"),
+        ("[[zone]]\nname = 3", "zone 1: name: got 3, expected a text on one line"),
+        ('[[zone]]\nname = "a\\nb"', "zone 1: name: got 'a\\nb', expected a text on one line"),
+        ('[[zone]]\nname = "a"\npoligon = []', "zone 1: unknown key 'poligon', expected name, polygon"),
+        ('[[zone]]\nname = "a"', "zone 1 (a): polygon: got 0 corners, expected 3 to 1000"),
+        ('[[zone]]\nname = "a"\npolygon = 3', "(a): polygon: got 3, expected a list of corners [x, y]"),
+        (zone((1, 1), (2, 2)), "zone 1 (a): polygon: got 2 corners, expected 3 to 1000"),
+        (zone((1, 1), (2, 2), (1, 1)), "zone 1 (a): polygon: got 2 corners, expected 3 to 1000"),
+        ('[[zone]]\nname = "a"\npolygon = [[1, 2, 3]]', "corner 1: got [1, 2, 3], expected two numbers"),
+        ('[[zone]]\nname = "a"\npolygon = [[1, nan]]', "corner 1: got [1, nan], expected two numbers [x, y]"),
+        (zone((1, 1), (321, 2)), "got [321, 2], expected a place in the picture, from 0, 0 to 320, 240"),
+        ('units = "relative"\n' + zone((0, 0), (1, 2)), "a place in the picture, from 0, 0 to 1, 1"),
+        (zone((1, 1), (9, 9), (9, 1), (1, 9)), "polygon: got edges that cross, 1 and 3, expected a border"),
+        (zone((1, 1), (9, 1), (5, 5), (5, 1), (3, 9)), "polygon: got edges that cross, 1 and 3,"),
+        (zone((1, 1), (1, 1), (9, 1), (5, 5)), "polygon: got corner 1 twice, expected corners that differ"),
+        (zone((1, 1), (5, 5), (9, 9)), "polygon: got corners on one straight line, expected an area"),
+        (TRIANGLE + TRIANGLE, "zone 2: name: got 'a' again, expected one that no other has"),
+        (TRIANGLE + line("[1, 1]", "[2, 2]"), "line 1: name: got 'a' again, expected one that no other has"),
+        ('[[line]]\nname = "a"\nfrom = [1, 1]', "line 1 (a): got no 'to', expected a point [x, y]"),
+        (line("[1, 1]", "[1, 1]"), "line 1 (a): got one place as both ends, expected a line with a length"),
+        (line("[1, 1]", '"b"'), "line 1 (a): to: got 'b', expected two numbers [x, y]"),
+        (line("[1, 1]", "[2, 2]", 'left_to_right = "right to left"'), "got 'right to left' for both"),
+        ("[[zone", "not a TOML file"),
+    ],
+)  # fmt: skip
+def test_whatever_is_wrong_is_one_line(text: str, message: str, tmp_path: Path) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(ValueError, match=r"^--zones: ") as error:
+        read_zones(path, SIZE)
+    assert str(error.value).startswith(f"--zones: {path}: ")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_polygon_may_be_concave_and_have_many_corners(tmp_path: Path) -> None:
+    angles = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
+    radius = 60 + 40 * (-1) ** np.arange(1000)
+    corners = np.stack([160 + radius * np.cos(angles), 120 + radius * np.sin(angles)], axis=1)
+    zones = read_zones(written(tmp_path, zone(*map(tuple, corners.tolist()))), SIZE)
+    assert len(zones.zones[0].polygon) == 1000

@@ -4,9 +4,14 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from pycocotools import mask as coco
 from pycocotools.coco import COCO
 from rsmcm.apps.exports import FinishedRun, read_tracks_table, to_coco
-from rsmcm.apps.exports.object_masks import object_masks
+from rsmcm.apps.exports.coco import compressed, object_masks
 from rsmcm.apps.io import read_detections
 
 from ...conftest import Command
@@ -51,3 +56,30 @@ def test_it_can_be_given_back_as_detections(background: Path, tmp_path: Path) ->
     np.testing.assert_array_equal(detections.frame, table["frame"])
     np.testing.assert_array_equal(detections.xyxy[:, 0], table["x"])
     np.testing.assert_array_equal(detections.confidence, table["confidence"])
+
+
+@given(arrays(bool, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=20)))
+def test_run_lengths_are_those_of_coco(mask: np.ndarray) -> None:
+    expected = coco.encode(np.asfortranarray(mask.astype(np.uint8)))["counts"].decode()
+    assert compressed(mask) == expected
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.5, 1.0])
+def test_long_runs_too(share: float) -> None:
+    mask = np.random.default_rng(0).random((700, 900)) < share
+    expected = coco.encode(np.asfortranarray(mask.astype(np.uint8)))["counts"].decode()
+    assert compressed(mask) == expected
+
+
+edge = st.floats(-30, 60)
+
+
+@given(st.lists(st.tuples(edge, edge, st.floats(0, 40), st.floats(0, 40)), max_size=3))
+def test_a_pixel_is_in_a_box_if_its_middle_is(boxes: list[tuple[float, ...]]) -> None:
+    foreground = np.where(np.random.default_rng(1).random((18, 24)) < 0.6, 255, 0).astype(np.uint8)
+    masks = object_masks(foreground, np.reshape(boxes, (-1, 4)))
+    assert masks.shape == (len(boxes), 18, 24)
+    rows, columns = np.indices(foreground.shape) + 0.5
+    for mask, (x, y, width, height) in zip(masks, boxes, strict=True):
+        inside = (x <= columns) & (columns < x + width) & (y <= rows) & (rows < y + height)
+        np.testing.assert_array_equal(mask, inside & (foreground > 0))

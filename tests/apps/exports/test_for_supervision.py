@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import supervision
 from rsmcm.apps.exports import FinishedRun, to_key_points, to_supervision
-from rsmcm.apps.exports.object_masks import object_masks
+from rsmcm.apps.exports.coco import object_masks
 from rsmcm.apps.io.mot import TrackedBox
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.chains import AdaptiveBackground, BlobTracker

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rsmcm.apps.face import application, report
 from rsmcm.apps.face.report import FaceRecord, angles
 from rsmcm.apps.face.start import find_face, start_from_box, start_from_landmarks
-from rsmcm.apps.io.sources import blank_frames
+from rsmcm.apps.io import film as films
 from rsmcm.apps.reports import time_plots
 from rsmcm.apps.scenes import face
 from rsmcm.inference.face.recovery.finder import WIDTH_OF_FACE
@@ -702,7 +702,7 @@ def test_control_c(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """The run ends after the current frame, with complete results if there are any."""
-    is_blank = blank_frames.is_blank
+    is_blank = films.is_blank
     seen: list[int] = []
 
     def interrupting(image: NDArray[np.uint8]) -> bool:
@@ -711,7 +711,7 @@ def test_control_c(
             signal.raise_signal(signal.SIGINT)
         return is_blank(image) or n_frames == 0
 
-    monkeypatch.setattr(blank_frames, "is_blank", interrupting)
+    monkeypatch.setattr(films, "is_blank", interrupting)
     out = tmp_path / "out"
     assert run(film, "--landmarks", truth, "--out", out, *FEW) == 130
     line = "" if n_frames else "rsmcm: interrupted before there was any result\n"

@@ -17,7 +17,7 @@ from rsmcm.apps.io.ground_truth import (
     common_frames,
     read_ground_truth,
 )
-from rsmcm.models.files.limits import MOST_TEXT
+from rsmcm.models.files import MOST_TEXT
 
 MOT15 = "2,7,11,21,30,80,1,3,4,0\n1,9,499.2,157.69,31.03,75.17,1,-1,-1,-1\n1,4,5,6,7,8,0,-1,-1,-1\n"
 MOT16 = (

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from rsmcm.apps.io.sources.focal_length import DETAILS, focal_of_picture
+from rsmcm.apps.io.sources.images import DETAILS, focal_of_picture
 from rsmcm.apps.structure.camera import lens_of
 from rsmcm.models.core.frame import Frame, GivenPoints
 from scipy.spatial.transform import Rotation

@@ -14,8 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
-from rsmcm.apps.io.sources.image_reader import SCALED
-from rsmcm.apps.io.sources.images import IMAGE_SUFFIXES, read_grey, read_image, to_8_bits
+from rsmcm.apps.io.sources.images import IMAGE_SUFFIXES, SCALED, read_grey, read_image, to_8_bits
 from rsmcm.apps.io.sources.open_source import open_source
 
 from ....conftest import Command, with_peak

@@ -11,7 +11,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .limits import MOST_NUMBERS
+from .files import MOST_NUMBERS
 
 SINGLE = ""
 """The name of the one array of an `.npy` file."""

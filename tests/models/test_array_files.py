@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays_of
-from rsmcm.models.files.array_files import SINGLE, Arrays, read_arrays
-from rsmcm.models.files.limits import MOST_NUMBERS
+from rsmcm.models.array_files import SINGLE, Arrays, read_arrays
+from rsmcm.models.files import MOST_NUMBERS
 
 EXPECTED = "expected numbers"
 

@@ -1,10 +1,25 @@
-"""Files that are written whole or not at all."""
+"""Files: how much they may hold, reading text from anybody, and writing that is whole or not at all."""
 
 import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+MOST_PIXELS = 1 << 27
+"""Of one picture: 134 million, over four times those of 8K video, and 400 MB as colour."""
+
+MOST_NUMBERS = 1 << 25
+"""Of one file of arrays: 34 million, such as 10,000 frames of 1,600 points, and 270 MB as float64."""
+
+MOST_TEXT = 1 << 25
+"""Bytes of one text file: 900,000 boxes of ground truth, or a mesh of 400,000 vertices."""
+
+MOST_SETTINGS = 1 << 20
+"""Bytes of one file that people write by hand: parameters, correspondences, joints."""
+
+LAST_FRAME = 10**9
+"""The highest number of a frame: a camera reaches it after a year."""
 
 UNFINISHED = ".unfinished-"
 """How the name of a file begins while it is written."""
@@ -71,3 +86,31 @@ def write_text(path: Path, text: str) -> None:
     """
     with write_atomically(path) as unfinished:
         unfinished.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+
+
+def read_text(path: Path, expected: str, most: int = MOST_TEXT) -> str:
+    """Read a text file; bytes that are not UTF-8 become replacement characters, a byte order mark goes.
+
+    Parameters
+    ----------
+    path
+        of the file.
+    expected
+        what the file should hold, for messages: "expected ...".
+    most
+        bytes that it may hold.
+
+    Raises
+    ------
+    ValueError
+        naming the file, if it is longer, or binary.
+    OSError
+        if the file cannot be read.
+    """
+    with path.open("rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise ValueError(f"{path}: got more than {most} bytes, {expected}")
+    if b"\0" in content:
+        raise ValueError(f"{path}: got binary data, {expected}")
+    return content.decode("utf-8-sig", "replace")

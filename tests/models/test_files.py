@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 
 import pytest
-from rsmcm.models.files.atomic_files import write_atomically, write_text
+from rsmcm.models.files import write_atomically, write_text
 
-from ...support.film import names
+from ..support.film import names
 
 
 def test_file_is_whole_or_as_before(tmp_path: Path) -> None:
