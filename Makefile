@@ -8,25 +8,27 @@ MODULES := $(sort $(shell find $(PACKAGES) -type f -not -path '*/__pycache__/*')
 # Shows all that pyenv has, where there is one.
 NOX := PYENV_VERSION=$$(pyenv versions --bare 2>/dev/null | paste -sd :) $(BIN)/nox
 
-.PHONY: help demo docs docs-links test test-all test-versions test-newest check constraints bench reproduce results fuzz dist clean
+.PHONY: help demo docs docs-links test test-all test-versions test-newest test-processors test-oldest-processor check constraints bench reproduce results fuzz dist clean
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make demo           track the people in a built-in scene"
-	@echo "make docs           the documentation, in docs/_build/html: every warning is an error"
-	@echo "make docs-links     whether the addresses in it are there, which needs a network"
-	@echo "make test           quick tests"
-	@echo "make test-all       quick tests and long experiments"
-	@echo "make test-versions  quick tests with the lowest, the tested and the newest versions of all packages"
-	@echo "make test-newest    the demo and some of the tests with the newest versions, on Python 3.13"
-	@echo "make check          lint, format, types"
-	@echo "make constraints    choose the newest versions to be the tested ones"
-	@echo "make bench          speed beside peers, and cost as curves: ten minutes on a quiet machine"
-	@echo "make reproduce      all experiments: hours"
-	@echo "make results        docs/results.md, pictures, and figures of README and docs/scale.md, from what was recorded"
-	@echo "make fuzz           damaged inputs for every reader: 100,000 in about ten minutes"
-	@echo "make dist           source distribution and wheel of what is committed, in dist/"
-	@echo "make clean          remove everything that make made, .venv too"
+	@echo "make demo                   track the people in a built-in scene"
+	@echo "make docs                   the documentation, in docs/_build/html: every warning is an error"
+	@echo "make docs-links             whether the addresses in it are there, which needs a network"
+	@echo "make test                   quick tests"
+	@echo "make test-all               quick tests and long experiments"
+	@echo "make test-versions          quick tests with the lowest, the tested and the newest versions of all packages"
+	@echo "make test-newest            the demo and some of the tests with the newest versions, on Python 3.13"
+	@echo "make test-processors        numerical tests as four other processors round"
+	@echo "make test-oldest-processor  the same as the oldest of them, which differs most"
+	@echo "make check                  lint, format, types"
+	@echo "make constraints            choose the newest versions to be the tested ones"
+	@echo "make bench                  speed beside peers, and cost as curves: ten minutes on a quiet machine"
+	@echo "make reproduce              all experiments: hours"
+	@echo "make results                docs/results.md, pictures, and figures of README and docs/scale.md, from what was recorded"
+	@echo "make fuzz                   damaged inputs for every reader: 100,000 in about ten minutes"
+	@echo "make dist                   source distribution and wheel of what is committed, in dist/"
+	@echo "make clean                  remove everything that make made, .venv too"
 
 demo: $(INSTALLED)
 	$(BIN)/rsmcm demo
@@ -48,6 +50,12 @@ test-versions: $(INSTALLED)
 
 test-newest: $(INSTALLED)
 	$(NOX) --session newest_first_met
+
+test-processors: $(INSTALLED)
+	$(NOX) --session processor
+
+test-oldest-processor: $(INSTALLED)
+	$(NOX) --session "processor(nehalem)"
 
 check: $(INSTALLED)
 	$(BIN)/ruff check .
