@@ -13,7 +13,7 @@ from typing import Annotated, Literal, TypeVar
 
 from cyclopts import App, CycloptsError, Group, Parameter, Token
 
-from .background.job import BackgroundJob
+from .background.job import BackgroundJob, Camera
 from .batch.commands import batch
 from .body.job import BodyJob
 from .experiments.reproduce import EXPERIMENTS, LONG, PARALLEL, run_experiment, usual_folder
@@ -56,16 +56,9 @@ def background(job: Fields[BackgroundJob]) -> int:
     Writes foreground masks, tracks.txt (MOT format), tracks.csv, background.png, overlay.mp4,
     summary.json, report.html and view.html. Ctrl-C ends the run with complete results of what was processed.
     """
-    from .background import application
+    from .background.application import run_background
 
-    outcome = _reported(job, application.run_background(job))
-    if job.compare and outcome.signal is None and outcome.lost is None:
-        from .background.compare import run_compare
-
-        outcome, lines = run_compare(job)
-        if lines:
-            print(f"comparison: {job.out / 'compare.html'}")
-    return _ended(outcome)
+    return _ended(_reported(job, run_background(job)))
 
 
 @app.command
@@ -237,6 +230,65 @@ def _experiment(name: str) -> Callable[..., None]:
             run_experiment(name, out, *([long] if name in LONG else []))
 
     return reproduced
+
+
+@reproduce.command
+def compare(
+    source: str,
+    *,
+    out: Figures = Path("results/compare"),
+    ground_truth: Path | None = None,
+    detections: Path | None = None,
+    classes: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+    camera: Camera = "fixed",
+    roi: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    start: int = 1,
+    stop: int | None = None,
+    step: int = 1,
+    config: Path | None = None,
+    chain: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+) -> int:
+    """Compare methods on a film: background alone, feed-forward, RSMCM, and OpenCV's MOG2 and KNN.
+
+    Writes compare.html, compare.csv, compare.json and pictures; with --ground-truth errors and scores as
+    well. The options are those of rsmcm background.
+
+    Parameters
+    ----------
+    source
+        A video file, or a folder or glob of images.
+    ground_truth
+        A MOT gt.txt, a folder that holds one, or CVAT's zip of MOT 1.1; or a CDnet folder with groundtruth/.
+    detections
+        What a detector has found in the film, for the chains.
+    classes
+        Names of classes of detections to take, with commas; all if not given.
+    camera
+        Fixed, or moving, as the chains take it.
+    roi
+        Region of interest: x,y,width,height in px from 0, or a picture that is not black inside.
+    start
+        First frame, counted from 1.
+    stop
+        Last frame, included; the end of the source if not given.
+    step
+        Take every n-th frame.
+    config
+        TOML file with options under their names, and with parameters of the chains.
+    chain
+        Connect a chain of another package as well, by the name under which it is announced.
+    """
+    from .experiments.compare import run_compare
+
+    outcome, lines = run_compare(
+        BackgroundJob(
+            source, out=out, ground_truth=ground_truth, detections=detections, classes=classes, camera=camera,
+            roi=roi, start=start, stop=stop, step=step, config=config, chain=chain,
+        )
+    )  # fmt: skip
+    if lines:
+        print(f"comparison: {out / 'compare.html'}")
+    return _ended(outcome)
 
 
 app.command(reproduce)

@@ -54,9 +54,6 @@ from .whole_film import read_whole, warmed_up
 
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 
-COMPARISON = ("compare.json", "compare.csv", "compare-pictures.png", "compare-errors.png", "compare.html")
-"""Files that a comparison writes beside the results."""
-
 CHANNELS = 3
 """Bytes of a pixel in a picture that is held."""
 
@@ -201,14 +198,13 @@ class BackgroundRun(FilmRun[BackgroundJob]):
 
     @property
     def files(self) -> list[str]:
-        """Masks as the job wants them, tracks, the empty scene, and what a comparison will add."""
+        """Masks as the job wants them, tracks, and the empty scene."""
         masks = {
             "none": [],
             "png": ["foreground/bin[0-9]*.png"],
             "video": ["foreground.mkv", segment_pattern("foreground.mkv")],
         }
-        more = [*COMPARISON] if self.job.compare else []
-        more += [FILE] if self.predicts else []
+        more = [FILE] if self.predicts else []
         more += [EVENTS] if self.job.zones else []
         return ["tracks.txt", TABLE, "background.png", *masks[self.job.masks], *more]
 
@@ -407,7 +403,6 @@ class BackgroundRun(FilmRun[BackgroundJob]):
                 self.title,
                 summary["detections"],
                 self._happened,
-                COMPARISON[-1:] if job.compare else (),
             )
 
     def drawn(self, belief: Belief, found: Found) -> Callable[[], Row]:

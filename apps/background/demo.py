@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from ...models.body.upper_body import JOINTS
 from ...models.files import write_atomically, write_text
 from ..body.joint_files import COLUMNS
+from ..evaluation.text_tables import in_columns
+from ..experiments.compare import run_compare
 from ..io.files import write_image
-from ..reports.expectations import in_columns
 from ..runs.interruption import Outcome
 from ..runs.progress import Progress
 from ..scenes import FaceScene, Scene, SignerScene, cylinder, face, signer, sleeping_man
 from ..view.page import VIEW
 from .application import run_background
-from .compare import run_compare
 from .job import BackgroundJob
 
 N_FRAMES = 400
@@ -63,7 +63,7 @@ def run_demo(out: Path) -> Outcome:
     write_cylinder(out / "cylinder.npz")
     write_face(face(FACE_FRAMES, light=0.5), out / "face")
     write_body(signer(BODY_FRAMES, SIGNER, detector_dropout=0.05, clutter=0.5), out / "body")
-    job = BackgroundJob(str(scene / "input"), out=out, overwrite=True, ground_truth=scene, compare=True)
+    job = BackgroundJob(str(scene / "input"), out=out, overwrite=True, ground_truth=scene)
     outcome = run_background(job)
     if outcome.signal is None:
         outcome, lines = run_compare(job)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from ..options.job import FilmJob, Flag, resolved
+from ..options.job import FilmJob, resolved
 
 Camera = Literal["fixed", "moving"]
 Engine = Literal["recursive-bp", "feed-forward", "stand-alone", "coordinate-ascent"]
@@ -57,8 +57,6 @@ class BackgroundJob(FilmJob):
     zones
         Zones and lines of the picture, TOML: who enters, leaves, crosses, stays or stands still is written
         to events.csv.
-    compare
-        Also run the background by itself, feed-forward, MOG2 and KNN on the source, and draw the comparison.
     """
 
     engine: Engine = "recursive-bp"
@@ -70,7 +68,6 @@ class BackgroundJob(FilmJob):
     detections: Path | None = None
     classes: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
     zones: Path | None = None
-    compare: Flag = False
     chain: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
 
     def __post_init__(self) -> None:
@@ -103,11 +100,6 @@ class BackgroundJob(FilmJob):
             if self.learned is not None:
                 raise ValueError(
                     f"{option} and --from: got both, expected one of them (--from knows the empty scene)"
-                )
-            if self.compare:
-                raise ValueError(
-                    f"{option} and --compare: got both, expected one of them (all methods of a comparison "
-                    "begin with the first frame)"
                 )
 
     @property

@@ -102,12 +102,6 @@ def _run(application: str, job: Any) -> Told:
             if time.monotonic() - began > LOCKED:
                 raise
             time.sleep(0.2)
-    if getattr(job, "compare", False) and outcome.signal is None and outcome.lost is None:
-        from ..background.compare import run_compare
-
-        compared, _ = run_compare(job)
-        if compared.signal is not None:
-            outcome = compared
     if outcome.signal is not None:
         end_working()
         return _told("interrupted", job, outcome.summary)
@@ -139,7 +133,7 @@ def summary_if_complete(application: str, job: Job) -> dict[str, Any] | None:
     settings = getattr(module, f"{application.capitalize()}Run")(job).settings
     about = about_of(checkpoint.read(path), application, settings)
     summary: dict[str, Any] | None = about["finished"]
-    if summary is None or (getattr(job, "compare", False) and not (job.out / "compare.html").exists()):
+    if summary is None:
         return None
     if "://" not in job.source and not about.get("live", False):
         check_source(about, fingerprint(job.source))

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ...inference.validity.estimate import FEWEST_GROUPS, Comparison, Interval, compare
 from ...inference.validity.scores import ScoreComparison, compare_scores
 from ...models.core.mahalanobis import squared_distances
-from ..reports.expectations import in_columns
 from .predictions import FILE, PairRecord, ScoreRecord, read_predictions
+from .text_tables import in_columns
 
 WRITTEN_BY = "rsmcm structure, or background"
 STRETCHES = 40

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ...models.core.frame import Frame
 from ..background.application import build_model
 from ..background.job import WHOLE_FILM, BackgroundJob, Engine
-from ..background.methods import CHAINS, Model
 from ..background.whole_film import read_whole
 from ..evaluation.masks import ratio
 from ..evaluation.tracks import TrackScores, evaluate_tracks
@@ -25,9 +24,10 @@ from ..io.detections.read import read_detections
 from ..io.detections.table import Detections
 from ..io.ground_truth import BoxTruth, read_ground_truth
 from ..io.sources.open_source import open_source
-from ..reports.expectations import Expectation
 from ..runs.interruption import Interruption
 from ..runs.parallel import in_parallel
+from .compare import CHAINS, Model
+from .expectations import Expectation
 from .trials.baselines import CleanUp, KalmanHungarian, Setting, component_boxes
 
 Tracks = NDArray[np.float64]

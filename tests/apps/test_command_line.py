@@ -290,7 +290,7 @@ def test_a_truncated_video(tmp_path: Path, capfd: pytest.CaptureFixture[str]) ->
         ("mask = 'none'", "settings.toml: unknown key 'mask', did you mean masks?"),
         ("masks = 'gif'", "settings.toml: masks: got 'gif', expected none, png or video"),
         ("start = 1.5", "settings.toml: start: got '1.5', expected a whole number"),
-        ("compare = 'perhaps'", "settings.toml: compare: got 'perhaps', expected true or false"),
+        ("resume = 'perhaps'", "settings.toml: resume: got 'perhaps', expected true or false"),
         ("stop = [1, 2]", "settings.toml: stop: got '[1, 2]', expected a whole number"),
         ("[sky]\ncolour = 1", "unknown key 'sky', expected sections background, blobs"),
         ("[background]\nprioor = 0.5", "[background]: unknown key 'prioor', expected model, prior, noise"),
@@ -462,13 +462,13 @@ def test_control_c(scene: Path, tmp_path: Path) -> None:
 
 def test_comparison(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for truth in ([], ["--ground-truth", str(scene)]):
-        arguments = ["background", str(scene / "input"), "--out", str(tmp_path), "--overwrite", "--compare"]
+        arguments = ["reproduce", "compare", str(scene / "input"), "--out", str(tmp_path)]
         with pytest.raises(SystemExit) as ended:
             main([*arguments, *truth])
         assert ended.value.code == 0
         for name in ("compare.html", "compare.csv", "compare.json", "compare-pictures.png"):
             assert (tmp_path / name).stat().st_size > 0
-        assert (tmp_path / "compare-errors.png").exists() == bool(truth)
+        assert ("compare-errors.png" in (tmp_path / "compare.html").read_text()) == bool(truth)
         lines = (tmp_path / "compare.csv").read_text().splitlines()
         assert len(lines) == 9
         assert ("ghosts" in lines[0]) == bool(truth)

@@ -11,7 +11,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from rsmcm.apps.reports.expectations import in_columns
+from rsmcm.apps.evaluation.text_tables import in_columns
 from tqdm import tqdm
 
 from .readers import READERS, SLOW

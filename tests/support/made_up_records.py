@@ -1,6 +1,6 @@
 """Where, when and from what a record that is made up was measured."""
 
-from rsmcm.apps.reports.record import Provenance
+from rsmcm.apps.experiments.record import Provenance
 
 MADE = Provenance(
     date="2026-11-22T10:00:00+00:00",

@@ -4,16 +4,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.reports.expectations import Expectation
-from rsmcm.apps.reports.experiment import Experiment, Plot, run_and_publish
-from rsmcm.apps.reports.record import Table
+from rsmcm.apps.experiments.expectations import Expectation
+from rsmcm.apps.experiments.experiment import Experiment, Plot, run_and_publish
+from rsmcm.apps.experiments.record import Table
 
 from ..conftest import Command
 from ..support.browser import PHONE, Browser, landmarks, overflow
 from .test_same_bytes import background, body, face_of_a_film, shape, structure
 
 APPLICATIONS: dict[str, tuple[Callable[[Path], list[str]], list[str], set[str]]] = {
-    "background": (background, ["--compare"], {"report.html", "compare.html", "view.html"}),
+    "background": (background, [], {"report.html", "view.html"}),
     "structure": (structure, [], {"report.html", "view.html"}),
     "shape": (shape, [], {"report.html", "view.html"}),
     "face": (face_of_a_film, [], {"report.html", "view.html"}),
@@ -44,6 +44,12 @@ def test_pages_of_runs(browser: Browser, tmp_path: Path, name: str) -> None:
     assert {page.name for page in pages} >= wanted
     for page in pages:
         check(browser, page)
+
+
+def test_the_page_of_a_comparison(browser: Browser, tmp_path: Path) -> None:
+    film, *_ = background(tmp_path)
+    assert Command("reproduce")("compare", film, "--out", tmp_path / "out") == 0
+    check(browser, tmp_path / "out" / "compare.html")
 
 
 def test_the_page_of_an_experiment(browser: Browser, tmp_path: Path) -> None:

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.background.compare import COLUMNS, Gallery
-from rsmcm.apps.background.methods import Model, ModelSubtractor, Usual
 from rsmcm.apps.drawing.mosaic import mosaic
 from rsmcm.apps.evaluation.masks import PixelScore, joined
+from rsmcm.apps.evaluation.text_tables import in_columns
+from rsmcm.apps.experiments.compare import COLUMNS, Gallery, Model, ModelSubtractor, Usual
+from rsmcm.apps.experiments.expectations import Expectation
 from rsmcm.apps.experiments.reproduce import run_experiment
 from rsmcm.apps.experiments.reproduce import sleeping_man as experiment
 from rsmcm.apps.experiments.trials.baselines import SETTINGS, CleanUp, OpenCVSubtractor
-from rsmcm.apps.reports.expectations import Expectation, in_columns
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
 

@@ -31,8 +31,10 @@ def film(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 def test_background(film: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert Command("background")(film, "--out", out, "--compare") == 0
-    assert {"report.html", "compare.html", "overlay.mp4", "summary.json"} <= names(out)
+    assert Command("background")(film, "--out", out) == 0
+    assert {"report.html", "overlay.mp4", "summary.json"} <= names(out)
+    assert Command("reproduce")("compare", film, "--out", tmp_path / "compared") == 0
+    assert {"compare.html", "compare-pictures.png"} <= names(tmp_path / "compared")
     assert summary_of(out)["frames"] == 4
 
 

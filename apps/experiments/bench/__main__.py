@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...options.libraries import thread_limits
-from ...reports.expectations import Expectation
-from ...reports.record import ROOT, Record, Stopwatch
+from ..expectations import Expectation
 from ..measuring.regressions import joined, regressions
+from ..record import ROOT, Record, Stopwatch
 from .part import CURVES, FOLDER, LONG, PARTS, folder_of
 
 RECORD = FOLDER / "benchmarks.json"

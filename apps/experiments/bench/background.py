@@ -14,13 +14,13 @@ from ...background.application import build_model, found_in
 from ...background.parameters import build_chain
 from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source
-from ...reports.expectations import Expectation
-from ...reports.experiment import Experiment
-from ...reports.record import Table
 from ...runs.progress import Progress
 from ...scenes import sleeping_man
+from ..expectations import Expectation
+from ..experiment import Experiment
 from ..measuring.machine import moving
 from ..measuring.stages import n_bytes, of_chain, shares, stages
+from ..record import Table
 from .crowd_scene import crowd
 from .timing import ROUNDS, Spent, over_frames, over_rounds
 

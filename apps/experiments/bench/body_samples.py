@@ -21,7 +21,8 @@ from ....models.body.parts import BodyParts
 from ....models.body.upper_body import PARTS
 from ....models.core.frame import Frame
 from ....models.core.gaussian_mixtures import GaussianMixtures
-from ...reports.expectations import HEADER, Expectation, in_columns
+from ...evaluation.text_tables import in_columns
+from ..expectations import HEADER, Expectation
 from .timing import in_turns, over_rounds
 
 Numbers = NDArray[np.float64]

@@ -25,9 +25,10 @@ from ....models.body.upper_body import UpperBody
 from ....models.core.frame import Frame
 from ....models.face.detectors import HaarFaces
 from ....models.numerics.threads import set_threads, thread_count
+from ...evaluation.text_tables import in_columns
 from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source
-from ...reports.expectations import HEADER, Expectation, in_columns
+from ..expectations import HEADER, Expectation
 from ..trials.body import LAG, SignerFilm
 from .timing import over_frames, over_rounds
 

@@ -23,8 +23,9 @@ from ....models.face.image_pyramid import image_pyramid
 from ....models.face.pose import Poses
 from ....models.face.surface_texels import SurfaceTexels
 from ....models.numerics.threads import set_threads, thread_count
-from ...reports.expectations import HEADER, Expectation, in_columns
+from ...evaluation.text_tables import in_columns
 from ...scenes import FaceScene, face
+from ..expectations import HEADER, Expectation
 from .timing import Spent, in_turns, over_rounds
 
 RATE = 25.0  # frames a second, of the film

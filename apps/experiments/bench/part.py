@@ -7,9 +7,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ...reports.expectations import Expectation
-from ...reports.experiment import Experiment, run_and_publish
-from ...reports.record import Table
+from ..expectations import Expectation
+from ..experiment import Experiment, run_and_publish
+from ..record import Table
 
 FOLDER = Path("results") / "bench"
 LONG = "--long"

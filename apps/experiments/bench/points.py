@@ -18,7 +18,8 @@ from ....models.points.alignment import sample_patches
 from ....models.points.kernels.search import GRID, NEAR, REACH, WHOLE
 from ....models.points.point_tracks import PointTracks
 from ....models.points.search import Before, find_points
-from ...reports.expectations import HEADER, Expectation, in_columns
+from ...evaluation.text_tables import in_columns
+from ..expectations import HEADER, Expectation
 from .timing import in_turns, over_rounds
 
 Numbers = NDArray[np.float64]

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from ...reports.expectations import Expectation
+from ..expectations import Expectation
 from .whole_command import film_for
 
 COLD_ROUNDS, WARM_ROUNDS = 2, 5

@@ -19,9 +19,9 @@ from ....inference.factor_analysis.initialisation import mean_filled
 from ....inference.factor_analysis.observations import Observations
 from ....inference.factor_analysis.posterior import around_start
 from ...io.point_files import frames_of_tracks
-from ...reports.expectations import Expectation
 from ...scenes import cylinder
 from ...structure.reconstruction import engine_for
+from ..expectations import Expectation
 from .timing import Spent, in_turns, medians, over_rounds
 
 Numbers = NDArray[np.float64]
@@ -256,6 +256,7 @@ def _from_random(positions: Numbers, seed: int) -> float:
 
 
 if __name__ == "__main__":
-    from ...reports.expectations import HEADER, in_columns
+    from ...evaluation.text_tables import in_columns
+    from ..expectations import HEADER
 
     print(in_columns(HEADER, [expectation.cells for expectation in structure_expectations()]))

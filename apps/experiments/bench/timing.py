@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from ....models.core.frame import Frame
-from ...reports.expectations import Expectation
+from ..expectations import Expectation
 
 Judge = Callable[[dict[str, float]], Sequence[Expectation]]
 """What seconds a call of each method mean."""

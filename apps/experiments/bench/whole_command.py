@@ -12,12 +12,12 @@ from pathlib import Path
 
 from ....models import Frame
 from ....models.numerics.threads import set_threads
-from ...background.methods import Model
 from ...io.datasets import data_folder
 from ...io.segmented_video import PLAYABLE, SegmentedVideo
 from ...io.sources.open_source import open_source
-from ...reports.expectations import Expectation
 from ...scenes import sleeping_man
+from ..compare import Model
+from ..expectations import Expectation
 from .timing import in_turns, over_rounds
 
 SHORT, LONG = 50, 250

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ...reports.expectations import Expectation, rounded
-from ...reports.record import Provenance, Record, Table, joint_state
+from ...evaluation.text_tables import rounded
+from ..expectations import Expectation
+from ..record import Provenance, Record, Table, joint_state
 
 QUIET = 0.5
 """Cores that other processes may keep busy before speeds count as those of a loaded machine."""

@@ -54,7 +54,7 @@ def run_experiment(name: str, out: Path, *long: bool) -> None:
     OSError
         if data cannot be found or fetched, or the folder cannot be written to.
     """
-    from ...reports.experiment import run_and_publish
+    from ..experiment import run_and_publish
 
     module = name.replace("-", "_")
     reproduce = getattr(import_module(f".{module}", __name__), f"reproduce_{module}")

@@ -27,13 +27,11 @@ from ...body.measures import (
 )
 from ...body.overlay import BodyOverlay
 from ...drawing.mosaic import mosaic
-from ...io.files import write_image
-from ...reports import page
-from ...reports.expectations import Expectation, over_seeds
-from ...reports.experiment import Experiment, Plot
-from ...reports.record import Table
 from ...runs.parallel import in_parallel
 from ...scenes import signer
+from ..expectations import Expectation, over_seeds
+from ..experiment import Experiment, Picture, Plot
+from ..record import Table
 from ..trials.body import LAG, BodyTracker, System, on_one_scene
 
 Image = NDArray[np.uint8]
@@ -135,9 +133,8 @@ def reproduce_body(out: Path) -> Experiment:
     frames = {index: scene.frame(index) for index in SHOWN}
     reach = scene.body.upper_arm + scene.body.forearm
     sheet = draw_samples(frames, {name: found[name][0] for name in IN_FIGURE}, reach)
-    write_image(out / "fig-6.png", sheet)
     caption = f"Mean over {len(SEEDS)} scenes: over time, and over the time that is spent."
-    pictures = page.picture(sheet, "Fig. 6: 40 poses of the posterior, over the picture and from the side.")
+    poses = "Fig. 6: 40 poses of the posterior, over the picture and from the side."
     return Experiment(
         "Body",
         [
@@ -146,8 +143,10 @@ def reproduce_body(out: Path) -> Experiment:
             Table(SCENES, kinds, f"RSMCM, {LAG} frames later, on signers of other kinds."),
         ],
         expectations,
-        plots=[Plot("errors.png", lambda canvas: draw_errors(canvas, found), (12.0, 4.5), caption)],
-        sections=[("Poses", [pictures])],
+        pictures=[
+            Plot("errors.png", lambda canvas: draw_errors(canvas, found), (12.0, 4.5), caption),
+            Picture("fig-6.png", sheet, poses),
+        ],
         runs={name: {"samples": samples[name], **as_json(trials)} for name, trials in found.items()},
     )
 

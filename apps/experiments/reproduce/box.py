@@ -4,22 +4,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from markupsafe import Markup
 
+from ...drawing.mosaic import mosaic
 from ...io.datasets import data_folder
-from ...io.files import write_image
-from ...reports.expectations import Expectation
-from ...reports.experiment import Experiment
-from ...reports.record import Table
 from ...runs.progress import Progress
 from ...structure.application import Film, read_film
 from ...structure.files import point_colours, write_ply
 from ...structure.job import Association, StructureJob
 from ...structure.reconstruction import MOST_ROUNDS, Reconstruction, reconstruct
-from ...structure.report import shape_pictures, track_pictures
+from ...structure.surface_views import surface_views
 from ...structure.track_overlay import draw_points
+from ..expectations import Expectation
+from ..experiment import Experiment, Picture
+from ..record import Table
 
 SEQUENCES = ("cmu-hotel", "bobot")
+TURNS = (-40, 0, 40)
+"""Degrees by which the surface is turned to be shown."""
+
 METHODS: dict[str, Association] = {"stand-alone": "none", "dual-chain": "dual-chain"}
 
 
@@ -60,7 +62,7 @@ def reproduce_box(out: Path) -> Experiment:
     folders = {name: data_folder(name) for name in SEQUENCES}
     lines: list[list[object]] = []
     expectations: list[Expectation] = []
-    sections: list[tuple[str, list[Markup]]] = []
+    pictures: list[Picture] = []
     for name, folder in folders.items():
         film = read_film(StructureJob(str(folder), out=out))
         results = [_result(name, method, film) for method in METHODS]
@@ -80,20 +82,20 @@ def reproduce_box(out: Path) -> Experiment:
                 1.0,
             ),
         ]
-        parts = []
         for result in results:
-            colours = point_colours(film.frames, result.found)
-            start = f"{name}-{result.method}"
-            if result.found.geometry != "none":
-                write_ply(out / f"{start}.ply", result.found, colours)
-                parts.append(shape_pictures(film.frames, result.found, colours, f"{result.method}. "))
-            parts.append(track_pictures(film.frames, result.found))
+            start, found = f"{name}-{result.method}", result.found
+            if found.geometry != "none":
+                write_ply(out / f"{start}.ply", found, point_colours(film.frames, found))
+            views = surface_views(film.frames, found, TURNS) if found.geometry == "euclidean" else []
+            if views:
+                sheet = mosaic([(f"{name}, {result.method}", views)], [f"turned by {turn}" for turn in TURNS])
+                pictures.append(Picture(f"{start}-surface.png", sheet, f"{name}, {result.method}: surface"))
             middle = len(film.frames) // 2
             image = film.frames[middle].image
             if image is not None:
-                write_image(out / f"{start}.png", draw_points(image, result.found, middle))
-        sections.append((name, parts))
-    return Experiment("Turning objects", [Table(LINE, lines)], expectations, sections=sections)
+                seen = f"{name}, {result.method}: dots are seen, rings predicted"
+                pictures.append(Picture(f"{start}.png", draw_points(image, found, middle), seen))
+    return Experiment("Turning objects", [Table(LINE, lines)], expectations, pictures)
 
 
 def _result(sequence: str, method: str, film: Film) -> Result:

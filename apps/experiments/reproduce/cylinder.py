@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 from ....inference.factor_analysis.factorisation import factorise, predicted
 from ....models.points.affine_camera import affine_alignment
 from ...io.point_files import frames_of_tracks
-from ...reports import page
-from ...reports.expectations import Expectation, over_seeds
-from ...reports.experiment import Experiment, Plot
-from ...reports.record import Table
 from ...runs.parallel import in_parallel
 from ...scenes import Cylinder, cylinder
 from ...structure.job import Coherence
 from ...structure.metrics import REJECTED, StructureScores, score_structure
 from ...structure.reconstruction import reconstruct
+from ..expectations import Expectation, over_seeds
+from ..experiment import Experiment, Plot
+from ..record import Table
 
 Numbers = NDArray[np.float64]
 
@@ -170,7 +169,7 @@ def reproduce_cylinder(out: Path) -> Experiment:
         "Cylinder",
         [Table((*CHANCES, *METHODS), errors, "Reprojection error in radii: median (quartiles).")],
         over_seeds(expectations_of, everything),
-        plots=[
+        pictures=[
             Plot(
                 "fig-10.png",
                 lambda canvas: draw_panels(canvas, everything),
@@ -186,9 +185,7 @@ def reproduce_cylinder(out: Path) -> Experiment:
                 f"P(loose) = {FIG_9[0]}, P(drift) = {FIG_9[1]}",
             ),
         ],
-        sections=[
-            ("Everything", [page.table((*CHANCES, "method", *MEASURES.values()), every_measure)]),
-        ],
+        details=[Table((*CHANCES, "method", *MEASURES.values()), every_measure, "Everything.")],
     )
 
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...reports.expectations import Expectation, over_seeds
-from ...reports.experiment import Experiment, Plot
-from ...reports.record import Table
+from ..expectations import Expectation, over_seeds
+from ..experiment import Experiment, Plot
+from ..record import Table
 from ..trials.face import Measured, Tracker, as_json, measure, median, n_lost, quartiles
 
 SEEDS = range(10)
@@ -95,7 +95,7 @@ def reproduce_experts(out: Path) -> Experiment:
         "Experts",
         [Table(LINE, lines, "Medians and quartiles over the sequences.")],
         expectations,
-        plots=[Plot("fig-3a.png", lambda canvas: draw(canvas, found), (9.0, 5.0), caption)],
+        pictures=[Plot("fig-3a.png", lambda canvas: draw(canvas, found), (9.0, 5.0), caption)],
         runs=as_json(found),
     )
 

@@ -15,11 +15,11 @@ from ....chains.gflow import GFlow
 from ....inference.core.graph import MultiChain
 from ....inference.core.recursive_bp import RecursiveBP, RunState
 from ....models.background.pixel_labels import PixelLabels
-from ...reports.expectations import Expectation, over_seeds
-from ...reports.experiment import Experiment, Plot
-from ...reports.record import Table
 from ...runs.parallel import in_parallel
 from ...scenes import FaceScene, face
+from ..expectations import Expectation, over_seeds
+from ..experiment import Experiment, Plot
+from ..record import Table
 from ..trials.face import Evaluation, Measured, as_json, median, n_lost, quartiles
 
 SEEDS = range(10)
@@ -162,7 +162,7 @@ def reproduce_face_background(out: Path) -> Experiment:
         "Face and background",
         [Table(LINE, lines, note)],
         expectations,
-        plots=[Plot("errors.png", lambda canvas: draw(canvas, found), (12.0, 4.5), caption)],
+        pictures=[Plot("errors.png", lambda canvas: draw(canvas, found), (12.0, 4.5), caption)],
         runs={scene: _as_json(methods) for scene, methods in found.items()},
     )
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ...reports.expectations import Expectation, over_seeds
-from ...reports.experiment import Experiment, Plot
-from ...reports.record import Table
+from ..expectations import Expectation, over_seeds
+from ..experiment import Experiment, Plot
+from ..record import Table
 from ..trials.face import Measured, Tracker, as_json, measure, median, n_lost, quartiles
 
 SEEDS = range(10)
@@ -57,7 +57,7 @@ def reproduce_gain(out: Path) -> Experiment:
         "Gain",
         [Table(LINE, lines, "Medians and quartiles over the sequences.")],
         expectations,
-        plots=[Plot("fig-3b.png", lambda canvas: draw(canvas, everything), (8.0, 4.5), caption)],
+        pictures=[Plot("fig-3b.png", lambda canvas: draw(canvas, everything), (8.0, 4.5), caption)],
         runs={scene: as_json(found) for scene, found in everything.items()},
     )
 

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...background.methods import CHAINS, ModelSubtractor
 from ...evaluation.masks import PixelScore, total
 from ...io.datasets import data_folder
 from ...io.ground_truth import MaskTruth, read_ground_truth
 from ...io.sources.open_source import open_source
-from ...reports.expectations import Expectation
-from ...reports.experiment import Experiment
-from ...reports.record import Table
 from ...runs.progress import Progress
+from ..compare import CHAINS, ModelSubtractor
+from ..expectations import Expectation
+from ..experiment import Experiment
+from ..record import Table
 from ..trials.baselines import SETTINGS, CleanUp, Setting, readable_images, sweep_subtractors
 
 Image = NDArray[np.uint8]

@@ -9,17 +9,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...background.compare import PRIORS, SHOWN_PRIOR, Gallery, write_comparison
-from ...background.methods import CHAINS, Model, ModelSubtractor
 from ...evaluation.masks import ErrorClasses, error_classes, ratio
 from ...evaluation.tracks import TrackScores, evaluate_tracks
 from ...io.datasets import data_folder
 from ...io.ground_truth import BoxTruth
 from ...io.sources.open_source import open_source
-from ...reports.expectations import Expectation, over_seeds
-from ...reports.experiment import Experiment
-from ...reports.record import Table
 from ...runs.progress import Progress
+from ..compare import CHAINS, PRIORS, SHOWN_PRIOR, Gallery, Model, ModelSubtractor, write_comparison
+from ..expectations import Expectation, over_seeds
+from ..experiment import Experiment
+from ..record import Table
 from ..track_trials import (
     MEASURES,
     NOISE_SEEDS,

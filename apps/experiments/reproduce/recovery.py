@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ....chains.gflow import GFlow
 from ....models.face.pose import Poses
-from ...reports.expectations import Expectation, over_seeds
-from ...reports.experiment import Experiment, Plot
-from ...reports.record import Table
 from ...runs.parallel import in_parallel
+from ..expectations import Expectation, over_seeds
+from ..experiment import Experiment, Plot
+from ..record import Table
 from ..trials.face import Clip, ground_truth_texture
 from ..trials.face_baselines import states
 
@@ -75,7 +75,7 @@ def reproduce_recovery(out: Path) -> Experiment:
         "Recovery",
         [Table(line, lines, "Medians over the sequences (least - most).")],
         expectations,
-        plots=[
+        pictures=[
             Plot(
                 "fig-4.png",
                 lambda canvas: draw_experts(canvas, pictures, firsts),

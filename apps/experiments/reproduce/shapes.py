@@ -12,11 +12,10 @@ from ....inference.nonrigid.comparison import shape_error
 from ....inference.nonrigid.learning import LEAST_FRAMES, learn_shape
 from ....inference.nonrigid.shape import NonrigidShape
 from ...io.datasets import data_folder
-from ...reports import plots
-from ...reports.expectations import Expectation
-from ...reports.experiment import Experiment
-from ...reports.record import Table
 from ...runs.progress import Progress
+from ..expectations import Expectation
+from ..experiment import Experiment, Plot
+from ..record import Table
 
 Numbers = NDArray[np.float64]
 
@@ -139,7 +138,8 @@ def reproduce_shapes(out: Path) -> Experiment:
         for each in results
     ]
     pictures = [
-        plots.figure(
+        Plot(
+            f"{each.name}-{100 * each.missing:.0f}.png",
             lambda canvas, each=each: draw(canvas, each),  # type: ignore[misc]
             (12.0, 5.5),
             f"{each.name}, {each.missing:.0%} missing: from the camera and from above; circles: truth",
@@ -148,7 +148,7 @@ def reproduce_shapes(out: Path) -> Experiment:
         if each.missing in (MISSING[0], MISSING[-1])
     ]
     measured = Table(header, lines, EXPLANATION)
-    return Experiment("Deformable shapes", [measured], expectations, sections=[("Shapes", pictures)])
+    return Experiment("Deformable shapes", [measured], expectations, pictures)
 
 
 EXPLANATION = (

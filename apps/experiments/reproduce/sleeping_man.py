@@ -7,17 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....models.core.frame import Frame
-from ...background.compare import SHOWN_PRIOR
-from ...background.methods import CHAINS, Model
 from ...drawing.mosaic import mosaic
 from ...evaluation.masks import PixelScore, joined, total
-from ...io.files import write_image
-from ...reports import page
-from ...reports.expectations import Expectation, over_seeds
-from ...reports.experiment import Experiment
-from ...reports.record import Table
 from ...runs.progress import Progress
 from ...scenes import Scene, sleeping_man
+from ..compare import CHAINS, SHOWN_PRIOR, Model
+from ..expectations import Expectation, over_seeds
+from ..experiment import Experiment, Picture
+from ..record import Table
 from ..trials.baselines import SETTINGS, CleanUp, Setting, sweep_subtractors
 
 Image = NDArray[np.uint8]
@@ -54,11 +51,12 @@ def reproduce_sleeping_man(out: Path, long: bool) -> Experiment:
         expectations += _long_expectations()
     header = ("method", "setting", *(f"F, seed {seed}" for seed in SEEDS), "F")
     figures = _sleeping_figures(sleeping_man(seed=SEEDS[0]))
-    for name, picture in figures.items():
-        write_image(out / f"{name.lower().replace('. ', '-')}.png", picture)
     captions = {"Fig. 1": "the background by itself", "Fig. 7": "background and blobs together"}
-    pictures = [page.picture(picture, f"{name}: {captions[name]}") for name, picture in figures.items()]
-    return Experiment("Sleeping man", [Table(header, lines)], expectations, sections=[("Figures", pictures)])
+    pictures = [
+        Picture(f"{name.lower().replace('. ', '-')}.png", image, f"{name}: {captions[name]}")
+        for name, image in figures.items()
+    ]
+    return Experiment("Sleeping man", [Table(header, lines)], expectations, pictures)
 
 
 Found = dict[tuple[str, str], list[PixelScore]]

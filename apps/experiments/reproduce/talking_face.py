@@ -21,10 +21,10 @@ from ....models.face.model_files import read_correspondences, read_model
 from ...face.start import FaceStart, start_from_landmarks
 from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source
-from ...reports.expectations import Expectation
-from ...reports.experiment import Experiment, Plot
-from ...reports.record import Table
 from ...runs.progress import Progress
+from ..expectations import Expectation
+from ..experiment import Experiment, Plot
+from ..record import Table
 
 Numbers = NDArray[np.float64]
 
@@ -125,7 +125,7 @@ def reproduce_talking_face(out: Path) -> Experiment:
         "A talking face",
         [Table(header, lines, EXPLANATION)],
         expectations,
-        plots=[Plot("errors.png", lambda canvas: draw(canvas, outcomes), (12.0, 5.0), EXPLANATION)],
+        pictures=[Plot("errors.png", lambda canvas: draw(canvas, outcomes), (12.0, 5.0), EXPLANATION)],
     )
 
 

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from ....models.files import write_text
-from ...reports.record import ROOT, Record
+from ..record import ROOT, Record
 from .pages import Documents, readme_with, results_page
 from .scale_page import CURVES, PAGE, PICTURE, scale_page, write_picture
 

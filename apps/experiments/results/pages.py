@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from ...reports.expectations import Expectation, columns, rounded
-from ...reports.record import Provenance, Record
+from ...evaluation.text_tables import rounded
+from ..expectations import Expectation, columns
+from ..record import Provenance, Record
 
 BEGIN, END = "<!-- figures -->", "<!-- /figures -->"
 """What stands around README's figures."""

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ...reports.expectations import rounded
-from ...reports.record import Record, Table
+from ...evaluation.text_tables import rounded
+from ..record import Record, Table
 from ..scale.capacity import HEADER, RATE
 from ..scale.curve import Curve, of_record
 from ..scale.of_points import LENGTH

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from ...reports.plots import write_figure
-from ...reports.record import Record, Table
+from ..page import write_figure
+from ..record import Record, Table
 from ..scale.capacity import HEADER as CAPACITY
 from ..scale.curve import HEADER, of_record
 from ..scale.picture import draw, size

@@ -24,11 +24,11 @@ from ...background.job import BackgroundJob
 from ...io.datasets import data_folder
 from ...io.segmented_video import PLAYABLE, SegmentedVideo
 from ...io.sources.open_source import open_source
-from ...reports.experiment import Experiment, run_and_publish
-from ...reports.record import Table
 from ...runs.parallel import Task, Workers, in_parallel, working
 from ...runs.saved_run import STATE
 from ...scenes import sleeping_man
+from ..experiment import Experiment, run_and_publish
+from ..record import Table
 
 SMALL, LARGE = (640, 480), (1920, 1080)
 RATE = 5.0

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ...reports.expectations import Expectation
-from ...reports.record import Record, Table
+from ..expectations import Expectation
+from ..record import Record, Table
 
 HEADER = ("curve", "over", "size", "ms", "quartile", "other quartile", "limit, ms", "MB")
 """Of the table that keeps all curves; `of_table` reads it."""

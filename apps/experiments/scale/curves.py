@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 
 from ....models.numerics.threads import set_threads
-from ...reports.expectations import Expectation
-from ...reports.experiment import Experiment, Plot
-from ...reports.record import Table
+from ..expectations import Expectation
+from ..experiment import Experiment, Plot
 from ..measuring.machine import bandwidth, drawing, operations
+from ..record import Table
 from .curve import tables
 from .of_pictures import over_frames_of_a_film, over_objects, over_pixels
 from .of_points import over_observations, over_points, over_tracks

@@ -18,10 +18,10 @@ from ...body.application import run_body
 from ...body.job import BodyJob
 from ...body.joint_files import ClickedJoints, read_joints
 from ...body.measures import APART, SOON, exchanged_hands, longest_exchange
-from ...reports.expectations import Expectation, over_seeds
-from ...reports.experiment import Experiment, run_and_publish
-from ...reports.record import Table
 from ...runs.parallel import chosen_workers, in_parallel, working
+from ..expectations import Expectation, over_seeds
+from ..experiment import Experiment, run_and_publish
+from ..record import Table
 
 Numbers = NDArray[np.float64]
 

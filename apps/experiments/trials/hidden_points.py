@@ -18,11 +18,12 @@ from ....chains import PointTracker, RecursiveStructure
 from ....inference import MultiChain, RecursiveBP
 from ....models import PointTracks
 from ....models.core.frame import Frame
+from ...evaluation.text_tables import in_columns
 from ...io import open_source
 from ...io.datasets import data_folder
-from ...reports.expectations import HEADER, Expectation, in_columns, over_seeds
 from ...runs.parallel import chosen_workers, in_parallel, working
 from ...scenes.random_fields import mottle
+from ..expectations import HEADER, Expectation, over_seeds
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from rsmcm.apps.background import application
 from rsmcm.apps.background.application import run_background
-from rsmcm.apps.background.compare import run_compare
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob, Engine
+from rsmcm.apps.experiments.compare import run_compare
 from rsmcm.apps.io.sources.open_source import open_source
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.inference import Belief
@@ -115,9 +115,9 @@ def test_a_run_goes_on_only_with_the_same_detections(scene: Path, tmp_path: Path
 def test_a_comparison_has_them_too(
     scene: Path, tmp_path: Path, seen: dict[int, int | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rsmcm.apps.background import methods
+    from rsmcm.apps.experiments import compare
 
-    monkeypatch.setattr(methods, "found_in", application.found_in)
+    monkeypatch.setattr(compare, "found_in", application.found_in)
     run_compare(job_of(scene, tmp_path))
     assert seen == dict.fromkeys(range(1, N_FRAMES + 1), 1)
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.background import methods
 from rsmcm.apps.background.application import Found, build_model, found_in
-from rsmcm.apps.background.compare import PRIORS, run_compare
 from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.background.moving_camera import MOVES, CameraWatch
+from rsmcm.apps.experiments import compare
+from rsmcm.apps.experiments.compare import PRIORS, run_compare
 from rsmcm.apps.io.files import write_image
 from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.scenes import ShakenFilm, shaken, sleeping_man
@@ -115,7 +115,7 @@ def test_a_comparison_follows_it_too(
         followed.append(belief["pixels"].view is not None)
         return found_in(belief, size)
 
-    monkeypatch.setattr(methods, "found_in", seen)
+    monkeypatch.setattr(compare, "found_in", seen)
     run_compare(BackgroundJob(str(shaking[1]), out=tmp_path, camera="moving", stop=2))
-    assert len(followed) == 2 * (len(PRIORS) + len(methods.CHAINS))
+    assert len(followed) == 2 * (len(PRIORS) + len(compare.CHAINS))
     assert all(followed)

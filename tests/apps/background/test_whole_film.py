@@ -215,11 +215,6 @@ class Live:
         (["--warm-up", "0"], "--warm-up: got 0, expected seconds, more than 0"),
         (["--warm-up", "nan"], "--warm-up: got nan, expected seconds"),
         (["--engine", "coordinate-ascent", "--warm-up", "2"], "--warm-up and --engine coordinate-ascent"),
-        (
-            ["--engine", "coordinate-ascent", "--compare"],
-            "--engine coordinate-ascent and --compare: got both",
-        ),
-        (["--warm-up", "2", "--compare"], "--warm-up and --compare: got both"),
         (["--warm-up", "2", "--from", "state.npz"], "--warm-up and --from: got both"),
         (["--engine", "coordinate-ascent", "--from", "state.npz"], "coordinate-ascent and --from: got both"),
     ],

@@ -48,14 +48,13 @@ background = st.fixed_dictionaries(
         "every": st.integers(1, 99),
         "masks": st.sampled_from(["none", "png", "video"]),
         "roi": st.sampled_from(["-1,2,3,4", "mask.png"]),
-        "compare": st.booleans(),
         "chain": st.lists(st.sampled_from(["a", "b-c"]), max_size=2).map(tuple),
         "stop": st.integers(1, 9),
         "reconnect": st.floats(0.1, 1e6),
         "ground_truth": st.just(Path("a folder/gt.txt")),
         "learned": st.just(Path("state.npz")),
     },
-).filter(lambda values: not (values.get("compare") and "learned" in values))
+)
 
 
 @given(background)

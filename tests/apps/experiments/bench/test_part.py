@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from rsmcm.apps.experiments.bench import __main__ as bench
 from rsmcm.apps.experiments.bench.part import PARTS
-from rsmcm.apps.reports.record import Record
+from rsmcm.apps.experiments.record import Record
 
 
 def test_parts_are_kept_whatever_becomes_of_others(

@@ -4,7 +4,7 @@ import math
 
 import pytest
 from rsmcm.apps.experiments.bench.timing import in_turns, medians, over_frames, over_rounds
-from rsmcm.apps.reports.expectations import Expectation
+from rsmcm.apps.experiments.expectations import Expectation
 from rsmcm.models.core.frame import Frame
 
 

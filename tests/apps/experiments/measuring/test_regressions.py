@@ -5,9 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rsmcm.apps.experiments.expectations import Expectation
 from rsmcm.apps.experiments.measuring.regressions import joined, regressions
-from rsmcm.apps.reports.expectations import Expectation
-from rsmcm.apps.reports.record import Provenance, Record, Table, joint_state
+from rsmcm.apps.experiments.record import Provenance, Record, Table, joint_state
 
 from ....support.made_up_records import MADE as SOMEWHERE
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from rsmcm.apps.experiments.page import write_figure
 from rsmcm.apps.experiments.reproduce import cylinder as experiment
 from rsmcm.apps.experiments.reproduce.cylinder import (
     DUAL_COHERENT,
@@ -15,7 +16,6 @@ from rsmcm.apps.experiments.reproduce.cylinder import (
     SINGLE_COHERENT,
     Cell,
 )
-from rsmcm.apps.reports import plots
 from rsmcm.apps.scenes import cylinder
 from rsmcm.apps.structure.metrics import StructureScores
 
@@ -98,9 +98,7 @@ def test_shapes_are_drawn_where_they_belong(tmp_path: Path) -> None:
     found = experiment.Recovered(truth.positions, mapped, points)
     np.testing.assert_allclose(experiment.aligned(found, truth), truth.shape, atol=1e-10)
     shapes = dict.fromkeys(METHODS, found)
-    plots.write_figure(
-        tmp_path / "a.png", lambda canvas: experiment.draw_shapes(canvas, shapes, truth), (9, 4)
-    )
+    write_figure(tmp_path / "a.png", lambda canvas: experiment.draw_shapes(canvas, shapes, truth), (9, 4))
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
 

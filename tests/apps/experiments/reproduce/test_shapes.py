@@ -34,7 +34,7 @@ def test_tables_and_page(
     run_experiment("shapes", tmp_path / "out")
     printed = capsys.readouterr().out
     assert "face, 20% missing: 3-D error" in printed
-    assert (tmp_path / "out" / "index.html").read_text().count("<svg") == 2
+    assert (tmp_path / "out" / "index.html").read_text().count("<img") == 2
 
 
 def test_truth_files(tmp_path: Path) -> None:

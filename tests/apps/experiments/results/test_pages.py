@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rsmcm.apps.experiments.expectations import Expectation
+from rsmcm.apps.experiments.record import Record, Table
 from rsmcm.apps.experiments.results.__main__ import collect, main, write_pages
 from rsmcm.apps.experiments.results.pages import BEGIN, END, Documents, figures, readme_with, results_page
 from rsmcm.apps.experiments.results.scale_page import PAGE, PICTURE, scale_page
-from rsmcm.apps.reports.expectations import Expectation
-from rsmcm.apps.reports.record import Record, Table
 
 from ....support.made_up_records import MADE
 

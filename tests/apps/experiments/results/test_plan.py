@@ -4,6 +4,8 @@ import math
 from dataclasses import replace
 
 import pytest
+from rsmcm.apps.experiments.expectations import Expectation
+from rsmcm.apps.experiments.record import ROOT, Record, Table
 from rsmcm.apps.experiments.results.plan import (
     ENGINE,
     ITERATION,
@@ -15,8 +17,6 @@ from rsmcm.apps.experiments.results.plan import (
 from rsmcm.apps.experiments.results.scale_page import between, scale_page
 from rsmcm.apps.experiments.scale.capacity import HEADER
 from rsmcm.apps.experiments.scale.curve import Curve, Measured, tables
-from rsmcm.apps.reports.expectations import Expectation
-from rsmcm.apps.reports.record import ROOT, Record, Table
 
 from ....support.made_up_records import MADE as SOMEWHERE
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rsmcm.apps.experiments.expectations import Expectation
+from rsmcm.apps.experiments.record import Record, Stopwatch, Table
 from rsmcm.apps.experiments.scale.curve import Curve, Measured, of_record, tables
-from rsmcm.apps.reports.expectations import Expectation
-from rsmcm.apps.reports.record import Record, Stopwatch, Table
 
 SIZES = (10.0, 100.0, 1000.0, 10_000.0)
 

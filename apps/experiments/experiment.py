@@ -1,4 +1,4 @@
-"""What an experiment leaves: printed tables, figures, a record as JSON, and a page with everything."""
+"""What an experiment leaves: printed tables, pictures, a record as JSON, and a page with everything."""
 
 import textwrap
 from collections.abc import Callable, Sequence
@@ -6,9 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .expectations import Expectation, columns, in_columns
-from .page import Section, table, write_page
-from .plots import figure, write_figure
+import numpy as np
+from numpy.typing import NDArray
+
+from ..evaluation.text_tables import in_columns
+from ..io.files import write_image
+from .expectations import Expectation, columns
+from .page import picture, table, write_figure, write_page
 from .record import Record, Stopwatch, Table
 
 if TYPE_CHECKING:
@@ -24,6 +28,23 @@ class Plot:
     size: tuple[float, float]
     caption: str
 
+    def write(self, path: Path) -> None:
+        """Write it as a file."""
+        write_figure(path, self.draw, self.size)
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture `(height, width[, 3])` uint8 BGR: its file's name, and what is said below it."""
+
+    name: str
+    image: NDArray[np.uint8]
+    caption: str
+
+    def write(self, path: Path) -> None:
+        """Write it as a file."""
+        write_image(path, self.image)
+
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
@@ -35,10 +56,10 @@ class Experiment:
         heading of the page, `index.html`.
     tables, expectations
         what was measured, and what was wanted of it: printed, on the page, and in the record.
-    plots
-        each is on the page and a file of its own.
-    sections
-        what else is on the page.
+    pictures
+        each is a file, and on the page.
+    details
+        tables that are on the page only.
     runs
         every run's measures, for the record in the experiment's folder.
     """
@@ -46,13 +67,13 @@ class Experiment:
     title: str
     tables: Sequence[Table]
     expectations: Sequence[Expectation]
-    plots: Sequence[Plot] = ()
-    sections: Sequence[Section] = ()
+    pictures: Sequence[Plot | Picture] = ()
+    details: Sequence[Table] = ()
     runs: Any = None
 
 
 def run_and_publish(name: str, command: str, out: Path, run: Callable[[], Experiment]) -> None:
-    """Run an experiment; print what it found, and write it with its figures and its record into a folder.
+    """Run an experiment; print what it found, and write it with its pictures and its record into a folder.
 
     Parameters
     ----------
@@ -77,10 +98,10 @@ def run_and_publish(name: str, command: str, out: Path, run: Callable[[], Experi
         print(*textwrap.wrap(each.caption, 110), in_columns(each.header, each.rows), "", sep="\n")
     header, wanted = columns(found.expectations)
     print(in_columns(header, wanted))
-    for plot in found.plots:
-        write_figure(out / plot.name, plot.draw, plot.size)
-    figures = [figure(plot.draw, plot.size, plot.caption) for plot in found.plots]
-    first: list[Section] = [("", [table(header, wanted)]), *([("Figures", figures)] if figures else [])]
-    measured = [table(each.header, each.rows, each.caption) for each in found.tables]
-    write_page(out / "index.html", found.title, [*first, ("Measured", measured), *found.sections])
+    for one in found.pictures:
+        one.write(out / one.name)
+    shown = [picture(one.name, one.caption) for one in found.pictures]
+    measured = [table(each.header, each.rows, each.caption) for each in (*found.tables, *found.details)]
+    sections = [("", [table(header, wanted)]), ("Figures", shown), ("Measured", measured)]
+    write_page(out / "index.html", found.title, [each for each in sections if each[1]])
     print(f"\npage: {out / 'index.html'}")

@@ -20,8 +20,8 @@ import psutil
 
 from ...models.numerics.threads import thread_count
 from ..io.files import write_json
+from ..reports.versions import versions
 from .expectations import Expectation
-from .versions import versions
 
 ROOT = Path(__file__).resolve().parents[2]
 """Where the packages lie: the checkout, or the installed package."""

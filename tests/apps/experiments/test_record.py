@@ -5,8 +5,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from rsmcm.apps.reports.expectations import Expectation
-from rsmcm.apps.reports.record import ROOT, Record, Stopwatch, Table
+from rsmcm.apps.experiments.expectations import Expectation
+from rsmcm.apps.experiments.record import ROOT, Record, Stopwatch, Table
 
 
 def test_read_back(tmp_path: Path) -> None:

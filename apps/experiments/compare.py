@@ -1,4 +1,4 @@
-"""The same source through several methods: Fig. 8's table and Fig. 11's pictures of the RSMCM paper."""
+"""Compare methods on one film: Fig. 8's table and Fig. 11's pictures of the RSMCM paper."""
 
 import csv
 import io
@@ -6,42 +6,146 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
+import cv2
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
+from ...inference import RecursiveBP
+from ...inference.core.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.files import write_text
-from ..drawing.mosaic import mosaic
+from ..background.application import Found, build_model, found_in
+from ..background.job import BackgroundJob, Camera, Engine
+from ..background.parameters import Parameters, read_parameters
+from ..drawing.mosaic import fitting, mosaic
 from ..evaluation.scoring import Scoring, scoring_of
-from ..experiments.trials.baselines import CleanUp, OpenCVSubtractor
 from ..io.detections.attached import given_boxes, with_boxes
 from ..io.files import write_image, write_json
+from ..io.mot import TrackedBox
 from ..io.sources.open_source import open_source
-from ..reports import page, plots, snapshots
 from ..reports.evenly_spaced import EvenlySpaced
 from ..runs.interruption import Interruption, Outcome
-from ..runs.output_folder import output_folder
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
-from .application import COMPARISON, BackgroundRun, Found
-from .job import BackgroundJob, Camera
-from .methods import Method, Model, Usual
-from .parameters import Parameters, read_parameters
+from .page import picture, table, write_figure, write_page
+from .trials.baselines import CleanUp, KalmanHungarian, OpenCVSubtractor, Subtractor, component_boxes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Image = NDArray[np.uint8]
 
+CHAINS: tuple[tuple[str, Engine], ...] = (("feed-forward", "feed-forward"), ("RSMCM", "recursive-bp"))
+"""What is compared through the feedback of one connection and nothing else."""
+
 PRIORS = (0.5, 0.7, 0.9, 0.99)  # P(B) of the stand-alone background, as in Fig. 8
 SHOWN_PRIOR = 0.9  # which of them Fig. 11's picture shows
 COLUMNS = 5  # of Fig. 11's picture
 MOST_PICTURES = 2 * COLUMNS
-PICTURE_WIDTH = 480  # px
+PICTURE_WIDTH = 240  # px
 USUAL_CLEAN_UP = CleanUp(median=5, min_area=50)
+
+
+class Method(Protocol):
+    """Something that finds foreground, and perhaps tracks, frame by frame."""
+
+    name: str
+    tracks: bool  # whether it can
+
+    def step(self, frame: Frame) -> Found:
+        """Take in the next frame."""
+        ...
+
+
+class Model:
+    """A multi-chain model.
+
+    Parameters
+    ----------
+    name
+        for tables.
+    engine, parameters, camera
+        as `build_model` takes them.
+    size
+        `(width, height)` px of the pictures.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        engine: Engine,
+        size: tuple[int, int],
+        parameters: Parameters | None = None,
+        camera: Camera = "fixed",
+    ) -> None:
+        self.name = name
+        self.tracks = engine != "stand-alone"
+        self._size = size
+        self._engine = RecursiveBP(build_model(engine, parameters, camera))
+        self._state = RunState()
+
+    def step(self, frame: Frame) -> Found:
+        """Take in the next frame."""
+        belief = self._engine.step(self._state, frame)
+        self._state = belief.state
+        return found_in(belief, self._size)
+
+    def background(self) -> Image:
+        """The background as it is believed now, `(height, width[, 3])` uint8."""
+        if not self._state.states:
+            return np.zeros((self._size[1], self._size[0]), np.uint8)
+        picture: Image = self._state.states["background"].picture()
+        return picture
+
+
+class ModelSubtractor:
+    """A model as something that turns picture after picture into masks."""
+
+    def __init__(
+        self, engine: Engine, size: tuple[int, int], rate: float, parameters: Parameters | None = None
+    ) -> None:
+        self._model = Model("", engine, size, parameters)
+        self._rate = rate
+        self._count = 0
+
+    def apply(self, image: Image, /) -> Image:
+        """Take the next picture; return 0 background, 255 foreground."""
+        self._count += 1
+        return self._model.step(Frame(image, self._count / self._rate, self._count)).foreground
+
+
+class Usual:
+    """A subtractor, a clean-up of its mask, Kalman filters and the Hungarian method on the components' boxes.
+
+    Parameters
+    ----------
+    name
+        for tables.
+    subtractor
+        fresh.
+    clean_up
+        of every mask.
+    size
+        `(width, height)` px of the pictures.
+    """
+
+    tracks = True
+
+    def __init__(self, name: str, subtractor: Subtractor, clean_up: CleanUp, size: tuple[int, int]) -> None:
+        self.name = name
+        self._subtractor = subtractor
+        self._clean_up = clean_up
+        self._tracker = KalmanHungarian()
+        self._mask: Image = np.zeros((size[1], size[0]), np.uint8)
+
+    def step(self, frame: Frame) -> Found:
+        """Take in the next frame; a missing one leaves the mask as it was."""
+        if frame.image is not None:
+            self._mask = self._clean_up.apply(self._subtractor.apply(frame.image))
+        found = self._tracker.update(component_boxes(self._mask))
+        return Found(self._mask, [TrackedBox(int(i), (x, y, w, h)) for i, x, y, w, h in found.tolist()])
 
 
 @dataclass
@@ -113,10 +217,8 @@ class Gallery:
         """Keep a frame and what each system makes of it, if it is one of those to keep."""
 
         def moment() -> Moment:
-            made = [picture for model, found in systems for picture in (model.background(), found.foreground)]
-            return Moment(
-                number, tuple(snapshots.small(picture, PICTURE_WIDTH) for picture in (image, *made))
-            )
+            made = [shown for model, found in systems for shown in (model.background(), found.foreground)]
+            return Moment(number, tuple(_small(each) for each in (image, *made)))
 
         self.moments.add(moment)
 
@@ -124,6 +226,11 @@ class Gallery:
         """Up to five of them, evenly spaced, with the last."""
         kept = self.moments.kept
         return [kept[round(place)] for place in np.linspace(0, len(kept) - 1, min(COLUMNS, len(kept)))]
+
+
+def _small(image: Image) -> Image:
+    size = fitting(image.shape, PICTURE_WIDTH)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 FIGURE_ROWS = (
@@ -169,7 +276,7 @@ def methods_of_figure_8(
 
 
 def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
-    """Run all methods over the job's source; writes `compare.*` and two figures into its folder.
+    """Run all methods over the job's source; write `compare.*` and two figures into its folder.
 
     Ctrl-C ends it after the current frame with the comparison until there. Returned are how it ended, and
     the table's lines, one for each method.
@@ -185,7 +292,7 @@ def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
         open_source(job.source, job.start, job.stop, job.step, reconnect=job.reconnect) as source,
     ):
         if source.live:
-            raise ValueError(f"--compare: {source.name} is live and cannot be read again")
+            raise ValueError(f"compare: {source.name} is live and cannot be read again")
         region = read_region(job.roi, source.size) if job.roi else None
         tallies = {
             method.name: Tally(method, scoring_of(job.ground_truth, source, job.start, job.step, region))
@@ -209,21 +316,20 @@ def run_compare(job: BackgroundJob) -> tuple[Outcome, list[dict[str, Any]]]:
                 progress.update()
     lines = [tally.values(n_frames) for tally in tallies.values()] if n_frames else []
     if lines:
-        with output_folder(job.out, BackgroundRun.application, add=True) as folder:
-            folder.add(COMPARISON)
-            write_comparison(job.out, source.name, lines, gallery)
+        write_comparison(job.out, source.name, lines, gallery)
     summary = {"source": source.name, "frames": n_frames, "stream": source.stream}
     return Outcome(summary, interruption.signal), lines
 
 
-def write_comparison(
-    folder: Path,
-    title: str,
-    lines: Sequence[dict[str, Any]],
-    gallery: Gallery,
-    above: Sequence[Markup] = (),
-) -> None:
-    """Write the table (CSV, JSON), Figs. 8 and 11 (PNG), and a page with all of them below `above`."""
+def write_comparison(folder: Path, title: str, lines: Sequence[dict[str, Any]], gallery: Gallery) -> None:
+    """Write the table (CSV, JSON), Figs. 8 and 11 (PNG), and a page with all of them, `compare.html`.
+
+    Raises
+    ------
+    OSError
+        if the folder cannot be written to.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
     header = list(dict.fromkeys(name for line in lines for name in line))
     write_json(folder / "compare.json", lines)
     text = io.StringIO()
@@ -234,20 +340,17 @@ def write_comparison(
 
     moments = gallery.chosen()
     rows = [(name, [each.pictures[k] for each in moments]) for k, name in enumerate(FIGURE_ROWS)]
-    columns = [f"frame {each.number}" for each in moments]
-    write_image(folder / "compare-pictures.png", mosaic(rows, columns))
-    parts = [*above, page.table(header, [[line.get(name, "–") for name in header] for line in lines])]
+    sheet = mosaic(rows, [f"frame {each.number}" for each in moments], PICTURE_WIDTH)
+    write_image(folder / "compare-pictures.png", sheet)
+    parts = [table(header, [[line.get(name, "–") for name in header] for line in lines])]
     if "total" in header:
-        plots.write_figure(folder / "compare-errors.png", lambda canvas: _draw_errors(canvas, lines), (9, 4))
-        caption = "Errors, as in Fig. 8 of the RSMCM paper"
-        parts.append(plots.figure(lambda canvas: _draw_errors(canvas, lines), (9, 4), caption))
-    page.write_page(
+        write_figure(folder / "compare-errors.png", lambda canvas: _draw_errors(canvas, lines), (9, 4))
+        parts.append(picture("compare-errors.png", "Errors, as in Fig. 8 of the RSMCM paper"))
+    over_time = "Pictures over time, as in Fig. 11 of the RSMCM paper"
+    write_page(
         folder / "compare.html",
         f"{Path(title).name}: comparison",
-        [
-            ("", parts),
-            ("Pictures over time, as in Fig. 11 of the RSMCM paper", [page.picture_grid(rows, columns)]),
-        ],
+        [("Methods", parts), (over_time, [picture("compare-pictures.png", over_time)])],
     )
 
 
