@@ -345,12 +345,12 @@ def write_comparison(folder: Path, title: str, lines: Sequence[dict[str, Any]], 
     parts = [table(header, [[line.get(name, "–") for name in header] for line in lines])]
     if "total" in header:
         write_figure(folder / "compare-errors.png", lambda canvas: _draw_errors(canvas, lines), (9, 4))
-        parts.append(picture("compare-errors.png", "Errors, as in Fig. 8 of the RSMCM paper"))
+        parts.append(picture(folder / "compare-errors.png", "Errors, as in Fig. 8 of the RSMCM paper"))
     over_time = "Pictures over time, as in Fig. 11 of the RSMCM paper"
     write_page(
         folder / "compare.html",
         f"{Path(title).name}: comparison",
-        [("Methods", parts), (over_time, [picture("compare-pictures.png", over_time)])],
+        [("Methods", parts), (over_time, [picture(folder / "compare-pictures.png", over_time)])],
     )
 
 

@@ -100,7 +100,7 @@ def run_and_publish(name: str, command: str, out: Path, run: Callable[[], Experi
     print(in_columns(header, wanted))
     for one in found.pictures:
         one.write(out / one.name)
-    shown = [picture(one.name, one.caption) for one in found.pictures]
+    shown = [picture(out / one.name, one.caption) for one in found.pictures]
     measured = [table(each.header, each.rows, each.caption) for each in (*found.tables, *found.details)]
     sections = [("", [table(header, wanted)]), ("Figures", shown), ("Measured", measured)]
     write_page(out / "index.html", found.title, [each for each in sections if each[1]])

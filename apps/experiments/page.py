@@ -1,5 +1,6 @@
-"""The page of an experiment: tables, and the pictures that lie beside it."""
+"""The page of an experiment: tables, and pictures that it holds itself."""
 
+import base64
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from html import escape
@@ -65,10 +66,17 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], caption: str 
     return "\n".join([*above, '<div class="wide"><table>', *lines, "</table></div>"])
 
 
-def picture(name: str, caption: str) -> str:
-    """A picture that lies beside the page."""
-    said = escape(caption or name, quote=True)
-    return f'<figure><img src="{escape(name)}" alt="{said}"><figcaption>{said}</figcaption></figure>'
+def picture(path: Path, caption: str) -> str:
+    """A picture from a PNG file.
+
+    Raises
+    ------
+    OSError
+        if the file cannot be read.
+    """
+    said, data = escape(caption), base64.b64encode(path.read_bytes()).decode("ascii")
+    image = f'<img src="data:image/png;base64,{data}" alt="{said}">'
+    return f"<figure>{image}<figcaption>{said}</figcaption></figure>"
 
 
 def write_figure(path: Path, draw: Callable[["Figure"], None], size: tuple[float, float]) -> None:

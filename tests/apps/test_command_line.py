@@ -468,7 +468,7 @@ def test_comparison(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[st
         assert ended.value.code == 0
         for name in ("compare.html", "compare.csv", "compare.json", "compare-pictures.png"):
             assert (tmp_path / name).stat().st_size > 0
-        assert ("compare-errors.png" in (tmp_path / "compare.html").read_text()) == bool(truth)
+        assert ("Errors, as in" in (tmp_path / "compare.html").read_text()) == bool(truth)
         lines = (tmp_path / "compare.csv").read_text().splitlines()
         assert len(lines) == 9
         assert ("ghosts" in lines[0]) == bool(truth)

@@ -24,4 +24,4 @@ def test_tables_and_pictures(
     assert {"index.html", "film-stand-alone.png", "film-dual-chain.png"} <= {
         path.name for path in out.iterdir()
     }
-    assert (out / "index.html").read_text().count('<img src="film-') == 4
+    assert (out / "index.html").read_text().count('alt="film, ') == 4
