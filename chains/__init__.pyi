@@ -1,20 +1,20 @@
-from .adaptive_background import AdaptiveBackground
-from .articulated_pose import ArticulatedPose
-from .blob_tracker import BlobTracker
-from .camera_motion import CameraMotion
-from .condensation import Condensation
-from .detector_rates import DetectorRates
-from .factor_structure import FactorStructure
-from .feature_matcher import FeatureMatcher
-from .flesh_tracker import FleshTracker
-from .gflow import GFlow
-from .ground_plane import GroundPlane
-from .mixture_background import MixtureBackground
-from .nonrigid_structure import NonrigidStructure
-from .object_trajectories import ObjectTrajectories
-from .point_tracker import PointTracker
-from .recursive_structure import RecursiveStructure
-from .scene_filter import SceneFilter
+from .body.articulated_pose import ArticulatedPose
+from .body.condensation import Condensation
+from .body.flesh_tracker import FleshTracker
+from .face.gflow import GFlow
+from .objects.blob_tracker import BlobTracker
+from .objects.detector_rates import DetectorRates
+from .objects.ground_plane import GroundPlane
+from .objects.object_trajectories import ObjectTrajectories
+from .objects.scene_filter import SceneFilter
+from .pixels.adaptive_background import AdaptiveBackground
+from .pixels.camera_motion import CameraMotion
+from .pixels.mixture_background import MixtureBackground
+from .points.feature_matcher import FeatureMatcher
+from .points.point_tracker import PointTracker
+from .structure.factor_structure import FactorStructure
+from .structure.nonrigid_structure import NonrigidStructure
+from .structure.recursive_structure import RecursiveStructure
 
 __all__ = [
     "AdaptiveBackground",

@@ -1,8 +1,8 @@
-import rsmcm.chains.condensation
+import rsmcm.chains.body.condensation
 
-from .core.coordinate_ascent import CoordinateAscent, Solution
-from .core.graph import MultiChain
-from .core.protocols import (
+from .engine.coordinate_ascent import CoordinateAscent, Solution
+from .engine.graph import MultiChain
+from .engine.protocols import (
     BatchChain,
     BatchIncoming,
     Cavity,
@@ -13,9 +13,9 @@ from .core.protocols import (
     Port,
     Smoothed,
 )
-from .core.recursive_bp import Belief, RecursiveBP, RunState
+from .engine.recursive_bp import Belief, RecursiveBP, RunState
 
-Condensation = rsmcm.chains.condensation.Condensation
+Condensation = rsmcm.chains.body.condensation.Condensation
 
 __all__ = [
     "BatchChain",

@@ -1,6 +1,3 @@
-from .background.layers import Layer, LayerStack
-from .background.pixel_labels import PixelLabels, PixelMessage
-from .background.scene_pixels import ScenePixels
 from .body.parts import BodyParts
 from .body.poses import BodyPoses
 from .body.upper_body import UpperBody
@@ -11,6 +8,9 @@ from .face.detectors import HaarFaces, YuNetFaces
 from .face.morphable_model import MorphableModel
 from .face.pose import Poses
 from .objects.object_boxes import ObjectBoxes
+from .pixels.layers import Layer, LayerStack
+from .pixels.pixel_labels import PixelLabels, PixelMessage
+from .pixels.scene_pixels import ScenePixels
 from .points.point_tracks import PointTracks
 
 __all__ = [

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.object_trajectories import ObjectsOverTime
+from ...chains.objects.object_trajectories import ObjectsOverTime
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
 from ..drawing.boxes import OverlayWriter, draw_overlay

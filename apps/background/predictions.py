@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference import Belief, Incoming, MultiChain
-from ...inference.core.recursive_bp import RunState
-from ...models.background.layers import LayerStack
-from ...models.background.pixel_labels import PixelMessage
+from ...inference.engine.recursive_bp import RunState
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.objects.box_message import BoxMessage
 from ...models.objects.object_boxes import ObjectBoxes
+from ...models.pixels.layers import LayerStack
+from ...models.pixels.pixel_labels import PixelMessage
 from ..evaluation.predictions import PairRecorder, Record, ScoreRecord
 
 EVERY = 0.4

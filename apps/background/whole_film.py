@@ -5,10 +5,10 @@ from itertools import chain
 
 import numpy as np
 
-from ...chains.object_trajectories import ObjectsOverTime, ObjectTrajectories
-from ...chains.scene_filter import SceneFilter
+from ...chains.objects.object_trajectories import ObjectsOverTime, ObjectTrajectories
+from ...chains.objects.scene_filter import SceneFilter
 from ...inference import CoordinateAscent, MultiChain
-from ...inference.core.recursive_bp import RunState
+from ...inference.engine.recursive_bp import RunState
 from ...models import Frame, ObjectBoxes, PixelLabels
 from ..io.film import Film
 from ..io.sources.open_source import Source, open_source

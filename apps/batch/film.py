@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.core import checkpoint
+from ...inference.engine import checkpoint
 from ..io.sources.open_source import fingerprint
 from ..options.complaints import one_line
 from ..options.job import Job

@@ -12,11 +12,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.articulated_pose import ArticulatedPose
-from ...chains.flesh_tracker import FleshTracker
+from ...chains.body.articulated_pose import ArticulatedPose
+from ...chains.body.dynamics import BodyDynamics
+from ...chains.body.fixed_lag import BLOCK, FixedLag, TimedSamples, WaitingFrame
+from ...chains.body.flesh_tracker import FleshTracker
 from ...inference import Belief, MultiChain, RecursiveBP
-from ...inference.body.dynamics import BodyDynamics
-from ...inference.body.hindsight import BLOCK, FixedLag, TimedSamples, WaitingFrame
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import PARTS
 from ...models.core.frame import Frame

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from ...inference.body.samples import BodySamples
+from ...chains.body.samples import BodySamples
 from ...models.body.upper_body import JOINTS, UpperBody
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.body.samples import weighted_moments
+from ...chains.body.samples import weighted_moments
 from ...models.array_files import read_arrays
 from ...models.body.inverse_kinematics import arm_at, swivels
 from ...models.body.poses import ANGLES, shoulder_rotations

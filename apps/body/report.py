@@ -11,8 +11,8 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from ...inference.body.hindsight.labelling import ExchangeEvidence, HandLabels, hand_labels
-from ...inference.body.samples import BodyMoments, BodySamples
+from ...chains.body.hand_labelling import ExchangeEvidence, HandLabels, hand_labels
+from ...chains.body.samples import BodyMoments, BodySamples
 from ...models.body.upper_body import JOINTS, PARTS
 from ...models.core.frame import Frame
 from ..reports.frame_lists import listed_periods, periods

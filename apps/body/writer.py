@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.body.hindsight import TimedSamples
-from ...inference.body.samples import BodySamples, moments
+from ...chains.body.fixed_lag import TimedSamples
+from ...chains.body.samples import BodySamples, moments
 from ...models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...models.core.frame import Frame
 from ..drawing.overlay_video import caption

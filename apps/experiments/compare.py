@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference import RecursiveBP
-from ...inference.core.recursive_bp import RunState
+from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.files import write_text
 from ..background.application import Found, build_model, found_in

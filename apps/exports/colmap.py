@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ...inference.perspective.structure import PerspectiveStructure
+from ...inference.sfm.perspective.structure import PerspectiveStructure
 from ...models.files import write_atomically
 
 FILES = ("cameras.txt", "images.txt", "points3D.txt")

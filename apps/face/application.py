@@ -10,15 +10,15 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.gflow import GFlow
+from ...chains.face.gflow import GFlow
+from ...chains.face.recovery.finder import DetectedFace, Finder
 from ...inference import Belief, MultiChain, RecursiveBP
-from ...inference.face.recovery.finder import DetectedFace, Finder
-from ...models.background.pixel_labels import PixelLabels
 from ...models.core.frame import Frame
 from ...models.face.built_in_model import face_model
 from ...models.face.detectors import PartDetector, default_faces
 from ...models.face.model_files import read_correspondences, read_model
 from ...models.face.morphable_model import MorphableModel
+from ...models.pixels.pixel_labels import PixelLabels
 from ..io.point_files import read_points
 from ..io.segments import segment_pattern
 from ..io.sources.open_source import open_source

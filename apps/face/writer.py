@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.gflow import GFlow, GFlowState
+from ...chains.face.gflow import GFlow, GFlowState
 from ...models.core.frame import Frame
 from ..drawing.overlay_video import caption
 from ..io.files import write_image

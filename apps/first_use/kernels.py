@@ -18,7 +18,7 @@ types: Any = numba.types  # most of which say nothing to type checkers
 
 LIST = Path(__file__).parent / "kernels.json"
 
-RECORDS = ("models.objects.kernels.records:RECORD", "models.background.kernels.layers:LAYER")
+RECORDS = ("chains.objects.kernels.records:RECORD", "models.pixels.kernels.layers:LAYER")
 """Types of records, of which loops are given arrays."""
 
 PACKAGE = "rsmcm."

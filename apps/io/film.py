@@ -7,7 +7,7 @@ from typing import Self, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.core.sequence import LazyFrames
+from ...inference.engine.sequence import LazyFrames
 from ...models.core.frame import Frame
 from ...models.core.grey import grey_of
 from .sources.open_source import Source

@@ -45,7 +45,7 @@ class Snapshots:
         "stride": int,
         "due": int,
     }
-    """What `saved` gives, for `rsmcm.inference.core.checkpoint`."""
+    """What `saved` gives, for `rsmcm.inference.engine.checkpoint`."""
 
     def __init__(self, width: int = SNAPSHOT_WIDTH) -> None:
         self._width = width

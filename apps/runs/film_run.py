@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
 from ...inference import Belief, RecursiveBP
-from ...inference.core.recursive_bp import RunState
+from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
 from ..io.files import write_json

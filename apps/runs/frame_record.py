@@ -41,7 +41,7 @@ class FrameRecord:
 
     @classmethod
     def kinds(cls) -> dict[str, Any]:
-        """What `saved` gives, for `rsmcm.inference.core.checkpoint`."""
+        """What `saved` gives, for `rsmcm.inference.engine.checkpoint`."""
         columns = {each.name: NDArray[Any] for each in fields(cls) if each.name != "snapshots"}
         return {**columns, "snapshots": Snapshots.KINDS}
 

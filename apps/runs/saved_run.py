@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from ...inference.core import checkpoint
-from ...inference.core.recursive_bp import RunState
+from ...inference.engine import checkpoint
+from ...inference.engine.recursive_bp import RunState
 from .interruption import Interrupted
 
 STATE = "state.npz"

@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.nonrigid.choice import BasesChoice
-from ...inference.nonrigid.shape import NonrigidShape
+from ...inference.sfm.nonrigid.choice import BasesChoice
+from ...inference.sfm.nonrigid.shape import NonrigidShape
 from ..io.sources.open_source import DEFAULT_RATE
 
 Numbers = NDArray[np.float64]

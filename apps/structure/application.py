@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference import Solution
-from ...inference.core import checkpoint
+from ...inference.engine import checkpoint
 from ...models.core.frame import Frame
 from ..evaluation.predictions import write_predictions
 from ..exports.colmap import FILES as COLMAP_FILES

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ...chains.factor_structure import StructureTrajectory
+from ...chains.structure.factor_structure import StructureTrajectory
 from ...inference import Solution
-from ...inference.perspective.affine_fit import affine_fit
-from ...inference.perspective.structure import Lens, PerspectiveStructure, perspective_structure
+from ...inference.sfm.perspective.affine_fit import affine_fit
+from ...inference.sfm.perspective.structure import Lens, PerspectiveStructure, perspective_structure
 from ...models.core.frame import Frame
 from ..io.sources.images import focal_of_picture
 from .job import Camera

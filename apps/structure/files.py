@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.perspective.structure import PerspectiveStructure
+from ...inference.sfm.affine_camera import scaled_rotations
+from ...inference.sfm.perspective.structure import PerspectiveStructure
 from ...models.core.frame import Frame
 from ...models.files import write_atomically
-from ...models.points.affine_camera import scaled_rotations
 from ..io.files import write_json
 from .reconstruction import Numbers, Reconstruction
 

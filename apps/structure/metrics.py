@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.points.affine_camera import affine_alignment
+from ...inference.sfm.affine_camera import affine_alignment
 from ..scenes import Cylinder
 
 Numbers = NDArray[np.float64]

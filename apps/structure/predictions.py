@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...chains.factor_structure import StructureTrajectory
+from ...chains.structure.factor_structure import StructureTrajectory
 from ...inference import Solution
 from ...models.core.gaussian_message import GaussianMessage
 from ..evaluation.predictions import PairRecord, PairRecorder

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...chains import FactorStructure, FeatureMatcher, PointTracker
-from ...chains.factor_structure import StructureTrajectory
+from ...chains.points.trajectory import PointTrajectory
+from ...chains.structure.factor_structure import StructureTrajectory
 from ...inference import CoordinateAscent, MultiChain, Solution
-from ...inference.factor_analysis.factorisation import Factorisation, predicted
-from ...inference.perspective.structure import PerspectiveStructure
-from ...inference.points.trajectory import PointTrajectory
-from ...inference.structure.depth_test import depth
+from ...inference.sfm.affine_camera import euclidean
+from ...inference.sfm.depth_test import depth
+from ...inference.sfm.factor_analysis.factorisation import Factorisation, predicted
+from ...inference.sfm.perspective.structure import PerspectiveStructure
 from ...models.core.frame import Frame
-from ...models.points.affine_camera import euclidean
 from ...models.points.point_tracks import PointTracks, noise_of_tracks
 from ..evaluation.predictions import PairRecord
 from .job import Association, Coherence

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
+from ...inference.sfm.affine_camera import scaled_rotations
 from ...models.core.frame import Frame
-from ...models.points.affine_camera import scaled_rotations
 from .reconstruction import Numbers, Reconstruction
 
 Image = NDArray[np.uint8]

@@ -12,8 +12,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from rsmcm.apps.scenes import signer
 from rsmcm.chains import ArticulatedPose, FleshTracker
+from rsmcm.chains.body.samples import moments
 from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.inference.body.samples import moments
 from rsmcm.models import BodyParts, UpperBody
 
 # %%

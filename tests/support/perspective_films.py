@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from rsmcm.models.points.perspective_camera import PerspectiveCameras
+from rsmcm.models.camera.perspective_camera import PerspectiveCameras
 from scipy.spatial.transform import Rotation
 
 Numbers = NDArray[np.float64]

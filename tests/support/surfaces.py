@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from rsmcm.models.face.image_pyramid import Level
+from rsmcm.chains.face.image_pyramid import Level
 from rsmcm.models.face.morphable_model import MorphableModel, spread
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.numerics.rotations import exponential

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import rsmcm.chains
-from rsmcm.inference.core.protocols import Cavity, Port
+from rsmcm.inference.engine.protocols import Cavity, Port
 
 from .test_conventions import found
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rsmcm.apps.io.mot import TrackedBox, TrackWriter, read_tracks
 from rsmcm.chains import AdaptiveBackground
+from rsmcm.chains.objects.blobs import Blob
 from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.inference.objects.blobs import Blob
 from rsmcm.models import MorphableModel, PixelLabels, Poses, UpperBody
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.points.alignment import sample_patches

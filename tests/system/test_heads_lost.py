@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.apps.scenes.signing.faults import ListedFaces
 from rsmcm.chains import ArticulatedPose, FleshTracker
+from rsmcm.chains.body.samples import moments
 from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.inference.body.samples import moments
 from rsmcm.models import BodyParts, Frame, UpperBody
 
 Array = NDArray[np.float64]

@@ -23,10 +23,10 @@ from rsmcm.chains import (
     PointTracker,
     RecursiveStructure,
 )
-from rsmcm.chains.condensation import Condensation
+from rsmcm.chains.body.condensation import Condensation
+from rsmcm.chains.body.samples import BodySamples
+from rsmcm.chains.objects.blob_table import Blobs
 from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.inference.body.samples import BodySamples
-from rsmcm.inference.objects.blob_table import Blobs
 from rsmcm.models import Frame, ObjectBoxes, PixelLabels, PointTracks, ScenePixels
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import GivenBoxes, GivenPoints

@@ -25,8 +25,8 @@ from rsmcm.apps.runs.interruption import Interruption
 from rsmcm.apps.scenes import cylinder, face, signer, sleeping_man
 from rsmcm.apps.scenes.signing.signer import SignerScene
 from rsmcm.chains import ArticulatedPose, FleshTracker
+from rsmcm.chains.body.samples import moments
 from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.inference.body.samples import moments
 from rsmcm.models import BodyParts, UpperBody
 from rsmcm.models.body.upper_body import JOINTS
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ....chains.condensation import Condensation
-from ....inference.core.protocols import Incoming
+from ....chains.body.condensation import Condensation
+from ....inference.engine.protocols import Incoming
 from ....models.body.part_message import PartMessage
 from ....models.body.parts import BodyParts
 from ....models.body.upper_body import PARTS

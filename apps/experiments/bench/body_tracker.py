@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ....chains.articulated_pose import ArticulatedPose
-from ....chains.flesh_tracker import FleshTracker
+from ....chains.body.articulated_pose import ArticulatedPose
+from ....chains.body.dynamics import BodyDynamics
+from ....chains.body.fixed_lag import BLOCK, FixedLag
+from ....chains.body.flesh_tracker import FleshTracker
+from ....chains.body.likelihood import BodyLikelihood
 from ....inference import MultiChain, RecursiveBP, RunState
-from ....inference.body.dynamics import BodyDynamics
-from ....inference.body.hindsight import BLOCK, FixedLag
 from ....models.body.image_features import BodyImage, edge_distances
-from ....models.body.likelihood import BodyLikelihood
 from ....models.body.parts import EDGE_REACH, HAND_RADIUS, BodyParts
 from ....models.body.poses import BodyPoses
 from ....models.body.skin_blobs import skin_blobs

@@ -13,16 +13,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ....chains.gflow import GFlow, GFlowState
-from ....inference.core.protocols import Incoming
-from ....inference.face.texture_filter import Texture
-from ....inference.face.texture_likelihood import TexturedObject, TextureLikelihood
-from ....models.background.pixel_labels import PixelLabels, PixelMessage
+from ....chains.face.gflow import GFlow, GFlowState
+from ....chains.face.image_pyramid import image_pyramid
+from ....chains.face.texture_filter import Texture
+from ....chains.face.texture_likelihood import TexturedObject, TextureLikelihood
+from ....inference.engine.protocols import Incoming
 from ....models.core.frame import Frame
-from ....models.face.image_pyramid import image_pyramid
 from ....models.face.pose import Poses
 from ....models.face.surface_texels import SurfaceTexels
 from ....models.numerics.threads import set_threads, thread_count
+from ....models.pixels.pixel_labels import PixelLabels, PixelMessage
 from ...evaluation.text_tables import in_columns
 from ...scenes import FaceScene, face
 from ..expectations import HEADER, Expectation

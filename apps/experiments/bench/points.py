@@ -12,8 +12,8 @@ import simdkalman
 from filterpy.kalman import KalmanFilter, rts_smoother
 from numpy.typing import NDArray
 
-from ....inference.filters.kalman import PointStates, filter_tracks, predict, smooth, update
-from ....inference.filters.linear_motion import kinematic
+from ....inference.kalman import PointStates, filter_tracks, predict, smooth, update
+from ....inference.linear_motion import kinematic
 from ....models.points.alignment import sample_patches
 from ....models.points.kernels.search import GRID, NEAR, REACH, WHOLE
 from ....models.points.point_tracks import PointTracks

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ....inference.factor_analysis.factorisation import factorise, predicted
-from ....models.points.affine_camera import affine_alignment
+from ....inference.sfm.affine_camera import affine_alignment
+from ....inference.sfm.factor_analysis.factorisation import factorise, predicted
 from ...io.point_files import frames_of_tracks
 from ...runs.parallel import in_parallel
 from ...scenes import Cylinder, cylinder

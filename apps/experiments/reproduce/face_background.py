@@ -10,11 +10,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ....chains.adaptive_background import AdaptiveBackground
-from ....chains.gflow import GFlow
-from ....inference.core.graph import MultiChain
-from ....inference.core.recursive_bp import RecursiveBP, RunState
-from ....models.background.pixel_labels import PixelLabels
+from ....chains.face.gflow import GFlow
+from ....chains.pixels.adaptive_background import AdaptiveBackground
+from ....inference.engine.graph import MultiChain
+from ....inference.engine.recursive_bp import RecursiveBP, RunState
+from ....models.pixels.pixel_labels import PixelLabels
 from ...runs.parallel import in_parallel
 from ...scenes import FaceScene, face
 from ..expectations import Expectation, over_seeds

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ....chains.gflow import GFlow
+from ....chains.face.gflow import GFlow
 from ....models.face.pose import Poses
 from ...runs.parallel import in_parallel
 from ..expectations import Expectation, over_seeds

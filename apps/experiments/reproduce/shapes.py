@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ....inference.nonrigid.comparison import shape_error
-from ....inference.nonrigid.learning import LEAST_FRAMES, learn_shape
-from ....inference.nonrigid.shape import NonrigidShape
+from ....inference.sfm.nonrigid.comparison import shape_error
+from ....inference.sfm.nonrigid.learning import LEAST_FRAMES, learn_shape
+from ....inference.sfm.nonrigid.shape import NonrigidShape
 from ...io.datasets import data_folder
 from ...runs.progress import Progress
 from ..expectations import Expectation
@@ -68,7 +68,7 @@ class LearnedShape:
 
     @property
     def e3d(self) -> float:
-        """`inference.nonrigid.comparison.shape_error`."""
+        """`inference.sfm.nonrigid.comparison.shape_error`."""
         return shape_error(self.learned.shapes(), self.truth)
 
     @property

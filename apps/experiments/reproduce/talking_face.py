@@ -11,13 +11,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ....chains.gflow import GFlow
+from ....chains.face.gflow import GFlow
 from ....inference import MultiChain, RecursiveBP
-from ....inference.nonrigid.learning import learn_shape
-from ....models.background.pixel_labels import PixelLabels
+from ....inference.sfm.nonrigid.learning import learn_shape
 from ....models.core.frame import Frame
 from ....models.core.grey import grey_of
 from ....models.face.model_files import read_correspondences, read_model
+from ....models.pixels.pixel_labels import PixelLabels
 from ...face.start import FaceStart, start_from_landmarks
 from ...io.datasets import data_folder
 from ...io.sources.open_source import open_source

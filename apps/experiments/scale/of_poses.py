@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ....chains.articulated_pose import ArticulatedPose
-from ....chains.flesh_tracker import FleshTracker
-from ....chains.gflow import GFlow
+from ....chains.body.articulated_pose import ArticulatedPose
+from ....chains.body.flesh_tracker import FleshTracker
+from ....chains.face.gflow import GFlow
 from ....inference import Incoming, MultiChain, RecursiveBP, RunState
 from ....models import PixelLabels, PixelMessage
 from ....models.body.poses import ANGLES

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ....chains.articulated_pose import ArticulatedPose
-from ....chains.condensation import Condensation
-from ....chains.flesh_tracker import FleshTracker
+from ....chains.body.articulated_pose import ArticulatedPose
+from ....chains.body.condensation import Condensation
+from ....chains.body.dynamics import BodyDynamics
+from ....chains.body.fixed_lag import FixedLag
+from ....chains.body.flesh_tracker import FleshTracker
+from ....chains.body.samples import BodySamples, moments
 from ....inference import MultiChain, RecursiveBP
-from ....inference.body.dynamics import BodyDynamics
-from ....inference.body.hindsight import FixedLag
-from ....inference.body.samples import BodySamples, moments
-from ....inference.core.recursive_bp import RunState
+from ....inference.engine.recursive_bp import RunState
 from ....models.body.parts import BodyParts
 from ....models.body.upper_body import JOINTS, PARTS
 from ....models.core.frame import Frame

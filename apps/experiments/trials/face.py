@@ -8,13 +8,13 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ....chains.gflow import GFlow, GFlowState
-from ....inference.face.gauss_newton import find_modes
-from ....inference.face.pose_dynamics import PosePrior
-from ....inference.face.texture_filter import UNKNOWN_VARIANCE, Texture
-from ....inference.face.texture_likelihood import TextureLikelihood
+from ....chains.face.gauss_newton import find_modes
+from ....chains.face.gflow import GFlow, GFlowState
+from ....chains.face.image_pyramid import Level, image_pyramid
+from ....chains.face.pose_dynamics import PosePrior
+from ....chains.face.texture_filter import UNKNOWN_VARIANCE, Texture
+from ....chains.face.texture_likelihood import TextureLikelihood
 from ....models.core.frame import Frame
-from ....models.face.image_pyramid import Level, image_pyramid
 from ....models.face.pose import Poses
 from ...runs.parallel import in_parallel
 from ...scenes import FaceScene, face

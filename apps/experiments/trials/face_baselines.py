@@ -10,16 +10,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ....chains.gflow import GFlow, GFlowState
-from ....inference.core.protocols import Incoming
-from ....inference.face.pose_dynamics import PoseDynamics, PosePrior
-from ....inference.face.texture_likelihood import TexturedObject
-from ....models.background.pixel_labels import PixelLabels, PixelMessage
+from ....chains.face.gflow import GFlow, GFlowState
+from ....chains.face.image_pyramid import Level, image_pyramid
+from ....chains.face.pose_dynamics import PoseDynamics, PosePrior
+from ....chains.face.texture_likelihood import TexturedObject
+from ....inference.engine.protocols import Incoming
 from ....models.core.frame import Frame
-from ....models.face.image_pyramid import Level, image_pyramid
 from ....models.face.morphable_model import MorphableModel
 from ....models.face.pose import Poses
 from ....models.face.surface_texels import SurfaceTexels
+from ....models.pixels.pixel_labels import PixelLabels, PixelMessage
 from .generative_template import ClipTemplate, GenerativeTemplate
 from .template_subspace import TextureSubspace, best_pose
 

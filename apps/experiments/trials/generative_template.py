@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ....inference.face.gauss_newton import find_modes
-from ....inference.face.pose_dynamics import PoseDynamics, PosePrior
-from ....inference.face.texture_likelihood import TexturedObject, TextureLikelihood
-from ....models.face.image_pyramid import MIDDLE_GREY, Level, image_pyramid
+from ....chains.face.gauss_newton import find_modes
+from ....chains.face.image_pyramid import MIDDLE_GREY, Level, image_pyramid
+from ....chains.face.pose_dynamics import PoseDynamics, PosePrior
+from ....chains.face.texture_likelihood import TexturedObject, TextureLikelihood
 from ....models.face.pose import RIGID, Poses
 
 Array = NDArray[np.float64]

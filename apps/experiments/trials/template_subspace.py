@@ -17,10 +17,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ....inference.face.gauss_newton import Modes, find_modes
-from ....inference.face.pose_dynamics import PosePrior
-from ....inference.face.texture_likelihood import Equations, TexturedObject, TextureLikelihood
-from ....models.face.image_pyramid import MIDDLE_GREY, Level
+from ....chains.face.gauss_newton import Modes, find_modes
+from ....chains.face.image_pyramid import MIDDLE_GREY, Level
+from ....chains.face.pose_dynamics import PosePrior
+from ....chains.face.texture_likelihood import Equations, TexturedObject, TextureLikelihood
 from ....models.face.pose import Poses
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.parameters import read_parameters, with_defaults
 from rsmcm.apps.command_line import main
 from rsmcm.apps.scenes import sleeping_man
-from rsmcm.inference.core.protocols import Incoming, Port
+from rsmcm.inference.engine.protocols import Incoming, Port
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.body.parts import BodyParts
 

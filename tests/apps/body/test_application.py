@@ -24,8 +24,8 @@ from rsmcm.apps.io.sources.open_source import Source, open_source
 from rsmcm.apps.reports import time_plots
 from rsmcm.apps.runs import film_run
 from rsmcm.apps.scenes import SignerScene, signer
-from rsmcm.inference.body.hindsight.labelling import ExchangeEvidence, HandLabels
-from rsmcm.inference.body.samples import BodyMoments
+from rsmcm.chains.body.hand_labelling import ExchangeEvidence, HandLabels
+from rsmcm.chains.body.samples import BodyMoments
 from rsmcm.models import Frame
 from rsmcm.models.body.parts import HEAD_OF_BOX
 from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody

@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.body.relabelling import ELBOWS, HANDS, ROWS, SHOULDERS, relabel, with_names_exchanged
 from rsmcm.apps.body.writer import N_DRAWN
-from rsmcm.inference.body.dynamics import BodyDynamics
-from rsmcm.inference.body.samples import BodySamples, moments
+from rsmcm.chains.body.dynamics import BodyDynamics
+from rsmcm.chains.body.samples import BodySamples, moments
 from rsmcm.models.body.upper_body import UpperBody
 
 from ...support.body_poses import resting

@@ -15,7 +15,7 @@ from rsmcm.apps.face.start import find_face, start_from_box, start_from_landmark
 from rsmcm.apps.io import film as films
 from rsmcm.apps.reports import time_plots
 from rsmcm.apps.scenes import face
-from rsmcm.inference.face.recovery.finder import WIDTH_OF_FACE
+from rsmcm.chains.face.recovery.finder import WIDTH_OF_FACE
 from rsmcm.models import Frame
 from rsmcm.models.face import detectors
 from rsmcm.models.face.built_in_model import face_model

@@ -74,7 +74,7 @@ def test_both_processes_find_each_others_loops(tmp_path: Path, monkeypatch: pyte
     script = (
         "import numba.core.event as event, rsmcm.apps.first_use.kernels as kernels\n"
         "with event.install_recorder('numba:compile') as found:\n"
-        "    kernels.compile_loop('models.background.colour:_planes_of_colour', 'array(uint8, 1d, C)',"
+        "    kernels.compile_loop('models.pixels.colour:_planes_of_colour', 'array(uint8, 1d, C)',"
         " 'array(float32, 2d, C)')\n"
         "print(len(found.buffer))"
     )

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numba import types
 from rsmcm.apps.first_use.kernels import LIST, compile_loop, listed, named, plain, type_of, write_kernels
-from rsmcm.models.background.colour import _planes_of_colour as loop
-from rsmcm.models.background.kernels.layers import LAYER
-from rsmcm.models.objects.kernels.records import RECORD
+from rsmcm.chains.objects.kernels.records import RECORD
+from rsmcm.models.pixels.colour import _planes_of_colour as loop
+from rsmcm.models.pixels.kernels.layers import LAYER
 
 
 class Pair(NamedTuple):
@@ -79,7 +79,7 @@ def test_a_loop_is_found_by_its_name() -> None:
     compile_loop(named(loop.py_func), *map(plain, arguments))
     assert arguments in loop.signatures
     with pytest.raises(AttributeError):
-        compile_loop("models.background.colour:no_such_loop")
+        compile_loop("models.pixels.colour:no_such_loop")
     with pytest.raises(ImportError):
         compile_loop("models.no_such_module:loop")
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import signer
+from rsmcm.chains.body.likelihood import BodyLikelihood
 from rsmcm.models import BodyParts, Frame, GivenKeypoints
 from rsmcm.models.body.keypoints import (
     AROUND,
@@ -18,7 +19,6 @@ from rsmcm.models.body.keypoints import (
     head_places,
     joints_of,
 )
-from rsmcm.models.body.likelihood import BodyLikelihood
 from rsmcm.models.core.keypoints import KEYPOINTS
 
 from ...support.keypoints import ELBOWS, HANDS, MIRRORED, WRISTS, points_of

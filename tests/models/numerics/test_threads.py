@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.inference.core.recursive_bp import RunState
+from rsmcm.inference.engine.recursive_bp import RunState
 from rsmcm.models import Frame, PixelLabels
 from rsmcm.models.numerics.threads import over_bands, set_threads, side_by_side, thread_count
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.experiments.reproduce import run_experiment, shapes
-from rsmcm.inference.nonrigid.learning import learn_shape
+from rsmcm.inference.sfm.nonrigid.learning import learn_shape
 
 from ....support.deforming import N_BASES, deforming
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 from rsmcm.apps.experiments.scale.of_points import LENGTH, PIECE, PIECES, broken_tracks, turning
-from rsmcm.inference.factor_analysis.em import expectation_maximisation
+from rsmcm.inference.sfm.factor_analysis.em import expectation_maximisation
 
 
 def test_lists_without_a_table_are_observations_like_all_others() -> None:

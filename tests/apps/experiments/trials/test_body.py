@@ -17,7 +17,7 @@ from rsmcm.apps.body.measures import (
 )
 from rsmcm.apps.experiments.bench import body_tracker as bench_body_tracker
 from rsmcm.apps.experiments.trials.body import BodyTracker, SignerFilm, in_turns
-from rsmcm.chains.articulated_pose import ArticulatedPose
+from rsmcm.chains.body.articulated_pose import ArticulatedPose
 from rsmcm.inference import MultiChain, RecursiveBP
 from rsmcm.models.body.upper_body import JOINTS
 

@@ -13,7 +13,7 @@ from rsmcm.apps.experiments.trials.face_baselines import (
     template_subspace,
 )
 from rsmcm.apps.scenes import face
-from rsmcm.chains.gflow import GFlow
+from rsmcm.chains.face.gflow import GFlow
 from rsmcm.models.face.pose import Poses
 
 N_FRAMES = 30

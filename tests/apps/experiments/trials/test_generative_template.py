@@ -10,9 +10,9 @@ from rsmcm.apps.experiments.trials.generative_template import (
     GenerativeTemplate,
 )
 from rsmcm.apps.scenes import face
-from rsmcm.inference.face.pose_dynamics import PoseDynamics, PosePrior
-from rsmcm.inference.face.texture_likelihood import TexturedObject
-from rsmcm.models.face.image_pyramid import image_pyramid
+from rsmcm.chains.face.image_pyramid import image_pyramid
+from rsmcm.chains.face.pose_dynamics import PoseDynamics, PosePrior
+from rsmcm.chains.face.texture_likelihood import TexturedObject
 from rsmcm.models.face.pose import RIGID, Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
 

@@ -9,9 +9,9 @@ from rsmcm.apps.experiments.trials.template_subspace import (
     TextureSubspace,
     best_pose,
 )
-from rsmcm.inference.face.pose_dynamics import PoseDynamics, PosePrior
-from rsmcm.inference.face.texture_likelihood import TexturedObject, TextureLikelihood
-from rsmcm.models.face.image_pyramid import image_pyramid
+from rsmcm.chains.face.image_pyramid import image_pyramid
+from rsmcm.chains.face.pose_dynamics import PoseDynamics, PosePrior
+from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.inference.body.dynamics import around
+from rsmcm.chains.body.dynamics import around
 from rsmcm.models.body.inverse_kinematics import REFERENCE, arm_at, swivels
 from rsmcm.models.body.kernels.kinematics import lean
 from rsmcm.models.body.poses import BodyPoses

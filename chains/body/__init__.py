@@ -1,0 +1,1 @@
+"""Head, hands and pose of a person's upper body."""

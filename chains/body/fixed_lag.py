@@ -1,0 +1,285 @@
+"""Poses with hindsight: what later frames say of earlier ones, by backward simulation.
+
+    p(x_t | x_t+1, I_1..t) ~ sum_k w_k p(x_t+1 | x_k) delta(x_t - x_k)
+
+The weighted poses x_k of a filter say what frames up to t know. Trajectories are drawn backwards through
+them: their ends from the newest frame, and then, frame after frame, a pose from which they may have come
+(Godsill, Doucet and West, "Monte Carlo smoothing for nonlinear time series", 2004), which is then moved a
+little (`trajectory_moves`), as the image and what comes before and after have it.
+
+A filter may have taken the hands for each other. Its poses are there with exchanged names, too, as probable
+as all frames so far, and those that came later, say (`labelling`).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference.smc import normalised, systematic
+from ...models.body.image_features import BodyImage
+from ...models.body.poses import BodyPoses
+from ...models.core.frame import Frame
+from ...models.core.short_repr import short_repr
+from .dynamics import Ancestors, BodyDynamics
+from .hand_labelling import NOTHING_SAID, ExchangeEvidence, both_names, hand_labels
+from .likelihood import BodyLikelihood, PoseLikelihood
+from .samples import LONGEST, BodySamples, copied
+from .tempering import LogDensity
+from .trajectory_moves import moved_between
+
+Array = NDArray[np.float64]
+
+CLOUD = 400
+"""Poses of a frame that are kept until later ones have spoken."""
+
+BLOCK = 6
+"""Frames that are answered at a time: a pass over all that wait costs the same for one."""
+
+LEAST_EXCHANGED = 1e-3
+"""Probability at least that hands have each other's name, or their own."""
+
+MOVES, MOVES_AHEAD = 8, 2
+"""Of every pose in a frame that is answered, and in one that only leads there."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class TimedSamples:
+    """Weighted poses of a frame.
+
+    Parameters
+    ----------
+    number, time
+        of the frame; s.
+    samples
+        its poses.
+    evidence
+        of an answer, what the frame says of which hand is which (see `Labelling`).
+    """
+
+    number: int
+    time: float
+    samples: BodySamples
+    evidence: ExchangeEvidence = NOTHING_SAID
+
+    def ancestors(self, time: float) -> Ancestors:
+        """What may have become poses at `time`, s."""
+        return Ancestors(self.samples.poses, self.samples.weights, min(time - self.time, LONGEST))
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class WaitingFrame:
+    """What is remembered of a frame.
+
+    Parameters
+    ----------
+    number, time
+        of the frame; s.
+    samples
+        what the filter knew, thinned.
+    exchanged
+        some of the same poses with the names of the hands exchanged.
+    evidence
+        whether these are right.
+    image
+        what the likelihood asks of it; `None` for a missing one, and once it is answered.
+    log_odds
+        nats, once it is answered: that these are right, by all frames up to it.
+    """
+
+    number: int
+    time: float
+    samples: BodySamples
+    exchanged: BodyPoses
+    evidence: ExchangeEvidence
+    image: BodyImage | None = None
+    log_odds: float | None = None
+
+    def named(self, share: float) -> BodySamples:
+        """The samples, with names exchanged in a share of them."""
+        extra = len(self.exchanged)
+        if not extra:
+            return self.samples
+        share = np.clip(share, LEAST_EXCHANGED, 1 - LEAST_EXCHANGED)
+        log_weights = [self.samples.log_weights + np.log1p(-share), np.full(extra, np.log(share / extra))]
+        return replace(
+            self.samples,
+            poses=BodyPoses.concatenated([self.samples.poses, self.exchanged]),
+            log_weights=np.concatenate(log_weights),
+        )
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class WaitingFrames:
+    """What fixed-lag smoothing has to remember: the frames that are not answered yet.
+
+    Parameters
+    ----------
+    frames
+        in the order of time.
+    past
+        the frame before them, which is answered; `None` at the beginning.
+    random
+        generator of the draws to come.
+    """
+
+    frames: tuple[WaitingFrame, ...]
+    past: WaitingFrame | None
+    random: np.random.Generator
+
+
+class FixedLag:
+    """Gives poses when later frames have spoken.
+
+    Parameters
+    ----------
+    dynamics
+        of the filter whose poses these are.
+    lag
+        frames by which answers are late, at least, and at most 5 more; 0 for none: the filter's own answers.
+    likelihood
+        of images; that of the body, unless given.
+    trajectories
+        that are drawn; so many poses answer for a frame.
+    seed
+        of the random numbers.
+
+    Attributes
+    ----------
+    waiting
+        all that it remembers, a value: put back, it goes on in the same way.
+
+    Raises
+    ------
+    ValueError
+        for a lag below 0, or fewer than 2 trajectories.
+    """
+
+    def __init__(
+        self,
+        dynamics: BodyDynamics,
+        lag: int = 12,
+        *,
+        likelihood: PoseLikelihood | None = None,
+        trajectories: int = 64,
+        seed: int = 0,
+    ) -> None:
+        if lag < 0:
+            raise ValueError(f"lag: got {lag} frames, expected 0 or more")
+        if trajectories < 2:
+            raise ValueError(f"trajectories: got {trajectories}, expected 2 or more")
+        self.dynamics = dynamics
+        self.lag = lag
+        self.likelihood = likelihood or BodyLikelihood(dynamics.body)
+        self.trajectories = trajectories
+        self.waiting = WaitingFrames((), None, np.random.default_rng(seed))
+        self._likelihoods: dict[int, LogDensity] = {}
+
+    def add(self, frame: Frame, samples: BodySamples, image: BodyImage | None = None) -> list[TimedSamples]:
+        """Take in what a filter knows after a frame, and answer for frames that waited long enough.
+
+        Parameters
+        ----------
+        frame
+            later than those before; it may be missing.
+        samples
+            the filter's posterior, or its prediction.
+        image
+            what the filter was told of the frame: the `image` of the parts' message. Without it, of a frame
+            that is not missing, poses are chosen among the filter's own.
+        """
+        if not self.lag:
+            return [TimedSamples(frame.number, frame.time, samples)]
+        random = copied(self.waiting.random)
+        if image is not None:
+            self._likelihoods[frame.number] = self.likelihood(image)
+        likelihood = self._likelihoods.get(frame.number)
+        evidence, exchanged = both_names(self.dynamics, samples, likelihood, random)
+        few = thinned(samples, CLOUD, random)
+        new = WaitingFrame(frame.number, frame.time, few, exchanged, evidence, image)
+        self.waiting = replace(self.waiting, frames=(*self.waiting.frames, new), random=random)
+        if len(self.waiting.frames) < self.lag + BLOCK:
+            return []
+        return self._answers(BLOCK)
+
+    def rest(self) -> list[TimedSamples]:
+        """Answers for all frames that wait, after the last one."""
+        return self._answers(len(self.waiting.frames))
+
+    def _answers(self, count: int) -> list[TimedSamples]:
+        """Answers for the first frames that wait, which are then forgotten."""
+        if not count:
+            return []
+        waiting, random = self.waiting, copied(self.waiting.random)
+        self._likelihoods = {
+            frame.number: self._likelihoods.get(frame.number) or self.likelihood(frame.image)
+            for frame in waiting.frames
+            if frame.image is not None
+        }
+        before = 0 if waiting.past is None else 1
+        frames = [*waiting.frames] if waiting.past is None else [waiting.past, *waiting.frames]
+        labels = hand_labels(
+            np.array([frame.number for frame in frames]),
+            np.array([frame.time for frame in frames]),
+            np.array([frame.evidence.log_odds for frame in frames]),
+            np.array([frame.evidence.confusable for frame in frames]),
+            known=frames[0].log_odds,
+        )
+        pairs = zip(frames, labels.shares, strict=True)
+        clouds = [TimedSamples(each.number, each.time, each.named(share)) for each, share in pairs]
+        smoothed = self._trajectories(clouds, before, before + count, random)
+        last = before + count - 1
+        past = replace(frames[last], image=None, log_odds=float(labels.so_far[last]))
+        self.waiting = WaitingFrames(waiting.frames[count:], past, random)
+        return smoothed
+
+    def _trajectories(
+        self, clouds: list[TimedSamples], first: int, stop: int, random: np.random.Generator
+    ) -> list[TimedSamples]:
+        """Draw trajectories backwards through clouds; their poses from `first` up to before `stop`."""
+        newest = len(clouds) - 1
+        poses = clouds[newest].samples.drawn(self.trajectories, random)
+        smoothed = []
+        past = None
+        for index in range(newest, first - 1, -1):
+            cloud, later, elapsed = clouds[index], poses, 0.0
+            if past is not None:
+                poses = past.poses.take(self.dynamics.draw_ancestors(later, past, random))
+                elapsed = past.elapsed
+            past = clouds[index - 1].ancestors(cloud.time) if index else None
+            likelihood = self._likelihoods.get(cloud.number)
+            if index < newest and past is not None and likelihood is not None:
+                moves = MOVES if index < stop else MOVES_AHEAD
+                poses = moved_between(
+                    self.dynamics, poses, past, cloud.samples, later, elapsed, likelihood, moves, random
+                )
+            if index < stop:
+                smoothed.append(self._answer(cloud, poses, random))
+        return smoothed[::-1]
+
+    def _answer(self, cloud: TimedSamples, poses: BodyPoses, random: np.random.Generator) -> TimedSamples:
+        n, likelihood = len(poses), self._likelihoods.get(cloud.number)
+        samples = replace(cloud.samples, poses=poses, log_weights=np.full(n, -np.log(n)))
+        evidence = both_names(self.dynamics, samples, likelihood, random)[0]
+        return replace(cloud, samples=samples, evidence=evidence)
+
+
+def thinned(samples: BodySamples, n: int, random: np.random.Generator) -> BodySamples:
+    """At most `n` of the samples, with weights, and without what a prediction remembers.
+
+    They are drawn in proportion to the roots of their weights, so that what is improbable is still there.
+    """
+    kept, log_weights = np.arange(len(samples.poses)), samples.log_weights
+    if len(kept) > n:
+        kept, counts = np.unique(systematic(0.5 * log_weights, n, random), return_counts=True)
+        log_weights = 0.5 * log_weights[kept] + np.log(counts)
+    return replace(
+        samples,
+        poses=samples.poses.take(kept),
+        log_weights=normalised(log_weights),
+        ancestors=None,
+        before=None,
+    )

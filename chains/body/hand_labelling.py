@@ -1,0 +1,258 @@
+"""Which hand is left, decided by the evidence of a whole film.
+
+A filter may take the hands for each other where they meet or are hidden, and then go on with the wrong
+names: hands never exchange in the world. Whether they are exchanged in a frame, z_t, is a Markov chain of two
+states,
+
+    p(z_t != z_t-1) = (1 - exp(-2 r dt)) / 2,    r = APART + c_t TOGETHER,
+    p(I_t | z_t) ~ mean over arms of p(I_t | hands where they are in the picture, by the names of z_t; arms)
+
+with c_t the chance that the hands could be confused. Arms are any that joints allow and that bring the hands
+there: both names are treated alike, as a filter's own arms have been chosen for its own names by this very
+image. How usual a posture is does not count: the dynamics have weighed it, and a hand that stays on the other
+side would say it anew in every frame. Forward-backward gives the probability of each frame, Viterbi's
+algorithm the best sequence (Rabiner, "A tutorial on hidden Markov models", 1989).
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference.smc import log_sum, systematic
+from ...models.body.inverse_kinematics import arm_at
+from ...models.body.poses import BodyPoses
+from ...models.body.upper_body import UpperBody
+from ...models.core.short_repr import short_repr
+from .dynamics import BodyDynamics
+from .likelihood_sampling import half_range
+from .samples import BodySamples
+from .tempering import LogDensity
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+POSES, ARMS, LOOKED_AT = 32, 64, 256
+"""Poses of a frame whose hands are given both names, pairs of arms that are tried for each, and how many of
+those that are possible are compared with the image, at most: as many for either names, since the logarithm of
+a mean over few is too small on average."""
+
+PAIRS = 50
+"""Of left and right hands that are compared; so many poses with exchanged names are kept, too."""
+
+MOST = 3.0
+"""Nats: one look at the picture says no more than this, odds of 20; the likelihood is not right to a greater
+degree, as arms and clothes are not quite what it takes them for."""
+
+LOOK = 0.2
+"""s: frames of so short a time count as one look. Signing hands go from one place to the next in about so
+long; until then an arm is as it was, and where the likelihood errs it errs again."""
+
+SURE = 0.99
+"""Probability that has to be reached somewhere in a stretch before its names are exchanged: what a filter
+says is the better answer until then, since it has weighed more than arms."""
+
+MOST_DOUBT = 0.3
+"""Share of poses with exchanged names, at most, where that is not sure: the other answer is said, and the
+first one stays what it is."""
+
+APART, TOGETHER = 0.01, 0.3
+"""Exchanges in one second by mistake, of hands that are apart, and of hands that could be confused."""
+
+MISTAKEN = 0.05
+"""Probability that a filter has begun with the wrong names: it has weighed both."""
+
+NEAR = 3.0
+"""Hand radii: hands that are so near could be confused."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class HandLabels:
+    """Whether left and right are exchanged in each frame of a film.
+
+    Parameters
+    ----------
+    numbers
+        `(n,)` of the frames.
+    probabilities
+        `(n,)`, of an exchange: given the whole film.
+    exchanged
+        `(n,)`: the most probable sequence, without stretches that are not sure.
+    so_far
+        `(n,)` nats: log odds of an exchange given the film up to the frame.
+    """
+
+    numbers: NDArray[np.int64]
+    probabilities: Array
+    exchanged: Mask
+    so_far: Array
+
+    @property
+    def shares(self) -> Array:
+        """`(n,)`: of an exchange, as probabilities; no more than a doubt where it is not sure."""
+        return np.where(self.exchanged, self.probabilities, np.minimum(self.probabilities, MOST_DOUBT))
+
+
+@short_repr
+@dataclass(frozen=True)
+class ExchangeEvidence:
+    """What one frame says of the names of the hands.
+
+    Parameters
+    ----------
+    log_odds
+        nats: that they are exchanged against that they are not.
+    confusable
+        probability that the hands are so near each other in the picture that they could be confused.
+    """
+
+    log_odds: float = 0.0
+    confusable: float = 0.0
+
+
+NOTHING_SAID = ExchangeEvidence()
+
+
+@dataclass(eq=False)
+class Labelling:
+    """Gathers what frames say of the names of the hands: a few numbers each.
+
+    Parameters
+    ----------
+    numbers, times
+        of the frames so far; s.
+    evidence
+        of each.
+    """
+
+    numbers: list[int] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    evidence: list[ExchangeEvidence] = field(default_factory=list)
+
+    def add(self, number: int, time: float, evidence: ExchangeEvidence) -> None:
+        """Take in a frame, later than those before."""
+        self.numbers.append(number)
+        self.times.append(time)
+        self.evidence.append(evidence)
+
+    def result(self) -> HandLabels:
+        """Labels of all frames so far."""
+        return hand_labels(
+            np.array(self.numbers, np.int64),
+            np.array(self.times),
+            np.array([each.log_odds for each in self.evidence]),
+            np.array([each.confusable for each in self.evidence]),
+        )
+
+
+def both_names(
+    dynamics: BodyDynamics,
+    samples: BodySamples,
+    log_likelihood: LogDensity | None,
+    random: np.random.Generator,
+) -> tuple[ExchangeEvidence, BodyPoses]:
+    """What a frame says of the names of the hands, and poses with exchanged ones, evenly weighted.
+
+    Hands stay where they are in the picture; their depths and the elbows are drawn anew, for both names in
+    the same way. There are no poses where that is impossible. Without a likelihood, the frame says nothing.
+    """
+    body = dynamics.body
+    some = samples.drawn(2 * PAIRS, random)
+    hands = body.parts(some)[random.permutation(2 * PAIRS), 1:]  # far from each other if nobody knows where
+    squares = np.square(hands[:PAIRS, 0] - hands[PAIRS:, 1]).sum(axis=1)
+    near = float((squares < (NEAR * body.hand) ** 2).mean())
+    few = some.take(random.permutation(2 * PAIRS)[:POSES].repeat(ARMS))
+    own, other = (_with_any_arms(body, few, swap, random) for swap in (False, True))
+    # as trajectories go through these, hands stay where they are in space if they can
+    poses = _with_any_arms(body, few, True, random, deep=True) or other
+    if log_likelihood is None or not (len(own) or len(other)):
+        return ExchangeEvidence(0.0, near), poses.take(slice(PAIRS))
+    compared = min(len(own), len(other), LOOKED_AT) or LOOKED_AT
+    kept, exchanged = (_log_mean(each, compared, log_likelihood) for each in (own, other))
+    if len(poses):
+        poses = poses.take(slice(LOOKED_AT))
+        poses = poses.take(systematic(log_likelihood(poses), PAIRS, random))
+    if np.isneginf([kept, exchanged]).all():
+        return ExchangeEvidence(0.0, near), poses
+    return ExchangeEvidence(float(np.clip(exchanged - kept, -MOST, MOST)), near), poses
+
+
+def hand_labels(
+    numbers: NDArray[np.int64],
+    times: Array,
+    log_odds: Array,
+    confusable: Array,
+    known: float | None = None,
+) -> HandLabels:
+    """Labels of all frames by what each says.
+
+    Parameters
+    ----------
+    numbers, times, log_odds, confusable
+        `(n,)`, of frames in the order of time, and their `ExchangeEvidence`.
+    known
+        nats: log odds of the first frame, given all up to it; `None` where it is the first of all.
+    """
+    n = len(times)
+    if not n:
+        return HandLabels(numbers, np.zeros(0), np.zeros(0, np.bool_), np.zeros(0))
+    steps = np.diff(times, prepend=times[0] - LOOK)
+    evidence = np.zeros((n, 2))
+    evidence[:, 1] = log_odds * np.minimum(steps / LOOK, 1.0)
+    evidence[0, 1] = evidence[0, 1] + np.log(MISTAKEN / (1 - MISTAKEN)) if known is None else known
+    # a frame in which they could be confused lasts from the one before to the one after
+    rates = APART + TOGETHER * np.maximum(confusable[1:], confusable[:-1])
+    changes = -0.5 * np.expm1(-2 * rates * steps[1:])
+    forward, best, origins = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2), np.int64)
+    backward = np.zeros((n, 2))
+    logs = [np.log([[1 - change, change], [change, 1 - change]]) for change in changes]
+    for index in range(n):
+        if index:
+            moved = best[index - 1][:, None] + logs[index - 1]
+            origins[index], best[index] = moved.argmax(axis=0), moved.max(axis=0)
+            forward[index] = np.logaddexp(*(forward[index - 1][:, None] + logs[index - 1]))
+        forward[index] += evidence[index]
+        best[index] += evidence[index]
+    for index in range(n - 2, -1, -1):
+        backward[index] = np.logaddexp(*(logs[index] + backward[index + 1] + evidence[index + 1]).T)
+    both = forward + backward
+    labels = np.zeros(n, np.int64)
+    for index in range(n - 1, -1, -1):
+        labels[index] = best[-1].argmax() if index == n - 1 else origins[index + 1, labels[index + 1]]
+    odds = np.clip(both[:, 1] - both[:, 0], -700, 700)
+    probabilities = 1 / (1 + np.exp(-odds))
+    exchanged = _sure(labels == 1, probabilities)
+    return HandLabels(numbers, probabilities, exchanged, forward[:, 1] - forward[:, 0])
+
+
+def _sure(exchanged: Mask, probabilities: Array) -> Mask:
+    """Without the stretches in which an exchange is sure nowhere."""
+    stretches = np.cumsum(np.diff(exchanged, prepend=exchanged[:1]))
+    certain = np.unique(stretches[exchanged & (probabilities > SURE)])
+    return np.asarray(exchanged & np.isin(stretches, certain))
+
+
+def _with_any_arms(
+    body: UpperBody, poses: BodyPoses, swap: bool, random: np.random.Generator, *, deep: bool = False
+) -> BodyPoses:
+    """Those of the poses that are possible, in random order, when hands are where they are in the picture, or
+    where the other one is, with elbows anywhere, and as deep as they are or anywhere as well."""
+    n, joints = len(poses), body.joints(poses)
+    arms, within = np.empty_like(poses.arms), np.ones(n, np.bool_)
+    for side in (0, 1):
+        offsets = joints[:, 4 + 3 * (1 - side if swap else side)] - joints[:, 2 + 3 * side]
+        if not deep:
+            offsets[:, 2] = half_range(body, offsets) * random.uniform(-1, 1, n)
+        arms[:, side], reached = arm_at(body, side, offsets, random.uniform(-np.pi, np.pi, n))
+        within &= reached
+    posed = replace(poses, arms=arms)
+    return posed.take(random.permutation(np.flatnonzero(within & body.allowed(posed))))
+
+
+def _log_mean(poses: BodyPoses, n: int, log_likelihood: LogDensity) -> float:
+    """Log of the mean likelihood of all that were tried, from `n` of those that are possible."""
+    if not len(poses):
+        return -np.inf
+    few = poses.take(slice(n))
+    return log_sum(log_likelihood(few)) + float(np.log(len(poses) / (POSES * ARMS * len(few))))

@@ -1,0 +1,343 @@
+"""How well poses of a body explain an image: face, skin and occlusion edges (RSMCM paper §4.1)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.body.image_features import BodyImage
+from ...models.body.poses import BodyPoses, over_bands_of
+from ...models.body.skin.colour import HIGHEST
+from ...models.body.upper_body import UpperBody
+from .kernels.likelihood import (
+    HandModel,
+    arm_terms,
+    blob_terms,
+    edge_features,
+    forearm_terms,
+    hand_terms,
+    head_terms,
+    over_density,
+)
+from .kernels.silhouette import outline_terms
+from .silhouette import N_POINTS, solid_of
+
+Array = NDArray[np.float64]
+Map = NDArray[np.float32]
+
+CELLS = 5.0
+"""Entries of the skin maps in a hand's radius."""
+
+WINDOWS = (0.4, 1.6)
+"""Hand radii: standard deviations of the windows that weigh skin in a hand and skin around it. Beside other
+widths these had the least error, 0.03 head heights on hands of a synthetic signer."""
+
+SKIN_SCORES = (11.0, -1.0, 0.2)
+"""Nats of a place that looks all like a hand, and of one that does not; probability of a hand without skin.
+With these a hand's place is known to about 0.07 head heights, as real hands are off their model by. Skin is
+hidden in bursts, where frame after frame says the same: the second must not drive a hand to the face."""
+
+BARE_SCORES, BARE_HAND_SCORES = (14.0, -4.0, 0.2), (8.0, -1.0, 0.2)
+"""The same of a bare forearm across the line of sight, and of the hand at its end. A forearm is as much skin
+as one hand and a little more. Skin speaks less for a hand there, since a forearm that goes on shows two
+thirds of it: otherwise hands that are hidden would be drawn to their wrists."""
+
+LEVELS = 256
+"""Entries of tables over distances and directions."""
+
+HEAD_WINDOWS = (0.5, 1.2)
+"""Half widths and heights of the head: standard deviations of the windows for its skin."""
+
+HEAD_SCORES = (5.0, 0.2)
+"""Nats of a place with all the skin of a head, where no face is detected; probability of a head without."""
+
+NECK_RADIUS, NO_NECK = 0.28, -9.0
+"""Head heights: of bare skin between head and shoulders; of none, since all that rests is left out."""
+
+BLOB_COST = 4.0
+"""Nats: of what looks like a hand and is neither hand nor head."""
+
+BLOB_REACH = (0.6, 0.35, 0.35, 0.25)
+"""Head heights: within which head, hands and bare forearms explain a blob."""
+
+EDGE_SPREAD = 0.05
+"""Head heights: standard deviation of an edge about the outline of a body that is only nearly right."""
+
+EDGE_WINDOW = 0.5
+"""Head heights: standard deviation of the window in which an image's own edges are counted."""
+
+COUNTED = 5.0
+"""Entries of the map of these counts in that length."""
+
+LEAST_EDGES, LEAST_ALIKE = 0.2, 0.25
+"""Share of places near an edge that is assumed at least; share of edges of one direction, of an even one."""
+
+EDGE_SHARPNESS = 4.0
+"""Concentration (von Mises) of twice the angle between an edge and the outline."""
+
+EDGE_DIRECTIONS = np.array([EDGE_SHARPNESS, np.i0(EDGE_SHARPNESS)])
+"""The same, and what the density is divided by."""
+
+NO_EDGE = 0.4
+"""Probability that a point of the outline shows no edge of its own."""
+
+EDGE_POINTS = 20.0
+"""Independent points of a whole outline: neighbours on it err together."""
+
+
+ARM_POINTS = np.array([[0.25, 0.5, 0.75, 1.0], [0.2, 0.4, 0.6, 0.75]])
+"""Places on upper arm and forearm where their colours are looked at, from the shoulder and from the elbow."""
+
+ARM_WEIGHTS = np.array([0.25, 0.5])
+"""What the colour of each of them counts: neighbours are alike, and upper arms are mostly known anyway."""
+
+TRUNK, TRUNK_BLUR = (0.45, 0.12), 0.05
+"""Of the shoulders' distance: half the width of the trunk, and how far above the shoulders it reaches; head
+heights over which its border is blurred."""
+
+NO_SLEEVE = 0.1
+"""Chance that an arm has other colours than the trunk."""
+
+
+PoseLikelihood = Callable[[BodyImage], Callable[[BodyPoses], Array]]
+"""Of an image, and then of poses `(n,)`: log p(image | pose) in nats, up to a constant of the image."""
+
+
+@dataclass(frozen=True)
+class BodyLikelihood:
+    """Log likelihood of an image given poses, up to a constant of the image.
+
+    The image speaks through a face detector for the head, through skin colour for the hands and through
+    edges for the outline, as in the paper, which gives no formulas. Here each term is the log ratio of how
+    likely the cue is under the pose to how likely it is anywhere in the picture, with a chance that the cue
+    fails: a hand without skin, as is expected in every fifth frame, loses a few nats and no more.
+
+    Parameters
+    ----------
+    body
+        lengths and widths.
+    """
+
+    body: UpperBody
+
+    def __call__(self, image: BodyImage) -> "ImageLikelihood":
+        """The likelihood of this image, ready for any number of poses; its maps are worked out once."""
+        return image.once(self, self._of)
+
+    def _of(self, image: BodyImage) -> "ImageLikelihood":
+        unit, skin, head = self.body.head_height, None, None
+        if image.skin is not None and image.moving_skin is not None:
+            skin = skin_maps(image.moving_skin, self.body.hand)
+            if not image.mixtures.informative[0]:
+                head = head_map(image.skin, self.body)
+        edges = edge_ratios(image, EDGE_SPREAD * unit, EDGE_WINDOW * unit)
+        return ImageLikelihood(self.body, image, skin, head, edges)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageLikelihood:
+    """The maps of one image in which poses are looked up.
+
+    Parameters
+    ----------
+    body, image
+        which are compared.
+    skin
+        of hands, see `skin_maps`; `None` without colour.
+    head
+        skin of the head, if no face is detected, see `head_map`.
+    edges
+        see `edge_ratios`.
+    """
+
+    body: UpperBody
+    image: BodyImage
+    skin: tuple[Map, Map] | None
+    head: Map | None
+    edges: Map
+
+    def __call__(self, poses: BodyPoses) -> Array:
+        """log p(image | pose) `(n,)` nats, up to a constant."""
+        return self.first(poses) + self.rest(poses)
+
+    def first(self, poses: BodyPoses) -> Array:
+        """`(n,)` nats: what is found out of it with little work, all but the outline's."""
+        total: Array = self.inner_terms(poses).sum(axis=0)
+        return total
+
+    def rest(self, poses: BodyPoses) -> Array:
+        """`(n,)` nats: what the edges say of the outline, up to a constant."""
+        total, solid = np.zeros(len(poses)), solid_of(self.body)
+
+        def work(first: int, end: int) -> None:
+            some = poses.take(slice(first, end))
+            outline_terms(
+                some.roots, some.torsos, some.necks, some.arms, solid, self.edges,
+                EDGE_POINTS / N_POINTS, EDGE_DIRECTIONS, NO_EDGE, total[first:end],
+            )  # fmt: skip
+
+        over_bands_of(poses, work)
+        return total
+
+    def inner_terms(self, poses: BodyPoses) -> Array:
+        """`(4, n)` nats: of face, skin, keypoints and clothes, each up to a constant."""
+        terms = np.zeros((4, len(poses)))
+
+        def work(first: int, end: int) -> None:
+            terms[:, first:end] = self._inner_terms(poses.take(slice(first, end)))
+
+        over_bands_of(poses, work)
+        return terms
+
+    def _inner_terms(self, poses: BodyPoses) -> Array:
+        """All terms but the outline's, which takes several times as long.
+
+        The face's is the image's mixture at the pose's head; where that says nothing, `head_terms` of skin
+        stands in for it, which is there also when the head is turned away. Hands count with `hand_terms`,
+        skin that looks like one more hand with `blob_terms`, bare forearms with `forearm_terms`, points of a
+        detector with `SeenKeypoints.log_ratios`, the colours along the arms with `arm_terms`.
+        """
+        body, image = self.body, self.image
+        joints = body.joints(poses)[:, :, :2]
+        parts = joints[:, [0, 4, 7]]
+        terms = np.zeros((4, len(poses)))
+        terms[0] = image.mixtures.take([0]).log_values(parts[:, :1])[:, 0]
+        if self.head is not None:
+            head_terms(parts[:, 0], self.head, _scales(self.head, image), np.array(HEAD_SCORES), terms[0])
+        if self.skin is not None:
+            terms[1] = self._skin_terms(self.skin, parts, poses.roots, joints[:, [3, 6]])
+        if image.keypoints is not None:
+            terms[2] = image.keypoints.log_ratios(body, joints)
+        if image.arms is not None:
+            torso = np.array([*TRUNK, TRUNK_BLUR * body.head_height])
+            arm_terms(
+                joints, image.arms, _scales(image.arms, image), ARM_POINTS, ARM_WEIGHTS, torso, NO_SLEEVE,
+                terms[3],
+            )  # fmt: skip
+        return terms
+
+    def _skin_terms(self, skin: tuple[Map, Map], parts: Array, roots: Array, elbows: Array) -> Array:
+        """`(n,)` nats of hands and blobs: log of the mixture of bare forearms and such in sleeves."""
+        body, image = self.body, self.image
+        neck_radius = NECK_RADIUS if image.moving_skin is image.skin else NO_NECK
+        scales = _scales(skin[0], image)
+        # the odds that a blob is a hand; what is hardly one need not be explained
+        costs = BLOB_COST / (1 + np.exp(-image.blob_log_weights))
+        reach = body.head_height * np.array(BLOB_REACH)
+        ratios = np.full((2, len(parts)), -np.inf)
+        for bare, probability in enumerate((1 - image.bare, image.bare)):
+            if probability > 0:
+                ratio = np.full(len(parts), np.log(probability))
+                hand = hand_model(body, neck_radius, bool(bare))
+                hand_terms(parts, roots, elbows, *skin, scales, hand, bool(bare), ratio)
+                blob_terms(parts, elbows, image.blobs, costs, reach, bool(bare), ratio)
+                if bare:
+                    forearm_terms(parts, roots, elbows, skin[0], scales, hand, ratio)
+                ratios[bare] = ratio
+        return np.asarray(np.logaddexp(*ratios))
+
+
+def hand_model(body: UpperBody, neck_radius: float = NECK_RADIUS, bare: bool = False) -> HandModel:
+    """What a hand of this body looks like, in a sleeve or not; the neck's radius is in head heights."""
+    return HandModel(
+        body.hand,
+        body.hand * np.array(WINDOWS),
+        0.5 * np.array([body.head_width, body.head_height]),
+        neck_radius * body.head_height,
+        np.array(BARE_HAND_SCORES if bare else SKIN_SCORES),
+        np.array([body.forearm, 0.25 * (body.forearm_width + body.wrist_width)]),
+        np.array(BARE_SCORES),
+    )
+
+
+def skin_maps(skin: Map, hand: float) -> tuple[Map, Map]:
+    """Mean skin, from 0 to 1, in Gaussian windows of a hand's size and around it.
+
+    It grows with the log odds from where they are even: what is only rather like skin, such as beige
+    trousers, counts for little, and what is unlike it for nothing, however much.
+
+    Parameters
+    ----------
+    skin
+        `(height, width)` float32 nats: log odds.
+    hand
+        px: radius. The maps have an entry each fifth of it, or each px.
+    """
+    shrink = min(CELLS / hand, 1.0)
+    share = _share(skin, shrink)
+    centre, surround = (
+        np.asarray(cv2.GaussianBlur(share, (0, 0), window * shrink * hand), np.float32) for window in WINDOWS
+    )
+    return centre, surround
+
+
+def head_map(skin: Map, body: UpperBody) -> Map:
+    """How much more skin there is in a head's place than around it, 1 for an ellipse of nothing else.
+
+    Parameters
+    ----------
+    skin
+        `(height, width)` float32 nats: log odds.
+    body
+        of the head.
+    """
+    shrink = min(CELLS / body.hand, 1.0)
+    share = _share(skin, shrink)
+    across, down = 0.5 * shrink * body.head_width, 0.5 * shrink * body.head_height
+    inner, outer = (
+        cv2.GaussianBlur(share, (0, 0), window * across, sigmaY=window * down) for window in HEAD_WINDOWS
+    )
+    ideal = np.exp(-0.5 / HEAD_WINDOWS[1] ** 2) - np.exp(-0.5 / HEAD_WINDOWS[0] ** 2)
+    return np.asarray((inner - outer) / np.float32(ideal), np.float32)
+
+
+def _share(skin: Map, shrink: float) -> Map:
+    """Skin from 0 to 1, in a picture that is `shrink` times as large."""
+    height, width = (max(round(shrink * length), 2) for length in skin.shape)
+    coarse = cv2.resize(skin, (width, height), interpolation=cv2.INTER_AREA)
+    return np.maximum(coarse, np.float32(0)) * np.float32(1 / HIGHEST)
+
+
+def _scales(coarse: Map, image: BodyImage) -> Array:
+    """`(2,)`: entries of a coarse map a px of the image, along x and y."""
+    return np.divide(coarse.shape[::-1], image.size[::-1])
+
+
+def edge_ratios(image: BodyImage, spread: float, around: float) -> Map:
+    """How much more likely the edge near a pixel is at an outline than thereabouts, and its direction.
+
+    What is likely thereabouts is counted in the image itself: on a striped sleeve or before a bookcase one
+    more edge says little, one across the stripes much. Of the density of directions there, its first
+    harmonic is taken.
+
+    Parameters
+    ----------
+    spread
+        px: standard deviation of edges about an outline.
+    around
+        px: standard deviation of the window in which edges are counted.
+
+    Returns
+    -------
+    NDArray
+        `(height, width, 3)` float32: the ratio, cosine and sine of twice the angle of the edge's normal.
+    """
+    height, width = image.size
+    reach = max(float(image.edges.max()), 1.0)
+    levels = np.linspace(0, 1, LEVELS)
+    near = np.exp(-0.5 * (levels * reach / spread) ** 2)
+    near[-1] = 0  # distances are capped: the last one stands for any beyond
+    turns = 2 * np.pi * levels
+    block = max(round(around / COUNTED), 1)
+    ratios = np.empty((height, width, 3), np.float32)
+    coarse = np.empty((max(-(-height // block), 2), max(-(-width // block), 2), 3), np.float32)
+    edge_features(
+        image.edges, image.edge_directions,
+        near.astype(np.float32), np.cos(turns).astype(np.float32), np.sin(turns).astype(np.float32),
+        (LEVELS - 1) / np.array([reach, np.pi]), block, ratios, coarse,
+    )  # fmt: skip
+    coarse = np.asarray(cv2.GaussianBlur(coarse, (0, 0), around / block), np.float32)
+    over_density(ratios, coarse, block, LEAST_EDGES, LEAST_ALIKE)
+    return ratios

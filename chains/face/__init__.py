@@ -1,0 +1,1 @@
+"""G-flow: pose, deformation and texture of an object, tracked jointly."""

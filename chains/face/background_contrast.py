@@ -1,0 +1,226 @@
+"""What is behind an object, as its poses are judged by it: the background terms of G-flow eq. (17) and (18).
+
+All densities are of raw grey values (or colours) and relative to the uniform density, "anything". Divided by
+its local mean a background would not stay: near the object the mean has a part of the object in it, and the
+same wall has another value wherever the object goes. So the background is compared raw, and the density of
+the object's texture, which is of y' = 128 y / (m + 5), is brought to raw values by 128 / (m + 5).
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.grey import grey_of
+from ...models.face.outline import Box
+from ...models.face.pose import Poses
+from ...models.face.visibility import visible
+from ...models.numerics.threads import over_bands
+from ...models.pixels.kernels.gaussian import ODDS_STEPS
+from ...models.pixels.pixel_labels import PixelMessage
+from .image_pyramid import DARKEST, FINE_LIGHT_REACH, MIDDLE_GREY, blurred
+from .kernels import warp as warp_kernels
+from .texture_likelihood import TexturedObject, TextureLikelihood
+
+Array = NDArray[np.float64]
+Map = NDArray[np.float32]
+
+TRUST_TIME = 0.3
+"""s in which the trust in a pixel's background follows whether its prediction came true."""
+
+UNSEEN = -1.0
+"""Trust in the background of a pixel that the object has hidden from the beginning; as good as none."""
+
+LOUDEST = 3.0
+"""Nats of a pixel for or against an edge: with more on one side, the edge would be found off to the other."""
+
+INDEPENDENT = 0.3
+"""Share of them that counts: pixels side by side are alike, and all of them err together where an object has
+the tones of what is behind it."""
+
+N_GREYS = 256.0
+
+TONE_WIDTH = 4.0
+"""Grey levels by which the histogram of an object's tones is smoothed."""
+
+OTHER_TONES = 0.2
+"""Share of an object's pixels near its outline that have any tone."""
+
+
+@dataclass(frozen=True, eq=False)
+class BackgroundContrast:
+    """The background of a frame, one for all experts or one for each.
+
+    Parameters
+    ----------
+    box
+        of the picture, outside of which nothing is known.
+    log_ratio
+        `(n_maps, height, width)` float32: nats by which the background explains the pixel better than
+        anything would, times `trust`.
+    trust
+        `(n_maps, height, width)` float32, from 0, nothing is known of the background there, to 1.
+    border
+        `(n_maps, height, width)` float32: nats by which the background explains the pixel better than the
+        object's usual tones do, times `trust`, as they count in a row of pixels.
+    unit
+        `(height, width)` float32 of the whole picture: log by which a density of the values in which textures
+        are compared exceeds the uniform one.
+    everywhere
+        `(n_maps,)`: sum of `log_ratio` over the whole picture, where there is a map for each.
+    """
+
+    box: Box
+    log_ratio: Map
+    trust: Map
+    border: Map
+    unit: Map
+    everywhere: Array
+
+    @classmethod
+    def of(cls, box: Box, ratio: Map, trust: Map, tones: Map, unit: Map, everywhere: Array) -> Self:
+        """Of the log `ratio` of background and anything `(n_maps, height, width)` in the box; `tones` is the
+        same of the object, `(height, width)` (see `Tones`)."""
+        border = INDEPENDENT * trust * np.clip(ratio - tones, -LOUDEST, LOUDEST)
+        return cls(box, trust * ratio, trust, border.astype(np.float32), unit, everywhere)
+
+
+@dataclass(frozen=True, eq=False)
+class OccludedBackground:
+    """A background, and which of the object's surface hides it.
+
+    Parameters
+    ----------
+    contrast
+        of the frame.
+    surface
+        the whole mesh with texels, whatever the object's texture is known on.
+    covering
+        `(n_experts, n_texels)` bool: texels of it that are in front, also those that are seen at a grazing
+        angle; held while poses change. Empty before `around`.
+    """
+
+    contrast: BackgroundContrast
+    surface: TexturedObject
+    covering: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), np.bool_))
+
+    def around(self, poses: Poses) -> "OccludedBackground":
+        """As it is about one pose an expert."""
+        model = self.surface.model
+        covering = visible(model.positions(poses), model.triangles, self.surface.texels, facing=0.0)
+        return replace(self, covering=covering)
+
+    def hidden_contrast(self, poses: Poses, owner: NDArray[np.int64]) -> Array:
+        """`(n,)` nats: what the background would explain of the pixels that the object hides."""
+        contrast = self.contrast
+        return _integral(self.surface, poses, owner, self.covering, contrast.log_ratio, contrast.box)
+
+    def everywhere(self, owner: NDArray[np.int64]) -> Array:
+        """`(n,)` nats: what the background explains of the whole picture, where it is each expert's own."""
+        whole = self.contrast.everywhere
+        return whole[owner] if len(whole) > 1 else np.zeros(len(owner))
+
+    def trusted_area(self, likelihood: TextureLikelihood, poses: Poses, owner: NDArray[np.int64]) -> Array:
+        """`(n,)` px squared under the visible texture whose background is known."""
+        return _integral(
+            likelihood.surface, poses, owner, likelihood.visible, self.contrast.trust, self.contrast.box
+        )
+
+
+def _integral(
+    surface: TexturedObject,
+    poses: Poses,
+    owner: NDArray[np.int64],
+    on: NDArray[np.bool_],
+    map_: Map,
+    box: Box,
+) -> Array:
+    """`(n,)`: integral of a map of the box over the texels that are `on` `(n_experts, n_texels)`."""
+    sums = np.empty(len(poses))
+    positions = surface.positions(poses) - np.array([box.left, box.top], np.float32)
+
+    def work(a: int, b: int) -> None:
+        warp_kernels.map_sums(map_, surface.used_texels, on, owner[a:b], positions[a:b], sums[a:b])
+
+    over_bands(work, len(poses))
+    return sums
+
+
+def units(image: NDArray[np.uint8], size: float, *, local_mean: bool) -> Map:
+    """`(height, width)` float32: log of 256 dy'/dy, by which a density of y' exceeds the uniform one of y."""
+    grey = grey_of(image)
+    if not local_mean:
+        return np.full(grey.shape, np.log(N_GREYS), np.float32)
+    mean = blurred(grey.astype(np.float32), FINE_LIGHT_REACH * size)
+    unit: Map = np.log(np.float32(N_GREYS * MIDDLE_GREY) / (mean + np.float32(DARKEST)))
+    return unit
+
+
+@dataclass(frozen=True, eq=False)
+class SharedBackground:
+    """What a background that is shared through `PixelLabels` says of the picture.
+
+    Parameters
+    ----------
+    message
+        of the others to the feature, with image and background.
+    """
+
+    message: PixelMessage
+
+    @cached_property
+    def ratio(self) -> Map:
+        """`(height, width)` float32: log density of the background over that of anything, clipped."""
+        background, subtraction = self.message.background, self.message.subtraction
+        assert background is not None
+        assert subtraction is not None
+        prior = np.log(background.prior) - np.log1p(-background.prior)
+        odds: Map = subtraction.log_odds.reshape(self.message.size).astype(np.float32)
+        odds *= np.float32(1 / ODDS_STEPS)
+        odds -= np.float32(prior)
+        return odds
+
+    def contrast(self, trust: Map, box: Box, tones: Map, unit: Map) -> BackgroundContrast:
+        """As poses within the box are judged by it; `trust` is of the whole picture."""
+        its_trust = np.maximum(trust[box.window], 0)[None]
+        return BackgroundContrast.of(box, self.ratio[box.window][None], its_trust, tones, unit, np.zeros(1))
+
+    def trust_after(self, trust: Map, hidden: NDArray[np.bool_], box: Box, elapsed: float) -> Map:
+        """Trust in each pixel after a picture, `elapsed` s after the last one.
+
+        It goes up where what was predicted came true, and down where not.
+        In pixels that may be `hidden` by the object, of the box, nothing is learned. What was behind it at
+        first, `UNSEEN`, stays unknown until a pixel is found to differ from what the background remembers
+        there: as long as it does not, both may be the object. Where the background says that it does not
+        know the scene, it does not remember the object either.
+        """
+        came_true = self.ratio > 0
+        after: Map = trust - np.float32(np.expm1(-elapsed / TRUST_TIME)) * (came_true - trust)
+        after = np.where(trust < 0, np.where(came_true, trust, np.float32(0)), after)
+        after[box.window][hidden] = trust[box.window][hidden]
+        after[(after < 0) & (np.abs(self.ratio) < 1 / ODDS_STEPS)] = 0
+        return after
+
+
+def first_trust(hidden: NDArray[np.bool_], box: Box, size: tuple[int, int]) -> Map:
+    """Trust in the background of a picture of `size` at first, when the object is `hidden` in the box."""
+    trust = np.zeros(size, np.float32)
+    trust[box.window][hidden] = UNSEEN
+    return trust
+
+
+def tones(image: NDArray[np.uint8], object_: NDArray[np.bool_], box: Box) -> Map:
+    """Log density of pixels of the box, if they are the object's, over that of anything, `(height, width)`.
+
+    From the histogram of the grey values in `object_`, of the box, which need not be complete.
+    """
+    grey = grey_of(image[box.window])
+    counts = np.bincount(grey[object_], minlength=256).astype(np.float32)
+    density = cv2.GaussianBlur(counts[None], (0, 0), TONE_WIDTH, borderType=cv2.BORDER_REFLECT)[0]
+    share = N_GREYS * density / max(float(density.sum()), 1e-9)
+    log_density = np.log((1 - OTHER_TONES) * share + OTHER_TONES).astype(np.float32)
+    found: Map = log_density[grey]
+    return found

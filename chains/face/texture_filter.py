@@ -1,0 +1,288 @@
+"""Kalman filter of each texel of each expert, G-flow paper eq. (10)-(12), with gains fixed or learned."""
+
+from dataclasses import dataclass, replace
+from typing import Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.short_repr import short_repr
+from ...models.numerics.threads import over_bands
+from .image_pyramid import MIDDLE_GREY
+from .kernels import textures as kernels
+from .pose_dynamics import SHORTEST
+from .texel_noise import USUAL_RATE, TexelNoise
+
+Map = NDArray[np.float32]
+AnyTuple = TypeVar("AnyTuple", kernels.Noises, kernels.Memory)
+
+UNKNOWN_VARIANCE = 60.0**2
+"""Squared grey levels: of a texel that has never been seen."""
+
+MEMORY = 1.0
+"""s over which the square of innovations is averaged, where gains are learned."""
+
+PACE = 15.0
+"""Change of a gain's log odds in that time, at full correlation of large innovations."""
+
+SMALL = 36.0
+"""Squared grey levels: innovations whose square is well below it say little of the gain."""
+
+MISPLACED = 3.0
+"""Squared grey levels: persistent innovations of this product come from texels that are seen a little off."""
+
+GAIN_LIMITS = (-6.0, 6.0)
+"""Log odds between which a learned gain stays."""
+
+FIRST_GAIN = 0.05
+
+RETURN = 0.3
+"""s in which what sets a texel apart from its lasting texture decays to 1/e."""
+
+WORTH = 50_000
+"""Texels from which on another thread is woken for them."""
+
+LEAST_INSIDE = 0.4
+"""Share of the visible texels that has to lie in the picture, if a texture is to explain it."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class LearnedGain:
+    """What is remembered of each texel's innovations, to learn its gain (§7.2.1).
+
+    Under the right gain innovations are white. A texel that changes faster than its gain follows has
+    innovations of the same sign one after the other, one that follows noise has alternating ones. So the log
+    odds of a gain climb or fall with the correlation of successive innovations: fast where innovations are
+    large beside what noise makes of a prediction, slowly where they are small. A texel of a shape that is
+    only nearly right is seen next to its place for many frames; what this leaves in the correlation is taken
+    off, or else every texel would end at flow, whose drift no texel can see.
+
+    Parameters
+    ----------
+    log_odds
+        `(n_experts, n_texels)` float32 of the gain.
+    last
+        `(n_experts, n_texels)` float32 grey levels: the last innovation, 0 if the texel was hidden.
+    power
+        `(n_experts, n_texels)` float32: running mean of innovations' square.
+    """
+
+    log_odds: Map
+    last: Map
+    power: Map
+
+    @classmethod
+    def first(cls, n_experts: int, n_texels: int) -> Self:
+        """Before anything was seen."""
+        start = np.full((n_experts, n_texels), np.log(FIRST_GAIN / (1 - FIRST_GAIN)), np.float32)
+        return cls(start, np.zeros_like(start), np.zeros_like(start))
+
+    @property
+    def gain(self) -> Map:
+        """`(n_experts, n_texels)` from 0 to 1."""
+        gain = 1 / (1 + np.exp(-self.log_odds))
+        return gain.astype(np.float32)
+
+    def of(self, parents: NDArray[np.int64]) -> Self:
+        """What the children of `parents` remember."""
+        return replace(
+            self,
+            log_odds=self.log_odds[parents],
+            last=self.last[parents],
+            power=self.power[parents],
+        )
+
+    def updated(self, innovation: Map, seen: NDArray[np.bool_], elapsed: float) -> Self:
+        """With a picture `elapsed` s after the last one; `innovation` counts where `seen`."""
+        share = -np.expm1(-elapsed / MEMORY)
+        both = seen & (self.last != 0)
+        square = innovation**2
+        power = np.where(seen, self.power + np.float32(share) * (square - self.power), self.power)
+        scale = np.maximum(power, square) + np.float32(SMALL)
+        step = np.float32(PACE * share) * (innovation * self.last - np.float32(MISPLACED)) / scale
+        return replace(
+            self,
+            log_odds=np.clip(self.log_odds + np.where(both, step, 0), *GAIN_LIMITS).astype(np.float32),
+            last=np.where(seen, innovation, np.float32(0)),
+            power=power.astype(np.float32),
+        )
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class LastingTexture:
+    """What texels look like in the long run, to which they return.
+
+    A departure from the paper, whose texels walk at random. There, errors of the pose add up: the texture is
+    seen a little off, is learned so, and holds the next poses there. Here it is a mean over all that was
+    seen, which forgets with the square of the gain, so that flow (gain 1) remains flow. The first picture
+    counts for as many as the filter remembers, 1 / gain: where texels lie on the object was given there, and
+    in each later one the texture so far has said so, errors included.
+
+    Parameters
+    ----------
+    mean
+        `(n_experts, n_texels)` float32 grey levels.
+    looks
+        `(n_experts, n_texels)` float32: pictures of the usual rate that it rests on; 0 if never seen.
+    """
+
+    mean: Map
+    looks: Map
+
+    def of(self, parents: NDArray[np.int64]) -> Self:
+        """Those of the children of `parents`."""
+        return replace(self, mean=self.mean[parents], looks=self.looks[parents])
+
+    def updated(self, observed: Map, seen: NDArray[np.bool_], gain: Map, elapsed: float) -> Self:
+        """With a picture `elapsed` s after the last one, under a filter of steady `gain` above 0.
+
+        `observed` `(n_experts, n_levels, n_texels)`, and `gain` of every texel, or `(1, n_texels)`.
+        """
+        weight = np.float32(max(elapsed, SHORTEST) * USUAL_RATE)
+        share = 1 - (1 - gain**2) ** weight
+        memory = kernels.Memory((1 / gain).astype(np.float32), share.astype(np.float32))
+        after = kernels.Lasting(np.empty_like(self.mean), np.empty_like(self.looks))
+
+        def work(a: int, b: int) -> None:
+            kernels.learn_lasting(
+                observed[a:b], seen[a:b], kernels.Lasting(self.mean[a:b], self.looks[a:b]),
+                _rows(memory, a, b), weight, kernels.Lasting(after.mean[a:b], after.looks[a:b]),
+            )  # fmt: skip
+
+        over_bands(work, len(seen), worth=seen.size > WORTH)
+        return replace(self, mean=after.mean, looks=after.looks)
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """Texture of every expert: independent Gaussians of its texels.
+
+    Parameters
+    ----------
+    mean
+        `(n_experts, n_levels, n_texels)` float32 grey levels, on each level of the picture.
+    variance
+        `(n_experts, n_texels)` float32, squared grey levels, common to the levels.
+    learned
+        where gains are learned.
+    lasting
+        what the finest level returns to; `None` for a walk at random.
+    """
+
+    mean: Map
+    variance: Map
+    learned: LearnedGain | None = None
+    lasting: LastingTexture | None = None
+
+    @classmethod
+    def unknown(cls, n_experts: int, n_levels: int, n_texels: int, *, learn: bool) -> Self:
+        """Texture of which nothing has been seen."""
+        return cls(
+            np.full((n_experts, n_levels, n_texels), MIDDLE_GREY, np.float32),
+            np.full((n_experts, n_texels), UNKNOWN_VARIANCE, np.float32),
+            LearnedGain.first(n_experts, n_texels) if learn else None,
+            LastingTexture(*np.zeros((2, n_experts, n_texels), np.float32)),
+        )
+
+    def forgotten(self) -> Self:
+        """As before anything was seen."""
+        n_experts, n_levels, n_texels = self.mean.shape
+        return self.unknown(n_experts, n_levels, n_texels, learn=self.learned is not None)
+
+    def of(self, parents: NDArray[np.int64]) -> Self:
+        """Textures of the children of `parents`."""
+        if np.array_equal(parents, np.arange(len(self.mean))):
+            return self
+        return replace(
+            self,
+            mean=self.mean[parents],
+            variance=self.variance[parents],
+            learned=None if self.learned is None else self.learned.of(parents),
+            lasting=None if self.lasting is None else self.lasting.of(parents),
+        )
+
+    def temperature(self, noise: TexelNoise) -> Map:
+        """tau = V + sigma_w^2 `(n_experts, n_texels)` of a predicted texture, squared grey levels (§4.1)."""
+        temperature: Map = self.variance + self._noises(noise, 0.0).rendering
+        return temperature
+
+    def predicted(self, noise: TexelNoise, elapsed: float) -> Self:
+        """The texture `elapsed` s later, eq. (12), on its way to the lasting one if anything changes."""
+        elapsed = max(elapsed, SHORTEST)
+        noises, returned = self._noises(noise, elapsed), np.float32(-np.expm1(-elapsed / RETURN))
+        lasting = kernels.Lasting(*np.zeros((2, 0, 0), np.float32))
+        if self.lasting is not None:
+            lasting = kernels.Lasting(self.lasting.mean, self.lasting.looks)
+        mean, variance = np.empty_like(self.mean), np.empty_like(self.variance)
+
+        kernels.predict(
+            self.mean, self.variance, lasting, returned, noises, np.float32(UNKNOWN_VARIANCE), mean, variance
+        )
+        return replace(self, mean=mean, variance=variance)
+
+    def updated(self, observed: Map, seen: NDArray[np.bool_], noise: TexelNoise, elapsed: float) -> Self:
+        """This prediction, made `elapsed` s after the last picture, with a picture: eq. (10), (11).
+
+        `observed` `(n_experts, n_levels, n_texels)` are the texels as this frame shows them; where they are
+        not `seen` `(n_experts, n_texels)` both stay. Departures: only the finest
+        level is filtered. The coarse ones, which say where the search begins and nothing of the belief, hold
+        the texel as last seen: blurred texture is blurred light as well, which changes. And where nothing is
+        said to change (gain 0) the first picture is the template.
+        """
+        noises, unknown = self._noises(noise, elapsed), np.float32(0.5 * UNKNOWN_VARIANCE)
+        mean, variance = np.empty_like(self.mean), np.empty_like(self.variance)
+
+        def work(a: int, b: int) -> None:
+            kernels.learn(
+                observed[a:b], seen[a:b], self.mean[a:b], self.variance[a:b], _rows(noises, a, b), unknown,
+                mean[a:b], variance[a:b],
+            )  # fmt: skip
+
+        over_bands(work, len(seen), worth=seen.size > WORTH)
+        learned, lasting = self.learned, self.lasting
+        if learned is not None:
+            innovation = observed[:, 0] - self.mean[:, 0]
+            learned = learned.updated(innovation, seen & (self.variance < unknown), elapsed)
+        if lasting is not None and (self.learned is not None or noise.process > 0):
+            steady = self._everywhere(noise.steady_gain) if self.learned is None else self.learned.gain
+            lasting = lasting.updated(observed, seen, steady, elapsed)
+        return replace(self, mean=mean, variance=variance, learned=learned, lasting=lasting)
+
+    def _noises(self, noise: TexelNoise, elapsed: float) -> kernels.Noises:
+        """Noises of texels `elapsed` s after the last picture; with a learned gain those of its steady
+        state."""
+        if self.learned is None:
+            rendering = self._everywhere(noise.rendering)
+            process = self._everywhere(noise.process * elapsed)
+            return kernels.Noises(rendering, process, rendering if noise.process > 0 else 0 * rendering)
+        gain, temperature = self.learned.gain, np.float32(noise.temperature)
+        rendering = (1 - gain) * temperature
+        process = gain**2 * temperature * np.float32(USUAL_RATE * elapsed)
+        return kernels.Noises(rendering, process, np.where(gain > 0, rendering, np.float32(0)))
+
+    def _everywhere(self, number: float) -> Map:
+        return np.full((1, self.variance.shape[1]), number, np.float32)
+
+
+def explained(observed: Map, mean: Map, visible: NDArray[np.bool_], seen: NDArray[np.bool_]) -> Map:
+    """Share of the picture's variance that a predicted texture explains, `(n,)` from -1 to 1.
+
+    Parameters
+    ----------
+    observed, mean
+        `(n, n_levels, n_texels)` grey levels: as the picture shows the texels, and as they were predicted, on
+        the finest level, which counts, and others.
+    visible, seen
+        `(n, n_texels)`: texels that face the viewer, and those of them in the picture; 0 where these are few.
+    """
+    share = np.empty(len(seen), np.float32)
+    kernels.explain(observed, mean, visible, seen, np.float32(LEAST_INSIDE), share)
+    return share
+
+
+def _rows(arrays: AnyTuple, a: int, b: int) -> AnyTuple:
+    """Arrays of experts a to b; those that are the same for all as they are."""
+    return type(arrays)(*(part[a:b] if len(part) > 1 else part for part in arrays))

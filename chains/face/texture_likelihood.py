@@ -1,0 +1,257 @@
+"""What a picture says of poses, given the textures that experts remember: p(y_t | u_1:t, y_1:t-1)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.face.morphable_model import MorphableModel
+from ...models.face.pose import RIGID, Poses
+from ...models.face.surface_texels import SurfaceTexels
+from ...models.face.visibility import visible
+from ...models.numerics.threads import over_bands
+from ...models.numerics.vectors import LANES
+from .image_pyramid import Level
+from .kernels import normal_equations as newton_kernels
+from .kernels import warp as warp_kernels
+
+Array = NDArray[np.float64]
+Map = NDArray[np.float32]
+NO_MAP: Map = np.zeros((0, 0), np.float32)
+
+WORTH = 50_000
+"""Texels from which on another thread is woken for them."""
+
+
+@dataclass(frozen=True, eq=False)
+class TexturedObject:
+    """A morphable model and where the texels of its surface are.
+
+    Parameters
+    ----------
+    model
+        shape.
+    texels
+        their places on the surface.
+    """
+
+    model: MorphableModel
+    texels: SurfaceTexels
+
+    @cached_property
+    def _used(self) -> NDArray[np.int64]:
+        """Vertices that carry texels."""
+        return np.unique(self.texels.groups).astype(np.int64)
+
+    @cached_property
+    def _bases(self) -> Map:
+        """`(n_used, 3, width)`: the bases of the vertices used, in the columns of a pose's change."""
+        dimension = RIGID + self.model.n_bases
+        bases = np.zeros((len(self._used), 3, -(-dimension // LANES) * LANES), np.float32)
+        bases[:, :, RIGID:dimension] = np.moveaxis(self.model.bases[:, self._used], 0, 2)
+        return bases
+
+    @cached_property
+    def used_texels(self) -> warp_kernels.Texels:
+        """The texels as loops take them, with numbers of vertices among those used."""
+        groups = np.searchsorted(self._used, self.texels.groups).astype(np.uint32)
+        texels = self.texels
+        start = texels.first[:-1]
+        return warp_kernels.Texels(
+            groups,
+            texels.first,
+            texels.counts.astype(np.int32),
+            texels.weights[start],
+            texels.offsets[start],
+            texels.areas,
+        )
+
+    @cached_property
+    def _pairs(self) -> newton_kernels.Pairs:
+        """Pairs of the vertices used that have texels in common."""
+        n = len(self._used)
+        ends = self.used_texels.groups[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
+        edges, number = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
+        of_group = np.concatenate([self.used_texels.groups.T, n + number.reshape(-1, 3).T])
+        every = np.arange(n)
+        all_ends = np.concatenate([np.stack([every, every], axis=1), edges])
+        return newton_kernels.Pairs(all_ends.astype(np.uint32), of_group.astype(np.uint32))
+
+    def rows(self, poses: Poses) -> tuple[Map, Map]:
+        """Positions `(n, n_used, 2)` px of the vertices used, and their rows `(n, n_used, 2, width)`.
+
+        The width is the poses' dimension rounded up to whole vectors, filled with zeros.
+        """
+        positions, rows, write = self.rows_to_write(poses)
+        write(0, len(poses))
+        return positions, rows
+
+    def rows_to_write(self, poses: Poses) -> tuple[Map, Map, Callable[[int, int], None]]:
+        """The same before they are known, and what writes them of poses from one number to another."""
+        n, width = len(poses), self._bases.shape[2]
+        positions = np.empty((n, len(self._used), 2), np.float32)
+        rows = np.zeros((n, len(self._used), 2, width), np.float32)
+        single = [part.astype(np.float32) for part in (poses.rotations, poses.translations, poses.morphs)]
+
+        def write(a: int, b: int) -> None:
+            newton_kernels.vertex_rows(
+                *(part[a:b] for part in single), self._bases, positions[a:b], rows[a:b]
+            )
+
+        return positions, rows, write
+
+    def positions(self, poses: Poses) -> Map:
+        """`(n, n_used, 2)` px: of the vertices used."""
+        shapes = (poses.morphs @ self._flat_bases).reshape(len(poses), -1, 3)
+        seen = shapes @ np.swapaxes(poses.rotations[:, :2], -1, -2) + poses.translations[:, None]
+        return seen.astype(np.float32)
+
+    @cached_property
+    def _flat_bases(self) -> Array:
+        return self.model.bases[:, self._used].reshape(self.model.n_bases, -1)
+
+    def visible(self, poses: Poses) -> NDArray[np.bool_]:
+        """`(n, n_texels)`: whether texels face the viewer with nothing before them."""
+        if not len(self.model.triangles):
+            return np.ones((len(poses), len(self.texels)), np.bool_)
+        return visible(self.model.positions(poses), self.model.triangles, self.texels)
+
+    def observe(
+        self, levels: Sequence[Level], poses: Poses, visible: NDArray[np.bool_]
+    ) -> tuple[Map, NDArray[np.bool_]]:
+        """What texels look like on each level `(n, n_levels, n_texels)`, and which are in the picture.
+
+        On coarse levels only those that are used there are sure to be looked at; others may have 0.
+        """
+        positions = self.positions(poses)
+        margin = np.abs(self.texels.offsets).max(initial=0) + 2 ** len(levels)
+        size = np.array(levels[0].image.shape[::-1])
+        within = bool((positions > margin).all() and (positions < size - 1 - margin).all())
+        values = np.zeros((len(poses), len(levels), len(self.texels)), np.float32)
+        seen = np.empty(visible.shape, np.bool_)
+
+        def work(a: int, b: int) -> None:
+            area, here = np.empty(visible[a:b].shape, np.float32), visible[a:b]
+            for number, level in enumerate(levels):
+                warp_kernels.sample_texels(
+                    level, number, 4**number if within else 1, self.used_texels, visible[a:b],
+                    positions[a:b], values[a:b], area,
+                )  # fmt: skip
+                if number == 0 or not within:
+                    here = here & (area > 0)
+            seen[a:b] = here
+
+        over_bands(work, len(poses), worth=values.size > 3 * WORTH)
+        return values, seen
+
+    def sampled(self, level: Level, poses: Poses, visible: NDArray[np.bool_]) -> tuple[Map, Map]:
+        """Grey levels of all texels on a level `(n, n_texels)`, and the areas that they stand for.
+
+        The area, px squared of the picture, is 0 of texels that are not `visible`, and not above 0 of those
+        off the picture.
+        """
+        shape = (len(poses), len(self.texels))
+        values, area = np.empty((shape[0], 1, shape[1]), np.float32), np.empty(shape, np.float32)
+        warp_kernels.sample_texels(
+            level, 0, 1, self.used_texels, visible, self.positions(poses), values, area
+        )
+        return values[:, 0], area
+
+
+@dataclass(frozen=True, eq=False)
+class TextureLikelihood:
+    """A frame seen with the textures of experts.
+
+    Parameters
+    ----------
+    surface
+        shape and texels.
+    levels
+        of the picture, fine to coarse.
+    mean
+        `(n_experts, n_levels, n_texels)` float32: predicted texture on each level.
+    temperature
+        `(n_experts, n_texels)` float32: V + sigma_w^2.
+    visible
+        `(n_experts, n_texels)` bool, held while poses change.
+    """
+
+    surface: TexturedObject
+    levels: Sequence[Level]
+    mean: Map
+    temperature: Map
+    visible: NDArray[np.bool_]
+
+    @cached_property
+    def _textures(self) -> warp_kernels.Textures:
+        mean = np.ascontiguousarray(self.mean)
+        return warp_kernels.Textures(
+            mean, np.reciprocal(self.temperature), np.log(self.temperature), self.visible
+        )
+
+    def equations(self, level: int, poses: Poses, owner: NDArray[np.int64]) -> "Equations":
+        """Normal equations at `poses`, of which number m belongs to expert `owner[m]`."""
+        positions, rows, write_rows = self.surface.rows_to_write(poses)
+        n, width, dimension = len(poses), rows.shape[3], poses.dimension
+        matrices, vectors = np.empty((n, width, width), np.float32), np.empty((n, width), np.float32)
+        totals = np.empty((n, 3))
+
+        def work(a: int, b: int) -> None:
+            write_rows(a, b)
+            newton_kernels.normal_equations(
+                self.levels[level], level, self.surface.used_texels, self.surface._pairs,
+                self._textures, owner[a:b], positions[a:b], rows[a:b], dimension,
+                newton_kernels.NormalSums(matrices[a:b], vectors[a:b], totals[a:b]),
+            )  # fmt: skip
+
+        over_bands(work, n, worth=n * len(self.surface.texels) > WORTH * 4**level)
+        return Equations(
+            matrices[:, :dimension, :dimension].astype(np.float64),
+            vectors[:, :dimension].astype(np.float64),
+            totals,
+            rows,
+        )
+
+    def sums(self, poses: Poses, owner: NDArray[np.int64], background: Map = NO_MAP, level: int = 0) -> Array:
+        """`(n, 4)`: sums over visible texels of a e^2 / tau, a log tau, a, and a times the map `background`.
+
+        `background` is of the size of the picture on `level`.
+        """
+        positions = self.surface.positions(poses)
+        sums = np.empty((len(poses), 4))
+
+        def work(a: int, b: int) -> None:
+            warp_kernels.texel_densities(
+                self.levels[level], level, self.surface.used_texels, self._textures, owner[a:b],
+                positions[a:b], background, sums[a:b],
+            )  # fmt: skip
+
+        over_bands(work, len(poses), worth=len(poses) * len(self.surface.texels) > WORTH * 4**level)
+        return sums
+
+    def misfit(self, poses: Poses, level: int) -> Array:
+        """`(n,)`: mean of e^2 / tau of the first expert's texture; infinite where nothing of it is seen."""
+        squares, _, areas, _ = self.sums(poses, np.zeros(len(poses), np.int64), level=level).T
+        return np.where(areas > 0, squares / np.maximum(areas, 1e-9), np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Gauss-Newton's normal equations for poses.
+
+    Parameters
+    ----------
+    matrices, vectors
+        `(n, dimension, dimension)` and `(n, dimension)`: sums of a J'J / tau and a J'e / tau.
+    sums
+        `(n, 3)`: of a e^2 / tau, a log tau and a.
+    rows
+        `(n, n_used, 2, width)` float32: how vertices move with the pose; columns past its dimension are 0.
+    """
+
+    matrices: Array
+    vectors: Array
+    sums: Array
+    rows: Map

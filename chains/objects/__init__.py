@@ -1,0 +1,1 @@
+"""Moving objects: blobs in the pixels, detections, the ground that they stand on."""

@@ -1,0 +1,256 @@
+"""Blob tracker as a chain: moving objects with their place, velocity, soft mask and colours.
+
+Of objects j, front to back, with place and velocity x_j, mask M_j and colours A_j:
+
+    p(x_t | x_t-1) = N(x_t; F(dt) x_t-1, Q(dt)), constant velocity but for white acceleration; M_j, A_j stay
+    mu_{S -> F_k}(B_k = 1) = prod_j (1 - M_jk)
+    mu_{S -> F_k}(B_k = 0, L_k) = 1 + sum_j strength M_jk p(L_k | A_jk) prod_{i<j} (1 - M_ik), in units of U
+    mu_{S -> boxes}(b_j) = N(b_j; box of M_j at x_j, a share of its size)
+
+The RSMCM paper's high-level chain (§4.2): first-order linear dynamics, appearance, and a rendering of every
+object into the pixels. It is registered with what the background's chain and the image say of the pixels,
+then speaks to them at its registered place: a place shared by all its pixels is what one pixel cannot know.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import overload
+
+import numpy as np
+
+from ...inference.engine.protocols import Cavity, Incoming, Port
+from ...models.core.frame import Frame
+from ...models.core.short_repr import short_repr
+from ...models.objects.box_message import BoxMessage
+from ...models.objects.object_boxes import ObjectBoxes
+from ...models.pixels.layers import LayerStack, log_uniform
+from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
+from . import detections
+from .blob_geometry import likely_size
+from .blob_scene import BlobScene
+from .blob_table import Blobs, BlobState
+from .blobs import Blob
+from .ghosts import VIEW_TIME, inherited
+from .groups import alone, fragment_times, halves, merged, parting_columns, with_parts
+from .kernels.learning import Learning
+from .registration import front_to_back, layers_of, registered
+
+POSITIVE = (
+    "smallest", "mask_time", "colour_time", "spread", "strength", "temper", "acceleration", "first_speed",
+    "patience", "hidden_patience", "confirmed_time", "ghost_evidence", "parting_time", "size_time",
+)  # fmt: skip
+"""Parameters of `BlobTracker` that must be more than 0."""
+
+SWEEP = 0.8
+"""s after which a mask is freed of crumbs again."""
+
+FADING = 0.06
+"""s, time constant with which a mask fades where it reaches too far."""
+
+
+@short_repr
+@dataclass(frozen=True)
+class BlobTracker:
+    """Tracker of any number of blobs.
+
+    Lengths that should grow with the picture are shares of its area or of the blob's own size.
+
+    Parameters
+    ----------
+    smallest
+        share of the picture's area below which a spot is no object.
+    mask_time, colour_time
+        s in which a mask and its colours follow what is seen.
+    spread
+        squared grey levels: variance of a new blob's colours about the remembered ones, at most.
+    outliers
+        share of an object's pixels that look otherwise.
+    strength
+        how much likelier a known object is in front of the background than an unknown one.
+    temper
+        how many independent observations one pixel of a registration is worth.
+    acceleration
+        blob lengths/s^2, standard deviation of what moves a blob out of its straight way; it lasts half a
+        second.
+    first_speed
+        blob lengths/s, standard deviation of a new blob's velocity.
+    patience, hidden_patience
+        s for which a blob that should be visible, or is hidden by another, may stay unseen.
+    confirmed_time
+        s for which an object must have been seen before it is reported, in every frame.
+    ghost_evidence
+        nats from which on a blob is taken for a ghost: log ratio of an outline that is an edge of the
+        background's picture and one that is an edge of the image (see `chains.objects.ghosts`).
+    parting_time
+        s for which a blob must have had a waist, or the width of two people, before it becomes two.
+    size_time
+        s in which a blob's usual size follows its box; its mask does not reach much further.
+    """
+
+    smallest: float = 0.0003
+    mask_time: float = 0.4
+    colour_time: float = 0.4
+    spread: float = 300.0
+    outliers: float = 0.1
+    strength: float = 10.0
+    temper: float = 0.15
+    acceleration: float = 0.9
+    first_speed: float = 2.0
+    patience: float = 0.6
+    hidden_patience: float = 3.0
+    confirmed_time: float = 0.35
+    ghost_evidence: float = 5.0
+    parting_time: float = 0.4
+    size_time: float = 2.0
+    name: str = "blobs"
+
+    ports = (Port(PixelLabels, Cavity.OTHERS), Port(ObjectBoxes, optional=True))
+
+    def __post_init__(self) -> None:
+        for name in POSITIVE:
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+        if not 0 < self.outliers < 1:
+            raise ValueError(f"outliers: got {self.outliers}, expected a share between 0 and 1")
+
+    def initial(self, frame: Frame) -> BlobState:
+        """No objects: what is there from the first frame on is background until it moves."""
+        if frame.image is None:
+            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
+        channels = 1 if frame.image.ndim == 2 else frame.image.shape[2]
+        return BlobState(Blobs.none(channels), 0, frame.image.shape[:2], 0.0, self.confirmed_time)
+
+    def predict(self, state: BlobState, dt: float) -> BlobState:
+        """First-order dynamics: velocity stays, but for a random force."""
+        blobs = detections.moved(state.blobs, dt, self.acceleration, state.detecting)
+        return replace(state, blobs=blobs, elapsed=state.elapsed + dt)
+
+    @overload
+    def message(self, state: BlobState, feature: PixelLabels, incoming: Incoming) -> PixelMessage: ...
+    @overload
+    def message(self, state: BlobState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage: ...
+    def message(
+        self, state: BlobState, feature: PixelLabels | ObjectBoxes, incoming: Incoming
+    ) -> PixelMessage | BoxMessage:
+        """What objects say to a feature (mu_{S -> F}).
+
+        To pixels: where they cover them and with which colours, front to back. To boxes: where they stand and
+        how large they look, of those that were well seen in the last frame.
+        """
+        if isinstance(feature, PixelLabels):
+            return PixelMessage(layers=self._placed(state, incoming)[2])
+        pixels = incoming[PixelLabels]
+        blobs, _ = incoming.once(self._registered, state, pixels)
+        return detections.said(alone(blobs), state.detecting, pixels.image is not None)
+
+    def update(self, state: BlobState, incoming: Incoming) -> BlobState:
+        """Objects after the frame: registered, learned from, born and ended."""
+        pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
+        blobs, newborn, layers = self._placed(state, incoming)
+        if boxes is not None and boxes.association is not None:
+            blobs = blobs.taken(np.array([detections.is_kept(blob, state.size) for blob in blobs], bool))
+            everybody, born = blobs.and_also(newborn), state.born + len(newborn)
+            state = replace(state, blobs=everybody, born=born, detecting=True)
+        if pixels.subtraction is None:
+            return state
+        scene = BlobScene(pixels, layers, boxes, state.elapsed)
+        learned, alive = scene.learned(blobs, self._rule(blobs.channels, scene))
+        kept = learned.taken(alive).and_also(newborn)
+        scene.colour(kept, int(alive.sum()))
+        numbers = count(state.born + 1)
+        kept = with_parts(merged(self._parted(kept, numbers, scene)), scene.newcomers)
+        kept.table["fragment_time"] = fragment_times(kept, scene)
+        for spot in scene.spots(kept, self._least_area(scene)):
+            corner, mask, planes = scene.shown_in(spot, kept)
+            if float(mask.sum()) >= self._least_area(scene):
+                new = Blob.newborn(next(numbers), corner, mask, planes, self.first_speed, self.spread)
+                kept = kept.and_also([new.changed(past_views=inherited(new, kept))])
+        return replace(state, blobs=kept, born=next(numbers) - 1, elapsed=0.0)
+
+    def _placed(self, state: BlobState, incoming: Incoming) -> tuple[Blobs, list[Blob], LayerStack]:
+        """Blobs front to back where pixels and detections show them, those that are new, and the layers."""
+        pixels, boxes = incoming[PixelLabels], incoming.get(ObjectBoxes)
+        registered = incoming.once(self._registered, state, pixels)
+        if boxes is None or boxes.association is None:
+            return registered[0], [], registered[1]
+        return incoming.once(self._detected, state, pixels, boxes, registered)
+
+    def _detected(
+        self, state: BlobState, pixels: PixelMessage, boxes: BoxMessage, found: tuple[Blobs, LayerStack]
+    ) -> tuple[Blobs, list[Blob], LayerStack]:
+        known = detections.corrected(found[0], boxes)
+        # born where there is no image, it is of any colour until there is one
+        channels = 0 if pixels.image is None else known.channels
+        new = [
+            detections.newborn(number, boxes, k, channels)
+            for number, k in enumerate(detections.unexplained(boxes, state.size), state.born + 1)
+        ]
+        whole = np.array([not detections.is_part(blob, new) for blob in known], bool)
+        blobs = front_to_back(known.taken(whole))
+        return blobs, new, self._layers(front_to_back(blobs.and_also(new)))
+
+    def _registered(self, state: BlobState, pixels: PixelMessage) -> tuple[Blobs, LayerStack]:
+        """Blobs front to back at the place where this frame shows them, and their layers."""
+        blobs = front_to_back(state.blobs)
+        if pixels.subtraction is not None:
+            blobs = registered(blobs, pixels, self.outliers, self.temper, state.elapsed)
+        return blobs, self._layers(blobs)
+
+    def _layers(self, blobs: Blobs) -> LayerStack:
+        return LayerStack(layers_of(blobs, self.outliers, self.strength, self.ghost_evidence))
+
+    def _rule(self, channels: int, scene: BlobScene) -> Learning:
+        """How blobs follow what this frame shows."""
+
+        def share(time: float) -> float:
+            return -math.expm1(-scene.elapsed / time)
+
+        return Learning(
+            log_uniform=log_uniform(channels),
+            outliers=self.outliers,
+            elapsed=scene.elapsed,
+            mask_share=share(self.mask_time),
+            colour_share=share(self.colour_time),
+            view_share=share(VIEW_TIME),
+            size_share=share(self.size_time),
+            first_size_share=share(self.mask_time),
+            kept=math.exp(-scene.elapsed / FADING),
+            strength=self.strength,
+            spread=self.spread,
+            temper=self.temper,
+            ghost_evidence=self.ghost_evidence,
+            least_area=self._least_area(scene),
+            confirmed_time=self.confirmed_time,
+            patience=self.patience,
+            hidden_patience=self.hidden_patience,
+        )
+
+    def _least_area(self, scene: BlobScene) -> float:
+        """px of the smallest object."""
+        return self.smallest * scene.size[0] * scene.size[1]
+
+    def _parted(self, blobs: Blobs, numbers: Iterator[int], scene: BlobScene) -> Blobs:
+        """Blobs that have had a waist or the width of two for a while are two; crumbs are swept away."""
+        table = blobs.table
+        judged = (table["unseen"] == 0) & (table["detected"] == 0)
+        waists = np.where(judged, parting_columns(blobs, scene.newcomers), -1)
+        longer = np.where(waists < 0, 0.0, table["parting"] + scene.elapsed)
+        table["parting"] = np.where(judged, longer, table["parting"])
+        parted = {}
+        for k in np.flatnonzero((waists >= 0) & (longer >= self.parting_time)).tolist():
+            larger, smaller = halves(blobs[k], waists[k])
+            if smaller.sum() >= max(self._least_area(scene), 0.25 * larger.sum()):
+                blob, new = blobs[k].changed(parting=0.0, still=0.0), next(numbers)
+                parted[k] = [
+                    blob.changed(mask=larger, size=likely_size(larger)),
+                    blob.changed(mask=smaller, size=likely_size(smaller), identity=new, whole=new),
+                ]
+        due = judged & (table["seen"] // SWEEP > (table["seen"] - scene.elapsed) // SWEEP)
+        due[list(parted)] = False
+        blobs.sweep(due)
+        if not parted:
+            return blobs
+        rows = [part for k, blob in enumerate(blobs) for part in parted.get(k, [blob])]
+        return Blobs.of(rows, blobs.channels)

@@ -1,0 +1,268 @@
+"""What detections do to objects: they correct, start, confirm and doubt them.
+
+Of an object j with its blob at x_j and its box d_j within that, which exists (e_j) and is noticed (n_j):
+
+    p(z | j) = N(z; d_j about x_j, detector's noise), d_j a random walk
+    p(e_t | e_t-1): it leaves after LIFE s on average; p(n_t | n_t-1): a Markov chain of two states, PHASE s
+    p(j found | e_j, n_j) = its visible share, times NOTICED or UNNOTICED
+
+Existence and association are those of joint integrated probabilistic data association (D. Musicki, R. Evans,
+2004), with marginals by belief propagation (see `models.objects.association`). We depart in what a box of
+uncertain origin does: the mean of the log likelihood over assignments updates place and size, which does not
+widen them, and keeps objects that are close to each other apart better than the mixture's mean does.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...inference.linear_motion import kinematic
+from ...models.core.gaussian_message import GaussianMessage
+from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
+from ...models.objects.box_message import BoxMessage, LogOdds
+from .blob_geometry import box_densities, paste
+from .blob_table import Blobs
+from .blobs import Blob, DetectedBox, Map, Pair
+from .kernels.motion import move
+from .kernels.records import FRESH, MARGIN
+
+ACCELERATION = 0.4
+"""Heights/s^2, standard deviation of what moves a person out of the straight way; it lasts half a second."""
+
+FIRST_SPEED = 0.8
+"""Heights/s, standard deviation of somebody's velocity along either axis of the picture."""
+
+LIFE = 20.0
+"""s, for which an object stays in the picture on average."""
+
+PHASE = 0.5
+"""s, time constant with which the detector begins to notice an object, or ceases to."""
+
+USUALLY = 0.85
+"""Share of the time for which the detector notices an object."""
+
+SWAY = 0.03
+"""Heights/s^0.5: how far a box moves against the blob that it is of, by gait."""
+
+GROWTH = 0.1
+"""Shares/s^0.5: how fast sides of a box change as somebody comes nearer."""
+
+MASK_ERROR = 0.2
+"""Of a mask's box, in its sides: how far a detector's box may be off."""
+
+LEAST = np.array([-np.inf, -np.inf, 1.0, 1.0])
+"""px: of a box's numbers."""
+
+SPREAD = 300.0
+"""Squared grey levels: variance of a new object's colours about those that it shows first."""
+
+WHOLE = 0.25
+"""s after which a box of the same object is worth a whole new one: a detector errs alike for a while."""
+
+SURE_COVER = np.float32(0.9)
+"""Probability that a pixel well inside of what a detector shows of an object is the object's."""
+
+CANDIDATE = 0.1
+"""Probability of being somebody new from which on a box is remembered as an object."""
+
+GIVEN_UP = math.log(0.02 / 0.98)
+"""Log odds of existence below which an object is forgotten."""
+
+
+def moved(blobs: Blobs, dt: float, acceleration: float, detecting: bool) -> Blobs:
+    """Blobs `dt` s on: velocity stays, but for a random force of their own lengths/s^2, or a person's."""
+    if not len(blobs):
+        return blobs
+    table = blobs.table.copy()
+    move(table, dt, kinematic(2, dt).noise, acceleration, ACCELERATION)
+    if detecting:
+        _doubt(table, dt)
+    return blobs.with_table(table)
+
+
+def _doubt(table: NDArray[np.void], dt: float) -> None:
+    """What is known of objects' detections `dt` s later."""
+    found = np.flatnonzero(table["detected"])
+    sides = table["box_mean"][found][:, [HEIGHT, HEIGHT, WIDTH, HEIGHT]]
+    table["box_variance"][found] += dt * (sides * [SWAY, SWAY, GROWTH, GROWTH]) ** 2
+    table["unfound"][found] += dt
+    stays, lasts = math.exp(-dt / PHASE), math.exp(-dt / LIFE)
+    table["existence"][found] = _log_odds(lasts * _probability(table["existence"][found]))
+    noticed = stays * _probability(table["noticed"][found]) + (1 - stays) * USUALLY
+    table["noticed"][found] = _log_odds(noticed)
+
+
+def said(blobs: Blobs, detecting: bool, image: bool) -> BoxMessage:
+    """What blobs say of boxes: of those that an image shows well, and what a detector may find of others."""
+    table = blobs.table
+    # of those whom the pixels alone show
+    shown = (table["confidence"] > 0.5) & (table["seen"] >= FRESH) & (table["detected"] == 0)
+    message = BoxMessage()
+    if image and shown.any():
+        message = BoxMessage(box_densities(table["identity"][shown], blobs.boxes[shown]))
+    return message * _expectations(blobs) if detecting else message
+
+
+def _expectations(blobs: Blobs) -> BoxMessage:
+    """That objects exist and are noticed, and boxes of those that a detector has found before."""
+    table = blobs.table[np.argsort(blobs.table["identity"])]
+    identities = table["identity"].copy()
+    message = BoxMessage(
+        existence=LogOdds(identities, table["existence"].copy()),
+        noticed=LogOdds(identities, table["noticed"].copy()),
+    )
+    hidden = table[table["detected"] != 0]
+    if not len(hidden):
+        return message
+    means, variances = hidden["box_mean"].copy(), hidden["box_variance"].copy()
+    means[:, :WIDTH] += hidden["position"][:, ::-1]
+    variances[:, :WIDTH] += hidden["covariance"][:, 0, :1]
+    gaussian = GaussianMessage.from_moments(hidden["identity"], means, variances[:, :, None] * np.eye(BOX))
+    return replace(message, hidden=gaussian)
+
+
+def from_mask(blob: Blob) -> DetectedBox:
+    """What a blob's mask tells of the box that a detector would find."""
+    x, y, width, height = blob.box
+    top, left = blob.position.tolist()
+    sides = np.array([width, height, width, height])
+    mean = np.array([x + 0.5 * width - left, y + height - top, width, height])
+    return DetectedBox(mean, (MASK_ERROR * sides) ** 2 + 1)
+
+
+def corrected(blobs: Blobs, boxes: BoxMessage) -> Blobs:
+    """Objects after a detector has run: place, velocity and box as far as boxes are theirs."""
+    association = boxes.association
+    assert association is not None
+    precision, vector = association.drawn
+    existence, noticed = (odds.of(association.identities) for odds in (boxes.existence, boxes.noticed))
+    places = {int(identity): k for k, identity in enumerate(association.identities)}
+    result = []
+    for blob in blobs:
+        k = places.get(blob.identity)
+        if k is None:
+            result.append(blob)
+            continue
+        blob = blob.changed(
+            existence=blob.existence + float(existence[k]), noticed=blob.noticed + float(noticed[k])
+        )
+        share = float(association.pairs[k].sum())
+        if blob.detected is None and share > 0.5:
+            blob = blob.changed(detected=from_mask(blob))
+        if blob.detected is not None and share > 1e-3:
+            blob = _drawn(blob, vector[k] / precision[k], 1 / precision[k])
+        result.append(blob)
+    return Blobs.of(result, blobs.channels)
+
+
+def unexplained(boxes: BoxMessage, size: tuple[int, int]) -> list[int]:
+    """Which boxes, in the picture, may be of somebody who is not known yet."""
+    association = boxes.association
+    assert association is not None
+    likely: list[int] = np.flatnonzero(association.new > CANDIDATE).tolist()
+    return [k for k in likely if _inside(association.boxes[k], size)]
+
+
+def newborn(identity: int, boxes: BoxMessage, k: int, channels: int) -> Blob:
+    """An object that the detector's box `k` is the first to show."""
+    association = boxes.association
+    assert association is not None
+    x, y, width, height = association.boxes[k].tolist()
+    corner = np.array([y - height - MARGIN, x - 0.5 * width - MARGIN])
+    mask = _ellipse(width, height)
+    if association.outlines is not None:
+        top, left = (math.floor(start + 0.5) for start in corner.tolist())
+        outline = np.zeros(mask.shape, np.float32)
+        paste(outline, top, left, association.outlines[k], 0, 0)
+        if outline.any():  # in a detector's outline nearly everything is the object's
+            mask = SURE_COVER * outline
+    planes = np.zeros((channels, *mask.shape), np.float32)
+    mean = np.array([x - corner[1], y - corner[0], width, height])
+    return Blob.newborn(identity, corner, mask, planes, FIRST_SPEED, SPREAD).changed(
+        covariance=np.diag([1e-6, (FIRST_SPEED * height) ** 2]),
+        existence=float(_log_odds(association.new[k])),
+        noticed=float(_log_odds(0.98)),
+        confidence=0.0,
+        detected=DetectedBox(mean, association.noise[k]),
+    )
+
+
+def is_part(blob: Blob, detected: Sequence[Blob]) -> bool:
+    """Whether a blob that no detector has found lies in the boxes of others, so that it is a piece of one."""
+    if blob.detected is not None:
+        return False
+    x, y, width, height = blob.box
+    for other in detected:
+        left, top, across, down = other.reported_box
+        shared_x = min(x + width, left + across) - max(x, left)
+        shared_y = min(y + height, top + down) - max(y, top)
+        if shared_x > 0 and shared_y > 0 and shared_x * shared_y > 0.5 * width * height:
+            return True
+    return False
+
+
+def is_kept(blob: Blob, size: tuple[int, int]) -> bool:
+    """Whether an object that was detected once may still be there, in the picture; others may."""
+    if blob.detected is None:
+        return True
+    there = _inside(_absolute(blob, blob.detected), size) and blob.existence > GIVEN_UP
+    return there and blob.covariance[0, 0] < float(blob.detected.mean[HEIGHT]) ** 2
+
+
+def _inside(box: Pair, size: tuple[int, int]) -> bool:
+    """Whether a fifth of a box, along either axis, is in the picture."""
+    x, y, width, height = box.tolist()
+    across = min(x + 0.5 * width, size[1]) - max(x - 0.5 * width, 0.0)
+    down = min(y, size[0]) - max(y - height, 0.0)
+    return bool(across > 0.2 * width and down > 0.2 * height)
+
+
+def _drawn(blob: Blob, place: Pair, noise: Pair) -> Blob:
+    """The blob after its box was seen at a place: its patch, its velocity and the box within it share."""
+    box = blob.detected
+    assert box is not None
+    (along, both), (_, speed) = blob.covariance.tolist()
+    off = place - _absolute(blob, box)
+    noise = noise / min(max(box.unfound, 1e-3) / WHOLE, 1.0)
+    total = box.variance + noise
+    total[:WIDTH] += along
+    gain = box.variance / total
+    middle = float(total[:WIDTH].mean())
+    down_right = off[[FOOT_Y, FOOT_X]]
+    kept = 1 - along / middle
+    mean = np.maximum(box.mean + gain * off, LEAST)
+    seen = DetectedBox(mean, (1 - gain) * box.variance)
+    return blob.changed(
+        position=blob.position + along / middle * down_right,
+        velocity=blob.velocity + both / middle * down_right,
+        covariance=np.array([[kept * along, kept * both], [kept * both, speed - both**2 / middle]]),
+        detected=seen,
+    )
+
+
+def _absolute(blob: Blob, box: DetectedBox) -> Pair:
+    """`(4,)` px: foot x and y in the picture, width, height."""
+    top, left = blob.position.tolist()
+    return np.asarray(box.mean + np.array([left, top, 0.0, 0.0]))
+
+
+def _ellipse(width: float, height: float) -> Map:
+    """What somebody in a box likely covers, in a patch with a border of `MARGIN`."""
+    rows, columns = (max(round(side), 1) + 2 * MARGIN for side in (height, width))
+    y = (np.arange(rows) - 0.5 * (rows - 1)) / (0.5 * height)
+    x = (np.arange(columns) - 0.5 * (columns - 1)) / (0.5 * width)
+    square = y[:, None] ** 2 + x**2
+    return np.asarray(SURE_COVER / (1 + np.exp(np.minimum(8 * (square - 1), 700))), np.float32)
+
+
+def _probability(log_odds: Pair) -> Pair:
+    return 0.5 * (1 + np.tanh(0.5 * log_odds))
+
+
+def _log_odds(probability: ArrayLike) -> Pair:
+    likely = np.clip(probability, 1e-9, 1 - 1e-9)
+    odds: Pair = np.log(likely) - np.log1p(-likely)
+    return odds

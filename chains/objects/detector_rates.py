@@ -1,0 +1,136 @@
+"""How reliable a detector is, as a chain: what it finds, how often it errs, and what its scores mean.
+
+Of the share pi that is found, the rates c of false boxes, d of second boxes, b of newcomers:
+
+    pi ~ Beta, c, d, b ~ Gamma, all forgotten slowly
+    p(score | true) = N(m_1, s^2), p(score | false) = N(m_0, s^2)
+    u_t = u_t-1 (1 - pi) + b dt, people in the picture who were not found yet (Poisson)
+    mu_{detector -> boxes} = the detector with the means of all these
+
+It learns from who the boxes turned out to be of (`Association`): nobody sets a threshold for scores. The
+undetected number is that of Poisson multi-Bernoulli filters (J. Williams, *Marginal multi-Bernoulli filters*,
+2015).
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...inference.engine.protocols import Incoming, Port
+from ...models.core.frame import Frame
+from ...models.core.short_repr import short_repr
+from ...models.objects.box_message import BoxMessage
+from ...models.objects.object_boxes import ObjectBoxes
+from .detector_memory import DetectorState, ScoreMoments
+
+UNDETECTED = 3.0
+"""People in the picture of whom nothing is known, before anybody has looked."""
+
+
+@short_repr
+@dataclass(frozen=True)
+class DetectorRates:
+    """What is known of a detector, learned while it runs.
+
+    Parameters
+    ----------
+    found
+        share of the time for which it notices an object that is in sight, at first.
+    clutter
+        false boxes in a frame, at first.
+    doubles
+        second boxes of an object that it finds, at first.
+    newcomers
+        1/s, objects that come into the picture, at first.
+    memory
+        s in which what was learned is forgotten.
+    """
+
+    found: float = 0.85
+    clutter: float = 0.5
+    doubles: float = 0.1
+    newcomers: float = 0.2
+    memory: float = 60.0
+    name: str = "detector"
+
+    ports = (Port(ObjectBoxes, sole="detector"),)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.found < 1:
+            raise ValueError(f"found: got {self.found}, expected a probability between 0 and 1")
+        for name in ("clutter", "doubles", "newcomers", "memory"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+
+    def initial(self, frame: Frame) -> DetectorState:
+        """As it is assumed to be."""
+        return DetectorState(
+            counts=np.zeros(4),
+            exposures=np.zeros(4),
+            scores=ScoreMoments.none(),
+            undetected=UNDETECTED,
+            area=_area(frame),
+            elapsed=0.0,
+        )
+
+    def predict(self, state: DetectorState, dt: float) -> DetectorState:
+        """What was learned is slowly forgotten."""
+        kept = math.exp(-dt / self.memory)
+        return replace(
+            state,
+            counts=kept * state.counts,
+            exposures=kept * state.exposures,
+            scores=state.scores.forgotten(kept),
+            elapsed=state.elapsed + dt,
+        )
+
+    def message(self, state: DetectorState, feature: ObjectBoxes, incoming: Incoming) -> BoxMessage:
+        """The detector as it is known (mu_{detector -> objects})."""
+        found, clutter, doubles, arriving = self._rates(state)
+        return BoxMessage(
+            detector=replace(
+                feature.detector,
+                found=found,
+                clutter=clutter / state.area,
+                doubles=doubles,
+                newcomers=state.undetected + state.elapsed * arriving,
+                scores=state.scores.learned(),
+            )
+        )
+
+    def update(self, state: DetectorState, incoming: Incoming) -> DetectorState:
+        """Counts of what was found, missed and false in a frame, each by its probability."""
+        association = incoming[ObjectBoxes].association
+        if association is None:
+            return state
+        true, new = association.true, float(association.new.sum())
+        hits = float(association.pairs.sum())
+        false = float((1 - true - association.double).sum())
+        found, _, _, arriving = self._rates(state)
+        counts = np.array([hits, false, float(association.double.sum()), new])
+        exposures = np.array([hits + float(association.in_sight), 1.0, hits + new, state.elapsed])
+        return replace(
+            state,
+            counts=state.counts + counts,
+            exposures=state.exposures + exposures,
+            scores=state.scores.with_more(association.scores, true),
+            undetected=(state.undetected + state.elapsed * arriving) * (1 - found),
+            elapsed=0.0,
+        )
+
+    def _rates(self, state: DetectorState) -> tuple[float, float, float, float]:
+        """Means of found, clutter, doubles and newcomers, with what is assumed as if seen before."""
+        assumed = np.array([self.found, self.clutter, self.doubles, self.newcomers])
+        weight = np.array([10.0, 4.0, 10.0, 5.0])
+        found, clutter, doubles, newcomers = (
+            (assumed * weight + state.counts) / (weight + state.exposures)
+        ).tolist()
+        return min(found, 0.99), clutter, doubles, newcomers
+
+
+def _area(frame: Frame) -> float:
+    """px of the picture."""
+    if frame.image is None:
+        raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
+    return float(frame.image.shape[0] * frame.image.shape[1])

@@ -1,0 +1,197 @@
+"""Groups and halves: which blobs are parts of one object, and which blob is two."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...models.objects.box_message import Newcomers
+from .blob_geometry import likely_size
+from .blob_scene import BlobScene
+from .blob_table import Blobs, union
+from .blobs import Blob, Map, Pair, around
+from .kernels.masks import shape_of
+from .kernels.motion import next_piece
+from .kernels.patches import UNKNOWN_COLOUR
+from .kernels.records import FRESH
+
+UPRIGHT = 0.75
+"""Width over height below which anybody is upright, and stands beside others."""
+
+PAIR = 3.0
+"""nats from which on a blob is taken for two people."""
+
+HALF = 0.5
+"""Of anybody's height, below which a blob is a fragment of somebody."""
+
+SETTING_OFF = 2.0
+"""s from its birth on, in which something may still come into view as parts that are apart."""
+
+SAME_TIME = 0.4
+"""s by which the births of parts of one thing may be apart."""
+
+KNOWN = 0.25
+"""Deviation over mean of anybody's height, below which it is known."""
+
+
+def with_parts(blobs: Blobs, newcomers: Newcomers | None) -> Blobs:
+    """Blobs that have just set off together, as parts of the one among them that was the first.
+
+    Something that was a part of the scene, and looks alike in its middle wherever it is, comes into view as
+    its edges do. They stay blobs of their own, since some may be what it leaves behind; and those that have
+    not become one soon, or turn out to be no small parts, are on their own again.
+    """
+    table = blobs.table
+    seen, found = table["seen"], table["detected"] != 0
+    young = np.flatnonzero(~found & (seen > FRESH / 2) & (seen < SETTING_OFF)).tolist()
+    if len(young) < 2 and (table["whole"] == table["identity"]).all():
+        return blobs
+    table = table.copy()
+    for k in np.flatnonzero(_members(table) > 1).tolist():
+        whole = table["whole"]
+        parts = blobs.taken(np.flatnonzero(whole == whole[k]))
+        grown = seen[k] >= SETTING_OFF or found[k]
+        if len(parts) > 1 and (grown or not are_one(parts.boxes, newcomers)):
+            whole[k] = table["identity"][k]
+    rows = {k: blobs[k] for k in young}
+    for first, k in enumerate(young):
+        for other in young[first + 1 :]:
+            kept, given = sorted((table["whole"][k], table["whole"][other]))
+            if kept != given and set_off_together(rows[k], rows[other], newcomers):
+                # where any of them appeared, each may still be one with what they have left
+                members = np.isin(table["whole"], (kept, given))
+                table["origin"][members] = union(table["origin"][members])
+                table["whole"][members], table["past_views"][members] = kept, 0.0
+    return blobs.with_table(table)
+
+
+def _members(table: NDArray[np.void]) -> NDArray[np.int64]:
+    """`(n,)`: of how many blobs the thing consists that each is a part of."""
+    _, place, counts = np.unique(table["whole"], return_inverse=True, return_counts=True)
+    return np.asarray(counts[place], np.int64)
+
+
+def alone(blobs: Blobs) -> Blobs:
+    """Blobs that are no parts of a thing, whose size is not theirs; two may be two side by side."""
+    if (blobs.table["whole"] == blobs.table["identity"]).all():
+        return blobs
+    return blobs.taken(_members(blobs.table) <= 2)
+
+
+def are_one(boxes: Pair, newcomers: Newcomers | None) -> bool:
+    """Whether blobs can be parts of one thing: together not higher than anybody, nor as wide as two."""
+    whole = union(boxes)
+    mean, deviation = anybodys_height(whole[1] + whole[3], newcomers)
+    too_high = whole[3] > mean + 2 * deviation
+    return not too_high and bool(pair_evidence(whole, newcomers) < 0)
+
+
+def set_off_together(one: Blob, other: Blob, newcomers: Newcomers | None) -> bool:
+    """Whether two blobs set out at the same time, close to each other and in the same way."""
+    _, _, wide, tall = around(one.box, other.box)
+    length = max(wide, tall)
+    gap = max(wide - one.box[2] - other.box[2], tall - one.box[3] - other.box[3])
+    slower = min(math.hypot(*one.velocity), math.hypot(*other.velocity))
+    apart = math.hypot(*(one.velocity - other.velocity))
+    alike = slower > 0.1 * length and apart < 0.2 * length and abs(one.seen - other.seen) < SAME_TIME
+    close = gap < max(one.length, other.length) and min(one.length, other.length) < 0.5 * length
+    return close and alike and are_one(np.array([one.box, other.box]), newcomers)
+
+
+def anybodys_height(feet: ArrayLike, newcomers: Newcomers | None) -> tuple[Pair, Pair]:
+    """Mean and deviation px of the height of somebody with feet in these rows; NaN where it is not known."""
+    if newcomers is None:
+        unknown = np.full(np.shape(feet), np.nan)
+        return unknown, unknown
+    mean, deviation = newcomers.height(feet)
+    return np.where(deviation < KNOWN * mean, mean, np.nan), deviation
+
+
+def fragment_times(blobs: Blobs, scene: BlobScene) -> Pair:
+    """`(n,)` s for which blobs have been less than half as high as anybody there, inside of the picture."""
+    x, y, width, height = blobs.boxes.T
+    mean, _ = anybodys_height(blobs.feet, scene.newcomers)
+    small = (np.minimum(x, y) > 1) & (x + width < scene.size[1] - 1) & (y + height < scene.size[0] - 1)
+    small &= height <= HALF * mean
+    return np.where(small, blobs.table["fragment_time"] + scene.elapsed, 0.0)
+
+
+def pair_evidence(boxes: ArrayLike, newcomers: Newcomers | None) -> Pair:
+    """Log ratio, nats, of two people beside each other and one, by how wide boxes `(..., 4)` are there.
+
+    They are as high as anybody there, or else they are neither. One has anybody's width; two have that and
+    how far they are apart, anything from a third of a width to a whole one and a bit.
+    """
+    _, top, width, height = np.moveaxis(np.asarray(boxes, np.float64), -1, 0)
+    if newcomers is None or newcomers.aspect > UPRIGHT:
+        return np.full(np.shape(top), -np.inf)
+    expected, deviation = anybodys_height(top + height, newcomers)
+    usual = newcomers.aspect * expected
+    spread = np.hypot(math.sqrt(newcomers.aspect_variance) * expected, 0.1 * usual)
+    one = -0.5 * ((width - usual) / spread) ** 2 - np.log(spread * math.sqrt(2 * math.pi))
+    apart = width / usual - 1
+    as_high = np.abs(height - expected) <= 2 * deviation
+    return np.where(as_high & (apart > 0.3) & (apart < 1.3), -np.log(usual) - one, -np.inf)
+
+
+def parting_columns(blobs: Blobs, newcomers: Newcomers | None) -> NDArray[np.int64]:
+    """`(n,)` columns of masks at which blobs seem to be two; -1 where they seem to be one."""
+    table = blobs.table
+    columns = np.where(table["waist_depth"] < 0.5, table["waist"], -1)
+    for k in np.flatnonzero((columns < 0) & (pair_evidence(blobs.boxes, newcomers) > PAIR)).tolist():
+        columns[k] = thinnest_column(blobs[k].mask)
+    return columns
+
+
+def thinnest_column(mask: Map) -> int:
+    """The column in the middle half of a mask's likely part that holds least of it."""
+    shape = shape_of(mask)
+    quarter = (shape.right - shape.left) // 4
+    columns = mask.sum(axis=0)[shape.left + quarter : shape.right - quarter]
+    if not len(columns):
+        return (shape.left + shape.right) // 2
+    smooth = np.convolve(np.pad(columns, 2, mode="edge"), np.ones(5) / 5, mode="valid")
+    return int(np.argmin(smooth)) + shape.left + quarter
+
+
+def halves(blob: Blob, column: int) -> tuple[Map, Map]:
+    """The mask left and right of a column, the larger one first."""
+    left, right = blob.mask.copy(), blob.mask.copy()
+    left[:, column:] = 0
+    right[:, :column] = 0
+    return (left, right) if left.sum() >= right.sum() else (right, left)
+
+
+def merged(blobs: Blobs) -> Blobs:
+    """Pieces of one object become one blob again (see `next_piece`), the one seen for the longest."""
+    table = blobs.table
+    blobs = blobs.taken(np.lexsort((table["identity"], -table["seen"], table["detected"] == 0)))
+    piece, one = next_piece(blobs.table, 1)
+    while piece < len(blobs):
+        rows = list(blobs)
+        rows[one] = joined(rows[one], rows.pop(piece))
+        blobs = Blobs.of(rows, blobs.channels)
+        piece, one = next_piece(blobs.table, piece)
+    return blobs
+
+
+def joined(one: Blob, other: Blob) -> Blob:
+    """One blob of two; it keeps the first one's identity and motion."""
+    corners = np.array([one.corner, other.corner])
+    ends = corners + np.array([one.mask.shape, other.mask.shape])
+    first, shape = corners.min(axis=0), tuple(ends.max(axis=0) - corners.min(axis=0))
+    mask = np.zeros(shape, np.float32)
+    appearance = np.full((len(one.appearance), *shape), UNKNOWN_COLOUR, np.float32)
+    for blob in (other, one):
+        top, left = np.array(blob.corner) - first
+        window = (slice(top, top + blob.mask.shape[0]), slice(left, left + blob.mask.shape[1]))
+        better = blob.mask > mask[window]
+        mask[window][better] = blob.mask[better]
+        appearance[:, *window][:, better] = blob.appearance[:, better]
+    return one.moved_patch(first - corners[0]).changed(
+        mask=mask,
+        appearance=appearance,
+        size=likely_size(mask),
+        seen=max(one.seen, other.seen),
+        origin=around(one.origin, other.origin) if one.seen < FRESH else one.origin,
+    )

@@ -1,0 +1,427 @@
+"""What a frame teaches of blobs: shape, colours, size, whether they were seen, and whether they live on."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....models.numerics.compiled import compiled, exponential, put
+from ....models.pixels.kernels.gaussian import StoredPlanes
+from .masks import fade_beyond, measure
+from .outlines import outline_evidence
+from .patches import UNKNOWN_COLOUR, cover_by, gather, patch_in
+from .records import FRESH, MARGIN, box_of, colours_of, corner_of, length_of, mask_of, overlap
+from .registration import sprite_of
+
+_f4 = np.float32
+
+_BLOCK = 256  # px, of which a sum is one of float32
+
+HIGHEST_COVER = 0.97
+"""Masks stay below certainty, so that evidence can always win them back."""
+
+GROWTH = 1.3
+"""How far beyond its usual size a mask may reach."""
+
+BENEFIT_OF_DOUBT = 0.6
+"""What the mask of a still blob keeps of pixels that fit its colours as well as the background's."""
+
+THINNEST = 0.08
+"""Area over squared length below which a spot is a line (a rope, an edge that shakes) and no object."""
+
+LEAST_MASK = 0.1
+"""Of a mask's mass, which must be in the picture."""
+
+TRAVELLED = -5.0
+"""nats, log ratio of ghost and real for each own length that something travels."""
+
+MOST_EVIDENCE = 20.0
+"""nats, that all views together are worth, either way."""
+
+
+class Scene(NamedTuple):
+    """What is known of a frame beside the picture.
+
+    `background` is the picture of the empty scene; `boxes`
+    `(n, 4)` and `starts` `(n,)` say where regions are (see `Composition`) whose pixels are `explained`;
+    `sizes` `(n, 2)` px are heights and widths as they are usual for blobs, and expected by others.
+    """
+
+    background: StoredPlanes
+    boxes: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    explained: NDArray[np.float32]
+    sizes: NDArray[np.float64]
+
+
+class Learning(NamedTuple):
+    """How blobs follow what is seen.
+
+    Shares by which something follows the last frame: `mask_share`, `colour_share`, `view_share`,
+    `size_share`, and `first_size_share` of a blob that is fresh; `kept` is what a mask keeps where it reaches
+    too far. `log_uniform` and `elapsed` as of `Matching`, the rest as of `BlobTracker`, `least_area` in px.
+    """
+
+    log_uniform: float
+    outliers: float
+    elapsed: float
+    mask_share: float
+    colour_share: float
+    view_share: float
+    size_share: float
+    first_size_share: float
+    kept: float
+    strength: float
+    spread: float
+    temper: float
+    ghost_evidence: float
+    least_area: float
+    confirmed_time: float
+    patience: float
+    hidden_patience: float
+
+
+@compiled
+def is_ghost(blob, limit):
+    """Whether a blob's outlines say that nothing is there; a detector finds what is real."""
+    real = max(blob.existence, 0.0) if blob.detected else 0.0
+    return blob["view"] + blob.past_views - real >= limit
+
+
+@compiled
+def fit(blobs, limit):
+    """Give blobs patches that leave their masks room to grow, and not much more, but not to ghosts.
+
+    Records change; gives how many pixels all patches have, which follow each other from now on.
+    """
+    total = 0
+    for k in range(blobs.size):
+        blob = blobs[k]
+        rows, columns = blob.rows, blob.columns
+        above, left = blob.faint_top, blob.faint_left
+        room_below, room_right = rows - blob.faint_bottom, columns - blob.faint_right
+        least = min(min(above, left), min(room_below, room_right))
+        most = max(max(above, left), max(room_below, room_right))
+        empty = blob.faint_bottom == 0 or blob.faint_right == 0
+        if not (empty or is_ghost(blob, limit) or (least >= MARGIN // 2 and most <= 3 * MARGIN)):
+            down, right = above - MARGIN, left - MARGIN
+            blob.rows = blob.faint_bottom - above + 2 * MARGIN
+            blob.columns = blob.faint_right - left + 2 * MARGIN
+            blob.position[0] += down
+            blob.position[1] += right
+            if blob.detected:
+                blob.box_mean[0] -= right
+                blob.box_mean[1] -= down
+            if blob.bottom > 0 and blob.right > 0:
+                blob.top, blob.bottom = blob.top - down, blob.bottom - down
+                blob.left, blob.right = blob.left - right, blob.right - right
+        blob.start = total
+        total += blob.rows * blob.columns
+    return total
+
+
+@compiled
+def learn(
+    patch, explained, sprite, strength, mask_share, colour_share, least_kept, new_mask, new_appearance, rates
+):
+    """Shape and colours of a blob after a frame.
+
+    The mask follows what the background's chain says alone (log odds), but keeps `least_kept` of likely
+    pixels that fit the blob's own colours as well; of pixels that it loses, the colours are forgotten.
+    `explained` is by all layers together (see `Region.explained`): a pixel that another blob explains better
+    is not learned, nor is one that something in front covers. `rates` is memory for a number a pixel.
+
+    Returns
+    -------
+    total, visible, seen
+        mass of the mask, of its part that nothing covers, and of that part that is foreground and its own.
+    variance
+        mean squared difference of its pixels from the remembered colours, per channel.
+    """
+    channels, size = sprite.appearance.shape[0], sprite.mask.size
+    shown, own_odds, free = patch.planes.reshape(-1), patch.log_odds.reshape(-1), patch.free.reshape(-1)
+    mask, own, all_layers = sprite.mask.reshape(-1), sprite.appearance.reshape(-1), explained.reshape(-1)
+    out, new = new_mask.reshape(-1), new_appearance.reshape(-1)
+    chroma = (
+        _f4(1) if channels == 3 else _f4(0)
+    )  # no branch within a loop, which would be no vector code then
+    red = np.uint64(size * (channels // 3))
+    blue = np.uint64(2) * red
+    half_precision, log_ratio, outliers = sprite.half_precision, sprite.log_ratio, sprite.outliers
+    inlying = _f4(1) - outliers
+    total = visible = seen = 0.0
+    squares = inside = 1e-6
+    for start in range(0, size, _BLOCK):
+        sum_covers = sum_open = sum_seen = sum_squares = sum_inner = _f4(0)
+        for i in range(np.uint64(start), np.uint64(min(start + _BLOCK, size))):
+            d0 = shown[i] - own[i]
+            d1, d2 = shown[i + red] - own[i + red], shown[i + blue] - own[i + blue]
+            distance = d0 * d0 + chroma * (d1 * d1 + d2 * d2)
+            density = inlying * exponential(log_ratio - half_precision * distance) + outliers
+            covers, open_ = mask[i], free[i]
+            clear = open_ * covers
+            share = min((strength * clear * density + _f4(1)) / all_layers[i], _f4(1))
+            target = share / (_f4(1) + exponential(own_odds[i]))
+            sum_covers += covers
+            sum_open += clear
+            sum_seen += clear * target
+            # a likely pixel that fits the blob's colours as well as the background's tells nothing
+            doubt = (covers > _f4(0.35)) & (density > _f4(1))
+            least = least_kept if doubt else _f4(0)
+            after = covers + mask_share * open_ * (max(target, least) - covers)
+            out[i] = min(max(after, _f4(0)), _f4(HIGHEST_COVER))
+            # a pixel that is new to the blob takes the colour that it shows
+            rate = _f4(1) if (covers < _f4(0.2)) & (colour_share > _f4(0)) else colour_share
+            taken = open_ * target > _f4(0.5)
+            rates[i] = rate if taken else _f4(0)
+            inner = _f4(1) if taken & (covers > _f4(0.5)) else _f4(0)
+            sum_squares += inner * distance
+            sum_inner += inner
+        total += sum_covers
+        visible += sum_open
+        seen += sum_seen
+        squares += sum_squares
+        inside += sum_inner
+    for channel in range(channels):
+        plane = np.uint64(channel * size)
+        for i in range(np.uint64(size)):
+            colour = own[plane + i] + rates[i] * (shown[plane + i] - own[plane + i])
+            new[plane + i] = _f4(UNKNOWN_COLOUR) if out[i] < _f4(0.1) else colour
+    return total, visible, seen, squares / (inside * channels)
+
+
+@compiled
+def scratch_for_learning(blobs, channels):
+    """Numbers that `learn_all` needs to remember while it looks at the largest of some blobs."""
+    most = columns = 0
+    for k in range(blobs.size):
+        most = max(most, blobs[k].rows * blobs[k].columns)
+        columns = max(columns, blobs[k].rows + 5 * blobs[k].columns)
+    return most * (2 * channels + 24) + columns
+
+
+@compiled
+def _refitted(blob, before, old, channels, scratch):
+    """Mask and colours of a blob in its new patch, and what is left of scratch."""
+    size = blob.rows * blob.columns
+    (new_top, new_left), (top, left) = corner_of(blob), corner_of(before)
+    mask, colours = mask_of(before, old), colours_of(before, old, channels)
+    same = new_top == top and new_left == left and blob.rows == before.rows and blob.columns == before.columns
+    if same and blob.coloured:
+        return mask, colours, scratch
+    maps = scratch[: (1 + channels) * size].reshape(1 + channels, blob.rows, blob.columns)
+    first, end = max(new_left, left), min(new_left + blob.columns, left + before.columns)
+    for row in range(blob.rows):
+        y = new_top + row - top
+        if not 0 <= y < before.rows:
+            maps[0, row] = _f4(0)
+            maps[1:, row] = _f4(UNKNOWN_COLOUR)
+            continue
+        if end - first < blob.columns:
+            maps[0, row] = _f4(0)
+            maps[1:, row] = _f4(UNKNOWN_COLOUR)
+        put(mask[y, first - left : end - left], maps[0, row, first - new_left : end - new_left])
+        for channel in range(colours.shape[0]):
+            part = colours[channel, y, first - left : end - left]
+            put(part, maps[1 + channel, row, first - new_left : end - new_left])
+    return maps[0], maps[1:], scratch[(1 + channels) * size :]
+
+
+@compiled
+def _set_explained(scene, top, left, out):
+    """What all layers together explain of the pixels in a box, 1 where there is none."""
+    rows, columns = out.shape
+    flat = out.reshape(-1)
+    for i in range(flat.size):
+        flat[i] = _f4(1)
+    for k in range(scene.starts.size):
+        its_top, its_left, its_rows, its_columns = scene.boxes[k]
+        first, end = max(left, its_left), min(left + columns, its_left + its_columns)
+        if first >= end:
+            continue
+        for y in range(max(top, its_top), min(top + rows, its_top + its_rows)):
+            start = scene.starts[k] + (y - its_top) * its_columns - its_left
+            part = out[y - top, first - left : end - left]
+            values = scene.explained[start + first : start + end]
+            for x in range(part.size):
+                part[x] = values[x]
+
+
+@compiled
+def _inside(top, left, rows, columns, height, width):
+    """Rows and columns of a patch that lie in the picture: first and end of either."""
+    return (
+        min(max(0, -top), rows),
+        max(0, min(rows, height - top)),
+        min(max(0, -left), columns),
+        max(0, min(columns, width - left)),
+    )
+
+
+@compiled
+def _learn_entered(mask, colours, patch, explained, inside, before):
+    """Where a blob has come into the picture it was never seen before: learned at once, as of a newborn."""
+    for row in range(inside[0], inside[1]):
+        for x in range(inside[2], inside[3]):
+            if before[0] <= row < before[1] and before[2] <= x < before[3]:
+                continue
+            odds = _f4(1) + exponential(patch.log_odds[row, x])
+            new = min(_f4(0.9), patch.free[row, x] / (explained[row, x] * odds))
+            if new > _f4(0.2) and new > mask[row, x]:
+                mask[row, x] = new
+                for channel in range(colours.shape[0]):
+                    colours[channel, row, x] = patch.planes[channel, row, x]
+
+
+@compiled
+def _mass_inside(mask, inside):
+    total = 0.0
+    for row in range(inside[0], inside[1]):
+        in_row = _f4(0)
+        for x in range(inside[2], inside[3]):
+            in_row += mask[row, x]
+        total += in_row
+    return total
+
+
+@compiled
+def _is_hidden(blob, mask, in_front, pools, scratch):
+    """Whether others cover most of a blob."""
+    free = scratch[: mask.size].reshape(mask.shape)
+    free[:] = _f4(1)
+    top, left = corner_of(blob)
+    cover_by(free, top, left, in_front, pools)
+    covers, open_ = mask.reshape(-1), free.reshape(-1)
+    total = clear = _f4(0)
+    for i in range(covers.size):
+        total += covers[i]
+        clear += covers[i] * open_[i]
+    return clear < _f4(0.5) * total
+
+
+@compiled
+def _lives(blob, mask, inside, in_front, pools, rule, scratch):
+    """Whether a blob lives on: it is large and thick enough, in the picture, and was seen lately."""
+    if blob.detected:
+        return True
+    thin = blob.mass < THINNEST * length_of(blob) ** 2 * (1.0 if blob.seen < FRESH else 0.5)
+    whole = inside[1] - inside[0] == blob.rows and inside[3] - inside[2] == blob.columns
+    outside = not whole and _mass_inside(mask, inside) < LEAST_MASK * blob.mass
+    if thin or outside or blob.mass < rule.least_area:
+        return False
+    if blob.seen < rule.confirmed_time:
+        return blob.unseen == 0.0
+    hidden = blob.unseen > 0 and _is_hidden(blob, mask, in_front, pools, scratch)
+    return blob.unseen < (rule.hidden_patience if hidden else rule.patience)
+
+
+@compiled
+def weigh(blob, found, box, length, rule):
+    """What the outline as it is now says of ghost and real, and what it has said on the way (nats)."""
+    blob["view"] += (found - blob["view"]) * rule.view_share
+    if overlap(box, (blob.origin[0], blob.origin[1], blob.origin[2], blob.origin[3])):
+        return
+    lengths = rule.elapsed * np.hypot(blob.velocity[0], blob.velocity[1]) / length
+    past = blob.past_views + lengths * (blob["view"] + TRAVELLED)
+    blob.past_views = min(max(past, -MOST_EVIDENCE), MOST_EVIDENCE)
+
+
+@compiled
+def _note_seen(blob, variance, box, length, rule):
+    """Spread, usual size, where it appeared, and times of a blob that was seen; `box` is as it was before."""
+    speed = np.hypot(blob.velocity[0], blob.velocity[1])
+    spread = blob.spread + rule.colour_share * (2 * variance - blob.spread)
+    blob.spread = min(max(spread, 0.2 * rule.spread), rule.spread)
+    grown = rule.first_size_share if blob.seen < FRESH else rule.size_share
+    blob.size[0] += grown * (box[3] - blob.size[0])
+    blob.size[1] += grown * (box[2] - blob.size[1])
+    if blob.seen < FRESH:
+        x, y, width, height = blob.origin
+        left, top = min(x, box[0]), min(y, box[1])
+        right, bottom = max(x + width, box[0] + box[2]), max(y + height, box[1] + box[3])
+        blob.origin[0], blob.origin[1], blob.origin[2], blob.origin[3] = left, top, right - left, bottom - top
+    blob.still = blob.still + rule.elapsed if speed < max(2.0, 0.06 * length) else 0.0
+    blob.seen += rule.elapsed
+    blob.unseen = 0.0
+
+
+@compiled
+def learn_all(which, before, old, blobs, pools, picture, scene, rule, alive, scratch):
+    """Some blobs after a frame, each for itself.
+
+    Parameters
+    ----------
+    which
+        `(m,)` int64 numbers of blobs.
+    before, old
+        records and pools of all blobs, front to back, as they are placed.
+    blobs, pools
+        the same records with fitted patches (see `fit`), which change, and pools to be filled.
+    picture, scene
+        the frame.
+    rule
+        how they follow the frame.
+    alive
+        `(n,)` uint8: 1 where a blob lives on.
+    scratch
+        memory for `scratch_for_learning` numbers.
+    """
+    height, width, channels = picture.image.shape
+    for k in which:
+        blob, size = blobs[k], blobs[k].rows * blobs[k].columns
+        mask = mask_of(blob, pools)
+        covers, own, rest = _refitted(blob, before[k], old, channels, scratch)
+        top, left = corner_of(blob)
+        inside = _inside(top, left, blob.rows, blob.columns, height, width)
+        if is_ghost(before[k], rule.ghost_evidence):
+            put(covers.reshape(-1), mask.reshape(-1))
+            colours = colours_of(blob, pools, channels).reshape(-1)
+            put(own.reshape(-1)[: colours.size], colours)
+            blob.unseen = np.inf
+            alive[k] = blob.detected
+            continue
+        patch, rest = patch_in(rest, channels, blob.rows, blob.columns)
+        gather(picture.image, picture.log_odds, top, left, patch)
+        cover_by(patch.free, top, left, before[:k], old)
+        explained, rest = rest[:size].reshape(blob.rows, blob.columns), rest[size:]
+        _set_explained(scene, top, left, explained)
+        if not blob.coloured:
+            blob.coloured = 1
+            for row in range(blob.rows):
+                for x in range(blob.columns):
+                    if covers[row, x] > _f4(0.2):
+                        for channel in range(channels):
+                            own[channel, row, x] = patch.planes[channel, row, x]
+        colours = colours_of(blob, pools, channels)
+        total, visible, seen, variance = learn(
+            patch, explained, sprite_of(blob, covers, own, rule), _f4(rule.strength),
+            _f4(rule.mask_share), _f4(rule.colour_share),
+            _f4(BENEFIT_OF_DOUBT if blob.still > 0.2 else 0.0), mask, colours, rest,
+        )  # fmt: skip
+        box, length = box_of(blob), length_of(blob)
+        y = int(np.floor(blob.position[0] - rule.elapsed * blob.velocity[0] + 0.5))
+        x = int(np.floor(blob.position[1] - rule.elapsed * blob.velocity[1] + 0.5))
+        inside_before = _inside(y, x, blob.rows, blob.columns, height, width)
+        entered = inside != inside_before
+        if entered:
+            _learn_entered(mask, colours, patch, explained, inside, inside_before)
+        elif blob.seen >= FRESH:
+            high, wide = GROWTH * scene.sizes[k, 0], GROWTH * scene.sizes[k, 1]
+            fade_beyond(mask, high, wide, _f4(rule.kept), rest)
+        blob.confidence = seen / max(visible, 1e-6)
+        measure(blob, mask, rest)
+        was_seen = visible > 0.3 * total and blob.confidence > 0.35
+        if was_seen:
+            within = (blob.faint_top, blob.faint_left, blob.faint_bottom, blob.faint_right)
+            found = outline_evidence(
+                patch.planes, top, left, scene.background, patch.free, mask, within, rest
+            )
+            weigh(blob, rule.temper * found, box, length, rule)
+            _note_seen(blob, variance, box, length, rule)
+        else:
+            blob.unseen += rule.elapsed
+            blob.still = blob.confidence = 0.0
+        if was_seen and entered:
+            blob.size[0] = max(blob.size[0], float(max(blob.bottom - blob.top, 1)))
+            blob.size[1] = max(blob.size[1], float(max(blob.right - blob.left, 1)))
+        alive[k] = _lives(blob, mask, inside, before[:k], old, rule, rest)

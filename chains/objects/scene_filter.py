@@ -1,0 +1,278 @@
+"""Scene filter as a batch chain: background and objects of a whole film, filtered from its empty scene.
+
+Of the chains in its model (the background R, objects S, and what knows them):
+
+    p(R_1, S_1, ..., R_T, S_T) = p(R_1) p(S_1) prod_t p(R_t | R_t-1) p(S_t | S_t-1)
+    mu_{scene -> F_t} = product of what the chains in the model say of F_t, given the frames until then
+
+In coordinate ascent (RSMCM paper, Algorithm 2) each chain in turn gets its best trajectory, the others held
+fixed. Background and objects are too close for that: an object that stands is background as long as the
+objects' chain is held where it has not found it, and is not found as long as the background's is held where
+it has swallowed it. So the two are one coordinate here. Its best trajectory is found by the initial state:
+R_1 comes from all of the film (see `chains.pixels.empty_scene`); the rest follows from it forwards, by
+Algorithm 1, so that light, things that are left and cars that park are followed as ever. What is kept is
+R_1 alone, and messages are worked out again in each pass.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference.engine.forward_pass import ForwardPass
+from ...inference.engine.graph import MultiChain
+from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
+from ...inference.engine.recursive_bp import Belief, RecursiveBP, RunState
+from ...models.core.frame import Frame
+from ...models.core.short_repr import short_repr
+from ...models.objects.box_message import BoxMessage
+from ...models.objects.object_boxes import ObjectBoxes
+from ...models.pixels.light import LightField
+from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
+from ..pixels.empty_scene import EmptyScene, empty_scene
+from .blob_geometry import box_densities
+from .blob_table import BlobState
+from .blobs import Box
+from .trajectories import Boxes, messages_of
+
+Numbers = NDArray[np.float64]
+
+SCENE = {"mean", "variance", "noise", "light"}
+"""Fields of the state of a background of which the empty scene can be found."""
+
+LIGHT_ROUNDS = 2
+"""How often scene and light are found in turn; from then on the scene's noise changes by 1 %."""
+
+LONG = 60.0
+"""s, in which any light can come about."""
+
+ROOM = 0.1
+"""Of a box's size, around it: shadows, hair and feet that it leaves out."""
+
+FEWEST_FRAMES = 9
+"""From which an empty scene is found, however large they are."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class SceneTrajectory:
+    """From what all the rest follows.
+
+    Parameters
+    ----------
+    empty
+        the empty scene before the first frame.
+    times
+        `(n_frames,)` s.
+    boxes
+        what others say of the objects in all frames.
+    """
+
+    empty: EmptyScene
+    times: Numbers
+    boxes: Boxes
+
+    @property
+    def log_prior(self) -> float:
+        """0: every scene is as likely beforehand."""
+        return 0.0
+
+
+@short_repr
+@dataclass(frozen=True)
+class SceneFilter:
+    """Batch chain of what is seen pixel by pixel.
+
+    Parameters
+    ----------
+    model
+        of filtering chains over one `PixelLabels` and perhaps one `ObjectBoxes`, an `AdaptiveBackground`
+        among them (or a chain whose state has `mean`, `variance`, `noise` and `light` too).
+    memory
+        s, for which the beginning of the film says more of its first scene than what comes later: frames
+        that are so much later count 1/e. Cars park and leave, and light changes.
+    most_frames
+        from how many frames the empty scene is found, as long as they take less than `most_bytes`.
+    most_bytes
+        of pictures at once.
+
+    Raises
+    ------
+    ValueError
+        if the model has no such background.
+    """
+
+    model: MultiChain
+    memory: float = 30.0
+    most_frames: int = 48
+    most_bytes: int = 1 << 28
+    name: str = "scene"
+
+    ports = (Port(PixelLabels, sole="background"), Port(ObjectBoxes, optional=True))
+
+    def __post_init__(self) -> None:
+        if self._background() is None:
+            raise ValueError(
+                f"scene filter: got chains {', '.join(self.model.chains)}, expected a background with mean, "
+                "variance, noise and light, of which the empty scene can be found (model gaussian)"
+            )
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: SceneTrajectory | None = None
+    ) -> Smoothed[SceneTrajectory]:
+        """The empty scene from frames all over the film.
+
+        Where others know of objects, what is seen there does not count.
+
+        Raises
+        ------
+        ValueError
+            if no frame has an image.
+        """
+        first = next((each.frame.image for each in incoming_over_time if each.frame.image is not None), None)
+        if first is None:
+            raise ValueError("frames: got no image, expected one at least")
+        times = np.array([each.time for each in incoming_over_time])
+        boxes = Boxes.of(each.others(ObjectBoxes).objects for each in incoming_over_time)
+        images, covered, seen = [], [], []
+        for index in sample_of(times, self.most(first.nbytes), self.memory):
+            image = incoming_over_time[index].frame.image
+            if image is not None:
+                images.append(image)
+                seen.append(times[index])
+                covered.append(boxes[boxes.frames == index].mask(first.shape[:2], ROOM))
+        return Smoothed(SceneTrajectory(self.empty(images, np.array(seen), covered), times, boxes))
+
+    def most(self, n_bytes: int) -> int:
+        """From how many pictures of `n_bytes` the empty scene is found."""
+        return max(min(self.most_frames, self.most_bytes // n_bytes), FEWEST_FRAMES)
+
+    def empty(
+        self,
+        images: Sequence[NDArray[np.uint8]],
+        times: Numbers,
+        covered: Sequence[NDArray[np.bool_]] | None = None,
+    ) -> EmptyScene:
+        """What a sample of images, in order of time, shows of the empty scene.
+
+        First without knowing how the light changes from image to image, and then again with what the
+        background's chain says of that, given the scene until then. Parameters are those of `empty_scene`.
+        """
+        chain = self.model.chains[self._background() or ""]
+        first = chain.initial(Frame(images[0], 0.0, 1))
+        steady = LightField(first.light, first.size)
+        noise = float(chain.noise)
+        scene = empty_scene(images, times, [steady], noise, covered)
+        for _ in range(LIGHT_ROUNDS if len(images) > 1 else 0):
+            fields = [self._light(chain, scene, image) for image in images]
+            scene = empty_scene(images, times, fields, noise, covered)
+        return scene
+
+    def _background(self) -> str | None:
+        """Name of the chain that knows the empty scene."""
+        blank = Frame(np.zeros((4, 4), np.uint8), 0.0, 1)
+        for name, chain in self.model.chains.items():
+            if any(issubclass(PixelLabels, port.kind) for port in chain.ports):
+                state = chain.initial(blank)
+                if is_dataclass(state) and {field.name for field in fields(state)} >= SCENE:
+                    return name
+        return None
+
+    def _light(self, chain: Any, scene: EmptyScene, image: NDArray[np.uint8]) -> LightField:
+        """The light of an image, by the background's chain, which has had all the time to follow it."""
+        state = scene.known_to(chain.initial(Frame(image, 0.0, 1)))
+        pixels = PixelLabels()
+        incoming = Incoming({pixels: PixelMessage(image=image)})
+        message = chain.message(chain.predict(state, LONG), pixels, incoming)
+        light: LightField = message.background.light
+        return light
+
+    @overload
+    def messages(
+        self, trajectory: SceneTrajectory, feature: PixelLabels, incoming: Sequence[BatchIncoming]
+    ) -> Sequence[PixelMessage]: ...
+    @overload
+    def messages(
+        self, trajectory: SceneTrajectory, feature: ObjectBoxes, incoming: Sequence[BatchIncoming]
+    ) -> Sequence[BoxMessage]: ...
+    def messages(
+        self,
+        trajectory: SceneTrajectory,
+        feature: PixelLabels | ObjectBoxes,
+        incoming: Sequence[BatchIncoming],
+    ) -> Sequence[PixelMessage] | Sequence[BoxMessage]:
+        """What the filter says of each frame (mu_{scene -> F}).
+
+        To pixels: background and layers. To boxes: where every object is that the frame shows, also before
+        it is confirmed.
+        """
+        engine = RecursiveBP(self.model)
+        start = self.start(trajectory)
+
+        def pixels(belief: Belief) -> PixelMessage:
+            (labels,) = (node for node in self.model.features.values() if isinstance(node, PixelLabels))
+            return replace(belief[labels], image=None)
+
+        def boxes(belief: Belief) -> BoxMessage:
+            states = (belief.states[name] for name in self.model.chains)
+            seen = [each for state in states if isinstance(state, BlobState) for each in _seen(state)]
+            if not seen or belief.frame.missing:
+                return BoxMessage()
+            return BoxMessage(box_densities(*(list(values) for values in zip(*seen, strict=True))))
+
+        if isinstance(feature, PixelLabels):
+            return ForwardPass(engine, start, incoming, pixels)
+        return ForwardPass(engine, start, incoming, boxes)
+
+    def start(self, trajectory: SceneTrajectory) -> RunState:
+        """State of the filter before the first frame.
+
+        Nobody is there, and the empty scene is known. Chains that know objects by their boxes alone have
+        heard all that is said of them, and what of it lasts: they know the scene that objects move in.
+        """
+        state = self.before(trajectory.empty, float(trajectory.times[0]))
+        states = dict(state.states)
+        messages = messages_of(trajectory.boxes, len(trajectory.times))
+        for name, chain in self.model.chains.items():
+            # a detector's chain would take frames without detections for a time in which it did not run
+            if len(trajectory.boxes) and all(
+                issubclass(port.kind, ObjectBoxes) and port.sole != "detector" for port in chain.ports
+            ):
+                known, last = states[name], trajectory.times[0]
+                for time, message in zip(trajectory.times, messages, strict=True):
+                    known = chain.predict(known, time - last)
+                    known, last = chain.update(known, Incoming({ObjectBoxes(): message})), time
+                known = chain.predict(known, LONG)  # after which everybody is gone
+                states[name] = chain.update(known, Incoming({ObjectBoxes(): BoxMessage()}))
+        return replace(state, states=states)
+
+    def before(self, empty: EmptyScene, time: float) -> RunState:
+        """State before the first frame, at `time` s, of a filter that knows the empty scene alone."""
+        blank = Frame(np.zeros(empty.shape, np.uint8), time, 1)
+        states: dict[str, Any] = {name: chain.initial(blank) for name, chain in self.model.chains.items()}
+        name = self._background() or ""
+        states[name] = empty.known_to(states[name])
+        return RunState(states, 0, math.nextafter(time, -math.inf), empty.shape)
+
+
+def _seen(state: BlobState) -> list[tuple[int, Box]]:
+    """Identities and boxes of objects that the frame shows, also before they are confirmed.
+
+    With a detector they are those that it confirms.
+    """
+    if state.detecting:
+        return [(track.identity, track.box) for track in state.tracks()]
+    return [(blob.identity, blob.box) for blob in state.blobs if blob.unseen == 0]
+
+
+def sample_of(times: Numbers, most: int, memory: float) -> list[int]:
+    """Indices of `most` frames at most, all over a film and the fewer the later, by exp(-time / memory)."""
+    share = (np.arange(most) + 0.5) / most
+    wanted = times[0] - memory * np.log1p(share * np.expm1((times[0] - times[-1]) / memory))
+    after = np.searchsorted(times, wanted).clip(max=len(times) - 1)
+    before = (after - 1).clip(min=0)
+    nearest = np.where(wanted - times[before] < times[after] - wanted, before, after)
+    return [int(index) for index in np.unique(nearest)]

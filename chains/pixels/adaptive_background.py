@@ -1,0 +1,280 @@
+"""Adaptive background as a chain: the empty scene, pixel by pixel, under changing light.
+
+Of pixel k with label B_k and colour L_k, under the light g of the frame:
+
+    p(R_t | R_t-1) = N(R_t; R_t-1, drift dt)
+    p(L_k | B_k = 1, R) = N(L_k; g_k R_k, noise_k),  p(L_k | B_k = 0) = U
+    mu_{R -> F_k} = P(B_k) N(L_k; g_k m_k, g_k^2 (s_k + drift dt) + noise_k) where B_k = 1, U where B_k = 0
+
+The RSMCM paper's low-level chain (§4.2): a Gaussian per pixel, whose posterior after a frame is a mixture of
+"the pixel was seen" and "it was covered", collapsed by its moments. Since P(B) is multiplied with what other
+chains predict, the background stays as it is behind an object that they track; where that stood from the
+first frame on, m_k is unknown. Where things are seen to sway, p(L_k | B_k = 1) has a share of what is beside.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference.engine.protocols import Cavity, Incoming, Port
+from ...models.core.frame import Frame
+from ...models.core.short_repr import short_repr
+from ...models.pixels import colour
+from ...models.pixels.gaussian import BackgroundPrediction, fixed_point, stored_planes
+from ...models.pixels.kernels.gaussian import Gaussians
+from ...models.pixels.kernels.second_colours import SETTLED, SecondColours, Settling, learn_second_colours
+from ...models.pixels.kernels.sway import Sway
+from ...models.pixels.light import LightField, followed, light_grid, share_of_blocks
+from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
+from .kernels.behind import update_behind
+from .sway import learned_rates, reach
+
+Planes = NDArray[np.float32]
+
+UNSURE_VARIANCE = 4.0
+"""Variance of a value that was seen a few times only, and gives way easily in the beginning."""
+
+WIDEST_VARIANCE = 255.0**2 / 12
+"""Squared grey levels: of a value that may be anything; so far it wanders at most, however long it hides."""
+
+FIRST_TIME = 0.5
+"""s in which those who were there from the first are found; what is behind them is not known then."""
+
+BOOTSTRAP_TIME = 3.0
+"""s after which nothing that was there from the first is taken for the scene by mistake any more."""
+
+LEAST_TIME = 0.2
+"""s for which a second colour must have been seen in any case."""
+
+MOST_NOISE_SHARE = 0.1
+"""Of a single observation in a pixel's noise, however long ago the one before was."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class BackgroundState:
+    """What is known of the empty scene, pixel by pixel in fixed-point numbers of 16 bits.
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px.
+    mean
+        `(channels, n_pixels)` int16, in steps of 1/32 grey level: under the first frame's light, in the
+        planes of `models.pixels.colour` (`planes` has them as float32).
+    variance
+        `(n_pixels,)` uint16, of the mean (see `Gaussians` for its steps).
+    noise
+        `(n_pixels,)` uint16, of a single observation, in steps of 1/128 squared grey level.
+    light
+        `(block_rows, block_columns)` float32: today's light relative to that of `mean`.
+    covered
+        `(block_rows, block_columns)` float32: share of the block behind known objects.
+    sway
+        `(block_rows, block_columns)` float32: how often its pixels show what is beside them, as leaves do.
+    candidate, seen
+        second hypothesis: `(n_pixels * channels,)` uint8 colour that is neither background nor an object,
+        and `(n_pixels,)` uint16 how much of the settling time it has lasted (see `SecondColours`).
+    elapsed
+        s since the last frame with an image.
+    age
+        s for which the scene has been seen.
+    frames
+        with an image, since the first.
+    """
+
+    size: tuple[int, int]
+    mean: NDArray[np.int16]
+    variance: NDArray[np.uint16]
+    noise: NDArray[np.uint16]
+    light: Planes
+    covered: Planes
+    sway: Planes
+    candidate: NDArray[np.uint8]
+    seen: NDArray[np.uint16]
+    elapsed: float
+    age: float
+    frames: int
+
+    @property
+    def pixels(self) -> Gaussians:
+        """What is known of every pixel."""
+        return Gaussians(self.mean, self.variance, self.noise)
+
+    def planes(self) -> Planes:
+        """The scene's colours, `(channels, height, width)` float32 grey levels."""
+        return stored_planes(self.mean, self.size).grey_levels()
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The empty scene under today's light: grey `(height, width)` or BGR `(height, width, 3)`."""
+        height, width = self.size
+        rows, position = LightField(self.light, self.size).along_rows
+        above = position.astype(np.intp)
+        share = (position - above)[:, None]
+        light = rows[above] * (1 - share) + rows[above + 1] * share
+        return colour.to_image((self.planes() * light).reshape(-1, height * width), (height, width))
+
+
+@short_repr
+@dataclass(frozen=True)
+class AdaptiveBackground:
+    """Per-pixel adaptive background.
+
+    Parameters
+    ----------
+    prior
+        P(B=1) of a pixel of which nobody else knows anything.
+    noise
+        squared grey levels: sensor noise plus the scene's own, at first.
+    noise_rate
+        1/s, at which a pixel's own noise follows what is seen of it (0: fixed variance as in the paper).
+    drift
+        squared grey levels per second by which a background value may wander.
+    first_variance
+        squared grey levels: of a value seen once.
+    settle_time
+        s for which a new colour must stay, where no chain predicts an object, to become background
+        (the second hypothesis); infinite switches it off.
+    pooling
+        weight of what the 5 x 5 pixels about a pixel show in its own log odds.
+    follow_light
+        estimate a smooth field of light in every frame, so that clouds and lamps do not make foreground.
+    """
+
+    prior: float = 0.95
+    noise: float = 30.0
+    noise_rate: float = 0.4
+    drift: float = 1.25
+    first_variance: float = 20.0
+    settle_time: float = 3.0
+    pooling: float = 0.3
+    follow_light: bool = True
+    name: str = "background"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.prior < 1:
+            raise ValueError(f"prior: got {self.prior}, expected a probability between 0 and 1")
+        for name in ("noise", "first_variance", "settle_time"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+        for name in ("noise_rate", "drift", "pooling"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected 0 or more")
+
+    @property
+    def ports(self) -> tuple[Port, ...]:
+        """The light of a frame is found in its image before the pixels are predicted."""
+        cavity = Cavity.IMAGE if self.follow_light else Cavity.NOTHING
+        return (Port(PixelLabels, cavity, sole="background"),)
+
+    def initial(self, frame: Frame) -> BackgroundState:
+        """The first image is taken for the empty scene, with the variance of a single observation."""
+        image = frame.image
+        if image is None:
+            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
+        height, width = image.shape[:2]
+        n_pixels = height * width
+        pixels = fixed_point(
+            colour.to_planes(image),
+            np.full(n_pixels, self.first_variance, np.float32),
+            np.full(n_pixels, self.noise, np.float32),
+        )
+        return BackgroundState(
+            size=(height, width),
+            **pixels._asdict(),
+            light=np.ones(light_grid(height, width), np.float32),
+            covered=np.zeros(light_grid(height, width), np.float32),
+            sway=np.zeros(light_grid(height, width), np.float32),
+            candidate=np.zeros(image.size, np.uint8),
+            seen=np.zeros(n_pixels, np.uint16),
+            elapsed=0.0,
+            age=0.0,
+            frames=0,
+        )
+
+    def predict(self, state: BackgroundState, dt: float) -> BackgroundState:
+        """Values wander: their variance grows when they are next looked at."""
+        return replace(state, elapsed=state.elapsed + dt)
+
+    def message(self, state: BackgroundState, feature: PixelLabels, incoming: Incoming) -> PixelMessage:
+        """P(B) and the predicted value of every pixel (mu_{R -> F}), under the light of this frame."""
+        return PixelMessage(background=self._predicted(state, incoming))
+
+    def update(self, state: BackgroundState, incoming: Incoming) -> BackgroundState:
+        """Background after the frame, each pixel weighted by r = P(B=1 | everything).
+
+        With prediction N(R; m, s), d = I - m and K = s / (s + noise) the mean becomes m + r K d and the
+        variance (1 - r K) s + r (1 - r) K^2 d^2.
+        """
+        others = incoming[PixelLabels]
+        image = others.image
+        if image is None:
+            return state
+        prediction = self._predicted(state, incoming)
+        subtraction, after = prediction.compare(image), prediction.update(image)
+        covered = np.zeros(subtraction.log_odds.shape, np.uint8)
+        light = prediction.light.along_rows
+        second = SecondColours(state.candidate.copy(), state.seen.copy())
+        channels = len(state.mean)
+        flat = np.ascontiguousarray(image).reshape(-1)
+        composed = others.layers.composition(image, state.size)
+        if len(composed.boxes):
+            update_behind(
+                (composed.boxes, composed.shift), flat, subtraction.smoothed, prediction.pixels, light,
+                prediction.model, prediction.rounding, colour.to_pixels(channels), (after, second, covered),
+            )  # fmt: skip
+        times = state.age, state.elapsed
+        sway = learned_rates(
+            prediction.sway, image, prediction.pixels, light, subtraction.log_odds, covered, times
+        )
+        if state.elapsed > 0 and np.isfinite(self.settle_time):
+            scale = SETTLED / self.settle_time
+            settling = Settling(
+                np.float32(prediction.tolerance),
+                min(max(round(scale * state.elapsed), 1), SETTLED // 4),  # at least four times
+                min(round(scale * LEAST_TIME), SETTLED),
+                np.float32(self.first_variance),
+                np.float32(UNSURE_VARIANCE if state.age < BOOTSTRAP_TIME else np.inf),
+            )
+            learn_second_colours(
+                flat, subtraction.smoothed, covered, light,
+                colour.from_pixels(channels), colour.to_pixels(channels), settling, after, second,
+            )  # fmt: skip
+        return replace(
+            state,
+            **after._asdict(),
+            light=prediction.light.blocks,
+            covered=share_of_blocks(covered.reshape(state.size), state.light.shape),
+            sway=sway,
+            candidate=second.colours,
+            seen=second.seen,
+            elapsed=0.0,
+            age=state.age + state.elapsed,
+            frames=state.frames + 1,
+        )
+
+    def _predicted(self, state: BackgroundState, incoming: Incoming) -> BackgroundPrediction:
+        image = incoming[PixelLabels].image if self.follow_light else None
+        return incoming.once(self._prediction, state, image)
+
+    def _prediction(self, state: BackgroundState, image: NDArray[np.uint8] | None) -> BackgroundPrediction:
+        light = LightField(state.light, state.size)
+        if image is not None:
+            light = followed(light, image, state.mean, state.covered, state.elapsed)
+        return BackgroundPrediction(
+            size=state.size,
+            pixels=state.pixels,
+            frames=state.frames,
+            light=light,
+            prior=self.prior,
+            drift=min(self.drift * state.elapsed, WIDEST_VARIANCE),
+            noise_share=min(-math.expm1(-self.noise_rate * state.elapsed), MOST_NOISE_SHARE),
+            first_variance=self.first_variance,
+            unknown_variance=WIDEST_VARIANCE if state.age < FIRST_TIME else 0.0,
+            pooling=self.pooling,
+            second=SecondColours(state.candidate, state.seen),
+            tolerance=8.0 * len(state.mean) * self.noise,
+            sway=Sway(state.sway, reach(state.size)),
+        )

@@ -1,0 +1,121 @@
+"""A camera that shakes about where it looks, as a chain: by which map each frame shows the scene.
+
+Of the map p_t (six numbers, px; see `AffineMap`) and the scene's picture:
+
+    p(p_t | p_t-1) = N(p_t; e^(-dt / time) p_t-1, (1 - e^(-2 dt / time)) reach^2)   (Ornstein-Uhlenbeck)
+    mu_{C -> F}(p) = N(p; predicted), together with the picture by which the frame is found
+
+The pixels' evidence registers the frame with that picture and gives back the likelihood of the map; with it
+the image is the scene's, so that all other chains of the pixels hear of a camera that stands still. They in
+turn say what is background, and from that alone the picture is learned: who stands in the scene for long is
+nothing to steer by.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference.engine.protocols import Incoming, Port
+from ...models.camera.affine_map import UNKNOWNS
+from ...models.camera.view import View
+from ...models.core.frame import Frame
+from ...models.core.short_repr import short_repr
+from ...models.pixels.pixel_labels import PixelMessage
+from ...models.pixels.scene_pixels import ScenePixels
+
+PICTURE_TIME = 10.0
+"""s in which the scene's picture follows what is seen of the background: long, since each frame is put where
+the picture is, so that what errors of many frames have in common would move it."""
+
+FIRST_VARIANCE = 1e-6
+"""px^2: the first frame is the scene's picture, by definition."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class CameraState:
+    """Where the camera looks, and at what.
+
+    Parameters
+    ----------
+    mean, covariance
+        `(6,)` px and `(6, 6)` px^2: of the parameters of the map from scene to frame.
+    picture
+        `(height, width[, 3])` float32: the scene under today's light, in the first frame's places.
+    elapsed
+        s since the last frame with an image.
+    """
+
+    mean: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    picture: NDArray[np.float32]
+    elapsed: float
+
+
+@short_repr
+@dataclass(frozen=True)
+class CameraMotion:
+    """Follows a camera that shakes, turns, or slowly drifts about where it looked in the first frame.
+
+    What the first frame does not show never becomes part of the scene: a camera that pans away from it loses
+    it.
+
+    Parameters
+    ----------
+    reach
+        share of half the picture's diagonal by which the camera's shake moves places (standard deviation).
+    time
+        s after which it is forgotten where the camera looked.
+    """
+
+    reach: float = 0.05
+    time: float = 1.0
+    name: str = "camera"
+
+    ports = (Port(ScenePixels, sole="camera"),)
+
+    def __post_init__(self) -> None:
+        for name in ("reach", "time"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: got {getattr(self, name)}, expected more than 0")
+
+    def initial(self, frame: Frame) -> CameraState:
+        """The first image is the scene's picture."""
+        if frame.image is None:
+            raise ValueError(f"frame {frame.number}: got no image, expected one to start from")
+        picture = frame.image.astype(np.float32)
+        return CameraState(np.zeros(UNKNOWNS), FIRST_VARIANCE * np.eye(UNKNOWNS), picture, 0.0)
+
+    def predict(self, state: CameraState, dt: float) -> CameraState:
+        """The camera returns to where it rests, but for what shakes it."""
+        stays = math.exp(-dt / self.time)
+        widest = self.reach * math.hypot(*state.picture.shape[:2]) / 2
+        shaken = (1 - stays**2) * widest**2 * np.eye(UNKNOWNS)
+        return replace(
+            state,
+            mean=stays * state.mean,
+            covariance=stays**2 * state.covariance + shaken,
+            elapsed=state.elapsed + dt,
+        )
+
+    def message(self, state: CameraState, feature: ScenePixels, incoming: Incoming) -> PixelMessage:
+        """Where the camera may look (mu_{C -> F})."""
+        return PixelMessage(view=View.predicted(state.mean, state.covariance, state.picture))
+
+    def update(self, state: CameraState, incoming: Incoming) -> CameraState:
+        """The map given the frame's registration, and the picture given what others say is background."""
+        others = incoming[ScenePixels]
+        if others.image is None:
+            return state
+        mean, covariance, picture = state.mean, state.covariance, state.picture.copy()
+        seen = np.asarray(others.foreground() == 0, np.uint8)
+        if others.view is not None:
+            view = View.predicted(state.mean, state.covariance, state.picture) * others.view
+            mean, covariance = view.map.parameters, view.covariance
+            seen[view.hidden] = 0
+        share = -math.expm1(-state.elapsed / PICTURE_TIME)
+        cv2.accumulateWeighted(others.image, picture, share, mask=seen)
+        return CameraState(mean, covariance, picture, 0.0)

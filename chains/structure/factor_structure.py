@@ -1,0 +1,130 @@
+"""Shape from motion as a chain: rigid points seen by an affine camera (factor analysis, RSMCM §4.3)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference.engine.protocols import BatchIncoming, Cavity, Port, Smoothed
+from ...inference.sfm.factor_analysis.factorisation import Factorisation, predicted
+from ...inference.sfm.factor_analysis.robust import factorise_robustly
+from ...models.core.gaussian_message import GaussianMessage
+from ...models.core.short_repr import short_repr
+from ...models.points.point_tracks import PointMessage, PointTracks
+from .incoming_points import observations
+from .track_association import associate_tracks
+
+Numbers = NDArray[np.float64]
+
+LEAST_SCATTER = 1e-6
+"""Of the noise: keeps covariances positive where shape and cameras are known exactly."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class StructureTrajectory:
+    """Shape, cameras, and which of the feature's points show which point of the shape.
+
+    Parameters
+    ----------
+    identities
+        `(n_tracks,)` int64, increasing: points of the feature node, which may be partial tracks.
+    point_of_track
+        `(n_tracks,)` int64: column of `factorisation.shape`; -1 where it is not sure enough.
+    factorisation
+        cameras and points; see there.
+    noise
+        px^2, variance of an observation about what shape and cameras predict.
+    scatter
+        px^2, what of this is the features' own, eq. (20), and not the noise that observations state.
+    trusted
+        `(n_frames, n_tracks)` bool: whether a place that came in is taken to be right, and no outlier.
+    """
+
+    identities: NDArray[np.int64]
+    point_of_track: NDArray[np.int64]
+    factorisation: Factorisation
+    noise: float
+    scatter: float
+    trusted: NDArray[np.bool_]
+
+    @property
+    def log_prior(self) -> float:
+        """Points are draws of N(0, I); eq. (19) for cameras is part of the fit and is left out here."""
+        return -0.5 * float((self.factorisation.shape**2).sum())
+
+
+@short_repr
+@dataclass(frozen=True)
+class FactorStructure:
+    """Batch chain of shape and motion over `PointTracks`.
+
+    The model, with cameras M_t, points S_i and features F_ti of RSMCM eq. (18) to (20):
+
+        p(S_i) = N(0, I),  p(M_t | M_t-1) by eq. (19) or p(M_t) = N(0, diag), its variances learned,
+        p(F_ti | M_t, S_i) = N(M_t (S_i, 1), s r_ti I),
+
+    r_ti the variance of what comes in and s a factor common to all that is learned. The message to a point is
+    N(M_t (S_i, 1), P_ti) with P_ti the covariance that shape and cameras leave and the features' own scatter;
+    it says by `same_as` which tracks it takes for one point. Frames are taken to be evenly spaced: a step of
+    eq. (19) is one from frame to frame, and its noise is learned from the film, whatever the rate of that.
+
+    Places are right with a probability that is learned, or else outliers; see `factorise_robustly`.
+
+    Parameters
+    ----------
+    coherence
+        whether cameras move smoothly, eq. (19), or each frame is on its own.
+    associate
+        whether partial tracks may show the same point; see `associate_tracks`. If not, every track is a point
+        of its own.
+    """
+
+    coherence: bool = True
+    associate: bool = True
+    name: str = "structure"
+
+    ports = (Port(PointTracks, Cavity.OTHERS),)
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: StructureTrajectory | None = None
+    ) -> Smoothed[StructureTrajectory]:
+        """Shape and cameras that explain what comes in; always found anew, so that no early error stays.
+
+        Raises
+        ------
+        ValueError
+            if there are fewer than 3 frames or 4 tracks, or frames share too few of them.
+        """
+        identities, positions, weights = observations(incoming_over_time)
+        if self.associate:
+            found = associate_tracks(positions, weights, coherence=self.coherence)
+            fit, point, trusted = found.factorisation, found.point_of_track, found.trusted
+        else:
+            robust = factorise_robustly(positions, weights, coherence=self.coherence)
+            kept, trusted = robust.consistent, robust.trusted
+            fit = robust.factorisation.of_points(kept)
+            point = np.where(kept, np.cumsum(kept) - 1, -1)
+        stated = 1 / float(np.median(weights[weights > 0]))
+        noise = fit.noise_variance * stated
+        scatter = max(noise - stated, 0.0)
+        return Smoothed(StructureTrajectory(identities, point, fit, noise, scatter, trusted))
+
+    def messages(
+        self,
+        trajectory: StructureTrajectory,
+        feature: PointTracks,
+        incoming_over_time: Sequence[BatchIncoming] = (),
+    ) -> list[PointMessage]:
+        """Where the points of all tracks are in each frame, seen or not; nothing of tracks without one."""
+        positions, covariances = predicted(trajectory.factorisation)
+        covariances[..., [0, 1], [0, 1]] += trajectory.scatter + LEAST_SCATTER * trajectory.noise
+        known = trajectory.point_of_track >= 0
+        tracks, points = trajectory.identities[known], trajectory.point_of_track[known]
+        first = np.full(len(trajectory.factorisation.shape), np.iinfo(np.int64).max)
+        np.minimum.at(first, points, tracks)
+        return [
+            PointMessage(GaussianMessage.from_moments(tracks, mean, covariance), same_as=first[points])
+            for mean, covariance in zip(positions[:, points], covariances[:, points], strict=True)
+        ]

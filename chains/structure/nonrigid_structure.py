@@ -1,0 +1,119 @@
+"""A deforming shape as a chain: points whose places are linear in a few weights (Torresani et al. 2008)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inference.engine.protocols import BatchIncoming, Cavity, Port, Smoothed
+from ...inference.sfm.nonrigid.association import learn_associated
+from ...inference.sfm.nonrigid.shape import NonrigidShape
+from ...models.core.gaussian_message import GaussianMessage
+from ...models.core.short_repr import short_repr
+from ...models.points.point_tracks import PointMessage, PointTracks
+from .incoming_points import observations
+
+Numbers = NDArray[np.float64]
+
+LEAST_SCATTER = 1e-6
+"""Of the noise: keeps covariances positive where nothing is left open."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class NonrigidTrajectory:
+    """Shape, poses and weights, and which of the feature's points show which point of the shape.
+
+    Parameters
+    ----------
+    identities
+        `(n_tracks,)` int64, increasing: points of the feature node, which may be partial tracks.
+    point_of_track
+        `(n_tracks,)` int64: a point of the shape; -1 where the track is too short.
+    shape
+        the shape in all frames.
+    scatter
+        px^2, what of the noise is the features' own, and not the one that observations state.
+    """
+
+    identities: NDArray[np.int64]
+    point_of_track: NDArray[np.int64]
+    shape: NonrigidShape
+    scatter: float
+
+    @property
+    def log_prior(self) -> float:
+        """Weights are draws of N(0, I); the prior of the bases is part of the fit and is left out here."""
+        weights = (self.shape.weights, self.shape.detail_weights)
+        return -0.5 * float(sum(np.nansum(each**2) for each in weights))
+
+
+@short_repr
+@dataclass(frozen=True)
+class NonrigidStructure:
+    """Batch chain of a deforming shape and its poses over `PointTracks`, in place of `FactorStructure`.
+
+    The model, with scales c_t, rotations R_t (their first two rows), translations l_t and bases v_jk:
+
+        p(z_t) = N(0, I),  p(F_tj | z_t) = N(c_t R_t (v_j0 + sum_k z_tk v_jk) + l_t, s^2 I).
+
+    The message to a point is its expected place, and the covariance that pose, weights and bases leave, with
+    the features' own scatter, in every frame that shows four points or more; whether the point is seen there
+    or not. It says by `same_as` which tracks it takes for one point.
+
+    Parameters
+    ----------
+    bases
+        number of morph bases with the mean shape, 2 or more.
+    associate
+        whether partial tracks may show the same point; see `learn_associated`. If not, every track is a point
+        of its own.
+    """
+
+    bases: int = 3
+    associate: bool = True
+    name: str = "structure"
+
+    ports = (Port(PointTracks, Cavity.OTHERS),)
+
+    def smooth(
+        self, incoming_over_time: Sequence[BatchIncoming], current: NonrigidTrajectory | None = None
+    ) -> Smoothed[NonrigidTrajectory]:
+        """Shape, poses and weights that explain what comes in; always found anew.
+
+        Raises
+        ------
+        ValueError
+            as `learn_shape` does, of tracks that are seen in 3 frames or more.
+        """
+        identities, positions, weights = observations(incoming_over_time)
+        positions[weights == 0] = np.nan
+        found = learn_associated(positions, self.bases, associate=self.associate)
+        stated = 1 / float(np.median(weights[weights > 0]))
+        scatter = max(found.shape.noise**2 - stated, 0.0)
+        return Smoothed(NonrigidTrajectory(identities, found.point_of_track, found.shape, scatter))
+
+    def messages(
+        self,
+        trajectory: NonrigidTrajectory,
+        feature: PointTracks,
+        incoming_over_time: Sequence[BatchIncoming] = (),
+    ) -> list[PointMessage]:
+        """Where the points of all tracks are in each frame, seen or not; nothing of frames without a pose."""
+        shape = trajectory.shape
+        positions = shape.shapes()[..., :2]
+        covariances = shape.shape_covariances()[..., :2, :2]
+        covariances[..., [0, 1], [0, 1]] += trajectory.scatter + LEAST_SCATTER * shape.noise**2
+        known = trajectory.point_of_track >= 0
+        tracks, points = trajectory.identities[known], trajectory.point_of_track[known]
+        first = np.full(shape.bases.shape[1], np.iinfo(np.int64).max)
+        np.minimum.at(first, points, tracks)
+        return [
+            PointMessage(GaussianMessage.from_moments(tracks, mean, covariance), same_as=first[points])
+            if posed
+            else feature.uniform()
+            for posed, mean, covariance in zip(
+                shape.frame_determined, positions[:, points], covariances[:, points], strict=True
+            )
+        ]

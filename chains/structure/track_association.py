@@ -1,0 +1,447 @@
+"""Which tracks show the same point: partial tracks that the shape says are one become one.
+
+A point that was lost and found again has several tracks. The RSMCM paper (§4.3) lets the shape decide which
+belong together, but gives no equations; these are ours. Cameras and points of all tracks, each a point of its
+own, have a joint posterior; pairs of which it says that they are at one place are taken for one, the surest
+first, and the posterior is conditioned on that, so that each union makes cameras of different times agree
+better and the next one surer. What is ambiguous waits until it no longer is. At the end every track is tested
+against every point, without its own part in it, and is kept where it surely belongs.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array, triu
+
+from ...inference.sfm.factor_analysis.factorisation import Factorisation, factorise
+from ...inference.sfm.factor_analysis.observations import Observations, as_arrays
+from ...inference.sfm.factor_analysis.robust import factorise_robustly
+from .correlated_noise import CorrelatedNoise, estimate_correlated_noise
+from .joint_posterior import covariance_of_points
+from .kernels.track_association import assign_tracks, same_point_gains
+from .memberships import certain, pooled, pooled_positions
+from .pair_odds import log_odds_of_new
+
+Numbers = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+NEW_POINT = 0.1
+"""Prior probability that a track shows a point that no other one shows, at the least."""
+
+MARGINS = (3.0, 1.5, 0.0)
+"""Nats by which a union has to be likelier than what it excludes: round by round, as cameras get better."""
+
+MOST_ROUNDS = 6
+SOFT_ROUNDS = 4
+ITERATIONS, LAST_ITERATIONS = 50, 500
+"""Of EM after each change of who shows what, from the cameras before; and at the end."""
+
+SURE = 0.99
+"""Probability from which a track is said to show a point."""
+
+DETERMINED = 0.15
+"""A point is one if its positions in all frames are known to this share of the spread of all points."""
+
+MOSTLY = 0.5
+"""Share of the tracks from which being the only one of a point is what is to be expected."""
+
+LEAST_VIEWS = 2
+"""Frames of a track that is a point of its own: fewer leave its depth open."""
+
+FAR = 64.0
+"""Squared standard deviations: a point is not tried for a track whose middle is farther than eight."""
+
+TORN = 0.05
+"""Product of probabilities from which a track is torn between two points."""
+
+MOST_TOGETHER = 500
+"""Tracks with most observations whose joint posterior is computed; others are only assigned at the end."""
+
+AT_ONCE = 0.05
+"""Unions between two comparisons of all pairs, as a share of the points."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackAssociation:
+    """Points and the tracks that show them.
+
+    Parameters
+    ----------
+    factorisation
+        cameras and points.
+    point_of_track
+        `(n_tracks,)` int64; -1 where it is not sure enough what a track shows.
+    noise
+        errors of the tracks, px^2.
+    trusted
+        `(n_frames, n_tracks)` bool: positions that are taken to be right, and no outliers.
+    """
+
+    factorisation: Factorisation
+    point_of_track: Indices
+    noise: CorrelatedNoise
+    trusted: NDArray[np.bool_]
+
+
+def associate_tracks(
+    positions: ArrayLike, weights: ArrayLike | None = None, *, coherence: bool = False
+) -> TrackAssociation:
+    """Find points, cameras, and which tracks belong to which point.
+
+    Parameters
+    ----------
+    positions
+        `(n_frames, n_tracks, 2)` px; NaN for a coordinate that is not known while the other one is; anything
+        where the weight is 0. Who shows what is decided by positions that are known; cameras and points are
+        found from all.
+    weights
+        `(n_frames, n_tracks)`, 1 / relative variance, 0 where nothing was seen; where left out, 1 wherever
+        there is a coordinate.
+    coherence
+        whether cameras move by eq. (19).
+
+    Raises
+    ------
+    ValueError
+        as `factorise` does.
+    """
+    where, weight = as_arrays(positions, weights)
+    where = np.where(weight[..., None] > 0, where, 0.0)
+    robust = factorise_robustly(where, weight, coherence=coherence)
+    trusted = robust.weights * robust.trusted
+    whole = ~np.isnan(where).any(axis=2)
+    kept, fit = robust.consistent & (trusted * whole > 0).any(axis=0), robust.factorisation
+    point = np.full(len(kept), -1)
+    try:
+        # what is trusted counts, so that no track is refused for a position that is wrong
+        association = _Association(where[:, kept], trusted[:, kept], fit.of_points(kept))
+        association.unite()
+        found = association.soft_assignment()
+    except ValueError:  # what is joined is too little to be a structure, or falls apart: nothing is
+        point[kept] = np.arange(np.count_nonzero(kept))
+        noise = CorrelatedNoise(fit.noise_variance, 0.0, 1.0)
+        return TrackAssociation(fit.of_points(kept), point, noise, robust.trusted)
+    point[kept] = found.point_of_track
+    return replace(found, point_of_track=point, trusted=robust.trusted)
+
+
+class _Association:
+    """State of the association, in the units of `Observations`."""
+
+    def __init__(self, positions: Numbers, weights: Numbers, fit: Factorisation) -> None:
+        whole = np.asarray(~np.isnan(positions).any(axis=2))
+        self._all = positions, weights
+        self._positions, self._weights = np.where(whole[..., None], positions, 0.0), weights * whole
+        positions, weights = self._positions, self._weights
+        self._fit = self._apart = fit
+        self._observations = Observations.from_arrays(positions, weights)
+        self._tracks = self._observations.by_point
+        n_tracks = positions.shape[1]
+        self._counts = np.diff(self._tracks.edges)
+        self._seen = np.zeros((n_tracks, self._observations.n_frames))
+        self._seen[self._tracks.own, self._tracks.other] = 1
+        self._point = np.arange(n_tracks)
+        self._membership = certain(self._point, n_tracks)
+        self._log_new = np.inf
+        """Log prior odds of a new point against a certain one of those that there may be."""
+
+    # --- what the present cameras say ---
+
+    @property
+    def _cameras(self) -> Numbers:
+        """In the units of the observations."""
+        return self._observations.scaled(self._fit.cameras)
+
+    def _population(self) -> tuple[Numbers, Numbers]:
+        """Mean `(3,)` and covariance `(3, 3)` of the points that are well seen."""
+        seen = self._membership.T @ self._counts
+        well = seen >= min(8.0, np.median(seen[seen > 0]))
+        shape = self._fit.shape[well]
+        return shape.mean(axis=0), 1.5 * np.cov(shape.T) + 1e-6 * np.eye(3)
+
+    def _noise(self) -> CorrelatedNoise:
+        mean, covariance = self._population()
+        return estimate_correlated_noise(
+            self._tracks, self._cameras, self._point, covariance + np.outer(mean, mean)
+        )
+
+    @property
+    def _white_noise(self) -> CorrelatedNoise:
+        """As the fit has it."""
+        unit = self._observations.scale**2 * self._observations.weight_unit
+        return CorrelatedNoise(self._fit.noise_variance / unit, 0.0, 1.0)
+
+    # --- unions ---
+
+    def unite(self) -> None:
+        """Take tracks for one point, round by round, until nothing changes."""
+        number = -1
+        for _ in range(MOST_ROUNDS):
+            before = self._point
+            point, number = self._united(min(number + 1, len(MARGINS) - 1))
+            self._regroup(point)
+            if MARGINS[number] == 0:
+                self._reassign()
+                if np.array_equal(self._point, before):
+                    return
+
+    def _united(self, number: int) -> tuple[Indices, int]:
+        """Point of each track after all unions of the next margin that allows any, and which one this is."""
+        chosen = np.sort(np.argsort(-(self._membership.T @ self._counts), kind="stable")[:MOST_TOGETHER])
+        covariance = covariance_of_points(self._observations, self._fit, self._point, self._noise(), chosen)
+        seen = np.zeros((len(chosen), self._observations.n_frames))
+        place = np.full(self._fit.shape.shape[0], -1)
+        place[chosen] = np.arange(len(chosen))
+        inside = place[self._point[self._tracks.own]]
+        seen[inside[inside >= 0], self._tracks.other[inside >= 0]] = 1
+        _, population = self._population()
+        mean, apart, spread = self._fit.shape[chosen], seen @ seen.T > 0, 2 * population
+        gains = np.empty(apart.shape)
+        same_point_gains(mean, covariance, np.eye(len(mean), dtype=bool), spread, gains)
+        first, second = np.triu_indices(len(mean), 1)
+        # of all tracks: those that are one already are no longer among the pairs
+        self._log_new = min(self._log_new, log_odds_of_new(gains[first, second], apart[first, second]))
+        group = unite_points(mean, covariance, apart, spread, self._log_new, MARGINS[number])
+        while MARGINS[number] > 0 and (group == np.arange(len(group))).all():
+            number += 1
+            group = unite_points(mean, covariance, apart, spread, self._log_new, MARGINS[number])
+        target = np.arange(len(place))
+        target[chosen] = chosen[group]
+        return target[self._point], number
+
+    # --- assignment given cameras ---
+
+    def _assigned(self, membership: csr_array, noise: CorrelatedNoise, *, hard: bool) -> csr_array:
+        """Membership after one turn of all tracks, short ones first."""
+        tracks = self._tracks
+        information, vector, _, _ = noise.information(tracks, self._cameras)
+        mean, covariance = self._population()
+        prior = np.linalg.inv(covariance)
+        order = np.argsort(self._counts, kind="stable")
+        # a track is the only one of a point as often as others are
+        alone = np.count_nonzero(np.bincount(membership.indices[membership.data > TORN]) == 1)
+        n, n_points = membership.shape
+        odds = max((alone + 1) / (n - alone + 1), NEW_POINT / (1 - NEW_POINT))
+        points, shares, counts = assign_tracks(
+            order,
+            tracks,
+            (information, vector),
+            (prior, prior @ mean),
+            (np.ascontiguousarray(self._cameras), noise.white + noise.drift, FAR),
+            float(np.log(n_points * odds)),
+            hard,
+            (membership.indptr.astype(np.int64), membership.indices.astype(np.int64), membership.data),
+            pooled(membership, self._seen),
+        )
+        own = np.repeat(order, counts[order])
+        return csr_array((shares, (own, points)), shape=membership.shape)
+
+    def _reassign(self) -> None:
+        """Move tracks to the points that they fit best."""
+        membership, noise = self._membership, self._noise()
+        for _ in range(3):
+            membership = self._assigned(membership, noise, hard=True)
+        alone = np.diff(membership.indptr) == 0
+        point = np.empty(len(alone), np.int64)
+        point[~alone] = membership.indices
+        point[alone] = membership.shape[1] + np.arange(np.count_nonzero(alone))
+        self._regroup(point)
+
+    def _regroup(self, point: Indices) -> None:
+        """Number the points anew, in the order of their first tracks, and fit again."""
+        _, first, number = np.unique(point, return_index=True, return_inverse=True)
+        self._point = np.argsort(np.argsort(first))[number]
+        self._refit(certain(self._point, self._point.max() + 1))
+
+    def _refit(self, membership: csr_array, iterations: int = ITERATIONS) -> None:
+        positions, weights = pooled_positions(membership, self._positions, self._weights)
+        self._membership = membership
+        shape, spread = self._points_given_cameras(membership)
+        self._fit = factorise(
+            positions,
+            weights,
+            coherence=self._fit.coherent,
+            iterations=iterations,
+            start=replace(self._fit, shape=shape, shape_covariance=spread),
+        )
+
+    def _points_given_cameras(self, membership: csr_array) -> tuple[Numbers, Numbers]:
+        information, vector, _, _ = self._white_noise.information(self._tracks, self._cameras)
+        whole = np.eye(3) + pooled(membership, information)
+        inverse = np.asarray(np.linalg.inv(whole), np.float64)
+        shape: Numbers = np.einsum("pij,pj->pi", inverse, pooled(membership, vector))
+        return shape, inverse
+
+    # --- the end ---
+
+    def soft_assignment(self) -> TrackAssociation:
+        """Let tracks belong to points in part, and leave out points that they do not determine.
+
+        Returns those points, and the tracks that surely show them; the surest one of each at least.
+        """
+        noise = self._noise()
+        for _ in range(SOFT_ROUNDS):
+            membership = self._membership[:, self._determined(self._membership, noise)]
+            membership = self._without_duplicates(membership, noise)
+            membership = self._assigned(membership, noise, hard=False)
+            self._refit(membership[:, membership.sum(axis=0) > 0.5])
+        return self._result(noise)
+
+    def _without_duplicates(self, membership: csr_array, noise: CorrelatedNoise) -> csr_array:
+        """Memberships after points between which the same tracks are torn have become one."""
+        information, vector, _, _ = noise.information(self._tracks, self._cameras)
+        mean, covariance = self._population()
+        prior = np.asarray(np.linalg.inv(covariance), np.float64)
+        pull: Numbers = prior @ mean
+        while True:
+            shared = triu(membership.T @ membership, 1).tocoo()
+            torn = shared.data > TORN
+            first, second = shared.row[torn], shared.col[torn]
+            whole, sums = pooled(membership, information), pooled(membership, vector)
+            busy = pooled(membership, self._seen)
+            alone = log_partition(whole + prior, sums + pull)
+            together = log_partition(whole[first] + whole[second] + prior, sums[first] + sums[second] + pull)
+            gains = together - alone[first] - alone[second] + log_partition(prior, pull)
+            gains[(busy[first] * busy[second]).sum(axis=1) > 0.5] = -np.inf
+            target, touched = np.arange(membership.shape[1]), np.zeros(membership.shape[1], bool)
+            for k in np.argsort(-gains, kind="stable"):
+                if gains[k] < self._log_new:
+                    break
+                if not touched[[first[k], second[k]]].any():
+                    target[second[k]] = first[k]
+                touched[[first[k], second[k]]] = True
+            if not touched.any():
+                return membership
+            kept, number = np.unique(target, return_inverse=True)
+            membership = membership @ certain(number, len(kept))
+
+    def _determined(self, membership: csr_array, noise: CorrelatedNoise) -> NDArray[np.bool_]:
+        """Whether tracks say where each point is, in every frame."""
+        information, _, _, _ = noise.information(self._tracks, self._cameras)
+        _, covariance = self._population()
+        whole = np.linalg.inv(covariance) + pooled(membership, information)
+        rows = self._cameras[..., :3]
+        variance = np.einsum("tcj,pjk,tck->tp", rows, np.linalg.inv(whole), rows, optimize=True)
+        spread = np.einsum("tcj,jk,tck->t", rows, covariance, rows)
+        known: NDArray[np.bool_] = (variance < DETERMINED**2 * spread[:, None]).all(axis=0)
+        return known
+
+    def _result(self, noise: CorrelatedNoise) -> TrackAssociation:
+        membership = self._membership
+        point = membership.argmax(axis=1)
+        sure = membership.max(axis=1).toarray() > SURE
+        # of points that are alike tracks are never sure: the one that says most stays with its point
+        anchors = membership.multiply(self._counts[:, None]).tocsr().argmax(axis=0)
+        own = point[anchors] == np.arange(membership.shape[1])
+        sure[anchors[own]] = True
+        point = np.where(sure, point, -1)
+        own &= self._determined(certain(point, membership.shape[1]), noise)
+        point = np.where(sure & own[point], (np.cumsum(own) - 1)[point], -1)
+        membership = membership[:, own]
+        unsure = (point < 0) & (self._counts >= LEAST_VIEWS)
+        if np.count_nonzero(np.bincount(point[point >= 0]) == 1) + np.count_nonzero(unsure) > MOSTLY * len(
+            point
+        ):
+            # where most tracks are the only ones of their points, so is one of which nothing is sure
+            n_points = membership.shape[1] + np.count_nonzero(unsure)
+            point[unsure] = np.arange(membership.shape[1], n_points)
+            membership = certain(point, n_points)
+            self._fit = self._apart  # its cameras have heard all of them
+        self._positions, self._weights = self._all
+        self._refit(membership, LAST_ITERATIONS)
+        unit = self._observations.scale**2 * self._observations.weight_unit
+        return TrackAssociation(self._fit, point, noise.scaled(unit), self._weights > 0)
+
+
+def log_partition(information: Numbers, vector: Numbers) -> Numbers:
+    """Log integral of exp(vector . x - x . information x / 2) over x in 3-D, without log(2 pi); batched."""
+    solved = np.linalg.solve(information, vector[..., None])[..., 0]
+    result: Numbers = 0.5 * ((vector * solved).sum(axis=-1) - np.linalg.slogdet(information)[1])
+    return result
+
+
+def unite_points(
+    mean: Numbers,
+    covariance: Numbers,
+    apart: NDArray[np.bool_],
+    spread: Numbers,
+    log_new: float,
+    margin: float,
+) -> Indices:
+    """Take points for one, the surest first, and condition all others on it.
+
+    Parameters
+    ----------
+    mean, covariance
+        `(n, 3)` and `(n, 3, n, 3)`, of the points' joint posterior.
+    apart
+        `(n, n)`, whether two points are different for sure (both were seen in one frame).
+    spread
+        `(3, 3)`, covariance of the difference of two different points.
+    log_new
+        by how much likelier than chance a union has to be.
+    margin
+        a union waits if another one that excludes it is likelier, or less likely by no more than this.
+
+    Returns
+    -------
+    `(n,)`, for each point the smallest number of those that it is one with.
+    """
+    n = len(mean)
+    mean, covariance, apart = mean.copy(), covariance.copy(order="C"), apart.copy()
+    flat = covariance.reshape(3 * n, 3 * n)
+    group, alive = np.arange(n), np.ones(n, bool)
+    gains = np.empty((n, n))
+    while True:
+        same_point_gains(mean, covariance, apart | ~alive | ~alive[:, None], spread, gains)
+        pairs = _unambiguous(gains, apart, log_new, margin)
+        if not pairs:
+            return group
+        rows = np.concatenate([3 * i + np.arange(3) for i, _ in pairs])
+        others = np.concatenate([3 * j + np.arange(3) for _, j in pairs])
+        reach = flat[:, rows] - flat[:, others]
+        between = reach[rows] - reach[others]
+        between[np.diag_indices(len(rows))] += 1e-12 * np.trace(between) / len(rows)
+        pull = np.linalg.solve(between, reach.T).T
+        mean = (mean.reshape(-1) - pull @ (mean.reshape(-1)[rows] - mean.reshape(-1)[others])).reshape(n, 3)
+        flat -= pull @ reach.T
+        for i, j in pairs:
+            group[group == j] = i
+            alive[j] = False
+            apart[i] |= apart[j]
+            apart[:, i] |= apart[:, j]
+
+
+def _unambiguous(
+    gains: Numbers, apart: NDArray[np.bool_], log_new: float, margin: float
+) -> list[tuple[int, int]]:
+    """Unions to be made at once: no point is in two of them."""
+    n = len(gains)
+    first, second = np.nonzero(np.triu(gains > log_new, 1))
+    order = np.argsort(-gains[first, second], kind="stable")
+    touched = np.zeros(n, bool)
+    pairs: list[tuple[int, int]] = []
+    for k in order:
+        i, j = int(first[k]), int(second[k])
+        if touched[i] or touched[j]:
+            continue
+        rivals = [
+            apart[there, close] | (gains[there, close] < 0)
+            for here, there in ((i, j), (j, i))
+            for close in [_close(gains[here], there, margin)]
+        ]
+        if any(each.any() for each in rivals):
+            continue
+        touched[i] = touched[j] = True
+        pairs.append((i, j))
+        if len(pairs) >= AT_ONCE * n:
+            break
+    return pairs
+
+
+def _close(gains: Numbers, chosen: int, margin: float) -> Indices:
+    """Others that are nearly as likely as the chosen one, or likelier."""
+    near = gains > gains[chosen] - margin
+    near[chosen] = False
+    return np.flatnonzero(near).astype(np.int64)

@@ -1,1 +1,0 @@
-"""Samples of a body's pose: dynamics, proposals, tempering."""

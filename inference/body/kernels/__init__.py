@@ -1,1 +1,0 @@
-"""Compiled densities of a body's dynamics."""

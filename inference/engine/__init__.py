@@ -1,0 +1,1 @@
+"""The contract of chains and features, their graph, and the two engines."""

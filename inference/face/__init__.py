@@ -1,1 +1,0 @@
-"""G-flow: experts of pose, and the textures that they remember."""

@@ -1,1 +1,0 @@
-"""Kalman filters of many things at once, and resampling."""

@@ -1,0 +1,297 @@
+"""First-order Kalman filter and smoother for many points in the plane, all in one call.
+
+The low-level dynamics of RSMCM §3.2: a point moves at constant velocity but for white acceleration noise.
+Measurements are Gaussian messages in information form, so a point that is not seen is one with no information
+and nothing else; and what a chain may send back about a frame is what all other frames say (`cavity`).
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..models.core.short_repr import short_repr
+from .kernels import kalman as kalman_kernels
+
+Numbers = NDArray[np.float64]
+
+STATE = 4
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class PointStates:
+    """Gaussians over position and velocity of points, each on its own; perhaps in many frames.
+
+    Parameters
+    ----------
+    mean
+        `(..., n_points, 4)`: x, y px, then their velocities px/s.
+    covariance
+        `(..., n_points, 4, 4)`, in the same order.
+    """
+
+    mean: Numbers
+    covariance: Numbers
+
+    @classmethod
+    def at_rest(cls, positions: ArrayLike, variance: ArrayLike, speed: float) -> Self:
+        """Points of which nobody knows how they move: as they begin.
+
+        Parameters
+        ----------
+        positions
+            `(n_points, 2)` px.
+        variance
+            px^2, of each coordinate: one for all points or `(n_points,)`.
+        speed
+            px/s, standard deviation of each coordinate's velocity.
+        """
+        places = np.asarray(positions, np.float64).reshape(-1, 2)
+        mean, covariance = np.zeros((len(places), STATE)), np.zeros((len(places), STATE, STATE))
+        mean[:, :2] = places
+        covariance[:, 0, 0] = covariance[:, 1, 1] = variance
+        covariance[:, 2, 2] = covariance[:, 3, 3] = speed**2
+        return cls(mean, covariance)
+
+    @property
+    def position(self) -> Numbers:
+        """`(..., n_points, 2)` px."""
+        return self.mean[..., :2]
+
+    @property
+    def position_covariance(self) -> Numbers:
+        """`(..., n_points, 2, 2)` px^2."""
+        return self.covariance[..., :2, :2]
+
+    def __len__(self) -> int:
+        """Return the number of points, or of frames where there are many."""
+        return len(self.mean)
+
+
+def predict(states: PointStates, dt: float, acceleration: ArrayLike) -> PointStates:
+    """States after `dt` s more.
+
+    Parameters
+    ----------
+    states
+        of `n_points`.
+    dt
+        s, 0 or more.
+    acceleration
+        px^2/s^3, spectral density of the white acceleration along each coordinate: by so much a velocity's
+        variance grows in a second. One for all points or `(n_points,)`.
+
+    Raises
+    ------
+    ValueError
+        if `dt` is negative or the shapes do not fit.
+    """
+    if not dt >= 0:
+        raise ValueError(f"dt: got {dt} s, expected 0 or more")
+    n_points = _checked_states(states, 1)
+    moved = _empty_like(states)
+    kalman_kernels.predict_states(
+        _plain(states.mean),
+        _plain(states.covariance),
+        float(dt),
+        _per_point(acceleration, n_points),
+        moved.mean,
+        moved.covariance,
+    )
+    return moved
+
+
+def update(states: PointStates, information: ArrayLike, vector: ArrayLike) -> PointStates:
+    """States after measurements exp(vector . z - z . information z / 2) of their positions z.
+
+    Covariances stay positive definite however sure or unsure states and measurements are, and measurements
+    need not determine both coordinates.
+
+    Parameters
+    ----------
+    states
+        of `n_points`.
+    information
+        `(n_points, 2, 2)` 1/px^2, symmetric, positive (semi-)definite; zeros leave a state exactly as it is.
+    vector
+        `(n_points, 2)` 1/px, information times measured position.
+
+    Raises
+    ------
+    ValueError
+        if the shapes do not fit.
+    """
+    _checked_states(states, 1)
+    measured = _checked_measurements(information, vector, states.mean.shape[:-1])
+    after = _empty_like(states)
+    kalman_kernels.update_states(
+        _plain(states.mean), _plain(states.covariance), *measured, after.mean, after.covariance
+    )
+    return after
+
+
+def filter_tracks(
+    prior: PointStates, times: ArrayLike, information: ArrayLike, vector: ArrayLike, acceleration: ArrayLike
+) -> PointStates:
+    """States in all frames, each given the measurements up to it: `predict` and `update` from frame to frame.
+
+    A point that begins later, or is lost in between, has no information in the frames before. Its prior
+    should be so broad in the first frame that it does not matter when the point begins; the smoother then
+    follows it back to where nobody has seen it yet.
+
+    Parameters
+    ----------
+    prior
+        of `n_points`, in the first frame, before its measurement.
+    times
+        `(n_frames,)` s, not decreasing.
+    information
+        `(n_frames, n_points, 2, 2)` 1/px^2; see `update`.
+    vector
+        `(n_frames, n_points, 2)` 1/px.
+    acceleration
+        px^2/s^3; see `predict`.
+
+    Returns
+    -------
+    filtered
+        `n_frames` times `n_points`.
+
+    Raises
+    ------
+    ValueError
+        if times decrease or the shapes do not fit.
+    """
+    n_points = _checked_states(prior, 1)
+    seconds = _checked_times(times)
+    measured = _checked_measurements(information, vector, (len(seconds), n_points))
+    filtered = PointStates(
+        np.empty((len(seconds), n_points, STATE)), np.empty((len(seconds), n_points, STATE, STATE))
+    )
+    kalman_kernels.filter_states(
+        _plain(prior.mean),
+        _plain(prior.covariance),
+        seconds,
+        *measured,
+        _per_point(acceleration, n_points),
+        filtered.mean,
+        filtered.covariance,
+    )
+    return filtered
+
+
+def smooth(filtered: PointStates, times: ArrayLike, acceleration: ArrayLike) -> PointStates:
+    """States in all frames given all measurements, by Rauch, Tung and Striebel's recursion.
+
+    It keeps two digits of the covariances, or more, as long as a point is not expected to move by more than
+    1e5 standard deviations of its measurements in a step.
+
+    Parameters
+    ----------
+    filtered
+        of `filter_tracks`, with the same `times` and `acceleration`.
+
+    Raises
+    ------
+    ValueError
+        if times decrease or the shapes do not fit.
+    """
+    n_points = _checked_states(filtered, 2)
+    seconds = _checked_times(times)
+    if len(seconds) != len(filtered):
+        raise ValueError(f"times: got {len(seconds)} for states in {len(filtered)} frames, expected as many")
+    smoothed = _empty_like(filtered)
+    kalman_kernels.smooth_states(
+        seconds,
+        _plain(filtered.mean),
+        _plain(filtered.covariance),
+        _per_point(acceleration, n_points),
+        smoothed.mean,
+        smoothed.covariance,
+    )
+    return smoothed
+
+
+def cavity(smoothed: PointStates, information: ArrayLike, vector: ArrayLike) -> tuple[Numbers, Numbers]:
+    """What all other frames (and the prior) say of each position: smoothed, divided by its own measurement.
+
+    This is a chain's message to the feature node (mu_{X -> F}, RSMCM Algorithm 2). Where the others add less
+    than rounding can tell from the measurement, they say nothing.
+
+    Parameters
+    ----------
+    smoothed
+        of `smooth`.
+    information, vector
+        the measurements that `filter_tracks` was given.
+
+    Returns
+    -------
+    information, vector
+        `(n_frames, n_points, 2, 2)` 1/px^2 and `(n_frames, n_points, 2)` 1/px.
+
+    Raises
+    ------
+    ValueError
+        if the shapes do not fit.
+    """
+    _checked_states(smoothed, 2)
+    own_information, own_vector = _checked_measurements(information, vector, smoothed.mean.shape[:-1])
+    others_information, others_vector = np.empty_like(own_information), np.empty_like(own_vector)
+    kalman_kernels.cavities(
+        _plain(smoothed.mean).reshape(-1, STATE),
+        _plain(smoothed.covariance).reshape(-1, STATE, STATE),
+        own_information.reshape(-1, 2, 2),
+        own_vector.reshape(-1, 2),
+        others_information.reshape(-1, 2, 2),
+        others_vector.reshape(-1, 2),
+    )
+    return others_information, others_vector
+
+
+def _plain(array: ArrayLike) -> Numbers:
+    return np.ascontiguousarray(array, np.float64)
+
+
+def _empty_like(states: PointStates) -> PointStates:
+    return PointStates(np.empty(states.mean.shape), np.empty(states.covariance.shape))
+
+
+def _per_point(acceleration: ArrayLike, n_points: int) -> Numbers:
+    given = np.asarray(acceleration, np.float64)
+    if given.shape not in ((), (n_points,)):
+        raise ValueError(f"acceleration: got {given.shape}, expected a number or ({n_points},)")
+    return _plain(np.broadcast_to(given, n_points))
+
+
+def _checked_states(states: PointStates, axes: int) -> int:
+    """Number of points of states that have `axes` axes: points, or frames and points."""
+    shape = states.mean.shape
+    if len(shape) != axes + 1 or shape[-1] != STATE or states.covariance.shape != (*shape, STATE):
+        points = "(n_points" if axes == 1 else "(n_frames, n_points"
+        raise ValueError(
+            f"states: got mean {shape} and covariance {states.covariance.shape}, "
+            f"expected {points}, {STATE}) and {points}, {STATE}, {STATE})"
+        )
+    return int(shape[-2])
+
+
+def _checked_times(times: ArrayLike) -> Numbers:
+    seconds = _plain(times)
+    if seconds.ndim != 1 or not len(seconds) or not (np.diff(seconds) >= 0).all():
+        raise ValueError(f"times: got {seconds.shape}, expected seconds of one or more frames, in order")
+    return seconds
+
+
+def _checked_measurements(
+    information: ArrayLike, vector: ArrayLike, shape: tuple[int, ...]
+) -> tuple[Numbers, Numbers]:
+    precision, weighted = _plain(information), _plain(vector)
+    if precision.shape != (*shape, 2, 2) or weighted.shape != (*shape, 2):
+        raise ValueError(
+            f"measurements: got information {precision.shape} and vector {weighted.shape}, "
+            f"expected {(*shape, 2, 2)} and {(*shape, 2)}"
+        )
+    return precision, weighted

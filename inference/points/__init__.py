@@ -1,1 +1,0 @@
-"""Points followed from frame to frame, and over a whole film."""

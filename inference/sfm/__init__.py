@@ -1,0 +1,1 @@
+"""Structure from motion: factor analysis, perspective cameras, deforming shapes."""

@@ -1,0 +1,344 @@
+"""Structure from motion as factor analysis: shape and affine cameras from point tracks with gaps.
+
+RSMCM eq. (18): position of point i in frame t = M_t (S_i, 1) + noise, M_t (2, 4), S_i (3,).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ....models.core.short_repr import short_repr
+from .anderson import Anderson
+from .connectivity import determined
+from .em import CameraPrior, Posterior, expectation_maximisation, first_prior
+from .initialisation import RANK, Mask, grown, mean_filled
+from .kernels.moments import squared_error
+from .kernels.variable_projection import eliminate_points
+from .moments import homogeneous
+from .observations import Numbers, Observations, as_arrays
+from .posterior import LOOSEST, around_optimum, around_start
+from .variable_projection import FAR, NEAR, least_squares
+
+Start = Literal["grow", "svd"]
+
+FILLED = 1e-3
+"""Mean change of coordinates that are filled in, in the noise's standard deviation, with which they are."""
+MOST_FILLINGS = 50
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Factorisation:
+    """Cameras and shape that explain positions of points, up to an affine change of the shape.
+
+    Parameters
+    ----------
+    cameras
+        `(n_frames, 2, 4)`: position in px = cameras[..., :3] @ shape + cameras[..., 3].
+    camera_covariance
+        `(n_frames, 4, 4)`, of the row of u and of that of v alike.
+    shape
+        `(n_points, 3)`, about white (mean 0, covariance I); the third axis is the one that moves points
+        least.
+    shape_covariance
+        `(n_points, 3, 3)`.
+    noise_variance
+        px^2, of a position of weight 1.
+    rmse
+        px, root mean square over the coordinates of all observations, weighted, at the means.
+    coherent
+        whether cameras follow eq. (19).
+    motion_noise
+        px^2. With coherence `(3, 2)`: variances of eps_1, eps_2, eps_3 for the numbers that multiply the
+        shape and for the translation. Else `(1, 2)`: variances of those numbers themselves.
+    frame_determined
+        `(n_frames,)` bool: the frame shows four points or more that other frames show too. Other cameras are
+        what the prior makes of what there is.
+    history
+        bound of the log likelihood at each iteration of EM; empty where least squares needed none.
+    """
+
+    cameras: Numbers
+    camera_covariance: Numbers
+    shape: Numbers
+    shape_covariance: Numbers
+    noise_variance: float
+    rmse: float
+    coherent: bool
+    motion_noise: Numbers
+    frame_determined: Mask
+    history: tuple[float, ...]
+
+    def of_points(self, kept: Mask) -> "Factorisation":
+        """The same with some of the points only, `(n_points,)` bool."""
+        return replace(self, shape=self.shape[kept], shape_covariance=self.shape_covariance[kept])
+
+
+def factorise(
+    positions: ArrayLike,
+    weights: ArrayLike | None = None,
+    *,
+    coherence: bool = False,
+    start: Start | Factorisation | NDArray[np.float64] = "grow",
+    polish: bool = True,
+    iterations: int = 500,
+    tolerance: float = 0.003,
+) -> Factorisation:
+    """Find cameras and shape.
+
+    Parameters
+    ----------
+    positions
+        `(n_frames, n_points, 2)` px; NaN for a coordinate that is not known while the other one is; anything
+        where the weight is 0.
+    weights
+        `(n_frames, n_points)`, 1 / relative variance, 0 where nothing was seen; where left out, 1 wherever
+        there is a coordinate.
+    coherence
+        whether cameras move by eq. (19) or each frame is on its own.
+    start
+        `"grow"` from the window that shows a rigid motion best; `"svd"` of the mean-filled matrix (the
+        published start); an earlier result for the same frames and points; or cameras `(n_frames, 2, 4)`,
+        in px.
+    polish
+        go on to the optimum. Without coherence that is weighted least squares: no prior pulls at points and
+        frames that are determined. With coherence it is the bound of the likelihood that EM climbs, with
+        acceleration. If not, plain EM is all.
+    iterations, tolerance
+        of EM: at most so many, and until it gains less than so many nats in each.
+
+    Raises
+    ------
+    ValueError
+        if shapes do not fit; numbers are not finite; fewer than 3 frames share 4 points of which both
+        coordinates are known; or, without coherence, frames fall into sets that share fewer than 4 points.
+    """
+    where, given = as_arrays(positions, weights)
+    known = ~np.isnan(where)
+    half = known.any(axis=2) & ~known.all(axis=2) & (given > 0)
+    settings = coherence, polish, iterations, tolerance
+    if not half.any():
+        return _factorised(Observations.from_arrays(where, given), start, *settings)
+    if not isinstance(start, Factorisation):
+        whole = Observations.from_arrays(where, np.where(half, 0.0, given))
+        start = _factorised(whole, start, *settings)
+    share = 1 - 0.5 * float(np.count_nonzero(half) / np.count_nonzero(given > 0))
+
+    def found(filled: Numbers, begin: Factorisation) -> Factorisation:
+        return _factorised(Observations.from_arrays(filled, given, known=share), begin, *settings)
+
+    return _with_filled(where, given, half, start, found)
+
+
+def _with_filled(
+    where: Numbers,
+    weights: Numbers,
+    half: Mask,
+    start: Factorisation,
+    found: Callable[[Numbers, Factorisation], Factorisation],
+) -> Factorisation:
+    """Cameras and shape given positions of which one coordinate is missing, by EM over those coordinates.
+
+    What is missing is expected where cameras and shape have it, which are found anew with that (Dempster,
+    Laird and Rubin, 1977); in the end it is where it no longer pulls at anything. Its variance is that of the
+    noise, which is so estimated from what was seen. Covariances do not count it.
+
+    Parameters
+    ----------
+    where, weights
+        of `factorise`.
+    half
+        `(n_frames, n_points)`: of which positions one coordinate is missing.
+    start
+        from which the first ones are foreseen.
+    found
+        gives cameras and shape of positions that are filled in, from an earlier result.
+    """
+    missing = np.isnan(where) & half[..., None]
+    filled, fit = where.copy(), start
+    filled[missing] = projected(fit.cameras, fit.shape)[missing]
+    acceleration, nearest = Anderson(), np.inf
+    for _ in range(MOST_FILLINGS):
+        fit = found(filled, fit)
+        before, expected = filled[missing], projected(fit.cameras, fit.shape)[missing]
+        off = float(np.sqrt(np.mean((expected - before) ** 2)))
+        if off <= FILLED * np.sqrt(fit.noise_variance):
+            break
+        if off > nearest:  # the last proposal went too far
+            acceleration.forget()
+            filled[missing] = expected
+        else:
+            filled[missing] = acceleration.propose(before, expected)
+        nearest = off
+    return _without_filled(fit, weights, half, missing)
+
+
+def _without_filled(fit: Factorisation, weights: Numbers, half: Mask, missing: Mask) -> Factorisation:
+    """The same with covariances that do not count coordinates which were filled in."""
+    points = half.any(axis=0)
+    rows = fit.cameras[..., :RANK]
+    second = rows[..., :, None] * rows[..., None, :] + fit.camera_covariance[:, None, :RANK, :RANK]
+    counted = np.where(missing, weights[..., None], 0.0)[:, points] / fit.noise_variance
+    information = np.linalg.inv(fit.shape_covariance[points])
+    information -= np.einsum("tic,tcjk->ijk", counted, second, optimize=True)
+    shape_covariance = fit.shape_covariance.copy()
+    # it is what the prior and all that was seen say, but for rounding
+    values, axes = np.linalg.eigh(0.5 * (information + information.transpose(0, 2, 1)))
+    values = np.maximum(values, 1 / LOOSEST**2)
+    shape_covariance[points] = (axes / values[:, None, :]) @ axes.transpose(0, 2, 1)
+    # rows of u and v share theirs: as if each frame had seen so much less of both
+    total = weights.sum(axis=1)
+    seen = 1 - 0.5 * np.where(half, weights, 0.0).sum(axis=1) / np.where(total > 0, total, 1.0)
+    return replace(
+        fit,
+        shape_covariance=shape_covariance,
+        camera_covariance=fit.camera_covariance / seen[:, None, None],
+    )
+
+
+def _factorised(
+    observations: Observations,
+    start: Start | Factorisation | Numbers,
+    coherence: bool,
+    polish: bool,
+    iterations: int,
+    tolerance: float,
+) -> Factorisation:
+    frames, points = determined(observations, apart=coherence)
+    part = observations.only(frames, points)
+    beginning = _beginning(observations, part, start, coherence)
+    if polish and not coherence:
+        near = isinstance(start, str | Factorisation)
+        found = least_squares(part, beginning.cameras, damping=NEAR if near else FAR)
+        posterior, history = around_optimum(observations, part, found), list[float]()
+    else:
+        posterior, history = expectation_maximisation(
+            observations, beginning, iterations=iterations, tolerance=tolerance, accelerate=polish
+        )
+    return _in_pixels(observations, posterior, frames, history)
+
+
+def _beginning(
+    observations: Observations, part: Observations, start: Start | Factorisation | Numbers, coherent: bool
+) -> Posterior:
+    n_frames = observations.n_frames
+    frames, points = np.diff(part.by_frame.edges) > 0, np.diff(part.by_point.edges) > 0
+    if isinstance(start, Factorisation):
+        return _in_units(observations, start, coherent)
+    if isinstance(start, str):
+        if start == "grow":
+            cameras, shape, frames, points = grown(part, coherent=coherent)
+        elif start == "svd":
+            cameras, shape = mean_filled(observations)
+        else:
+            raise ValueError(f'start: got {start!r}, expected "grow", "svd", cameras or a Factorisation')
+    else:
+        given = np.asarray(start, np.float64)
+        if given.shape != (n_frames, 2, 4) or not np.isfinite(given).all():
+            raise ValueError(f"start: got {given.shape} cameras, expected finite {(n_frames, 2, 4)}")
+        cameras, shape = _with_points(part, observations.scaled(given))
+    return around_start(observations, cameras, shape, frames, points, coherent=coherent)
+
+
+def _with_points(part: Observations, cameras: Numbers) -> tuple[Numbers, Numbers]:
+    """Given cameras with the points that fit them best.
+
+    Where they point past the shape, as random ones do, their translations become the middles of the frames.
+    """
+    listed = part.by_frame
+    counts = np.maximum(np.diff(listed.edges), 1)
+    middles = [np.bincount(listed.own, values, part.n_frames) / counts for values in (listed.x, listed.y)]
+    centred = np.concatenate([cameras[..., :3], np.stack(middles, axis=1)[..., None]], axis=2)
+    tried = [(each, *eliminate_points(part.by_point, each)) for each in (cameras, centred)]
+    best, shape, _, _ = min(tried, key=lambda each: each[3])
+    return best, shape
+
+
+def _in_units(observations: Observations, start: Factorisation, coherent: bool) -> Posterior:
+    """An earlier result as a start, in the units of the observations."""
+    n_frames, n_points = observations.n_frames, observations.n_points
+    if len(start.cameras) != n_frames or len(start.shape) != n_points:
+        raise ValueError(
+            f"start: got a Factorisation of {len(start.cameras)} frames and {len(start.shape)} points, "
+            f"expected {n_frames} and {n_points}"
+        )
+    square = observations.scale**2
+    cameras = observations.scaled(start.cameras)
+    same = start.coherent == coherent
+    return Posterior(
+        cameras,
+        start.camera_covariance / square,
+        start.shape.copy(),
+        start.shape_covariance.copy(),
+        start.noise_variance / (square * observations.weight_unit),
+        CameraPrior(start.motion_noise / square, coherent) if same else first_prior(cameras, coherent),
+    )
+
+
+def _in_pixels(
+    observations: Observations, posterior: Posterior, frames: Mask, history: list[float]
+) -> Factorisation:
+    """The result in px, with the axes of the shape in the order in which they move points."""
+    scale, square = observations.scale, observations.scale**2
+    error = float(squared_error(observations.by_point, posterior.cameras, posterior.shape).sum())
+    turn = np.eye(4)
+    turn[:RANK, :RANK] = _axes(posterior.cameras, np.diff(observations.by_frame.edges))
+    axes = turn[:RANK, :RANK]
+    cameras = posterior.cameras @ turn * scale
+    cameras[..., 3] += observations.centre
+    return Factorisation(
+        cameras=cameras,
+        camera_covariance=turn.T @ posterior.camera_covariance @ turn * square,
+        shape=posterior.shape @ axes,
+        shape_covariance=axes.T @ posterior.shape_covariance @ axes,
+        noise_variance=posterior.noise * square * observations.weight_unit,
+        rmse=scale * float(np.sqrt(error / (2 * observations.known * observations.by_point.weight.sum()))),
+        coherent=posterior.prior.coherent,
+        motion_noise=posterior.prior.variance * square,
+        frame_determined=frames,
+        history=tuple(history),
+    )
+
+
+def _axes(cameras: Numbers, counts: NDArray[np.int64]) -> Numbers:
+    """Turn of the shape `(3, 3)` after which cameras have orthogonal columns, the longest first."""
+    rows = cameras[..., :RANK]
+    _, axes = np.linalg.eigh(np.einsum("t,tcj,tck->jk", counts, rows, rows))
+    axes = axes[:, ::-1]
+    turned = rows.reshape(-1, RANK) @ axes
+    largest = turned[np.abs(turned).argmax(axis=0), np.arange(RANK)]
+    result: Numbers = axes * np.where(largest < 0, -1.0, 1.0)
+    return result
+
+
+def projected(cameras: Numbers, shape: Numbers) -> Numbers:
+    """Positions `(n_frames, n_points, 2)` px of points `(n_points, 3)` before cameras `(n_frames, 2, 4)`."""
+    positions: Numbers = np.einsum("tcj,ij->tic", cameras[..., :3], shape) + cameras[:, None, :, 3]
+    return positions
+
+
+def predicted(factorisation: Factorisation) -> tuple[Numbers, Numbers]:
+    """Positions of all points in all frames, and how uncertain cameras and shape leave them.
+
+    Returns
+    -------
+    positions
+        `(n_frames, n_points, 2)` px.
+    covariances
+        `(n_frames, n_points, 2, 2)` px^2, without the noise of observations.
+    """
+    cameras, shape = factorisation.cameras, factorisation.shape
+    camera_covariance, shape_covariance = factorisation.camera_covariance, factorisation.shape_covariance
+    covariances = np.einsum(
+        "tcj,ijk,tdk->ticd", cameras[..., :3], shape_covariance, cameras[..., :3], optimize=True
+    )
+    points = homogeneous(shape)
+    second = points[:, :, None] * points[:, None, :]
+    second[:, :3, :3] += shape_covariance
+    isotropic = camera_covariance.reshape(-1, 16) @ second.reshape(-1, 16).T
+    covariances[..., 0, 0] += isotropic
+    covariances[..., 1, 1] += isotropic
+    return projected(cameras, shape), covariances

@@ -1,0 +1,420 @@
+"""EM for probabilistic PCA of shape: 3-D points whose places are linear in Gaussian weights, seen in 2-D.
+
+Torresani, Hertzmann and Bregler (2008): in frame t, point j is seen at c_t R_t (v_j0 + sum_k z_tk v_jk) + l_t
+plus noise of variance sigma^2, R_t the first two rows of a rotation and z_t ~ N(0, I). Everything that the
+steps need of a frame is in sums over its points of products of (1, v_j) and of its positions: they are taken
+once an iteration, and the steps on poses do not depend on the number of points.
+
+Where we depart from the paper: poses climb the likelihood with the weights integrated out (ECME) instead of
+its bound, by damped Gauss-Newton steps that move weights and pose together, since an expression and a turn of
+the head explain much the same; weights are let go of N(0, I) in the M-step and brought back to it by changing
+the bases (parameter-expanded EM); and bases have a prior, see `basis_covariance`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....models.numerics.rotations import cross_matrices, exponential, nearest_rotation
+from ..factor_analysis.anderson import Anderson
+
+Numbers = NDArray[np.float64]
+
+LEAST_NOISE = 3e-3
+"""Standard deviation of noise in the unit of `Tracks`, the spread of points: there likelihood ends.
+
+No film shows points better than this, 0.15 px where they are spread over 50 px on either side. Below it a
+model is fitted to what it leaves out.
+"""
+
+ALIKE = 10.0
+"""So many frames of a video say as much as one that stands by itself; the power of the bases' prior."""
+
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
+LONGEST_TURN, LONGEST_GROWTH = 0.3, 0.3
+"""Of one step: rad, and change of the logarithm of scale."""
+
+RIDGE = 1e-9
+"""Of the mean information on a point: points that frames leave open stay where they are."""
+
+_TURNS = cross_matrices(np.eye(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Positions, about their frame's middle and in units of their spread.
+
+    Parameters
+    ----------
+    positions
+        `(n_frames, n_points, 2)`, 0 where not seen.
+    seen
+        `(n_frames, n_points)`, 1 or 0.
+    patterns, pattern_of_frame
+        `(n_patterns, n_points)` the different rows of `seen`, and `(n_frames,)` which is a frame's.
+    """
+
+    positions: Numbers
+    seen: Numbers
+    patterns: Numbers
+    pattern_of_frame: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, positions: Numbers) -> Self:
+        """From positions that are NaN where not seen."""
+        seen = ~np.isnan(positions[..., 0])
+        patterns, pattern_of_frame = np.unique(seen.astype(np.float64), axis=0, return_inverse=True)
+        return cls(
+            np.where(seen[..., None], positions, 0.0),
+            seen.astype(np.float64),
+            patterns,
+            pattern_of_frame.ravel(),
+        )
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames."""
+        return len(self.seen)
+
+    @property
+    def count(self) -> float:
+        """How many coordinates were seen."""
+        return 2 * float(self.seen.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Shape, poses and noise.
+
+    Parameters
+    ----------
+    bases
+        `(n_bases, n_points, 3)`, the mean shape first.
+    rotations, scales, translations
+        `(n_frames, 3, 3)`, `(n_frames,)`, `(n_frames, 2)`.
+    noise
+        variance of a coordinate.
+    damping
+        `(n_frames,)` of the next Gauss-Newton step, relative to the diagonal.
+    """
+
+    bases: Numbers
+    rotations: Numbers
+    scales: Numbers
+    translations: Numbers
+    noise: float
+    damping: Numbers
+
+    @property
+    def seen_axes(self) -> Numbers:
+        """c R: `(n_frames, 2, 3)`, the part of the pose that is seen."""
+        axes: Numbers = self.scales[:, None, None] * self.rotations[:, :2]
+        return axes
+
+
+@dataclass(frozen=True, eq=False)
+class WeightPosterior:
+    """Posterior of the weights of modes in each frame, and the log likelihood without them.
+
+    Parameters
+    ----------
+    mean, covariance
+        `(n_frames, n_modes)` and `(n_frames, n_modes, n_modes)`.
+    log_likelihood
+        `(n_frames,)` nats.
+    products, sums
+        `(n_frames, n_bases, n_bases)` and `(n_frames, 2, n_bases)`: of bases as they are seen, over points.
+    """
+
+    mean: Numbers
+    covariance: Numbers
+    log_likelihood: Numbers
+    products: Numbers
+    sums: Numbers
+
+    @property
+    def extended(self) -> Numbers:
+        """`(n_frames, n_bases)`: with the weight 1 of the mean shape in front."""
+        return np.concatenate([np.ones((len(self.mean), 1)), self.mean], axis=1)
+
+    def replaced(self, where: NDArray[np.bool_], other: Self) -> Self:
+        """These, with those of `other` in the frames `where`."""
+        pairs = ((getattr(other, each.name), getattr(self, each.name)) for each in fields(self))
+        return type(self)(
+            *(np.where(where.reshape(-1, *[1] * (new.ndim - 1)), new, old) for new, old in pairs)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PointSums:
+    """Sums over the points that a frame shows.
+
+    Parameters
+    ----------
+    points
+        `(n_frames or 1, 1 + 3 n_bases, 1 + 3 n_bases)` of products of (1, v_j), basis by basis.
+    positions
+        `(n_frames, 2, 1 + 3 n_bases)` of positions times (1, v_j).
+    squares
+        `(n_frames,)` of squared positions.
+    """
+
+    points: Numbers
+    positions: Numbers
+    squares: Numbers
+
+
+def point_sums(tracks: Tracks, bases: Numbers) -> PointSums:
+    """The sums for these bases."""
+    n_bases, n_points = bases.shape[:2]
+    flat = np.ones((n_points, 1 + 3 * n_bases))
+    flat[:, 1:] = bases.transpose(1, 0, 2).reshape(n_points, -1)
+    size = flat.shape[1]
+    products = (flat[:, :, None] * flat[:, None, :]).reshape(n_points, -1)
+    points = (tracks.patterns @ products).reshape(-1, size, size)
+    if len(points) > 1:
+        points = points[tracks.pattern_of_frame]
+    positions = np.matmul(tracks.positions.transpose(0, 2, 1), flat)
+    return PointSums(points, positions, np.sum(tracks.positions**2, axis=(1, 2)))
+
+
+def e_step(state: State, sums: PointSums) -> WeightPosterior:
+    """E-step: z_t | y_t ~ N((A'A + sigma^2 I)^-1 A'y, sigma^2 (A'A + sigma^2 I)^-1), A = c R V."""
+    n, n_bases, noise = len(state.scales), len(state.bases), state.noise
+    axes, shift = state.seen_axes, state.translations
+    squared = np.matmul(axes.transpose(0, 2, 1), axes).reshape(n, 1, 9)
+    by_axes = sums.points[:, 1:, 1:].reshape(-1, n_bases, 3, n_bases, 3).transpose(0, 2, 4, 1, 3)
+    gram = np.matmul(squared, by_axes.reshape(-1, 9, n_bases**2)).reshape(n, n_bases, n_bases)
+    middle = np.matmul(axes, sums.points[:, 0, 1:].reshape(-1, n_bases, 3).transpose(0, 2, 1))
+    product = np.einsum("nca,ncka->nk", axes, sums.positions[..., 1:].reshape(n, 2, n_bases, 3))
+    count, total = sums.points[:, 0, 0], sums.positions[..., 0]
+    residual = product - np.matmul(shift[:, None], middle)[:, 0] - gram[:, 0]
+    rigid = (
+        sums.squares
+        - 2 * np.sum(shift * (total - middle[..., 0]), axis=1)
+        + count * np.sum(shift**2, axis=1)
+        - 2 * product[:, 0]
+        + gram[:, 0, 0]
+    )
+    inverse = np.linalg.inv(gram[:, 1:, 1:] + noise * np.eye(n_bases - 1))
+    mean = np.matmul(inverse, residual[:, 1:, None])[..., 0]
+    squares = rigid - np.sum(residual[:, 1:] * mean, axis=1)
+    log_volume = -np.linalg.slogdet(inverse)[1] - (n_bases - 1) * np.log(noise)
+    log_likelihood = -0.5 * (2 * count * np.log(2 * np.pi * noise) + log_volume + squares / noise)
+    return WeightPosterior(mean, noise * inverse, log_likelihood, gram, middle)
+
+
+def pose_step(state: State, sums: PointSums, found: WeightPosterior) -> tuple[State, WeightPosterior]:
+    """One damped Gauss-Newton step of every pose, taken where the likelihood gains by it."""
+    normal, pull = pose_equations(state, sums, found)
+    every = np.arange(6)
+    diagonal = normal[:, every, every]
+    normal[:, every, every] += state.damping[:, None] * diagonal + RIDGE * diagonal.max(axis=1)[:, None]
+    step: Numbers = np.linalg.solve(normal, pull[..., None])[..., 0].astype(np.float64)
+    moved = replace(moved_poses(state, step), damping=np.maximum(state.damping / 10, LEAST_DAMPING))
+    reached = e_step(moved, sums)
+    better = reached.log_likelihood >= found.log_likelihood
+    stay = replace(state, damping=np.minimum(state.damping * 10, MOST_DAMPING))
+    return chosen_poses(better, moved, stay), found.replaced(better, reached)
+
+
+def moved_poses(state: State, step: Numbers) -> State:
+    """The state after a step `(n_frames, 6)`, which is cut to `LONGEST_TURN` and `LONGEST_GROWTH`."""
+    length = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
+    turns = step[:, :3] * np.minimum(1, LONGEST_TURN / np.maximum(length, LONGEST_TURN))
+    return replace(
+        state,
+        rotations=exponential(turns) @ state.rotations,
+        scales=state.scales * np.exp(np.clip(step[:, 3], -LONGEST_GROWTH, LONGEST_GROWTH)),
+        translations=state.translations + step[:, 4:],
+    )
+
+
+def pose_equations(state: State, sums: PointSums, found: WeightPosterior) -> tuple[Numbers, Numbers]:
+    """Curvature `(n_frames, 6, 6)` and gradient `(n_frames, 6)` of log likelihoods, times the noise.
+
+    By turn, logarithm of scale and translation. Rotations move on SO(3), R <- exp([w]x) R. The gradient is
+    that of the likelihood without the weights (Fisher's identity), the curvature that of poses after the
+    weights are eliminated from a joint step.
+    """
+    n, n_bases = len(state.scales), len(state.bases)
+    axes, extended = state.seen_axes, found.extended
+    turned = state.scales[:, None, None, None] * np.einsum("iab,nbc->niac", _TURNS[:, :2], state.rotations)
+
+    # d position / d (w, log c) is linear in (1, v_j): its coefficients
+    changes = np.concatenate([turned, axes[:, None]], axis=1)
+    rows = np.zeros((n, 4, 2, sums.points.shape[-1]))
+    rows[..., 1:] = (changes[:, :, :, None] * extended[:, None, None, :, None]).reshape(n, 4, 2, -1)
+    weighted = np.matmul(rows.reshape(n, 8, -1), sums.points).reshape(rows.shape)
+    normal = np.zeros((n, 6, 6))
+    normal[:, :4, :4] = np.matmul(weighted.reshape(n, 4, -1), rows.reshape(n, 4, -1).transpose(0, 2, 1))
+    normal[:, :4, 4:] = weighted[..., 0]
+    normal[:, 4:, :4] = weighted[..., 0].transpose(0, 2, 1)
+    normal[:, 4, 4] = normal[:, 5, 5] = sums.points[:, 0, 0]
+    with_modes = np.concatenate(
+        [np.einsum("nicka,nca->nik", weighted[..., 4:].reshape(n, 4, 2, -1, 3), axes), found.sums[..., 1:]],
+        axis=1,
+    )
+    normal -= with_modes @ found.covariance @ with_modes.transpose(0, 2, 1) / state.noise
+
+    residual = sums.positions - weighted[:, 3] - state.translations[..., None] * sums.points[:, :1]
+    pull = np.concatenate(
+        [np.matmul(rows.reshape(n, 4, -1), residual.reshape(n, -1, 1))[..., 0], residual[..., 0]], axis=1
+    )
+    uncertain = _uncertain_shape(sums, found, n_bases)
+    pull[:, :4] -= np.einsum("nca,nab,nicb->ni", axes, uncertain, changes, optimize=True)
+    return normal, pull
+
+
+def _uncertain_shape(sums: PointSums, found: WeightPosterior, n_bases: int) -> Numbers:
+    """`(n_frames, 3, 3)`: the part of sum_j E[s_j s_j'] that comes from the covariance of the weights."""
+    n, n_modes = found.mean.shape
+    if not n_modes:
+        return np.zeros((n, 3, 3))
+    products = sums.points[:, 1:, 1:].reshape(-1, n_bases, 3, n_bases, 3)[:, 1:, :, 1:]
+    by_modes = products.transpose(0, 1, 3, 2, 4).reshape(-1, n_modes**2, 9)
+    flat = found.covariance.reshape(n, 1, n_modes**2)
+    summed: Numbers = np.matmul(flat, by_modes).reshape(n, 3, 3)
+    return summed
+
+
+def chosen_poses(first: NDArray[np.bool_], one: State, other: State) -> State:
+    """The state `other` with the poses of `one` in the frames `first` `(n_frames,)`."""
+    return replace(
+        other,
+        rotations=np.where(first[:, None, None], one.rotations, other.rotations),
+        scales=np.where(first, one.scales, other.scales),
+        translations=np.where(first[:, None], one.translations, other.translations),
+        damping=np.where(first, one.damping, other.damping),
+    )
+
+
+def basis_covariance(state: State) -> Numbers:
+    """Prior covariance `(n_bases, n_bases)` of a point's bases along any axis of space: as they are seen.
+
+    Where an object hardly turns, its likelihood grows with its depth: sliding outlines and whatever else does
+    not fit the model are then best explained by deep shapes that turn by a trifle. The prior says that a
+    basis is about as deep as it is wide; it is taken to the power `ALIKE`, since successive frames err alike
+    and their likelihood is that much surer than it should be. The mean is independent of the modes.
+    """
+    return basis_covariance_of_axes(state.bases, state.seen_axes)
+
+
+def basis_covariance_of_axes(bases: Numbers, axes: Numbers) -> Numbers:
+    """The same for bases that are seen by `axes` `(n_frames, 2, 3)`."""
+    seen = np.matmul(axes.transpose(0, 2, 1), axes).mean(axis=0)
+    scale = np.trace(seen) / 2
+    n_points = bases.shape[1]
+    product = np.einsum("kja,ab,ljb->kl", bases, seen / scale, bases, optimize=True)
+    covariance: Numbers = product / (2 * n_points)
+    covariance[0, 1:] = covariance[1:, 0] = 0
+    return covariance + np.eye(len(covariance)) * LEAST_NOISE**2
+
+
+def log_prior(bases: Numbers, covariance: Numbers) -> float:
+    """Log density of the bases, tempered, less a constant."""
+    squares = np.einsum("kja,lja->kl", bases, bases)
+    return -0.5 * ALIKE * float(np.sum(np.linalg.inv(covariance) * squares))
+
+
+def shape_step(
+    state: State, tracks: Tracks, found: WeightPosterior, covariance: Numbers
+) -> tuple[State, Numbers]:
+    """M-step: bases by the normal equations of each point, then the noise; weights back to N(0, I).
+
+    Returns the state and the prior's covariance in terms of the new modes.
+    """
+    n_bases, n_points = state.bases.shape[:2]
+    axes, extended = state.seen_axes, found.extended
+    second = extended[:, :, None] * extended[:, None, :]
+    second[:, 1:, 1:] += found.covariance
+    squared = np.matmul(axes.transpose(0, 2, 1), axes)
+    if tracks.seen.all():  # all points have the same normal matrix
+        product = second.reshape(len(second), -1).T @ squared.reshape(len(squared), -1)
+        together = product.reshape(1, n_bases, n_bases, 3, 3).transpose(0, 1, 3, 2, 4)
+    else:
+        products = np.einsum("nkl,nab->nkalb", second, squared)
+        together = tracks.seen.T @ products.reshape(len(products), -1)
+    normal = together.reshape(-1, 3 * n_bases, 3 * n_bases)
+    centred = (tracks.positions - state.translations[:, None]) * tracks.seen[..., None]
+    coefficients = np.einsum("nk,nca->ncka", extended, axes).reshape(-1, 3 * n_bases)
+    right = centred.transpose(1, 0, 2).reshape(n_points, -1) @ coefficients
+    prior = np.kron(ALIKE * state.noise * np.linalg.inv(covariance), np.eye(3))
+    before = state.bases.transpose(1, 0, 2).reshape(n_points, -1, 1)
+    ridge = RIDGE * np.trace(normal, axis1=1, axis2=2).mean() * np.eye(3 * n_bases)
+    pull = right[..., None] - np.matmul(normal + prior, before)
+    flat = before + np.matmul(np.linalg.inv(normal + prior + ridge), pull)
+    squares = np.sum(centred**2) + np.sum(flat * (np.matmul(normal, flat) - 2 * right[..., None]))
+    bases = flat.reshape(n_points, n_bases, 3).transpose(1, 0, 2).copy()
+    noise = max(float(squares) / tracks.count, LEAST_NOISE**2)
+    if n_bases > 1:
+        middle = found.mean.mean(axis=0)
+        away = found.mean - middle
+        root = np.linalg.cholesky(away.T @ away / len(away) + found.covariance.mean(axis=0))
+        bases[0] += np.tensordot(middle, bases[1:], 1)
+        bases[1:] = np.tensordot(root.T, bases[1:], 1)
+        covariance = covariance.copy()
+        covariance[1:, 1:] = root.T @ covariance[1:, 1:] @ root
+    return replace(state, bases=bases, noise=noise), covariance
+
+
+def run_em(
+    tracks: Tracks, state: State, iterations: int, tolerance: float, on_iteration: Callable[[], None]
+) -> tuple[State, list[float]]:
+    """EM until it gains less than `tolerance` nats a coordinate, or for so many iterations.
+
+    Extrapolated from the last iterations (Anderson); what lowers the likelihood is taken back. Also returns
+    the log likelihood with the prior before each iteration that counts, which never falls.
+    """
+    covariance = basis_covariance(state)
+    acceleration = Anderson()
+    plain, extrapolated = state, False
+    history: list[float] = []
+    for _ in range(iterations):
+        sums = point_sums(tracks, state.bases)
+        found = e_step(state, sums)
+        reached = float(found.log_likelihood.sum()) + log_prior(state.bases, covariance)
+        if extrapolated and not reached >= history[-1]:
+            state, extrapolated = plain, False
+            acceleration.forget()
+            continue
+        history.append(reached)
+        if len(history) > 1 and history[-1] - history[-2] < tolerance * tracks.count:
+            break
+        before = state
+        state, found = pose_step(state, sums, found)
+        plain, covariance = shape_step(state, tracks, found, covariance)
+        state = _from_vector(acceleration.propose(_as_vector(before), _as_vector(plain)), plain)
+        extrapolated = state is not plain
+        on_iteration()
+    else:
+        state = plain  # the last proposal was not looked at
+    return state, history
+
+
+def _as_vector(state: State) -> Numbers:
+    """All numbers of a state that EM changes; they are all about as large."""
+    parts = (state.bases, state.rotations, np.log(state.scales), state.translations, np.log([state.noise]))
+    return np.concatenate([part.reshape(-1) for part in parts])
+
+
+def _from_vector(vector: Numbers, like: State) -> State:
+    """The state of a vector, with the nearest rotations."""
+    sizes = np.cumsum([like.bases.size, like.rotations.size, like.scales.size, like.translations.size])
+    bases, rotations, scales, translations, noise = np.split(vector, sizes)
+    return replace(
+        like,
+        bases=bases.reshape(like.bases.shape),
+        rotations=nearest_rotation(rotations.reshape(like.rotations.shape)),
+        scales=np.exp(scales),
+        translations=translations.reshape(like.translations.shape),
+        noise=max(float(np.exp(noise[0])), LEAST_NOISE**2),
+    )
+
+
+def log_likelihood(tracks: Tracks, state: State) -> float:
+    """Nats, in the unit of the tracks, weights integrated out."""
+    return float(e_step(state, point_sums(tracks, state.bases)).log_likelihood.sum())

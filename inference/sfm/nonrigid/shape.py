@@ -1,0 +1,172 @@
+"""A deforming shape, its poses and its uncertainty, as they were learned from tracks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....models.core.short_repr import short_repr
+from ....models.face.morphable_model import MorphableModel
+from ....models.face.pose import Poses
+from .uncertainty import frame_changes, without_triangles
+
+Numbers = NDArray[np.float64]
+
+
+@short_repr
+@dataclass(frozen=True)
+class Rival:
+    """Another optimum, from another start, that explains the tracks nearly as well.
+
+    Parameters
+    ----------
+    log_likelihood_gap
+        nats, 0 or more: by how much it is less likely.
+    disagreement
+        how far its shapes are from those of the best one, as `comparison.shape_error` measures it.
+    """
+
+    log_likelihood_gap: float
+    disagreement: float
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class NonrigidShape:
+    """Mean shape and modes of deformation, and in each frame the pose and the weights of modes.
+
+    Point j of frame t is seen at scale_t * (rotation_t @ (bases[0, j] + sum_k weights[t, k - 1] bases[k, j]))
+    + translation_t, of which x and y are seen, z points away from the viewer. Finer modes, `details`, are
+    added in the same way; they belong to the shape, though not to the bases that were asked for. The first
+    basis has root mean square distance 1 from its centroid, the origin, over x and y; weights are standard
+    normal. The mean of all rotations is the identity. Which of the two mirror images in depth it is,
+    orthography cannot tell: it is the one that is convex towards the viewer, as a face is.
+
+    Parameters
+    ----------
+    bases
+        `(n_bases, n_points, 3)`: mean shape, and modes in the order of their size.
+    weights
+        `(n_frames, n_bases - 1)`: posterior means.
+    details, detail_weights
+        `(n_details, n_points, 3)` and `(n_frames, n_details)`: the same for modes that are finer than those
+        of the bases, as many as the tracks tell; there may be none.
+    rotations, scales, translations
+        `(n_frames, 3, 3)`, `(n_frames,)` px, `(n_frames, 2)` px.
+    noise
+        px: standard deviation of a coordinate.
+    rmse
+        px: root mean square, over coordinates of all that was seen, of what `shapes()` leaves.
+    log_likelihood
+        nats, of the tracks in px, weights integrated out.
+    history
+        log likelihood with the prior of the bases, before each iteration of the last climb; never falls.
+    frame_determined
+        `(n_frames,)` bool: the frame shows four points or more. Poses and weights of others are NaN.
+    frame_covariances
+        `(n_frames, 6 + n_modes, 6 + n_modes)`: of a frame's turn (rad, about the camera's axes), the
+        logarithm of its scale, its translation (px), its weights and those of details, given the bases.
+    basis_covariances
+        `(n_points, 3 (1 + n_modes), 3 (1 + n_modes))`: of a point's places in all bases and details, x, y, z
+        of the first in front, given poses and weights.
+    rivals
+        other optima of nearly equal likelihood, the likeliest first.
+    """
+
+    bases: Numbers
+    weights: Numbers
+    details: Numbers
+    detail_weights: Numbers
+    rotations: Numbers
+    scales: Numbers
+    translations: Numbers
+    noise: float
+    rmse: float
+    log_likelihood: float
+    history: tuple[float, ...]
+    frame_determined: NDArray[np.bool_]
+    frame_covariances: Numbers
+    basis_covariances: Numbers
+    rivals: tuple[Rival, ...] = ()
+
+    @property
+    def poses(self) -> Poses:
+        """Every frame's pose of `model()`."""
+        return posed(self.rotations, self.translations, self.scales, self.weights)
+
+    @property
+    def _whole(self) -> tuple[Numbers, Poses]:
+        """Bases with details, and poses of them."""
+        weights = np.concatenate([self.weights, self.detail_weights], axis=1)
+        poses = posed(self.rotations, self.translations, self.scales, weights)
+        return np.concatenate([self.bases, self.details]), poses
+
+    @property
+    def relative_error(self) -> float:
+        """Root mean square distance between points and where they were seen, in parts of the object's size.
+
+        The size is their root mean square distance from the centroid, as they are seen.
+        """
+        return float(np.sqrt(2) * self.rmse / np.nanmean(self.scales))
+
+    def shapes(self) -> Numbers:
+        """`(n_frames, n_points, 3)` px: where points are seen, and how far behind the object's origin.
+
+        With all details: the best that is known of the points. `model().positions(poses)` are without.
+        """
+        bases, poses = self._whole
+        return without_triangles(bases).positions(poses)
+
+    def shape_covariances(self) -> Numbers:
+        """`(n_frames, n_points, 3, 3)` px^2: what the tracks leave open of `shapes()`.
+
+        Frames given bases, and bases given frames, to first order; without the noise of observations.
+        """
+        bases, poses = self._whole
+        rows = frame_changes(bases, poses)
+        covariances: Numbers = rows @ self.frame_covariances[:, None] @ rows.transpose(0, 1, 3, 2)
+        n_bases, n_points, _ = bases.shape
+        by_basis = self.basis_covariances.reshape(n_points, n_bases, 3, n_bases, 3)
+        inner = np.einsum("nk,vkalb,nl->nvab", poses.morphs, by_basis, poses.morphs, optimize=True)
+        turned = self.rotations[:, None]
+        covariances += turned @ inner @ turned.transpose(0, 1, 3, 2)
+        return covariances
+
+    def model(self) -> MorphableModel:
+        """The object's model, with triangles between neighbours as they are seen from the front."""
+        return MorphableModel(self.bases, triangles_in_front(self.bases[0]))
+
+
+def posed(rotations: Numbers, translations: Numbers, scales: Numbers, weights: Numbers) -> Poses:
+    """Poses with weights `(n_frames, n_modes)` of modes in units of the scale."""
+    extended = np.pad(weights, ((0, 0), (1, 0)), constant_values=1)
+    return Poses(rotations, translations, scales[:, None] * extended)
+
+
+def convex(shape: Numbers) -> bool:
+    """Whether a shape `(n_points, 3)` is nearer to the viewer in its middle than at its margin."""
+    centred = shape - shape.mean(axis=0)
+    outwards = np.sum(centred[:, :2] ** 2, axis=1)
+    return bool(np.sum(centred[:, 2] * (outwards - outwards.mean())) >= 0)
+
+
+def triangles_in_front(shape: Numbers) -> NDArray[np.int64]:
+    """Delaunay triangles `(n_triangles, 3)` of a shape `(n_points, 3)` as seen from the front.
+
+    Their normals (cross products of edges) have z < 0. Of points in the very same place one has triangles.
+
+    Raises
+    ------
+    ValueError
+        if all points lie on a line, as seen from the front.
+    """
+    from scipy.spatial import Delaunay, QhullError
+
+    try:
+        triangles = Delaunay(shape[:, :2]).simplices.astype(np.int64)
+    except QhullError:
+        raise ValueError("shape: got points on a line, expected some with triangles between them") from None
+    first, second, third = (shape[triangles[:, corner]] for corner in range(3))
+    away = np.cross(second - first, third - first)[:, 2] > 0
+    triangles[away] = triangles[away][:, ::-1]
+    return triangles

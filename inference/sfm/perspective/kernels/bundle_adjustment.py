@@ -1,0 +1,223 @@
+"""Loops of bundle adjustment: normal equations of cameras and points, points eliminated, put in again.
+
+Observations come by point, as `Listed` of `factor_analysis.observations` has them. The unknowns of a camera
+are a turn w (R <- exp([w]x) R), log a, and u of `PerspectiveCameras`; of all frames q = 1 / f; of a point X.
+"""
+
+import numpy as np
+
+from .....models.numerics.compiled import compiled, inlined
+
+CAMERA = 6
+
+_at = np.uint64  # a number that is no index from the end, which loops would have to ask of each
+
+
+@compiled
+def squared_distances(by_point, rotations, scales, shifts, curvature, shape, nearest, behind):
+    """Squared distances `(n,)` from where observations should be; `behind` where depth < `nearest`."""
+    edges, _, other, x, y, _ = by_point
+    out = np.empty(x.size)
+    for i in range(edges.size - 1):
+        for k in range(edges[i], edges[i + 1]):
+            t = other[k]
+            px, py, pz = _turned(rotations[t], shape[i])
+            d = 1.0 + curvature * scales[t] * pz
+            if d < nearest:
+                out[k] = behind
+            else:
+                dx = x[k] - (scales[t] * px + shifts[t, 0]) / d
+                dy = y[k] - (scales[t] * py + shifts[t, 1]) / d
+                out[k] = min(dx * dx + dy * dy, behind)
+    return out
+
+
+@compiled
+def normal_equations(by_point, weight, rotations, scales, shifts, curvature, shape, nearest):
+    """Normal equations at weights `(n,)`: sums of w J^T J and of w J^T r, by blocks.
+
+    Returns
+    -------
+    cameras, camera_vector
+        `(n_frames, 6, 6)` and `(n_frames, 6)`.
+    border, corner, corner_vector
+        of q: with the cameras `(n_frames, 6)`, with itself, and its sum.
+    points, point_vector
+        `(n_points, 3, 3)` and `(n_points, 3)`.
+    mixed, mixed_border
+        `(n, 3, 6)` of the point and the camera of each observation; `(n_points, 3)` of q and a point.
+    """
+    edges, _, other, x, y, _ = by_point
+    n_frames, n_points = scales.size, edges.size - 1
+    cameras, camera_vector = np.zeros((n_frames, CAMERA, CAMERA)), np.zeros((n_frames, CAMERA))
+    border, corner, corner_vector = np.zeros((n_frames, CAMERA)), 0.0, 0.0
+    points, point_vector = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3))
+    mixed, mixed_border = np.zeros((x.size, 3, CAMERA)), np.zeros((n_points, 3))
+    by_camera, by_place, by_focal = np.zeros((2, CAMERA)), np.zeros((2, 3)), np.zeros(2)
+    residual = np.zeros(2)
+    for i in range(n_points):
+        for k in range(edges[i], edges[i + 1]):
+            t = other[k]
+            d = _jacobian(
+                rotations[t],
+                scales[t],
+                shifts[t],
+                curvature,
+                shape[i],
+                by_camera,
+                by_place,
+                by_focal,
+                residual,
+            )
+            if d < nearest:
+                continue
+            residual[0] = x[k] - residual[0]
+            residual[1] = y[k] - residual[1]
+            w = weight[k]
+            for c in range(2):
+                r = w * residual[c]
+                e = w * by_focal[c]
+                corner += e * by_focal[c]
+                corner_vector += r * by_focal[c]
+                for m in range(CAMERA):
+                    j = w * by_camera[c, m]
+                    camera_vector[t, m] += r * by_camera[c, m]
+                    border[t, m] += e * by_camera[c, m]
+                    for n in range(CAMERA):
+                        cameras[t, m, n] += j * by_camera[c, n]
+                for m in range(3):
+                    j = w * by_place[c, m]
+                    for n in range(CAMERA):
+                        mixed[k, m, n] += j * by_camera[c, n]
+                    point_vector[i, m] += r * by_place[c, m]
+                    mixed_border[i, m] += e * by_place[c, m]
+                    for n in range(3):
+                        points[i, m, n] += j * by_place[c, n]
+    return cameras, camera_vector, border, corner, corner_vector, points, point_vector, mixed, mixed_border
+
+
+@compiled
+def eliminated(by_point, inverses, mixed, mixed_border, point_vector, matrix, vector):
+    """Take the points out of the normal equations of cameras and q, in place.
+
+    Parameters
+    ----------
+    inverses
+        `(n_points, 3, 3)` of the (damped) blocks of points.
+    matrix, vector
+        `(6 n_frames + 1, 6 n_frames + 1)`, of which only the lower half is right afterwards, and
+        `(6 n_frames + 1,)`.
+    """
+    edges, _, other, _, _, _ = by_point
+    last = vector.size - 1
+    lifted, lines = np.empty((CAMERA, 3)), np.empty((3, last))
+    until = np.empty(last // CAMERA, np.int64)
+    for i in range(edges.size - 1):
+        inverse = inverses[i]
+        q0, q1, q2 = mixed_border[i, 0], mixed_border[i, 1], mixed_border[i, 2]
+        e0 = inverse[0, 0] * q0 + inverse[0, 1] * q1 + inverse[0, 2] * q2
+        e1 = inverse[1, 0] * q0 + inverse[1, 1] * q1 + inverse[1, 2] * q2
+        e2 = inverse[2, 0] * q0 + inverse[2, 1] * q1 + inverse[2, 2] * q2
+        g0, g1, g2 = point_vector[i, 0], point_vector[i, 1], point_vector[i, 2]
+        matrix[last, last] -= e0 * q0 + e1 * q1 + e2 * q2
+        vector[last] -= e0 * g0 + e1 * g1 + e2 * g2
+        first, n_seen = edges[i], edges[i + 1] - edges[i]
+        for k in range(n_seen - 1, -1, -1):
+            # frames one after the other have their columns side by side, too
+            joined = k + 1 < n_seen and other[first + k + 1] == other[first + k] + 1
+            until[k] = until[k + 1] if joined else k + 1
+            for m in range(CAMERA):
+                for n in range(3):
+                    lines[n, CAMERA * k + m] = mixed[first + k, n, m]
+        for k in range(n_seen):
+            row = CAMERA * other[first + k]
+            for m in range(CAMERA):
+                a0, a1, a2 = lines[0, CAMERA * k + m], lines[1, CAMERA * k + m], lines[2, CAMERA * k + m]
+                for n in range(3):
+                    lifted[m, n] = a0 * inverse[0, n] + a1 * inverse[1, n] + a2 * inverse[2, n]
+                vector[row + m] -= lifted[m, 0] * g0 + lifted[m, 1] * g1 + lifted[m, 2] * g2
+                matrix[last, row + m] -= lifted[m, 0] * q0 + lifted[m, 1] * q1 + lifted[m, 2] * q2
+            run = 0
+            while run <= k:  # frames of a point are in order
+                end = min(until[run], k + 1)
+                _take_out(
+                    lifted,
+                    lines,
+                    CAMERA * run,
+                    CAMERA * (end - run),
+                    matrix,
+                    row,
+                    CAMERA * other[first + run],
+                )
+                run = end
+
+
+@compiled
+def _take_out(lifted, lines, start, count, matrix, row, column):
+    """A point's part in the rows of a camera, in as many columns as are side by side."""
+    for m in range(0, CAMERA, 2):
+        a0, a1, a2 = lifted[m, 0], lifted[m, 1], lifted[m, 2]
+        b0, b1, b2 = lifted[m + 1, 0], lifted[m + 1, 1], lifted[m + 1, 2]
+        for c in range(count):
+            x, y, z = lines[0, _at(start + c)], lines[1, _at(start + c)], lines[2, _at(start + c)]
+            matrix[row + m, _at(column + c)] -= a0 * x + a1 * y + a2 * z
+            matrix[row + m + 1, _at(column + c)] -= b0 * x + b1 * y + b2 * z
+
+
+@compiled
+def put_in(by_point, inverses, mixed, mixed_border, point_vector, step):
+    """Steps `(n_points, 3)` of the points for a step `(6 n_frames + 1,)` of cameras and q."""
+    edges, _, other, _, _, _ = by_point
+    out = np.empty(point_vector.shape)
+    last = step.size - 1
+    for i in range(edges.size - 1):
+        g0 = point_vector[i, 0] - step[last] * mixed_border[i, 0]
+        g1 = point_vector[i, 1] - step[last] * mixed_border[i, 1]
+        g2 = point_vector[i, 2] - step[last] * mixed_border[i, 2]
+        for k in range(edges[i], edges[i + 1]):
+            row = CAMERA * other[k]
+            for m in range(CAMERA):
+                g0 -= step[row + m] * mixed[k, 0, m]
+                g1 -= step[row + m] * mixed[k, 1, m]
+                g2 -= step[row + m] * mixed[k, 2, m]
+        inverse = inverses[i]
+        for n in range(3):
+            out[i, n] = inverse[n, 0] * g0 + inverse[n, 1] * g1 + inverse[n, 2] * g2
+    return out
+
+
+@inlined
+def _turned(rotation, place):
+    x, y, z = place[0], place[1], place[2]
+    return (
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
+    )
+
+
+@inlined
+def _jacobian(rotation, scale, shift, curvature, place, by_camera, by_place, by_focal, seen):
+    """Write where a point is seen `(2,)` and its derivatives by camera, place and q; return its depth."""
+    px, py, pz = _turned(rotation, place)
+    d = 1.0 + curvature * scale * pz
+    x, y = (scale * px + shift[0]) / d, (scale * py + shift[1]) / d
+    seen[0], seen[1] = x, y
+    by_turned = scale / d  # of x by p_x; by p_z it is -x q times that
+    bend_x, bend_y = x * curvature * by_turned, y * curvature * by_turned
+    by_camera[0, 0] = -bend_x * py
+    by_camera[0, 1] = by_turned * pz + bend_x * px
+    by_camera[0, 2] = -by_turned * py
+    by_camera[1, 0] = -by_turned * pz - bend_y * py
+    by_camera[1, 1] = bend_y * px
+    by_camera[1, 2] = by_turned * px
+    by_camera[0, 3] = by_turned * px - bend_x * pz
+    by_camera[1, 3] = by_turned * py - bend_y * pz
+    by_camera[0, 4] = by_camera[1, 5] = 1.0 / d
+    by_camera[0, 5] = by_camera[1, 4] = 0.0
+    for n in range(3):
+        by_place[0, n] = by_turned * rotation[0, n] - bend_x * rotation[2, n]
+        by_place[1, n] = by_turned * rotation[1, n] - bend_y * rotation[2, n]
+    by_focal[0] = -x * by_turned * pz
+    by_focal[1] = -y * by_turned * pz
+    return d

@@ -1,1 +1,0 @@
-"""What surrounds factor analysis: association of tracks, shapes that grow."""

@@ -1,1 +1,0 @@
-"""The empty scene, pixel by pixel, and what covers it."""

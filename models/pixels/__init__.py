@@ -1,0 +1,1 @@
+"""Pixel labels, and the predictions of pixels that chains exchange."""

@@ -1,0 +1,297 @@
+"""A picture of the empty scene as a prediction of pixels, and what an image says of it.
+
+Per pixel the scene shows `light * mean` plus noise where nothing stands in front of it, and anything where
+something does. Comparing an image with that prediction is the one pass over all pixels of a frame; its
+result (log odds of "background", and the mean and variances that would follow) is kept with the prediction.
+"""
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.short_repr import short_repr
+from ..numerics.threads import over_bands
+from . import colour
+from .kernels.gaussian import (
+    COARSE_STEPS,
+    HIGHEST_VARIANCE,
+    LOWEST_NOISE,
+    MEAN_STEPS,
+    NOISE_STEPS,
+    ODDS_STEPS,
+    ROUNDING,
+    ROUNDING_PERIOD,
+    VARIANCE_STEPS,
+    Certain,
+    Gaussians,
+    PixelModel,
+    StoredPlanes,
+    log_evidence,
+    smooth_log_odds,
+)
+from .kernels.second_colours import SecondColours
+from .kernels.subtraction import Pooling, subtract
+from .kernels.sway import Sway
+from .light import LightField
+
+Planes = NDArray[np.float32]
+
+CERTAIN = 6.0
+"""Nats: the bound of the log odds of a pixel by itself."""
+
+CHORDS = (LOWEST_NOISE, 100.0, 1000.0)
+"""Squared grey levels of variance, between which the bound of `Certain` is made of straight lines."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Subtraction:
+    """What an image says of a predicted background, each `(n_pixels,)` int8 in steps of 1/20 nat.
+
+    Parameters
+    ----------
+    log_odds
+        log of P(B=1) N(I; ...) over P(B=0) U, within +-6 nats.
+    smoothed
+        the same with the neighbours' share (see `BackgroundPrediction`).
+    """
+
+    log_odds: NDArray[np.int8]
+    smoothed: NDArray[np.int8]
+
+
+class BackgroundFactor(Protocol):
+    """What a message says of pixels that show background, whatever model it comes from."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """`(height, width)` px."""
+        ...
+
+    @property
+    def colours(self) -> StoredPlanes:
+        """What the scene usually shows."""
+        ...
+
+    @property
+    def prior(self) -> float:
+        """P(B=1), that a pixel shows background."""
+        ...
+
+    def compare(self, image: NDArray[np.uint8], /) -> Subtraction:
+        """Compare an image with the prediction; the same image only once."""
+        ...
+
+    def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None, /) -> float:
+        """Log probability of the image (nats).
+
+        `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0.
+        """
+        ...
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class BackgroundPrediction:
+    """Prediction of every pixel's background value: N(L; light * mean, light^2 * (variance + drift) + noise).
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px.
+    pixels
+        before this frame; the mean in the planes of `colour`.
+    frames
+        seen before this one.
+    light
+        of this frame.
+    prior
+        P(B=1), that a pixel shows background.
+    drift
+        squared grey levels added to the variance since the last observation.
+    noise_share
+        share by which the noise follows what is seen, 0 to keep it fixed.
+    first_variance
+        squared grey levels, of a value seen once.
+    unknown_variance
+        squared grey levels, of a value that others take for an object's (see `update_behind`); 0 for none.
+    pooling
+        weight of what the 5 x 5 pixels around a pixel show in its own log odds: neighbours mostly share their
+        label, but are not independent observations. 0 makes every pixel decide for itself.
+    second
+        second colour of every pixel: once known, what is within `tolerance` (squared grey levels, four times
+        the variance of all channels) of it is background too.
+    sway
+        how often pixels show what is beside them.
+    """
+
+    size: tuple[int, int]
+    pixels: Gaussians
+    frames: int
+    light: LightField
+    prior: float
+    drift: float
+    noise_share: float
+    first_variance: float
+    unknown_variance: float
+    pooling: float
+    second: SecondColours
+    tolerance: float
+    sway: Sway
+    _compared: dict[int, tuple[NDArray[np.uint8], Subtraction]] = field(default_factory=dict)
+    _updates: dict[int, Gaussians] = field(default_factory=dict)
+
+    @property
+    def colours(self) -> StoredPlanes:
+        """Means of all pixels."""
+        return stored_planes(self.pixels.mean, self.size)
+
+    @property
+    def channels(self) -> int:
+        """1 for grey, 3 for colour."""
+        return len(self.pixels.mean)
+
+    @cached_property
+    def model(self) -> PixelModel:
+        """What loops need to know beside the pixels."""
+        numbers = (
+            log_prior_odds(self.prior, self.channels),
+            np.log(self.prior) - np.log1p(-self.prior),
+            self.drift,
+            self.noise_share,
+            self.first_variance,
+            self.unknown_variance,
+        )
+        return PixelModel(*map(np.float32, numbers))
+
+    @cached_property
+    def rounding(self) -> Planes:
+        """What the update's numbers are rounded by (see `rounding_of`)."""
+        return rounding_of(self.size[1], self.frames)
+
+    def compare(self, image: NDArray[np.uint8]) -> Subtraction:
+        """Compare an image with the prediction; the same image only once."""
+        known = self._compared.get(id(image))
+        if known is None:
+            subtraction, update = self._subtract(image)
+            known = self._compared[id(image)] = (image, subtraction)
+            self._updates[id(image)] = update
+        return known[1]
+
+    def update(self, image: NDArray[np.uint8]) -> Gaussians:
+        """The background after the image. The arrays are the caller's to change: they are forgotten here."""
+        self.compare(image)
+        return self._updates.pop(id(image), None) or self._subtract(image)[1]
+
+    def log_likelihood(self, image: NDArray[np.uint8], pixel_shift: Planes | None = None) -> float:
+        """Log probability of the image, summed over its pixels as if they were independent (nats).
+
+        `pixel_shift` `(n_pixels,)` is the log ratio of what others say for B=1 and B=0. This is the integral
+        of the prediction as it stands: second colours and neighbours, which only help to decide labels, are
+        left out.
+        """
+        shift = np.zeros(1, np.float32) if pixel_shift is None else pixel_shift
+        flat = np.ascontiguousarray(image).reshape(-1)
+        total = log_evidence(flat, self.pixels, self.light.along_rows, self.model, shift)
+        uniform = np.log1p(-self.prior) - self.channels * np.log(256.0)
+        return float(total + uniform * self.size[0] * self.size[1])
+
+    def _subtract(self, image: NDArray[np.uint8]) -> tuple[Subtraction, Gaussians]:
+        mean, variance, noise = self.pixels
+        after = Gaussians(np.empty_like(mean), np.empty_like(variance), np.empty_like(noise))
+        log_odds, smoothed = np.empty((2, self.size[0] * self.size[1]), np.int8)
+        flat = np.ascontiguousarray(image).reshape(-1)
+        light, hypotheses = self.light.along_rows, (self.second, np.float32(self.tolerance), self.sway)
+        models = self.model, certain_model(self.model, self.channels), self.rounding
+        pooling = Pooling(_prior_steps(self.prior), np.float32(self.pooling))
+
+        def work(first: int, end: int) -> None:
+            subtract(
+                first, end, flat, self.pixels, light, models, hypotheses, pooling, after, (log_odds, smoothed)
+            )
+
+        over_bands(work, self.size[0])
+        return Subtraction(log_odds, smoothed), after
+
+
+def fixed_point(mean: Planes, variance: Planes, noise: Planes) -> Gaussians:
+    """The nearest numbers of 16 bits.
+
+    Parameters
+    ----------
+    mean
+        `(channels, n_pixels)` grey levels.
+    variance, noise
+        `(n_pixels,)` squared grey levels.
+    """
+    beyond = HIGHEST_VARIANCE * (VARIANCE_STEPS - COARSE_STEPS)
+    variances = np.minimum(variance * VARIANCE_STEPS, variance * COARSE_STEPS + beyond)
+    return Gaussians(
+        np.rint(mean * MEAN_STEPS).clip(-32768, 32767).astype(np.int16),
+        np.rint(variances).clip(0, 65535).astype(np.uint16),
+        np.rint(noise * NOISE_STEPS).clip(0, 65535).astype(np.uint16),
+    )
+
+
+def stored_planes(mean: NDArray[np.int16], size: tuple[int, int]) -> StoredPlanes:
+    """Means `(channels, n_pixels)` of 16 bits as planes of a picture of this size."""
+    return StoredPlanes(mean.reshape(-1, *size), np.float32(1 / MEAN_STEPS))
+
+
+def rounding_of(width: int, frames: int) -> Planes:
+    """What the numbers of a frame are rounded by: `(width + ROUNDING_PERIOD,)` float32, with `ROUNDING`.
+
+    Over the frames each pixel has all numbers from 0 to 1 equally often, evenly mixed (the additive
+    recurrence of Roberts' plastic number), and so have neighbours in each frame.
+    """
+    along = np.arange(width + ROUNDING_PERIOD) * 0.7548776662466927 + frames * 0.5698402909980532
+    steps = np.floor(along % 1 * 128)  # as fine as float32 is beside `ROUNDING`
+    rounding: Planes = (steps / 128 + ROUNDING).astype(np.float32)
+    return rounding
+
+
+def certain_model(model: PixelModel, channels: int) -> Certain:
+    """What pixels need of the model that show background for sure."""
+    most = 2 * (float(model.log_prior_odds) - CERTAIN)
+    bounds = [total * (most - channels * math.log(total)) for total in CHORDS]
+    slopes = [(bounds[k + 1] - bounds[k]) / (CHORDS[k + 1] - CHORDS[k]) for k in (0, 1)]
+    lines = [(VARIANCE_STEPS / channels * (bounds[1] - a * CHORDS[1]), a / channels) for a in slopes]
+    weight = 1 / (1 + math.exp(-CERTAIN))
+    numbers = (
+        *lines[0], *lines[1], CHORDS[2] * VARIANCE_STEPS, model.drift * VARIANCE_STEPS,
+        weight, weight * (1 - weight), weight * MEAN_STEPS,
+        weight * model.noise_share * NOISE_STEPS / VARIANCE_STEPS,
+    )  # fmt: skip
+    return Certain(*(np.float32(number) for number in numbers))
+
+
+def log_prior_odds(prior: float, channels: int) -> float:
+    """Log of P(B=1) over P(B=0) times the uniform density, in the units of the planes.
+
+    The factor of 2 pi in the density of a Gaussian is part of it.
+    """
+    odds = np.log(prior) - np.log1p(-prior)
+    return float(
+        odds + channels * (np.log(256.0) - 0.5 * np.log(2 * np.pi)) + np.log(colour.VOLUME[channels])
+    )
+
+
+def smooth(log_odds: NDArray[np.int8], size: tuple[int, int], prior: float, share: float) -> NDArray[np.int8]:
+    """Give log odds with `share` of what the 5 x 5 pixels around show, both `(n_pixels,)` int8."""
+    height, width = size
+    smoothed: NDArray[np.int8] = np.empty(log_odds.shape, np.int8)
+    over_bands(
+        lambda first, end: smooth_log_odds(
+            first, end, height, width, log_odds, _prior_steps(prior), np.float32(share), smoothed
+        ),
+        height,
+    )
+    return smoothed
+
+
+def _prior_steps(prior: float) -> np.int16:
+    return np.int16(round(ODDS_STEPS * float(np.log(prior) - np.log1p(-prior))))

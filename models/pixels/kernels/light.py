@@ -1,0 +1,305 @@
+"""Loops over a picture for its light: the field between blocks, and how bright every block is seen."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...numerics.compiled import compiled, logarithm, put
+from .gaussian import mean_of
+
+_f4 = np.float32
+_UNUSABLE = _f4(1e30)
+
+LUMA_NOISE = 20.0
+"""Squared grey levels: what luma differs by in any case, so that two flat surfaces are alike."""
+
+
+@compiled
+def interpolate(blocks, left, share, darkest, brightest, rows):
+    """The field along x at the blocks' centres, between the block `left` of every pixel and the next.
+
+    There is one more block on every side, as the slope of the logarithm goes on; all are within bounds.
+    """
+    around = beyond(np.log(blocks).astype(np.float64))
+    for row in range(rows.shape[0]):
+        out = rows[row]
+        values = np.empty(around.shape[1], np.float32)
+        for column in range(values.size):
+            values[column] = min(max(np.exp(around[row, column]), darkest), brightest)
+        for x in range(out.size):
+            out[x] = values[left[x]] + share[x] * (values[left[x] + 1] - values[left[x]])
+
+
+@compiled
+def beyond(blocks):
+    """With one more block all around, as slopes go on: light at the border is no mean of that inside."""
+    rows, columns = blocks.shape
+    out = np.empty((rows + 2, columns + 2), blocks.dtype)
+    for row in range(rows):
+        for column in range(columns):
+            out[row + 1, column + 1] = blocks[row, column]
+        out[row + 1, 0] = 2 * out[row + 1, 1] - out[row + 1, 2]
+        out[row + 1, columns + 1] = 2 * out[row + 1, columns] - out[row + 1, columns - 1]
+    for column in range(columns + 2):
+        out[0, column] = 2 * out[1, column] - out[2, column]
+        out[rows + 1, column] = 2 * out[rows, column] - out[rows - 1, column]
+    return out
+
+
+class Following(NamedTuple):
+    """How light may move within a frame; numbers are those of `models.pixels.light`, for its time.
+
+    `fastest` is the log of the most that it changes; below a `steady` one only the share `slowly` is
+    followed, and the share `hidden` is what a block that is not seen takes from those around it.
+    """
+
+    fastest: float
+    steady: float
+    slowly: float
+    hidden: float
+    same: float
+    least_agreement: float
+    unseen: float
+    window_weight: float
+    own_weight: float
+    darkest: float
+    brightest: float
+
+
+@compiled
+def follow(blocks, ratios, agreement, texture, covered, rule, after):
+    """Blocks of light `after` a frame, of what is measured in it (see `light_ratios`)."""
+    rows, columns = blocks.shape
+    change, weight = np.log(ratios).astype(np.float64), np.empty((rows, columns), np.float64)
+    for row in range(rows):
+        for column in range(columns):
+            # by what is known to be there (the median is that of the larger half), and by its texture
+            clear = min(max(1 - 2 * np.float64(covered[row, column]), 0.0), 1.0) ** 2
+            clear = min(max(clear, rule.unseen), 1 - rule.unseen)
+            odds = np.log(clear) - np.log1p(-clear) + texture[row, column]
+            seen = 1 / (1 + np.exp(-min(max(odds, -30.0), 30.0)))
+            agreed = np.float64(agreement[row, column])
+            weight[row, column] = seen * agreed if agreed > rule.least_agreement else 0.0
+    smooth = _smoothed(beyond(_medians(beyond(_filled(change, weight, rule)))))
+    moved = np.empty((rows, columns), np.float64)
+    for row in range(rows):
+        for column in range(columns):
+            step = smooth[row, column]
+            if abs(change[row, column] - step) >= rule.same:
+                weight[row, column] = 0.0
+            step *= 1.0 if abs(step) > rule.steady else rule.slowly
+            moved[row, column] = np.log(blocks[row, column]) + min(max(step, -rule.fastest), rule.fastest)
+    around = _filled(moved, weight, rule)
+    for row in range(rows):
+        for column in range(columns):
+            share = (1 - weight[row, column]) * rule.hidden
+            value = moved[row, column] + share * (around[row, column] - moved[row, column])
+            after[row, column] = min(max(np.exp(value), rule.darkest), rule.brightest)
+
+
+@compiled
+def _filled(values, weight, rule):
+    """Normalised convolution over narrowing windows: where the weight is small, what is around counts."""
+    rows, columns = weight.shape
+    sums = np.zeros((2, rows + 1, columns + 1))  # of all that is above and left
+    for row in range(rows):
+        for column in range(columns):
+            for k in range(2):
+                own = weight[row, column] * (values[row, column] if k == 0 else 1.0)
+                before = sums[k, row, column + 1] + sums[k, row + 1, column] - sums[k, row, column]
+                sums[k, row + 1, column + 1] = own + before
+    filled = np.full((rows, columns), sums[0, rows, columns] / (sums[1, rows, columns] + 1))
+    reach = 1
+    while 2 * reach < max(rows, columns):
+        reach *= 2
+    while True:
+        wider = rule.window_weight if reach > 0 else rule.own_weight
+        for row in range(rows):
+            top, bottom = max(row - reach, 0), min(row + reach + 1, rows)
+            for column in range(columns):
+                left, right = max(column - reach, 0), min(column + reach + 1, columns)
+                above = wider * filled[row, column]
+                below = wider
+                above += (
+                    sums[0, bottom, right] - sums[0, top, right] - sums[0, bottom, left] + sums[0, top, left]
+                )
+                below += (
+                    sums[1, bottom, right] - sums[1, top, right] - sums[1, bottom, left] + sums[1, top, left]
+                )
+                filled[row, column] = above / below
+        if reach == 0:
+            return filled
+        reach //= 2
+
+
+@compiled
+def _medians(blocks):
+    """Of 3 x 3 blocks, without those at the border."""
+    out = np.empty((blocks.shape[0] - 2, blocks.shape[1] - 2))
+    nine = np.empty(9)
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            for k in range(9):
+                value, place = blocks[row + k // 3, column + k % 3], k
+                while place > 0 and nine[place - 1] > value:
+                    nine[place] = nine[place - 1]
+                    place -= 1
+                nine[place] = value
+            out[row, column] = nine[4]
+    return out
+
+
+@compiled
+def _smoothed(blocks):
+    """By 1 2 1 both ways, without those at the border: errors of no wavelength grow."""
+    out = np.empty((blocks.shape[0] - 2, blocks.shape[1] - 2))
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            value = 0.0
+            for k in range(9):
+                weight = (2 - abs(k // 3 - 1)) * (2 - abs(k % 3 - 1))
+                value += weight * blocks[row + k // 3, column + k % 3]
+            out[row, column] = value / 16
+    return out
+
+
+@compiled
+def share_covered(covered, sampled, shares):
+    """Share of every block of `covered` `(height, width)`, of one in `sampled` pixels along either axis."""
+    height, width = covered.shape
+    rows, columns = shares.shape
+    per_row, per_column = np.zeros(rows, np.int32), np.zeros(columns, np.int32)
+    column_of = np.empty(width, np.int64)
+    for x in range(0, width, sampled):
+        column_of[x] = x * columns // width
+        per_column[column_of[x]] += 1
+    shares[:] = 0
+    for y in range(0, height, sampled):
+        row = y * rows // height
+        per_row[row] += 1
+        for x in range(0, width, sampled):
+            if covered[y, x] == 255:
+                shares[row, column_of[x]] += 1
+    for row in range(rows):
+        for column in range(columns):
+            shares[row, column] /= max(per_row[row] * per_column[column], 1)
+
+
+@compiled
+def light_ratios(first, end, pixels, mean, light, ratios, agreement, texture):
+    """Robust brightness of the picture relative to the prediction, in rows `first` to `end` of blocks.
+
+    A block is sampled on a grid of 6 x 6 pixels. `ratios` gets the median of luma seen over luma predicted,
+    `agreement` the share of samples within 5 % of it, and `texture` nats for the scene's own texture under
+    that light, over a flat surface: the log ratio of two Gaussian densities of the samples' luma.
+    """
+    channels, luma = mean.shape[0], mean[0]
+    height, width = light.positions.size, light.rows.shape[1]
+    block_rows, block_columns = ratios.shape
+    samples = 6 * block_columns
+    columns = np.empty(samples, np.uint32)
+    for k in range(samples):
+        columns[k] = int((k + 0.5) * width / samples)
+    values = np.empty((6, samples), np.float32)
+    predicted = np.empty((6, samples), np.float32)
+    lit = _sampled_light(light.rows, columns)
+    shown, known = np.zeros((3, samples), np.uint8), np.empty(samples, np.int16)
+    block = np.full((8, 6), _UNUSABLE)
+    below = np.empty(48, np.float32)
+    for row in range(first, end):
+        for sample_row in range(6):
+            y = int((6 * row + sample_row + 0.5) * height / (6 * block_rows))
+            # bytes first, and nothing else: what is not in the cache is waited for all at once
+            _sample(pixels[channels * y * width :], luma[y * width :], columns, channels, shown, known)
+            above = int(light.positions[y])
+            below_share = light.positions[y] - _f4(above)
+            upper, lower, out, scene = lit[above], lit[above + 1], values[sample_row], predicted[sample_row]
+            for k in range(samples):
+                if channels == 3:
+                    b, g, r = _f4(shown[0, k]), _f4(shown[1, k]), _f4(shown[2, k])
+                    seen = _f4(0.114) * b + _f4(0.587) * g + _f4(0.299) * r
+                else:
+                    seen = _f4(shown[0, k])
+                expected = (upper[k] + below_share * (lower[k] - upper[k])) * mean_of(known[k])
+                usable = (expected > _f4(16.0)) & (seen > _f4(2.0)) & (seen < _f4(250.0))
+                out[k] = seen / expected if usable else _UNUSABLE
+                scene[k] = expected
+        for column in range(block_columns):
+            for row_of_block in range(6):
+                put(values[row_of_block, 6 * column : 6 * column + 6], block[row_of_block])
+            ratios[row, column], agreement[row, column] = _agreed(block.reshape(-1), below)
+            texture[row, column] = _texture(
+                block, predicted[:, 6 * column : 6 * column + 6], ratios[row, column]
+            )
+
+
+@compiled
+def _sampled_light(rows, columns):
+    out = np.empty((rows.shape[0], columns.size), np.float32)
+    for row in range(rows.shape[0]):
+        for k in range(columns.size):
+            out[row, k] = rows[row, columns[k]]
+    return out
+
+
+@compiled
+def _sample(pixels, luma, columns, channels, shown, known):
+    """Some pixels of a row of a picture, and of the stored means."""
+    if channels == 3:
+        blue, green, red = shown[0], shown[1], shown[2]
+        for k in range(columns.size):
+            x = np.uint64(columns[k])
+            start = x + x + x
+            blue[k] = pixels[start]
+            green[k], red[k] = pixels[start + np.uint64(1)], pixels[start + np.uint64(2)]
+            known[k] = luma[x]
+    else:
+        for k in range(columns.size):
+            shown[0, k] = pixels[columns[k]]
+            known[k] = luma[columns[k]]
+
+
+@compiled
+def _agreed(values, below):
+    """Median of the usable ones of 36 values, and the share of them within 5 % of it; 1 and 0 if under 12.
+
+    `values` has 48, the last of them unusable: a whole number of vectors. The median is the largest value
+    that has no more than half of the others below it: counting them is vector code, which sorting is not.
+    """
+    count = _f4(0)
+    for k in range(48):
+        below[k] = _f4(0)
+        count += _f4(1) if values[k] < _UNUSABLE else _f4(0)
+    if count < _f4(12):
+        return _f4(1), _f4(0)
+    for j in range(36):
+        value = values[j]
+        for k in range(48):
+            below[k] += _f4(1) if value < values[k] else _f4(0)
+    half = np.floor(count * _f4(0.5))
+    median = close = _f4(0)
+    for k in range(48):
+        median = max(median, values[k] if below[k] <= half else _f4(0))
+    for k in range(48):
+        close += _f4(1) if abs(values[k] - median) < _f4(0.05) * median else _f4(0)
+    return median, close / count
+
+
+@compiled
+def _texture(values, predicted, ratio):
+    """Nats for the `predicted` luma times `ratio` over a constant; `values` is seen over predicted."""
+    count = mean = squares = residual = _f4(0)
+    for y in range(6):
+        for x in range(6):
+            if values[y, x] < _UNUSABLE:
+                expected = predicted[y, x]
+                seen = values[y, x] * expected
+                count += _f4(1)
+                mean += seen
+                squares += seen * seen
+                residual += (seen - ratio * expected) ** 2
+    if count < _f4(12):
+        return _f4(0)
+    flat = max(squares / count - (mean / count) ** 2, _f4(0))
+    noise = _f4(LUMA_NOISE)
+    return _f4(0.5) * count * (logarithm(flat + noise) - logarithm(residual / count + noise))

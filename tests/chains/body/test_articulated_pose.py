@@ -1,0 +1,199 @@
+import pickle
+from dataclasses import FrozenInstanceError
+
+import numpy as np
+import pytest
+from rsmcm.chains.body.articulated_pose import GROUPS, ArticulatedPose
+from rsmcm.chains.body.dynamics import BodyDynamics
+from rsmcm.chains.body.samples import moments, part_message
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference.engine.protocols import Incoming
+from rsmcm.models.body.image_features import BodyImage
+from rsmcm.models.body.part_message import PartMessage
+from rsmcm.models.body.parts import BodyParts
+from rsmcm.models.body.upper_body import PARTS, UpperBody
+from rsmcm.models.core.frame import Frame
+from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
+
+BODY = UpperBody.from_head(90.0)
+SIZE = (360, 640)
+DT = 0.04
+NODE = BodyParts(90.0)
+NOTHING = GaussianMixtures.uniform(len(PARTS))
+FRAME = Frame(np.zeros((*SIZE, 3), np.uint8), 0.0, 1)
+
+
+def picture(mixtures):
+    """An image that says of the parts what the mixtures say."""
+    flat = np.zeros(SIZE, np.float32)
+    return BodyImage(None, None, flat, flat, np.zeros((0, 2)), np.zeros(0), mixtures)
+
+
+def seen(places, spread, chance=0.9):
+    """Detections of all parts at `places` `(3, 2)`, which may have failed."""
+    covariance = spread**2 * np.eye(2)[None]
+    area = SIZE[0] * SIZE[1]
+    return GaussianMixtures.of_parts(
+        [np.full(1, np.log(chance * area))] * 3,
+        list(np.asarray(places)[:, None]),
+        [covariance] * 3,
+        np.full(3, np.log(1 - chance)),
+    )
+
+
+def by_mixtures(image):
+    """The image's likelihood is what its mixtures say, so that everything else can be checked."""
+    return lambda poses: image.mixtures.log_values(BODY.parts(poses)).sum(axis=1)
+
+
+def a_chain(samples=1000, **options):
+    return ArticulatedPose(BODY, samples, likelihood=by_mixtures, **options)
+
+
+def started(chain, seed=0):
+    """A state after a first frame that saw the parts of a possible pose, and this pose."""
+    random = np.random.default_rng(seed)
+    pose = BodyDynamics(BODY).draw_anywhere(1, SIZE, random)
+    pose.roots[:] = (320.0, 200.0)
+    message = PartMessage(NOTHING, picture(seen(BODY.parts(pose)[0], 5.0, chance=0.9999)))
+    return chain.update(chain.initial(FRAME), Incoming({NODE: message})), pose
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_first_frame_finds_the_parts(seed):
+    chain = a_chain()
+    state, pose = started(chain, seed)
+    found = moments(BODY, state)
+    assert len(state.poses) == chain.samples
+    assert found.joints[[0, 4, 7], :2] == pytest.approx(BODY.parts(pose)[0], abs=3.0)
+    # seen for certain in two directions, but for the depth only the arm's length is known
+    spread = np.sqrt(found.joint_covariances[[4, 7]].diagonal(axis1=1, axis2=2))
+    assert (spread[:, :2] < 8).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_posterior_is_that_of_a_bootstrap_filter_with_many_samples(seed):
+    """Importance sampling in two ways: from the likelihood, and from the temporal prior."""
+    chain = a_chain(20_000, dynamics=BodyDynamics(BODY, jumps=0.2))  # many jumps are in vain from the prior
+    state, _ = started(chain, seed)
+    prediction = chain.predict(state, DT)
+    random = np.random.default_rng(seed + 50)
+    target = BODY.parts(prediction.drawn(1, random))[0]
+    told = GaussianMixtures.of_parts(
+        [np.zeros(1)] * 3, list((target + 3.0)[:, None]), [60.0**2 * np.eye(2)[None]] * 3
+    )
+    message = PartMessage(told, picture(seen(target, 15.0)))
+    found = moments(BODY, chain.update(prediction, Incoming({NODE: message})))
+
+    past = prediction.ancestors
+    ancestors = past.poses.take(random.choice(len(past.poses), 400_000, p=past.weights))
+    poses = chain.dynamics.draw(ancestors, DT, random)
+    poses = poses.take(BODY.allowed(poses))
+    log_weights = by_mixtures(message.image)(poses) + told.log_values(BODY.parts(poses)).sum(axis=1)
+    weights = np.exp(log_weights - log_weights.max())
+    weights /= weights.sum()
+    joints = BODY.joints(poses)
+    mean = np.einsum("n,njx->jx", weights, joints)
+    covariance = np.einsum("n,njx,njy->jxy", weights, joints - mean, joints - mean)
+    spread = np.sqrt(covariance.diagonal(axis1=1, axis2=2))
+    effective = 1 / (weights**2).sum()
+    assert effective > 300
+    # some hundred effective samples on our side: six standard errors of the mean
+    assert (np.abs(found.joints - mean) < 0.35 * spread + 0.1).all()
+    ratio = found.joint_covariances[[0, 4, 7]][:, [0, 1], [0, 1]] / covariance[[0, 4, 7]][:, [0, 1], [0, 1]]
+    assert ((ratio > 0.6) & (ratio < 1.6)).all()
+
+
+def test_nothing_is_invented_when_all_features_fail():
+    chain = a_chain()
+    state, _ = started(chain)
+    prediction = chain.predict(state, DT)
+    for message in (PartMessage(NOTHING), PartMessage(NOTHING, picture(NOTHING))):
+        after = chain.update(prediction, Incoming({NODE: message}))
+        assert after.stationary
+        assert np.array_equal(after.poses.roots, prediction.poses.roots)
+        assert np.array_equal(after.weights, prediction.weights)
+    spreads = []
+    for _ in range(20):
+        state = chain.update(chain.predict(state, DT), Incoming({NODE: PartMessage(NOTHING)}))
+        spreads.append(np.trace(moments(BODY, state).joint_covariances[4]))
+    assert spreads[-1] > 2 * spreads[0]  # it becomes less sure
+
+
+def test_a_stationary_chain_still_hears_the_others():
+    chain = a_chain()
+    state, _ = started(chain)
+    prediction = chain.predict(state, 0.2)
+    aside = np.einsum("n,npx->px", prediction.weights, BODY.parts(prediction.poses)) + np.array([15.0, 0.0])
+    told = GaussianMixtures.of_parts([np.zeros(1)] * 3, list(aside[:, None]), [400.0 * np.eye(2)[None]] * 3)
+    after = chain.update(prediction, Incoming({NODE: PartMessage(told)}))
+    moved = moments(BODY, after).joints[4, 0] - moments(BODY, prediction).joints[4, 0]
+    assert moved > 2
+
+
+def test_detections_out_of_reach_leave_the_prediction():
+    """All of them have failed, by however small a chance: 1e-12 each."""
+    chain = a_chain()
+    state, _ = started(chain)
+    prediction = chain.predict(state, DT)
+    far = seen([[20.0, 20.0], [20.0, 340.0], [620.0, 20.0]], 1.0, chance=1 - 1e-12)
+    after = chain.update(prediction, Incoming({NODE: PartMessage(NOTHING, picture(far))}))
+    assert after.log_evidence == pytest.approx(3 * np.log(1e-12), abs=1e-3)
+    before, found = moments(BODY, prediction), moments(BODY, after)
+    spread = np.sqrt(before.joint_covariances.diagonal(axis1=1, axis2=2))
+    # hundreds of effective samples on either side
+    assert (np.abs(found.joints - before.joints) < 0.3 * spread + 0.1).all()
+
+
+def test_where_nothing_is_possible_the_prediction_stays():
+    """Nothing is known of the past, and poses are drawn from detections that no body reaches."""
+    chain = a_chain()
+    state = chain.initial(FRAME)
+    far = seen([[20.0, 20.0], [20.0, 340.0], [620.0, 20.0]], 1.0, chance=1 - 1e-12)
+    after = chain.update(state, Incoming({NODE: PartMessage(NOTHING, picture(far))}))
+    assert after.stationary
+    assert np.array_equal(after.poses.roots, state.poses.roots)
+
+
+def test_message_is_a_density_about_the_prediction():
+    """Its moments are those of the poses but for the broad Gaussian, as in test_samples.py."""
+    chain = a_chain()
+    state, _ = started(chain)
+    prediction = chain.predict(state, DT)
+    message = chain.message(prediction, None, Incoming({}))
+    assert message.image is None
+    assert message.log_mass == pytest.approx(0.0, abs=1e-9)
+    mean, _ = message.predicted.moments(1.0, (0, 0))
+    wanted = np.einsum("n,npx->px", prediction.weights, BODY.parts(prediction.poses))
+    assert mean == pytest.approx(wanted, abs=1e-6)
+    expected = part_message(BODY, prediction.poses, prediction.weights, GROUPS).predicted
+    assert np.array_equal(message.predicted.means, expected.means)
+
+
+def test_state_is_saved_and_the_run_goes_on_as_it_would_have(tmp_path):
+    random = np.random.default_rng(0)
+    images = [random.integers(0, 255, (120, 160, 3), np.uint8) for _ in range(4)]
+    body = UpperBody.from_head(30.0)
+    engine = RecursiveBP(MultiChain().connect(ArticulatedPose(body, 50), BodyParts(30.0)))
+    beliefs = list(engine.run(images))
+    engine.save(tmp_path / "run.npz", beliefs[1].state)
+    state, _ = engine.load(tmp_path / "run.npz")
+    again = list(engine.run(images[2:], state=state))[-1]
+    assert np.array_equal(again["pose"].poses.arms, beliefs[-1]["pose"].poses.arms)
+    assert np.array_equal(again["pose"].log_weights, beliefs[-1]["pose"].log_weights)
+
+
+def test_a_chain_holds_its_parameters_only():
+    chain = ArticulatedPose(UpperBody.from_head(30.0), 50)
+    before = pickle.dumps(chain)
+    engine = RecursiveBP(MultiChain().connect(chain, BodyParts(30.0)))
+    list(engine.run([np.zeros((120, 160, 3), np.uint8)] * 2))
+    assert pickle.dumps(chain) == before
+    assert len(before) < 1000
+    with pytest.raises(FrozenInstanceError):
+        chain.samples = 20
+
+
+def test_too_few_samples_are_refused():
+    with pytest.raises(ValueError, match="samples: got 9, expected 10 or more"):
+        ArticulatedPose(BODY, 9)

@@ -1,0 +1,623 @@
+"""Tracks of head and hands: against filterpy, van Loan's integral and enumeration, and in made-up scenes."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+from rsmcm.chains.body.flesh.moving_parts import MovingParts
+from rsmcm.chains.body.flesh.tracks import HEAD, LEFT, MOST_HYPOTHESES, RIGHT, FleshTracks
+from rsmcm.chains.body.flesh_tracker import FleshTracker
+from rsmcm.inference import Incoming, MultiChain, RecursiveBP
+from rsmcm.models.body.image_features import BodyImage
+from rsmcm.models.body.part_message import PartMessage
+from rsmcm.models.body.parts import BodyParts
+from rsmcm.models.body.upper_body import UpperBody
+from rsmcm.models.core.frame import Frame
+from rsmcm.models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
+from scipy.linalg import expm
+
+Array = NDArray[np.float64]
+
+SEEDS = st.integers(0, 2**32 - 1)
+DT = 0.04
+HEIGHT = 90.0
+"""px of the head, the unit of length in what follows."""
+BODY = UpperBody.from_head(HEIGHT)
+TRACKER = FleshTracker(BODY)
+IMAGE = np.zeros((360, 640, 3), np.uint8)
+FIRST = Frame(IMAGE, 0.0, 1)
+CENTRE = np.array([320.0, 110.0])
+NOISE = 0.06 * HEIGHT
+FOUND = 0.8
+CLUTTER = 2.0
+"""Blobs that are nothing, in an image."""
+
+
+def at(*heads: Sequence[float]) -> Array:
+    """Places px, given in head heights from where the head usually is."""
+    return CENTRE + HEIGHT * np.asarray(heads, np.float64).reshape(-1, 2)
+
+
+def picture(mixtures: GaussianMixtures) -> PartMessage:
+    """An image that says this of parts, and nothing else that the tracker asks for."""
+    flat = np.zeros(IMAGE.shape[:2], np.float32)
+    image = BodyImage(None, None, flat, flat, np.zeros((0, 2)), np.zeros(0), mixtures)
+    return PartMessage(GaussianMixtures.uniform(3), image)
+
+
+def seen(
+    places: ArrayLike, noise: float = NOISE, flat: bool = True, faces: Sequence[int] = ()
+) -> PartMessage:
+    """What an image says in which there are blobs in these places, some of which are surely faces.
+
+    A blob is a part that was found, or one of the pieces of clutter, which are anywhere.
+    """
+    blobs = np.asarray(places, np.float64).reshape(-1, 2)
+    count = len(blobs)
+    is_face = np.isin(np.arange(count), faces)
+    ratio = np.log(FOUND * IMAGE[..., 0].size / CLUTTER)
+    weights = [ratio + np.where(is_face, 2.0, -2.0), *[ratio - 2.0 * is_face] * 2]
+    lost = np.log(1 - FOUND) if flat else -np.inf
+    return picture(
+        GaussianMixtures.of_parts(
+            weights,
+            [blobs] * 3,
+            [np.tile(NOISE**2 * np.eye(2), (count, 1, 1))] * 3,
+            [lost] * 3,
+            [np.arange(count)] * 3,
+        )
+    )
+
+
+def told(*places: Sequence[float], spread: float = 0.2) -> PartMessage:
+    """What another chain says of all parts."""
+    means = at(*places)
+    return PartMessage(
+        GaussianMixtures.of_parts(
+            [[0.0]] * 3, list(means[:, None]), [((spread * HEIGHT) ** 2 * np.eye(2))[None]] * 3
+        )
+    )
+
+
+def updated(state: FleshTracks, message: PartMessage, tracker: FleshTracker = TRACKER) -> FleshTracks:
+    return tracker.update(state, Incoming({BodyParts(HEIGHT): message}))
+
+
+def stepped(state: FleshTracks, message: PartMessage, tracker: FleshTracker = TRACKER) -> FleshTracks:
+    return updated(tracker.predict(state, DT), message, tracker)
+
+
+def followed(
+    looks: Sequence[PartMessage], state: FleshTracks | None = None, tracker: FleshTracker = TRACKER
+) -> list[FleshTracks]:
+    """States after each look."""
+    states = []
+    for look in looks:
+        state = (
+            updated(tracker.initial(FIRST), look, tracker) if state is None else stepped(state, look, tracker)
+        )
+        states.append(state)
+    return states
+
+
+REST = at((0, 0), (0.8, 1.6), (-0.8, 1.6))
+"""Head, left hand, right hand of somebody who stands there."""
+
+
+def standing(frames: int = 10) -> FleshTracks:
+    """After some frames of that."""
+    return followed([seen(REST, faces=[0])] * frames)[-1]
+
+
+def off(state: FleshTracks, places: ArrayLike) -> Array:
+    """`(3,)` head heights between parts and where they should be."""
+    distances: Array = np.linalg.norm(state.positions - np.asarray(places), axis=1) / HEIGHT
+    return distances
+
+
+def exchanged(state: FleshTracks, places: Array) -> float:
+    """Probability of the hypotheses in which each hand is nearer to where the other one should be."""
+    kept, other = (
+        np.linalg.norm(state.means[..., :2] - each, axis=2).sum(axis=1)
+        for each in (places, places[[HEAD, RIGHT, LEFT]])
+    )
+    return float(state.weights[other < kept].sum())
+
+
+# --- how parts move ---
+
+
+def matrices(dt: float, speed: float, lasts: float) -> tuple[Array, Array]:
+    """Transition and noise of an Ornstein-Uhlenbeck velocity and its integral, by van Loan's exponential."""
+    drift = np.kron([[0, 1], [0, -1 / lasts]], np.eye(2))
+    pushes = np.kron([[0, 0], [0, 2 * speed**2 / lasts]], np.eye(2))
+    whole = expm(dt * np.block([[-drift, pushes], [np.zeros((4, 4)), drift.T]]))
+    move = whole[4:, 4:].T
+    return move, move @ whole[:4, 4:]
+
+
+@pytest.mark.parametrize("dt", [1e-5, 2.9e-4, 3.1e-4, 0.04, 1.0])
+def test_motion_is_van_loans(dt: float) -> None:
+    speeds, lasts = np.array([50.0, 200.0, 300.0]), 0.3
+    root = np.random.default_rng(0).normal(0, 3, (3, 4, 4))
+    parts = MovingParts(np.arange(12.0).reshape(3, 4), root @ root.swapaxes(1, 2) + np.eye(4))
+    after = parts.moved(dt, speeds, lasts)
+    still = MovingParts(np.zeros((3, 4)), np.zeros((3, 4, 4))).moved(dt, speeds, lasts)
+    for part, speed in enumerate(speeds):
+        move, noise = matrices(dt, speed, lasts)
+        np.testing.assert_allclose(after.means[part], move @ parts.means[part], rtol=1e-10)
+        expected = move @ parts.covariances[part] @ move.T + noise
+        np.testing.assert_allclose(after.covariances[part], expected, rtol=1e-9, atol=1e-9)
+        if dt > 1e-3:  # below, van Loan's own product loses its digits
+            np.testing.assert_allclose(still.covariances[part], noise, rtol=1e-9, atol=1e-9)
+
+
+def test_motion_in_two_steps_is_that_in_one() -> None:
+    parts = MovingParts(np.ones((1, 4)), np.eye(4)[None])
+    once = parts.moved(0.05, [100.0], 0.3)
+    twice = parts.moved(0.0002, [100.0], 0.3).moved(0.0498, [100.0], 0.3)
+    np.testing.assert_allclose(twice.means, once.means, rtol=1e-12)
+    np.testing.assert_allclose(twice.covariances, once.covariances, rtol=1e-9)
+
+
+@given(SEEDS, st.floats(1e-3, 5.0), st.integers(2, 10))
+@settings(max_examples=20, deadline=None)
+def test_predicting_in_steps_is_predicting_at_once(seed: int, dt: float, steps: int) -> None:
+    """Of a hand that has not been seen for long, too, and for what is said of it afterwards."""
+    random = np.random.default_rng(seed)
+    state = standing()
+    state = replace(
+        state,
+        since=random.uniform(0, 3, state.since.shape),
+        visible=random.uniform(0, 1, state.visible.shape),
+        covariances=state.covariances * random.uniform(1, 1e4, (3, 1, 1)),
+    )
+    whole, stepwise = TRACKER.predict(state, dt), state
+    for _ in range(steps):
+        stepwise = TRACKER.predict(stepwise, dt / steps)
+    for name in ("means", "covariances", "visible", "since", "elapsed"):
+        np.testing.assert_allclose(getattr(stepwise, name), getattr(whole, name), rtol=1e-9, atol=1e-9)
+    for name in ("variances", "chances"):
+        one, other = (getattr(each.clutter, name) for each in (stepwise, whole))
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+    one, other = (TRACKER.message(each, None, Incoming({})).predicted for each in (whole, stepwise))
+    np.testing.assert_allclose(other.covariances, one.covariances, rtol=1e-9, atol=1e-9)
+
+
+def test_without_doubt_it_is_filterpys_filter() -> None:
+    random = np.random.default_rng(1)
+    speeds, lasts = np.array([60.0, 200.0, 200.0]), 0.3
+    start = MovingParts(random.normal(0, 50, (3, 4)), np.tile(np.diag([400.0, 400, 2e4, 2e4]), (3, 1, 1)))
+    oracles = []
+    for part, speed in enumerate(speeds):
+        oracle = KalmanFilter(dim_x=4, dim_z=2)
+        oracle.x, oracle.P, oracle.H = start.means[part].copy(), start.covariances[part], np.eye(2, 4)
+        oracle.F, oracle.Q = matrices(DT, speed, lasts)
+        oracles.append(oracle)
+    parts = start
+    for _ in range(50):
+        parts = parts.moved(DT, speeds, lasts)
+        looks = random.normal(0, 50, (3, 2))
+        root = random.normal(0, 3, (3, 2, 2))
+        noise = root @ root.swapaxes(1, 2) + 0.1 * np.eye(2)
+        gain = parts.covariances[:, :2, :2] @ np.linalg.inv(parts.covariances[:, :2, :2] + noise)
+        off = looks - parts.means[:, :2]
+        places = parts.means[:, :2] + (gain @ off[..., None])[..., 0]
+        parts = parts.given(places, gain @ noise)
+        for part, oracle in enumerate(oracles):
+            oracle.predict()
+            oracle.update(looks[part], R=noise[part])
+            np.testing.assert_allclose(parts.means[part], oracle.x, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(parts.covariances[part], oracle.P, rtol=1e-9, atol=1e-9)
+
+
+def test_clean_single_detections_are_filterpys_up_to_the_doubt() -> None:
+    """What remains is a jump to anywhere, which hardly ever explains a detection better."""
+    sure = FleshTracker(BODY, patience=1e9)
+    state = standing().take(np.array([0]))
+    state = replace(state, log_weights=np.zeros(1), patience=sure.patience)
+    speeds = HEIGHT * np.array([sure.head_speed, sure.hand_speed, sure.hand_speed])
+    oracles = []
+    for part, speed in enumerate(speeds):
+        oracle = KalmanFilter(dim_x=4, dim_z=2)
+        oracle.x, oracle.P, oracle.H = state.means[0, part].copy(), state.covariances[0, part], np.eye(2, 4)
+        oracle.F, oracle.Q = matrices(DT, speed, sure.velocity_time)
+        oracles.append(oracle)
+    random = np.random.default_rng(2)
+    for _ in range(30):
+        looks = REST + random.normal(0, NOISE, (3, 2))
+        state = stepped(state, seen(looks, flat=False, faces=[0]), sure)
+        for part, oracle in enumerate(oracles):
+            oracle.predict()
+            oracle.update(looks[part], R=NOISE**2 * np.eye(2))
+            np.testing.assert_allclose(state.positions[part], oracle.x[:2], atol=1e-3)
+            np.testing.assert_allclose(state.covariances[0, part], oracle.P, rtol=1e-4, atol=1e-2)
+
+
+# --- which thing is which part ---
+
+
+def test_hands_keep_their_identities_when_they_pass_each_other() -> None:
+    """At constant speed, and so close that they are one blob for some frames."""
+    along = np.linspace(-1.0, 1.0, 26)[:, None]
+    left = at(*np.hstack([-along, np.full_like(along, 1.5)]))
+    right = at(*np.hstack([along, np.full_like(along, 1.62)]))
+    looks = []
+    for one, other in zip(left, right, strict=True):
+        apart = np.linalg.norm(one - other) > 0.4 * HEIGHT
+        blobs = [one, other] if apart else [0.5 * (one + other)]
+        looks.append(seen([CENTRE, *blobs], faces=[0]))
+    states = followed([looks[0]] * 5 + looks)
+    for state, one, other in zip(states[5:], left, right, strict=True):
+        assert off(state, [CENTRE, one, other]).max() < 0.45
+    assert off(states[-1], [CENTRE, left[-1], right[-1]]).max() < 0.1
+
+
+def test_two_hands_may_be_one_blob() -> None:
+    """Both are somewhere in it, less surely than a hand of its own."""
+    together = [CENTRE, at((0.0, 1.6))[0]]
+    coming = [seen([CENTRE, *at((part, 1.6), (-part, 1.6))], faces=[0]) for part in np.linspace(0.8, 0.25, 8)]
+    state = followed([*coming, *[seen(together, faces=[0])] * 5])[-1]
+    assert state.labels[LEFT] == state.labels[RIGHT] == 1
+    np.testing.assert_array_equal(state.unseen, 0.0)
+    assert off(state, [CENTRE, together[1], together[1]]).max() < 0.3
+    alone = standing()
+    spreads = [np.linalg.det(each.position_covariances[HEAD + 1 :]) ** 0.25 for each in (state, alone)]
+    assert (spreads[0] > 1.5 * spreads[1]).all()
+
+
+def test_a_hand_that_is_not_seen_does_not_jump_onto_the_other_one() -> None:
+    states = followed([seen(REST[:2], faces=[0])] * 15, standing())
+    assert all(state.labels[RIGHT] == NO_LABEL for state in states)
+    assert off(states[-1], REST)[LEFT] < 0.1
+
+
+def test_hands_that_met_may_be_exchanged_until_somebody_knows() -> None:
+    """They come together, rest as one blob, and part up and down: nobody can tell which is which."""
+    coming = [seen([CENTRE, *at((x, 1.6), (-x, 1.6))], faces=[0]) for x in np.linspace(0.8, 0.25, 8)]
+    one = [seen([CENTRE, at((0.0, 1.6))[0]], faces=[0])] * 12
+    ways = [at((0.0, 1.6 - y), (0.0, 1.6 + y)) for y in np.linspace(0.3, 1.0, 8)]
+    states = followed([*coming, *one, *[seen([CENTRE, *way], faces=[0]) for way in ways]], standing())
+    assert exchanged(states[7], REST) < 0.01
+    last = states[-1]
+    upper_left = np.stack([CENTRE, *ways[-1]])
+    assert 0.2 < exchanged(last, upper_left) < 0.8
+    message = TRACKER.message(last, None, Incoming({}))
+    both = message.log_values(np.stack([upper_left, upper_left[[HEAD, RIGHT, LEFT]]]))
+    assert np.abs(both[0] - both[1]) < 2
+    for upper, lower in ((LEFT, RIGHT), (RIGHT, LEFT)):
+        truth = [(0.0, 0.0)] * 3
+        truth[upper], truth[lower] = (0.0, 0.6), (0.0, 2.6)
+        knowing = told(*truth, spread=0.4)
+        after = stepped(last, seen([CENTRE, *ways[-1]], faces=[0]) * knowing)
+        assert after.positions[upper, 1] < after.positions[lower, 1]
+        assert exchanged(after, at(*truth)) < 0.05
+        assert off(after, at(*truth)).max() < 0.15
+
+
+def test_a_hypothesis_of_one_percent_survives_and_wins_when_others_know_better() -> None:
+    """That the hands are exchanged, for 15 frames in which nothing tells but the sides they are on."""
+    state = standing().take(np.array([0]))
+    both = replace(state, log_weights=np.log([0.99])).joined(
+        replace(state.exchanged(), log_weights=np.log([0.01]))
+    )
+    states = followed([seen(REST, faces=[0])] * 15, both)
+    assert all(1e-4 < exchanged(each, REST) < 0.05 for each in states)
+    assert all(len(each.weights) <= MOST_HYPOTHESES for each in states)
+    other_way = REST[[HEAD, RIGHT, LEFT]]
+    knowing = told((0, 0), (-0.8, 1.6), (0.8, 1.6), spread=0.2)
+    after = followed([seen(REST, faces=[0]) * knowing] * 3, states[-1])[-1]
+    assert off(after, other_way).max() < 0.1
+
+
+def test_others_may_overrule_tracks_that_seemed_sure() -> None:
+    """A chain that knows better than the tracker exchanges the hands, though their motion speaks for them."""
+    state = standing()
+    for _ in range(3):
+        look = seen(REST, faces=[0]) * told((0, 0), (-0.8, 1.6), (0.8, 1.6), spread=0.3)
+        state = stepped(state, look)
+    assert off(state, REST[[HEAD, RIGHT, LEFT]]).max() < 0.1
+
+
+# --- what is wrong or missing ---
+
+
+def test_an_outlier_does_not_move_a_part() -> None:
+    state = TRACKER.predict(standing(), DT)
+    deviation = np.sqrt(state.position_covariances[LEFT, 0, 0] + NOISE**2)
+    wrong = REST[LEFT] + [10 * deviation, 0.0]
+    after = updated(state, seen([CENTRE, wrong, REST[RIGHT]], faces=[0]))
+    assert np.linalg.norm(after.positions - state.positions, axis=1)[LEFT] < 0.1 * deviation
+    beside = updated(state, seen([CENTRE, REST[LEFT], REST[RIGHT], wrong], faces=[0]))
+    assert off(beside, REST).max() < 0.02
+    near = updated(state, seen([CENTRE, REST[LEFT] + [deviation, 0.0], REST[RIGHT]], faces=[0]))
+    assert near.positions[LEFT, 0] - state.positions[LEFT, 0] > 0.2 * deviation
+
+
+def test_a_part_that_really_jumped_is_followed_soon() -> None:
+    there = np.stack([CENTRE, *at((0.6, 0.2), (-0.8, 1.6))])
+    states = followed([seen(there, faces=[0])] * 25, standing())
+    wrong = [off(state, there)[LEFT] > 0.2 for state in states]
+    assert sum(wrong) < 15
+    assert not wrong[-1]
+
+
+def test_bursts_without_detections() -> None:
+    """A hand that was hidden is found where it comes back; what was never hidden stays where it is."""
+    state = standing()
+    areas = [np.linalg.det(state.position_covariances[LEFT])]
+    for number in range(15):
+        state = stepped(state, seen(REST[[HEAD, RIGHT]], faces=[0]))
+        areas.append(np.linalg.det(state.position_covariances[LEFT]))
+        assert state.unseen[LEFT] == pytest.approx((number + 1) * DT)
+    assert (np.diff(areas) > 0).all()
+    assert not state.lost.any()
+    back = np.stack([CENTRE, *at((0.3, 1.0), (-0.8, 1.6))])
+    after = followed([seen(back, faces=[0])] * 3, state)
+    assert off(after[-1], back).max() < 0.1
+    assert after[-1].unseen[LEFT] == 0
+
+
+def test_a_lost_part_is_anywhere_in_reach_and_found_again() -> None:
+    states = followed([seen(REST[[HEAD, RIGHT]], faces=[0])] * 100, standing())
+    state = states[-1]
+    np.testing.assert_array_equal(state.lost, [False, True, False])
+    reach = 0.5 * (BODY.upper_arm + BODY.forearm)
+    deviations = np.sqrt(np.diagonal(state.position_covariances[LEFT]))
+    assert ((deviations > 0.9 * reach) & (deviations < 1.4 * reach)).all()  # the head may be elsewhere, too
+    back = np.stack([CENTRE, *at((0.6, -0.6), (-0.8, 1.6))])
+    after = followed([seen(back, faces=[0])] * 6, state)
+    assert off(after[-1], back).max() < 0.1
+    assert not after[-1].lost.any()
+
+
+def test_nobody_in_view_is_nothing_known() -> None:
+    state = followed([seen(np.zeros((0, 2)))] * 60)[-1]
+    assert state.lost.all()
+    np.testing.assert_array_equal(state.labels, NO_LABEL)
+    assert np.isfinite(state.covariances).all()
+    message = TRACKER.message(state, None, Incoming({}))
+    assert np.sqrt(message.predicted.moments(1.0, (0, 0))[1][:, 0, 0]).min() > HEIGHT
+
+
+def test_at_first_left_is_left() -> None:
+    """Of two hands nobody knows more at first than that most people do not cross their arms."""
+    state = followed([seen(REST, faces=[0])] * 2)[-1]
+    assert off(state, REST).max() < 0.1
+    assert 1e-4 < exchanged(state, REST) < 0.5
+
+
+@given(SEEDS)
+@settings(max_examples=20, deadline=None)
+def test_nothing_said_leaves_the_prediction(seed: int) -> None:
+    state = TRACKER.predict(standing(), DT)
+    random = np.random.default_rng(seed)
+    nothing = picture(GaussianMixtures.of_parts([[]] * 3, [[]] * 3, [[]] * 3, random.normal(0, 1, 3)))
+    after = updated(state, nothing)
+    for name in ("means", "covariances", "since", "visible", "log_weights", "elapsed"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(state, name))
+
+
+def test_what_others_say_is_not_followed_itself() -> None:
+    """Without anything in the picture parts coast, or others' echo of the same pictures made them surer."""
+    state = standing()
+    coasting = followed([seen(np.zeros((0, 2)))] * 10, state)[-1]
+    place = [(0.1, 0.0), (1.1, 1.5), (-0.8, 1.7)]
+    hearing = followed([seen(np.zeros((0, 2))) * told(*place)] * 10, state)[-1]
+    np.testing.assert_allclose(hearing.means[0], coasting.means[0], atol=1e-6)
+    np.testing.assert_allclose(hearing.covariances[0], coasting.covariances[0], rtol=1e-6)
+    np.testing.assert_allclose(hearing.unseen, 10 * DT)
+
+
+@pytest.mark.parametrize("right_one", [2, 3])
+def test_others_decide_what_is_taken_for_a_hand(right_one: int) -> None:
+    """Of two things on either side of where it was."""
+    sides = at((0.8, 1.35), (0.8, 1.85))
+    look = seen([CENTRE, REST[RIGHT], *sides], faces=[0])
+    place = sides[right_one - 2]
+    others = told((0, 0), *((place - CENTRE) / HEIGHT)[None], (-0.8, 1.6), spread=0.15)
+    helped = followed([look * others] * 4, standing())[-1]
+    assert helped.labels[LEFT] == right_one
+    assert off(helped, REST[[HEAD, LEFT, RIGHT]] + [[0, 0], place - REST[LEFT], [0, 0]]).max() < 0.1
+
+
+# --- what any filter must keep ---
+
+
+def random_look(random: np.random.Generator) -> PartMessage:
+    """Blobs anywhere, with covariances of any size."""
+    count = random.integers(0, 7)
+    roots = random.normal(0, 1, (count, 2, 2)) * 10.0 ** random.uniform(-2, 2, (count, 1, 1))
+    covariances = roots @ roots.swapaxes(1, 2) + 1e-4 * np.eye(2)
+    blobs = random.uniform((-50, -50), (700, 400), (count, 2))
+    return picture(
+        GaussianMixtures.of_parts(
+            random.normal(5, 5, (3, count)),
+            [blobs] * 3,
+            [covariances] * 3,
+            np.where(random.random(3) < 0.8, random.normal(-2, 2, 3), -np.inf if count else 0.0),
+            [np.arange(count)] * 3,
+        )
+    )
+
+
+@given(SEEDS)
+@settings(max_examples=40, deadline=None)
+def test_covariances_stay_positive_definite_and_messages_integrate_to_one(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    state = TRACKER.initial(FIRST)
+    for _ in range(8):
+        state = updated(TRACKER.predict(state, 10.0 ** random.uniform(-3, 1)), random_look(random))
+        assert (np.linalg.eigvalsh(state.covariances) > 0).all()
+        np.testing.assert_array_equal(state.covariances, state.covariances.swapaxes(2, 3))
+        assert ((state.visible >= 0) & (state.visible <= 1)).all()
+        assert ((state.clutter.chances >= 0) & (state.clutter.chances < 1)).all()
+        assert state.weights.sum() == pytest.approx(1, abs=1e-9)
+        message = TRACKER.message(state, None, Incoming({}))
+        assert message.log_mass == pytest.approx(0, abs=1e-5)
+
+
+@given(SEEDS)
+@settings(max_examples=20, deadline=None)
+def test_numbers_and_order_of_blobs_do_not_matter(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    state = TRACKER.predict(standing(), DT)
+    blobs = np.concatenate([REST + random.normal(0, 20, (3, 2)), random.uniform(0, 300, (3, 2))])
+    order = random.permutation(6)
+    ordered, shuffled = seen(blobs).mixtures, seen(blobs[order]).mixtures
+    renamed = replace(shuffled, labels=np.where(shuffled.labels == NO_LABEL, NO_LABEL, 40 - shuffled.labels))
+    first, *others = (updated(state, picture(each)) for each in (ordered, shuffled, renamed))
+    for other in others:
+        np.testing.assert_allclose(other.log_weights[:3], first.log_weights[:3], rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(other.positions, first.positions, rtol=1e-6)
+        np.testing.assert_allclose(other.position_covariances, first.position_covariances, rtol=1e-4)
+
+
+def test_left_and_right_are_mirror_images() -> None:
+    def mirrored(places: Array) -> Array:
+        return np.array([IMAGE.shape[1], 0.0]) + [-1.0, 1.0] * places
+
+    random = np.random.default_rng(4)
+    looks = [REST + random.normal(0, NOISE, (3, 2)) for _ in range(12)]
+    here = followed([seen(each, faces=[0]) for each in looks])[-1]
+    there = followed([seen(mirrored(each), faces=[0]) for each in looks])[-1]
+    np.testing.assert_allclose(
+        there.positions, mirrored(here.positions[[HEAD, RIGHT, LEFT]]), rtol=1e-9, atol=1e-9
+    )
+
+
+def test_states_are_left_as_they_are() -> None:
+    state = standing()
+    before = {name: np.copy(value) for name, value in vars(state).items() if name != "clutter"}
+    stepped(state, seen(REST + 30, faces=[0]))
+    for name, value in before.items():
+        np.testing.assert_array_equal(getattr(state, name), value)
+
+
+# --- in an engine ---
+
+
+class Seen(BodyParts):
+    """Feature node that sees in frame n what it was given for it."""
+
+    def __init__(self, looks: tuple[PartMessage, ...]) -> None:
+        super().__init__(HEIGHT)
+        object.__setattr__(self, "looks", looks)
+
+    def evidence(self, frame: Frame, prior: PartMessage) -> PartMessage:
+        looks: tuple[PartMessage, ...] = self.looks  # type: ignore[attr-defined]
+        return looks[frame.number - 1]
+
+
+def wandering(seed: int, frames: int) -> tuple[PartMessage, ...]:
+    random = np.random.default_rng(seed)
+    path = REST + np.cumsum(random.normal(0, 4, (frames, 3, 2)), axis=0)
+    shown = [list(permutations(range(3)))[random.integers(6)][: random.integers(1, 4)] for _ in path]
+    return tuple(seen(places[list(kept)]) for places, kept in zip(path, shown, strict=True))
+
+
+def test_a_run_goes_on_after_saving_as_if_nothing_had_happened(tmp_path: Path) -> None:
+    looks = wandering(0, 20)
+    engine = RecursiveBP(MultiChain().connect(TRACKER, Seen(looks)))
+    images = [None if number == 6 else IMAGE for number in range(20)]
+    through = list(engine.run(images))
+    engine.save(tmp_path / "run.npz", through[9].state)
+    resumed, _ = engine.load(tmp_path / "run.npz")
+    again = list(engine.run(images[10:], state=resumed))
+    for first, second in zip(through[10:], again, strict=True):
+        one, other = first[TRACKER], second[TRACKER]
+        for name, value in [*vars(one).items(), *vars(one.clutter).items()]:
+            if name not in ("clutter", "weights"):
+                here = other if hasattr(other, name) else other.clutter
+                np.testing.assert_array_equal(getattr(here, name), value)
+        assert first.log_evidence == second.log_evidence
+
+
+def test_the_engine_asks_it_before_the_image() -> None:
+    """It does not use its cavity, so its message reaches the others in the first sweep."""
+    looks = wandering(1, 3)
+    engine = RecursiveBP(MultiChain().connect(TRACKER, Seen(looks)))
+    for belief in engine.run([IMAGE] * 3):
+        assert np.isfinite(belief.log_evidence)
+
+
+def test_robustness_pays_in_clutter() -> None:
+    """Against the same filters if each simply takes the nearest blob there is, on three sequences."""
+    errors: dict[str, list[float]] = {"robust": [], "nearest": []}
+    for seed in range(3):
+        random = np.random.default_rng(seed)
+        truth = wave(random, 120)
+        hidden = bursts(random, truth.shape[:2])
+        looks = []
+        for places, out in zip(truth, hidden, strict=True):
+            shown = places[~out] + random.normal(0, NOISE, ((~out).sum(), 2))
+            clutter = random.uniform((60, 20), (580, 340), (random.poisson(1.0), 2))
+            looks.append(np.concatenate([shown, clutter]))
+        faces = [[0] if not out[HEAD] else [] for out in hidden]
+        states = followed(
+            [seen(*each, faces=face) for *each, face in zip(looks, faces, strict=True)], near(truth[0])
+        )
+        errors["robust"].extend(np.concatenate([off(*pair) for pair in zip(states, truth, strict=True)]))
+        parts = MovingParts(near(truth[0]).means[0], near(truth[0]).covariances[0])
+        speeds = HEIGHT * np.array([TRACKER.head_speed, TRACKER.hand_speed, TRACKER.hand_speed])
+        for blobs, places in zip(looks, truth, strict=True):
+            parts = parts.moved(DT, speeds, TRACKER.velocity_time)
+            if len(blobs):
+                apart = np.linalg.norm(parts.means[:, None, :2] - blobs, axis=2)
+                nearest = blobs[apart.argmin(axis=1)][:, None]
+                spread = parts.covariances[:, :2, :2]
+                gain = spread @ np.linalg.inv(spread + NOISE**2 * np.eye(2))
+                off_by = (nearest[:, 0] - parts.means[:, :2])[..., None]
+                parts = parts.given(parts.means[:, :2] + (gain @ off_by)[..., 0], NOISE**2 * gain)
+            errors["nearest"].extend(np.linalg.norm(parts.means[:, :2] - places, axis=1) / HEIGHT)
+    robust, nearest = (float(np.sqrt(np.mean(np.square(errors[name])))) for name in ("robust", "nearest"))
+    assert robust < 0.35
+    assert nearest > 2 * robust
+
+
+def wave(random: np.random.Generator, frames: int) -> Array:
+    """`(frames, 3, 2)`: a head that nods, hands that move to and fro on their own sides."""
+    time = DT * np.arange(frames)[:, None, None]
+    pace, phase = random.uniform(3, 6, (3, 2)), random.uniform(0, 6, (3, 2))
+    reach = HEIGHT * np.array([[0.1], [0.5], [0.5]])
+    return np.asarray(REST + reach * np.sin(pace * time + phase))
+
+
+def bursts(random: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """A fifth of the frames, in which a part is not seen, in runs of about 5; none of the first five."""
+    share, length = 0.2, 5.0
+    hidden = np.zeros(shape, np.bool_)
+    for frame in range(5, shape[0]):
+        begins = random.random(shape[1]) < share / (1 - share) / length
+        goes_on = random.random(shape[1]) > 1 / length
+        hidden[frame] = np.where(hidden[frame - 1], goes_on, begins)
+    return hidden
+
+
+def near(places: Array) -> FleshTracks:
+    """Somebody who was seen there just now."""
+    return followed([seen(places, faces=[0])] * 3)[-1]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "line"),
+    [
+        ({"hand_speed": 0.0}, "hand_speed: got 0.0, expected more than 0"),
+        ({"patience": -1.0}, "patience: got -1.0, expected more than 0"),
+    ],
+)
+def test_impossible_parameters_are_named(wrong: dict[str, float], line: str) -> None:
+    with pytest.raises(ValueError, match=line):
+        FleshTracker(BODY, **wrong)  # type: ignore[arg-type]
+
+
+def test_it_begins_with_a_picture() -> None:
+    with pytest.raises(ValueError, match="frame 3: got no image, expected one to start from"):
+        TRACKER.initial(Frame(None, 0.0, 3))

@@ -1,0 +1,681 @@
+"""The body's likelihood against plain numpy, in pictures whose truth is known, and where a cue is missing."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.chains.body.kernels.likelihood import (
+    FOREARM_POINTS,
+    NECK,
+    arm_terms,
+    blob_terms,
+    forearm_terms,
+    hand_terms,
+)
+from rsmcm.chains.body.likelihood import (
+    ARM_POINTS,
+    ARM_WEIGHTS,
+    BARE_HAND_SCORES,
+    BARE_SCORES,
+    BLOB_COST,
+    EDGE_POINTS,
+    EDGE_SHARPNESS,
+    EDGE_SPREAD,
+    EDGE_WINDOW,
+    HEAD_SCORES,
+    NECK_RADIUS,
+    NO_EDGE,
+    NO_SLEEVE,
+    SKIN_SCORES,
+    TRUNK,
+    TRUNK_BLUR,
+    WINDOWS,
+    BodyLikelihood,
+    edge_ratios,
+    hand_model,
+    skin_maps,
+)
+from rsmcm.chains.body.silhouette import silhouettes
+from rsmcm.models.body.image_features import BodyImage, edge_distances
+from rsmcm.models.body.inverse_kinematics import arm_at, swivels
+from rsmcm.models.body.poses import BodyPoses
+from rsmcm.models.body.upper_body import UpperBody
+from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
+from rsmcm.models.numerics.threads import set_threads, thread_count
+from scipy.ndimage import map_coordinates
+
+from ...support.body_poses import masks
+
+Array = NDArray[np.float64]
+
+SIZE = (360, 640)
+BODY = UpperBody.from_head(80)
+HEAD, SKIN, CLOTHES = 0, 1, 3
+HANDS = (5, 8)
+"""Labels of the hands in masks."""
+
+
+def signing() -> BodyPoses:
+    """One pose with both hands before the chest's sides, elbows out."""
+    arms = np.array([[[[0.45, 0.85, -0.25], [0.1, -0.75, -0.6]], [[-0.5, 0.8, -0.3], [0.05, -0.3, -0.9]]]])
+    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+    return BodyPoses(np.array([[310.0, 150.0]]), np.zeros((1, 3)), np.zeros((1, 3)), arms)
+
+
+def seen(poses: BodyPoses, *, without: tuple[int, ...] = (), discs: Array | None = None) -> BodyImage:
+    """What an image of the first of `poses` says; hands `without` skin, and `discs` more of it."""
+    labels = masks(BODY, poses.take([0]), SIZE)[0]
+    parts = BODY.parts(poses)[0]
+    skin = np.full(SIZE, -4, np.float32)
+    skin[labels == 1] = 4
+    more = np.zeros((0, 2)) if discs is None else discs
+    for side in (0, 1):
+        if side not in without:
+            skin[labels == HANDS[side]] = 4
+    for x, y in more:
+        cv2.circle(skin, (round(x), round(y)), round(BODY.hand), 4, -1)
+    edges, directions = edge_distances((25 * labels).astype(np.uint8), BODY.head_height / 6)
+    heads = parts[:1]
+    spread = np.array([(0.1 * BODY.head_height) ** 2 * np.eye(2)])
+    none = np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0)
+    mixtures = GaussianMixtures.of_parts(
+        [[np.log(0.95 * 360 * 640)], none[2], none[2]],
+        [heads, none[0], none[0]],
+        [spread, none[1], none[1]],
+        np.log([0.05, 1, 1]),
+    )
+    blobs = np.concatenate([parts[[1 + side for side in (0, 1) if side not in without]], more])
+    return BodyImage(skin, skin, edges, directions, blobs, np.full(len(blobs), 1.5), mixtures)
+
+
+def scattered(n: int, random: np.random.Generator, spread: float = 0.3) -> BodyPoses:
+    """Poses about `signing()`."""
+    poses = signing().take(np.zeros(n, int))
+    arms = poses.arms + spread * random.normal(size=poses.arms.shape)
+    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+    roots = poses.roots + 30 * spread * random.normal(size=(n, 2))
+    return BodyPoses(roots, np.zeros((n, 3)), 0.5 * spread * random.normal(size=(n, 3)), arms)
+
+
+def hand_scores(image: BodyImage, parts: Array, roots: Array, elbows: Array | None = None) -> Array:
+    """`(n,)` as the likelihood calls it; of bare forearms, if there are elbows `(n, 2, 2)`."""
+    assert image.skin is not None
+    skin = skin_maps(image.skin, BODY.hand)
+    scales = np.array(skin[0].shape[::-1]) / SIZE[::-1]
+    out = np.zeros(len(parts))
+    bare = elbows is not None
+    elbows = np.zeros((len(parts), 2, 2)) if elbows is None else elbows
+    hand_terms(parts, roots, elbows, *skin, scales, hand_model(BODY, bare=bare), bare, out)
+    return out
+
+
+# --- the kernels against plain numpy ------------------------------------------------------------------------
+
+
+def plain_strip(places: Array, start: Array, end: Array, spread: float) -> Array:
+    """Share of a window that a forearm covers, from the elbow to the wrist."""
+    along = end - start
+    length = np.linalg.norm(along, axis=1)
+    along = along / length[:, None]
+    half = 0.25 * (BODY.forearm_width + BODY.wrist_width)
+    off = places - start
+    t, across = (off * along).sum(1), off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1]
+
+    def before(edge: Array) -> Array:
+        share: Array = 1 / (1 + np.exp(-1.7 * edge / spread))
+        return share
+
+    wrist = np.maximum(length - BODY.hand, 0)
+    share: Array = (before(wrist - t) - before(-t)) * (before(half - across) - before(-half - across))
+    return share
+
+
+def looked_up(one: NDArray[np.float32], places: Array) -> Array:
+    where = (places + 0.5) * np.array(one.shape[::-1]) / SIZE[::-1] - 0.5
+    values = cv2.remap(
+        one, where[:, None].astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(values[:, 0], np.float64)
+
+
+def plain_hands(image: BodyImage, parts: Array, roots: Array, elbows: Array | None = None) -> Array:
+    assert image.skin is not None
+    maps = skin_maps(image.skin, BODY.hand)
+    full, none, hidden = SKIN_SCORES if elbows is None else BARE_HAND_SCORES
+    r, inner, outer = BODY.hand, *(BODY.hand * np.array(WINDOWS))
+    half = 0.5 * np.array([BODY.head_width, BODY.head_height])
+    big, small = np.sqrt(half.prod()), NECK_RADIUS * BODY.head_height
+    ideal = np.exp(-0.5 * (r / outer) ** 2) - np.exp(-0.5 * (r / inner) ** 2)
+    apart = np.linalg.norm(parts[:, 1] - parts[:, 2], axis=1)
+    width = outer**2 + r**2 / 4
+    neighbour = 0.5 * r**2 / width * np.exp(-0.5 * apart**2 / width)
+    neck = parts[:, 0] + NECK * (roots - parts[:, 0])
+    gains = []
+    for side in (1, 2):
+        places = parts[:, side]
+        from_head = np.linalg.norm((places - parts[:, 0]) / half, axis=1) * big
+        from_neck = np.linalg.norm(places - neck, axis=1)
+
+        def covered(window: float, from_head: Array = from_head, from_neck: Array = from_neck) -> Array:
+            share = [
+                1 / (1 + np.exp(1.7 * (d - s) / window)) for d, s in ((from_head, big), (from_neck, small))
+            ]
+            return np.maximum(*share)
+
+        centre, surround = (looked_up(one, places) for one in maps)
+        before, around = covered(inner), covered(outer)
+        if elbows is not None:
+            around = around + sum(plain_strip(places, elbows[:, s], parts[:, 1 + s], outer) for s in (0, 1))
+            other = 2 - side
+            before = np.maximum(before, plain_strip(places, elbows[:, other], parts[:, 1 + other], inner))
+        foreign = np.maximum(surround - neighbour - around, 0)
+        response = (np.maximum(centre - before, 0) - foreign) / ideal
+        free = 1 - before
+        nats = free * none + (full - none) * np.clip(response, 0, free)
+        gains.append(np.log((1 - hidden) * np.exp(nats) + hidden))
+    t = np.minimum(apart / (2 * r), 1)
+    shared = 2 / np.pi * (np.arccos(t) - t * np.sqrt(1 - t**2))
+    total: Array = gains[0] + gains[1] - np.minimum(2 * shared, 1) * np.maximum(np.minimum(*gains), 0)
+    return total
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6))
+def test_hands_equal_plain_numpy(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    image = seen(signing())
+    poses = scattered(20, random, 0.5)
+    parts = BODY.parts(poses)
+    parts[:5] = parts[:5, :1] + random.normal(0, 40, (5, 3, 2))  # hands at the face and at each other
+    # cv2.remap interpolates with 1/32 px: 0.6 % of a map's range, times the nats of the whole range
+    for elbows in (None, BODY.joints(poses)[:, [3, 6], :2]):
+        np.testing.assert_allclose(
+            hand_scores(image, parts, poses.roots, elbows),
+            plain_hands(image, parts, poses.roots, elbows),
+            atol=0.25,
+        )
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6), st.integers(0, 6))
+def test_blobs_equal_plain_numpy(seed: int, m: int) -> None:
+    random = np.random.default_rng(seed)
+    parts, blobs = random.uniform(0, 200, (9, 3, 2)), random.uniform(0, 200, (m, 2))
+    elbows = random.uniform(0, 200, (9, 2, 2))
+    costs, reach = random.uniform(0, 2, m), np.array([50.0, 30.0, 30.0, 20.0])
+    squares = ((parts[:, None] - blobs[None, :, None]) ** 2).sum(-1) / reach[:3] ** 2
+    # distances from forearms, by the nearest of many points on each
+    t = np.linspace(0, 1, 2001)[:, None, None, None]
+    points = (1 - t) * elbows + t * parts[:, 1:]
+    arms = ((points[:, :, None] - blobs[:, None]) ** 2).sum(-1).min(axis=0) / reach[3] ** 2
+    for bare, near in ((False, squares), (True, np.concatenate([squares, arms], axis=2))):
+        out = np.zeros(9)
+        blob_terms(parts, elbows, blobs, costs, reach, bare, out)
+        expected = -(costs * (1 - np.exp(-0.5 * near)).prod(-1)).sum(-1)
+        # exponential() is exact to 2e-5, the rest to 1e-6, points on an arm are 0.1 px apart
+        np.testing.assert_allclose(out, expected, atol=2e-3)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 10**6))
+def test_forearms_equal_plain_numpy(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    image = seen(signing(), discs=random.uniform(50, 300, (8, 2)))
+    poses = scattered(20, random, 0.5)
+    assert image.skin is not None
+    centre = skin_maps(image.skin, BODY.hand)[0]
+    joints = BODY.joints(poses)[..., :2]
+    parts, elbows = joints[:, [0, 4, 7]], joints[:, [3, 6]]
+    full, none, hidden = BARE_SCORES
+    inner, wide = BODY.hand * WINDOWS[0], 0.25 * (BODY.forearm_width + BODY.wrist_width)
+    ideal = 2 / (1 + np.exp(-1.7 * wide / inner)) - 1
+    half = 0.5 * np.array([BODY.head_width, BODY.head_height])
+    neck = parts[:, 0] + NECK * (poses.roots - parts[:, 0])
+    expected = np.zeros(20)
+    for side in (0, 1):
+        along = parts[:, 1 + side] - elbows[:, side]
+        projected = np.linalg.norm(along, axis=1)
+        wrist = np.maximum(projected - BODY.hand, 0)
+        nats = np.zeros(20)
+        for share in (np.arange(FOREARM_POINTS) + 0.5) / FOREARM_POINTS:
+            places = elbows[:, side] + (share * wrist / projected)[:, None] * along
+            discs = [
+                (
+                    np.linalg.norm((places - parts[:, 0]) / half, axis=1) * np.sqrt(half.prod()),
+                    half.prod() ** 0.5,
+                ),
+                (np.linalg.norm(places - neck, axis=1), NECK_RADIUS * BODY.head_height),
+                *((np.linalg.norm(places - parts[:, hand], axis=1), BODY.hand) for hand in (1, 2)),
+            ]
+            covered = np.max([1 / (1 + np.exp(1.7 * (d - radius) / inner)) for d, radius in discs], axis=0)
+            if side == 1:
+                covered = np.maximum(covered, plain_strip(places, elbows[:, 0], parts[:, 1], inner))
+            shown = np.clip(looked_up(centre, places) / ideal - covered, 0, 1 - covered)
+            nats += ((1 - covered) * none + (full - none) * shown) / FOREARM_POINTS
+        nats *= wrist / (BODY.forearm - BODY.hand)
+        expected += np.log((1 - hidden) * np.exp(nats) + hidden)
+    out = np.zeros(20)
+    scales = np.array(centre.shape[::-1]) / SIZE[::-1]
+    forearm_terms(parts, poses.roots, elbows, centre, scales, hand_model(BODY), out)
+    np.testing.assert_allclose(out, expected, atol=0.15)  # by cv2.remap's 1/32 px, as above
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 10**6))
+def test_edges_equal_plain_numpy(seed: int) -> None:
+    """At the outlines as they are traced by themselves, some of which leave the picture."""
+    random = np.random.default_rng(seed)
+    height, width = SIZE
+    poses = scattered(6, random, 0.5)
+    outline = silhouettes(BODY, poses)
+    angles = random.uniform(0, np.pi, SIZE)
+    ratio = random.uniform(0, 5, SIZE)
+    ratios = np.stack([ratio, np.cos(2 * angles), np.sin(2 * angles)], -1).astype(np.float32)
+    column, row = np.floor(outline.points + np.float32(0.5)).astype(int).transpose(2, 0, 1)
+    inside = outline.visible & (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    column, row = np.where(inside, column, 0), np.where(inside, row, 0)
+    turns = np.arctan2(outline.normals[..., 1], outline.normals[..., 0])
+    density = np.exp(EDGE_SHARPNESS * np.cos(2 * (turns - angles[row, column]))) / np.i0(EDGE_SHARPNESS)
+    logs = np.log(NO_EDGE + (1 - NO_EDGE) * ratio[row, column] * density)
+    found = replace(BodyLikelihood(BODY)(seen(signing())), edges=ratios).rest(poses)
+    np.testing.assert_allclose(found, EDGE_POINTS / inside.shape[1] * (inside * logs).sum(1), atol=2e-3)
+
+
+def test_values_do_not_depend_on_threads() -> None:
+    random = np.random.default_rng(0)
+    likelihood = BodyLikelihood(BODY)(replace(seen(signing()), bare=0.5))
+    poses, before, found = scattered(1501, random, 0.3), thread_count(), []
+    try:
+        for threads in (1, 2, 3):
+            set_threads(threads)
+            found.append((likelihood.first(poses), likelihood.rest(poses)))
+    finally:
+        set_threads(before)
+    for other in found[1:]:
+        np.testing.assert_array_equal(other, found[0])
+
+
+# --- what it says in pictures whose truth is known ----------------------------------------------------------
+
+
+def plain_arms(arms: NDArray[np.float32], joints: Array) -> Array:
+    """`(n,)` nats of colours along the arms, one place after the other."""
+    left, right, root = joints[:, 2], joints[:, 5], joints[:, 1]
+    broad = np.linalg.norm(left - right, axis=1)
+    across = (left - right) / broad[:, None]
+    up = np.stack([across[:, 1], -across[:, 0]], axis=1)
+    total = np.zeros(len(joints))
+    for shoulder in (2, 5):
+        for part in (0, 1):
+            start, end = joints[:, shoulder + part], joints[:, shoulder + part + 1]
+            for share in ARM_POINTS[part]:
+                place = start + share * (end - start)
+                beside = np.abs(((place - root) * across).sum(1)) - TRUNK[0] * broad
+                above = ((place - root) * up).sum(1) - TRUNK[1] * broad
+                outside = np.maximum(beside, above) / (TRUNK_BLUR * BODY.head_height)
+                rows_and_columns = (0.5 * place[:, ::-1] - 0.25).T
+                odds = map_coordinates(arms, rows_and_columns, order=1, mode="nearest")
+                odds /= 1 + np.exp(-np.clip(outside, -20, 20))
+                total += ARM_WEIGHTS[part] * np.log((1 - NO_SLEEVE) * np.exp(odds) + NO_SLEEVE)
+    return total
+
+
+def sleeved(arms: NDArray[np.float32]) -> BodyImage:
+    """An image whose only news is the map of the arms' colour."""
+    return replace(seen(signing()), arms=arms)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_arms_equal_plain_numpy(seed: int) -> None:
+    """At torsos that lean and turn as well, and at places out of the picture."""
+    random = np.random.default_rng(seed)
+    poses = scattered(40, random)
+    poses = replace(poses, torsos=0.4 * random.normal(size=(40, 3)))
+    poses.roots[:10] += random.normal(0, 300, (10, 2))
+    arms = cv2.GaussianBlur(random.normal(0, 8, (180, 320)).astype(np.float32), (0, 0), 3)
+    found = BodyLikelihood(BODY)(sleeved(arms)).inner_terms(poses)[CLOTHES]
+    np.testing.assert_allclose(found, plain_arms(arms, BODY.joints(poses)[:, :, :2]), rtol=1e-4, atol=1e-4)
+    joints, out = BODY.joints(poses)[:, :, :2], np.full(40, 7.0)
+    torso = np.array([*TRUNK, TRUNK_BLUR * BODY.head_height])
+    arm_terms(joints, arms, np.array([0.5, 0.5]), ARM_POINTS, ARM_WEIGHTS, torso, NO_SLEEVE, out)
+    np.testing.assert_allclose(out, 7 + found, rtol=1e-5)
+
+
+def test_arms_before_the_trunk_say_nothing() -> None:
+    """The trunk has the colours of sleeves: hands held before it are neither better nor worse."""
+    arms = np.array([[[[0.05, 0.95, -0.3], [-0.6, -0.3, -0.7]], [[-0.05, 0.95, -0.3], [0.6, -0.3, -0.7]]]])
+    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+    arms[:, :, 0] = (0.0, 0.2, -np.sqrt(0.96))  # upper arms to the viewer
+    folded = replace(signing(), arms=arms)
+    joints = BODY.joints(folded)[0, :, :2]
+    inside = np.zeros((180, 320), np.float32)
+    middle, width = joints[1], np.linalg.norm(joints[2] - joints[5])
+    left, right = (round(0.5 * (middle[0] + sign * (TRUNK[0] - 0.1) * width)) for sign in (-1, 1))
+    inside[round(0.5 * middle[1]) :, left:right] = 4
+    likelihood = BodyLikelihood(BODY)
+    assert abs(likelihood(sleeved(inside)).inner_terms(folded)[CLOTHES, 0]) < 0.5
+    wide = np.full((180, 320), 4, np.float32)
+    assert likelihood(sleeved(wide)).inner_terms(signing())[CLOTHES, 0] > 3
+
+
+def test_arms_of_another_colour_lose_a_few_nats_and_no_more() -> None:
+    """Who wears a vest is found all the same."""
+    away = np.full((180, 320), -60, np.float32)
+    least = 2 * np.log(NO_SLEEVE) * (ARM_POINTS.shape[1] * ARM_WEIGHTS).sum()
+    found = BodyLikelihood(BODY)(sleeved(away)).inner_terms(scattered(50, np.random.default_rng(0)))[CLOTHES]
+    assert (found > least - 1e-3).all()
+    assert (found < 0).all()
+
+
+def test_elbows_are_found_by_the_colour_of_sleeves() -> None:
+    """True arms are liked best of those that leave the hands where they are."""
+    poses = signing()
+    joints = BODY.joints(poses)[0]
+    sleeves = np.full(SIZE, -3, np.float32)
+    for shoulder in (2, 5):
+        for start, end in ((shoulder, shoulder + 1), (shoulder + 1, shoulder + 2)):
+            ends = [tuple(np.rint(joints[joint, :2]).astype(int).tolist()) for joint in (start, end)]
+            cv2.line(sleeves, ends[0], ends[1], 3.0, round(BODY.forearm_width))
+    half = cv2.GaussianBlur(cv2.resize(sleeves, (320, 180), interpolation=cv2.INTER_AREA), (0, 0), 2)
+    turned = poses.take(np.zeros(25, int))
+    turned = replace(turned, arms=turned.arms.copy())
+    angles = np.linspace(-np.pi, np.pi, 25)
+    for side in (0, 1):
+        offsets = np.tile(joints[4 + 3 * side] - joints[2 + 3 * side], (25, 1))
+        own = swivels(side, poses.arms[:, side], BODY)
+        turned.arms[:, side], _ = arm_at(BODY, side, offsets, own + angles)
+    found = BodyLikelihood(BODY)(sleeved(np.asarray(half, np.float32))).inner_terms(turned)[CLOTHES]
+    off = np.linalg.norm(BODY.joints(turned)[:, [3, 6], :2] - joints[[3, 6], :2], axis=2).max(axis=1)
+    best = found > found.max() - 0.5
+    assert off[best].max() < 0.25 * BODY.head_height
+    assert found[12] > np.median(found) + 2
+
+
+def test_a_first_look_is_all_but_edges() -> None:
+    """In an image that has something to say of each of the others."""
+    poses = scattered(20, np.random.default_rng(4))
+    arms = np.random.default_rng(5).normal(0, 3, (180, 320)).astype(np.float32)
+    likelihood = BodyLikelihood(BODY)(sleeved(arms))
+    inner, edges = likelihood.inner_terms(poses), likelihood.rest(poses)
+    np.testing.assert_array_equal(likelihood.first(poses), inner.sum(axis=0))
+    assert np.ptp([*inner[[HEAD, SKIN, CLOTHES]], edges], axis=1).min() > 1
+    np.testing.assert_array_equal(likelihood(poses), inner.sum(axis=0) + edges)
+
+
+def test_poses_do_not_know_of_each_other() -> None:
+    random = np.random.default_rng(0)
+    likelihood, image, poses = BodyLikelihood(BODY), seen(signing()), scattered(30, random)
+    together = likelihood(image)(poses)
+    assert together.shape == (30,)
+    order = random.permutation(30)
+    np.testing.assert_allclose(likelihood(image)(poses.take(order)), together[order], rtol=1e-6)
+    np.testing.assert_allclose(likelihood(image)(poses.take([7])), together[[7]], rtol=1e-6)
+
+
+def test_another_image_of_the_same_body_is_looked_at_anew() -> None:
+    likelihood, poses = BodyLikelihood(BODY), signing()
+    first, second = seen(poses), seen(poses, without=(0, 1))
+    before, after = likelihood(first)(poses), likelihood(second)(poses)
+    assert before != after
+    assert likelihood(first)(poses) == before
+
+
+def test_the_true_pose_is_liked_best() -> None:
+    random = np.random.default_rng(1)
+    truth = signing()
+    likelihood, poses = (
+        BodyLikelihood(BODY)(seen(truth)),
+        BodyPoses.concatenated([truth, scattered(300, random)]),
+    )
+    for term in (*likelihood.inner_terms(poses)[[HEAD, SKIN]], likelihood.rest(poses)):
+        assert (term[0] > np.quantile(term[1:], 0.95)).all()
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_hand_is_in_the_middle_of_its_skin(side: int) -> None:
+    poses = signing()
+    parts = BODY.parts(poses)
+    step = np.stack(np.meshgrid(*[np.arange(-40, 41, 2.0)] * 2), -1).reshape(-1, 2)
+    moved = np.repeat(parts, len(step), axis=0)
+    moved[:, 1 + side] += step
+    scores = hand_scores(seen(poses), moved, np.repeat(poses.roots, len(step), axis=0))
+    off = np.linalg.norm(step[scores.argmax()])
+    assert off <= 0.08 * BODY.head_height  # a hand that is partly hidden by its wrist is a little off
+    share = np.exp(scores - scores.max())
+    mean = share @ step / share.sum()
+    spread = np.sqrt((share @ (step - mean) ** 2).sum() / share.sum() / 2)
+    assert 0.03 < spread / BODY.head_height < 0.12
+
+
+def test_a_hand_without_skin_loses_a_few_nats_and_no_more() -> None:
+    poses = signing()
+    likelihood = BodyLikelihood(BODY)
+    whole, hidden = (likelihood(seen(poses, without=gone)).inner_terms(poses)[SKIN, 0] for gone in ((), (0,)))
+    full, none, missing = SKIN_SCORES
+    floor = np.log((1 - missing) * np.exp(none) + missing)
+    assert 0 < whole - hidden <= full - floor
+    parts = BODY.parts(poses)
+    parts[:, 1:] = [[600.0, 40.0], [40.0, 40.0]]  # far from all skin: the worst there is
+    assert hand_scores(seen(poses), parts, poses.roots)[0] == pytest.approx(2 * floor, abs=0.02)
+
+
+def test_skin_is_explained_once() -> None:
+    spots = np.array([[150.0, 250.0], [500.0, 260.0]])
+    image = seen(signing(), without=(0, 1), discs=spots)
+    roots = signing().roots
+    head = BODY.parts(signing())[0, 0]
+
+    def score(left: Array, right: Array) -> float:
+        return float(hand_scores(image, np.stack([head, left, right])[None], roots)[0])
+
+    nowhere = np.array([320.0, 340.0])
+    both, one, shared = score(spots[0], spots[1]), score(spots[0], nowhere), score(spots[0], spots[0])
+    nothing = score(nowhere, np.array([520.0, 340.0]))
+    gain = one - nothing
+    assert gain > 5
+    assert both - nothing == pytest.approx(2 * gain, abs=0.05)
+    # the second hand there is neither paid nor punished, and no skin costs it a little
+    assert -0.1 < shared - one < 1.5
+    assert score(spots[1], spots[0]) == pytest.approx(both, abs=1e-3)
+    apart = [score(spots[0], spots[0] + [step, 0.0]) for step in np.linspace(0, 2, 9) * BODY.hand]
+    assert max(apart) <= both
+
+
+def test_the_face_is_no_hand() -> None:
+    poses = signing()
+    parts = np.repeat(BODY.parts(poses), 3, axis=0)
+    parts[1, 1] = parts[1, 0]  # at the face
+    parts[2, 1] = [40.0, 340.0]  # where nothing is
+    true, face, nothing = hand_scores(seen(poses), parts, np.repeat(poses.roots, 3, axis=0))
+    assert true > face + 4
+    assert face > nothing  # a hand that is not to be seen may as well be before the face
+    assert face < nothing + 2
+
+
+def test_skin_that_nobody_explains_costs_a_little() -> None:
+    poses = signing()
+    spot = np.array([[100.0, 300.0]])
+    likelihood = BodyLikelihood(BODY)
+    alone, beside = likelihood(seen(poses))(poses), likelihood(seen(poses, discs=spot))(poses)
+    cost = BLOB_COST / (1 + np.exp(-1.5))
+    assert (alone - beside)[0] == pytest.approx(cost, abs=0.02)
+
+
+# --- where a cue is missing ---------------------------------------------------------------------------------
+
+
+def test_without_colour_hands_are_known_by_edges_alone() -> None:
+    poses = scattered(20, np.random.default_rng(2))
+    grey = replace(seen(signing()), skin=None, moving_skin=None)
+    likelihood = BodyLikelihood(BODY)(grey)
+    assert not likelihood.inner_terms(poses)[SKIN].any()
+    assert np.ptp(likelihood.rest(poses)) > 1
+
+
+def test_without_a_face_the_head_is_where_its_skin_is() -> None:
+    poses = scattered(200, np.random.default_rng(3), 0.8)
+    missed = replace(seen(signing()), mixtures=GaussianMixtures.uniform(3))
+    term = BodyLikelihood(BODY)(missed).inner_terms(poses)[HEAD]
+    off = np.linalg.norm(BODY.parts(poses)[:, 0] - BODY.parts(signing())[:, 0], axis=1) / BODY.head_height
+    assert term[off.argmin()] > 0.9 * HEAD_SCORES[0] + np.log(1 - HEAD_SCORES[1])
+    assert term[off < 0.2].min() > term[off > 0.6].max() + 1
+    far = replace(signing(), roots=np.array([[80.0, 300.0]]))
+    assert BodyLikelihood(BODY)(missed).inner_terms(far)[HEAD] == pytest.approx(0, abs=0.01)
+    grey = BodyLikelihood(BODY)(replace(missed, skin=None, moving_skin=None)).inner_terms(poses)
+    assert not grey[HEAD].any()
+    assert np.isfinite(grey).all()
+
+
+def test_an_empty_picture_says_next_to_nothing() -> None:
+    edges, directions = edge_distances(np.full(SIZE, 90, np.uint8), BODY.head_height / 6)
+    image = replace(
+        seen(signing()),
+        skin=np.full(SIZE, -4, np.float32),
+        moving_skin=np.full(SIZE, -4, np.float32),
+        edges=edges,
+        edge_directions=directions,
+        mixtures=GaussianMixtures.uniform(3),
+        blobs=np.zeros((0, 2)),
+        blob_log_weights=np.zeros(0),
+    )
+    likelihood, poses = BodyLikelihood(BODY)(image), scattered(20, np.random.default_rng(4))
+    terms = likelihood.inner_terms(poses)
+    assert np.isfinite(terms).all()
+    assert np.ptp(terms[SKIN]) < 2  # before the face nothing is expected, elsewhere skin is missed
+    assert likelihood.rest(poses).max() <= 0
+
+
+def test_a_body_out_of_the_picture_is_no_error() -> None:
+    away = replace(signing(), roots=np.array([[-900.0, 5000.0]]))
+    assert np.isfinite(BodyLikelihood(BODY)(seen(signing()))(away)).all()
+
+
+# --- edges --------------------------------------------------------------------------------------------------
+
+
+def ratios_of(picture: NDArray[np.uint8]) -> tuple[NDArray[np.float32], BodyImage]:
+    edges, directions = edge_distances(picture, BODY.head_height / 6)
+    image = replace(seen(signing()), edges=edges, edge_directions=directions)
+    return edge_ratios(image, EDGE_SPREAD * BODY.head_height, EDGE_WINDOW * BODY.head_height), image
+
+
+def test_edge_ratios_are_ratios_of_densities() -> None:
+    """Where edges are even in place and direction, the mean of their ratio to themselves is 1."""
+    random = np.random.default_rng(5)
+    discs = np.full(SIZE, 60, np.uint8)
+    for x, y in random.uniform((0, 0), (640, 360), (900, 2)):
+        cv2.circle(discs, (round(x), round(y)), 9, int(random.choice([60, 120, 180])), -1)
+    ratios, image = ratios_of(discs)
+    assert ratios.shape == (*SIZE, 3)
+    # a window of half a head holds some discs, whose edges are never quite even
+    assert ratios[30:-30, 30:-30, 0].mean() == pytest.approx(1, abs=0.1)
+    np.testing.assert_allclose(ratios[..., 1], np.cos(2 * image.edge_directions), atol=0.02)  # 256 levels
+    np.testing.assert_allclose(ratios[..., 2], np.sin(2 * image.edge_directions), atol=0.02)
+
+
+def test_an_edge_across_stripes_says_more_than_one_along_them() -> None:
+    stripes = np.zeros(SIZE, np.uint8)
+    stripes[:, np.arange(640) % 24 < 12] = 60
+    stripes[180:] += 60
+    ratios, image = ratios_of(stripes)
+    across = np.abs(np.sin(image.edge_directions)) > 0.9
+    there = (image.edges < 1) & (np.abs(np.arange(360) - 180) < 3)[:, None]
+    assert ratios[there & across, 0].mean() > 2 * ratios[there & ~across, 0].mean()
+
+
+def test_places_without_edges_nearby_have_none() -> None:
+    ratios, image = ratios_of((25 * masks(BODY, signing(), SIZE)[0]).astype(np.uint8))
+    assert not ratios[image.edges >= image.edges.max(), 0].any()
+    assert ratios[image.edges == 0, 0].min() > 1
+
+
+def test_edges_say_less_where_there_are_many() -> None:
+    random = np.random.default_rng(5)
+    few, many = (
+        edge_distances((25 * masks(BODY, signing(), SIZE)[0] + noise).astype(np.uint8), BODY.head_height / 6)
+        for noise in (0, cv2.GaussianBlur(random.normal(40, 300, SIZE), (0, 0), 2.5).clip(0, 80))
+    )
+    poses = BodyPoses.concatenated([signing(), scattered(200, random)])
+    likelihood = BodyLikelihood(BODY)
+    gaps = []
+    for edges, directions in (few, many):
+        term = likelihood(replace(seen(signing()), edges=edges, edge_directions=directions)).rest(poses)
+        gaps.append(term[0] - np.median(term[1:]))
+    assert gaps[0] > gaps[1] > 0
+
+
+def test_elbows_are_found_by_edges() -> None:
+    """Of arms that reach the same hand, edges prefer the true one."""
+    from rsmcm.models.body.inverse_kinematics import arm_at
+
+    truth = signing()
+    random = np.random.default_rng(6)
+    joints = BODY.joints(truth)[0]
+    offsets = np.tile(joints[4] - joints[2], (400, 1))
+    offsets[:, 2] = random.uniform(-150, 150, 400)
+    arms, reachable = arm_at(BODY, 0, offsets, random.uniform(-np.pi, np.pi, 400))
+    poses = truth.take(np.zeros(400, int))
+    bent = poses.arms.copy()
+    bent[:, 0] = arms
+    poses = replace(poses, arms=bent)
+    poses = poses.take(reachable & BODY.allowed(poses))
+    term = BodyLikelihood(BODY)(seen(truth)).rest(BodyPoses.concatenated([truth, poses]))
+    weights = np.exp(term[1:] - term[1:].max())
+    elbows = BODY.joints(poses)[:, 3, :2]
+    off = np.linalg.norm(weights @ elbows / weights.sum() - joints[3, :2])
+    assert off < 0.15 * BODY.head_height
+    assert (term[0] > term[1:]).mean() > 0.95
+
+
+# --- bare forearms ------------------------------------------------------------------------------------------
+
+
+def bare_armed(poses: BodyPoses) -> BodyImage:
+    """What an image of the first of `poses` says, with bare forearms."""
+    image = seen(poses)
+    assert image.skin is not None
+    joints = BODY.joints(poses)[0, :, :2]
+    for elbow, hand in ((3, 4), (6, 7)):
+        ends = [tuple(int(x) for x in joints[end].round()) for end in (elbow, hand)]
+        cv2.line(image.skin, *ends, 4.0, round(0.5 * (BODY.forearm_width + BODY.wrist_width)))
+    blobs = np.concatenate([image.blobs, joints[[3, 6]]])
+    return replace(image, blobs=blobs, blob_log_weights=np.full(4, 1.5), bare=1.0)
+
+
+def test_hands_are_where_bare_forearms_end() -> None:
+    """Not at the elbows, nor halfway: forearms there leave skin unexplained, or lie where none is."""
+    truth = signing()
+    image = bare_armed(truth)
+    joints = BODY.joints(truth)[..., :2]
+    parts, elbows = joints[:, [0, 4, 7]], joints[:, [3, 6]]
+    likelihood = BodyLikelihood(BODY)(image)
+    assert likelihood.skin is not None
+
+    def score(hands: Array, elbows: Array) -> float:
+        placed = np.concatenate([parts[:, :1], hands], axis=1)
+        assert likelihood.skin is not None
+        return float(likelihood._skin_terms(likelihood.skin, placed, truth.roots, elbows)[0])
+
+    hands = parts[:, 1:]
+    right = score(hands, elbows)
+    assert right > score(0.5 * (hands + elbows), elbows) + 5
+    assert right > score(elbows, 2 * elbows - hands) + 5
+    # a sleeve is no forearm: the same pose is worse where there is none
+    bare_less = replace(seen(truth), bare=1.0)
+    assert right > BodyLikelihood(BODY)(bare_less).inner_terms(truth)[SKIN, 0] + 5
+
+
+def test_who_may_be_in_sleeves_or_not_is_a_mixture() -> None:
+    random = np.random.default_rng(3)
+    poses = scattered(40, random)
+    image = bare_armed(signing())
+    sleeves, bare, either = (
+        BodyLikelihood(BODY)(replace(image, bare=share)).inner_terms(poses)[SKIN] for share in (0.0, 1.0, 0.3)
+    )
+    np.testing.assert_allclose(either, np.log(0.7 * np.exp(sleeves) + 0.3 * np.exp(bare)), atol=1e-6)
+    assert (bare > sleeves).any()
+    assert (bare < sleeves).any()

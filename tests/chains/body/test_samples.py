@@ -1,0 +1,261 @@
+"""Weighted poses: their moments, what they tell of parts, and where the next frame's come from."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
+from rsmcm.chains.body.samples import (
+    A_MOMENT,
+    LEAST_SPREAD,
+    MISTAKEN,
+    BodySamples,
+    first,
+    moments,
+    part_message,
+    predicted,
+    stationary,
+)
+from rsmcm.models.body.poses import BodyPoses
+from rsmcm.models.body.upper_body import JOINTS, PARTS, UpperBody
+
+Array = NDArray[np.float64]
+
+BODY = UpperBody.from_head(90.0)
+DYNAMICS = BodyDynamics(BODY)
+SIZE = (360, 640)
+DT = 0.04
+HANDS = [JOINTS.index("left_hand"), JOINTS.index("right_hand")]
+
+
+def some(n: int, seed: int = 0, place: tuple[float, float] = (320.0, 150.0)) -> BodyPoses:
+    """Poses of somebody in the middle of the picture."""
+    poses = DYNAMICS.draw_anywhere(n, SIZE, np.random.default_rng(seed))
+    return replace(poses, roots=0.1 * (poses.roots - place) + place)
+
+
+def samples(poses: BodyPoses, seed: int = 0) -> BodySamples:
+    """With random weights."""
+    random = np.random.default_rng(seed)
+    weights = random.dirichlet(np.full(len(poses), 0.5)) + 1e-12
+    log_weights = np.log(weights / weights.sum())
+    return BodySamples(poses, log_weights, SIZE, random)
+
+
+# --- what they tell of the parts ---
+
+
+@pytest.mark.parametrize("groups", [1, 4, 7])
+@pytest.mark.parametrize("n", [3, 50, 501])
+def test_message_integrates_to_one_and_has_the_moments_of_the_parts(n: int, groups: int) -> None:
+    """With the broad Gaussian's share, and what is added since samples may coincide."""
+    state = samples(some(n))
+    message = part_message(BODY, state.poses, state.weights, groups)
+    assert message.image is None
+    np.testing.assert_allclose(message.predicted.log_masses, 0.0, atol=1e-9)
+    means, covariances = message.predicted.moments(1.0, (0.0, 0.0))
+    places = BODY.parts(state.poses)
+    reach = 0.5 * (BODY.upper_arm + BODY.forearm)
+    for part, broad in enumerate((BODY.head_height, reach, reach)):
+        own = np.cov(places[:, part].T, aweights=state.weights, ddof=0)
+        expected = (1 - MISTAKEN) * (own + LEAST_SPREAD**2 * np.eye(2)) + MISTAKEN * broad**2 * np.eye(2)
+        np.testing.assert_allclose(means[part], state.weights @ places[:, part], rtol=1e-9)
+        np.testing.assert_allclose(covariances[part], expected, rtol=1e-8, atol=1e-8)
+
+
+def test_message_shows_both_places_of_a_hand() -> None:
+    """Half of the samples have it elsewhere: it is not in between."""
+    poses = some(1).take(np.zeros(400, np.int64))
+    roots = poses.roots.copy()
+    roots[200:, 0] += 150.0
+    poses = replace(poses, roots=roots)
+    message = part_message(BODY, poses, np.full(400, 1 / 400), 4)
+    places = BODY.parts(poses)[[0, 200]]
+    at = message.predicted.log_values(np.concatenate([places, places.mean(axis=0, keepdims=True)]))
+    assert (at[:2] > at[2] + 1).all()
+    np.testing.assert_allclose(at[0], at[1], atol=0.01)
+
+
+def test_message_does_not_vanish_where_no_sample_is() -> None:
+    message = part_message(BODY, some(1).take(np.zeros(9, np.int64)), np.full(9, 1 / 9), 4)
+    hand = BODY.parts(some(1)) + 0.6 * BODY.upper_arm
+    assert (message.predicted.log_values(hand) > -20).all()
+
+
+def test_moments_are_those_of_weighted_joints_and_angles() -> None:
+    state = samples(some(80))
+    found = moments(BODY, state)
+    joints = BODY.joints(state.poses)
+    assert found.joints.shape == (len(JOINTS), 3)
+    for joint in range(len(JOINTS)):
+        np.testing.assert_allclose(found.joints[joint], state.weights @ joints[:, joint])
+        np.testing.assert_allclose(
+            found.joint_covariances[joint],
+            np.cov(joints[:, joint].T, aweights=state.weights, ddof=0),
+            atol=1e-8,
+        )
+    np.testing.assert_allclose(found.angles, state.weights @ state.poses.angles)
+    np.testing.assert_allclose(
+        found.angle_covariances, np.cov(state.poses.angles.T, aweights=state.weights, ddof=0), atol=1e-8
+    )
+
+
+# --- weights ---
+
+
+def test_weights_after_a_look_and_the_evidence() -> None:
+    state = samples(some(30))
+    factors = np.random.default_rng(5).normal(-400, 3, 30)
+    after = state.reweighed(factors)
+    likelihood = np.exp(factors + 400)
+    evidence = float(state.weights @ likelihood)
+    np.testing.assert_allclose(after.weights, state.weights * likelihood / evidence)
+    np.testing.assert_allclose(after.log_evidence, np.log(evidence) - 400)
+    np.testing.assert_allclose(after.effective, 1 / (after.weights**2).sum())
+    assert not after.stationary
+    assert after.ancestors is None
+
+
+def test_what_fits_no_sample_leaves_the_weights() -> None:
+    state = samples(some(30))
+    np.testing.assert_array_equal(state.reweighed(np.full(30, -np.inf)).weights, state.weights)
+
+
+def test_a_stationary_frame_hears_others_but_has_no_evidence() -> None:
+    state = samples(some(30))
+    factors = np.linspace(-2, 0, 30)
+    after = stationary(state, factors)
+    np.testing.assert_allclose(after.weights, state.reweighed(factors).weights)
+    assert after.stationary
+    assert after.log_evidence == 0.0
+
+
+def test_draws_are_as_frequent_as_their_weights() -> None:
+    """Systematic: within one of it."""
+    state = samples(some(30))
+    drawn = state.drawn(3000, np.random.default_rng(2))
+    counts = (drawn.roots[:, None, 0] == state.poses.roots[None, :, 0]).sum(axis=0)
+    assert (np.abs(counts - 3000 * state.weights) <= 1 + 1e-9).all()
+
+
+# --- first frame, next frame ---
+
+
+def test_first_samples_of_an_unknown_person_are_anywhere() -> None:
+    state = first(DYNAMICS, 500, SIZE, np.random.default_rng(0))
+    assert BODY.allowed(state.poses).all()
+    roots = state.poses.roots
+    bar = 5 / np.sqrt(12 * 500)
+    assert (np.abs(roots.mean(axis=0) / (SIZE[1], SIZE[0]) - 0.5) < bar).all()
+    assert state.ancestors is None
+    assert state.stationary
+    np.testing.assert_allclose(state.weights, 1 / 500)
+
+
+def test_first_samples_are_a_moment_from_the_start() -> None:
+    """Which counts as the frame before."""
+    start = some(3)
+    state = first(DYNAMICS, 900, SIZE, np.random.default_rng(0), start)
+    assert state.ancestors is not None
+    assert state.ancestors.poses is start
+    np.testing.assert_allclose(state.ancestors.weights, 1 / 3)
+    assert state.ancestors.elapsed == A_MOMENT
+    off = state.poses.roots.reshape(300, 3, 2) - start.roots
+    spread = DYNAMICS.place * BODY.head_height * np.sqrt(A_MOMENT)
+    assert off.std() == pytest.approx(spread, rel=5 / np.sqrt(2 * 1800))
+    assert np.abs(off.mean(axis=0)).max() < 5 * spread / np.sqrt(300)
+
+
+def test_predictions_are_draws_of_the_mixture_around_their_ancestors() -> None:
+    """Moments of many draws beside those of the mixture; roots in closed form."""
+    state = samples(some(60))
+    after = predicted(DYNAMICS, state, 20_000, DT)
+    past = after.ancestors
+    assert past is not None
+    assert past.elapsed == DT
+    assert past.weights.sum() == pytest.approx(1.0, abs=1e-12)
+    usual = np.where(BODY.allowed(after.poses), np.exp(DYNAMICS.log_posture(after.poses, DT)), 0.0)
+    np.testing.assert_allclose(after.weights, usual / usual.sum(), atol=1e-12)
+    spread = DYNAMICS.place * BODY.head_height * np.sqrt(DT)
+    mean = past.weights @ past.poses.roots
+    covariance = np.cov(past.poses.roots.T, aweights=past.weights, ddof=0)
+    covariance = covariance + spread**2 * np.eye(2)
+    bar = 5 * np.sqrt(np.diag(covariance) / 20_000)
+    assert (np.abs(after.poses.roots.mean(axis=0) - mean) < bar).all()
+    np.testing.assert_allclose(np.cov(after.poses.roots.T), covariance, atol=0.05 * covariance.max())
+
+
+def test_ancestors_are_all_poses_of_the_frame_before() -> None:
+    """With their weights, where none are exchanged: what is improbable now may turn out to be right."""
+    state = samples(some(3000))
+    past = predicted(replace(DYNAMICS, exchanges=0.0), state, 100, DT).ancestors
+    assert past is not None
+    assert past.poses is state.poses
+    np.testing.assert_array_equal(past.weights, state.weights)
+
+
+def test_predicting_twice_gives_the_same() -> None:
+    """A state is a value: its generator is not used up."""
+    state = samples(some(40))
+    one, other = (predicted(DYNAMICS, state, 50, DT) for _ in range(2))
+    np.testing.assert_array_equal(one.poses.angles, other.poses.angles)
+    assert one.random.random() == other.random.random()
+    assert one.random.random() != state.random.random()
+
+
+def test_predicting_in_steps_is_predicting_at_once() -> None:
+    """The prediction of a prediction is made of the same samples; after an update it is not."""
+    state = samples(some(40))
+    whole, steps = predicted(DYNAMICS, state, 50, 0.4), state
+    for _ in range(10):
+        steps = predicted(DYNAMICS, steps, 50, DT)
+    np.testing.assert_allclose(steps.poses.angles, whole.poses.angles, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(steps.log_weights, whole.log_weights, rtol=1e-9)
+    assert steps.elapsed == pytest.approx(0.4)
+    after = whole.reweighed(np.zeros(50))
+    assert after.before is None
+    assert predicted(DYNAMICS, after, 50, DT).elapsed == DT
+
+
+# --- hands that were taken for each other ---
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_exchanged_ancestors_have_each_hand_where_the_other_was(seed: int) -> None:
+    """In space, for heads and roots that stay; all of them are possible, and no weight is lost."""
+    poses = some(300, seed)
+    weights = np.random.default_rng(seed).dirichlet(np.ones(300))
+    after = DYNAMICS.with_exchanged(Ancestors(poses, weights, DT), np.random.default_rng(seed))
+    both, shares = after.poses, after.weights
+    assert after.elapsed == DT
+    n = len(poses)
+    assert n < len(both) <= 2 * n
+    assert shares.shape == (len(both),)
+    assert (shares >= 0).all()
+    assert shares.sum() == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_array_equal(both.take(slice(n)).angles, poses.angles)
+    exchanged = both.take(slice(n, None))
+    assert BODY.allowed(exchanged).all()
+    # whose exchange it is shows in the place, which is another in every pose
+    origin = np.argmax(poses.roots[None, :, 0] == exchanged.roots[:, None, 0], axis=1)
+    np.testing.assert_array_equal(exchanged.necks, poses.necks[origin])
+    before, after = BODY.joints(poses)[origin], BODY.joints(exchanged)
+    np.testing.assert_allclose(after[:, HANDS], before[:, HANDS[::-1]], atol=1e-6)
+    np.testing.assert_allclose(BODY.parts(exchanged), BODY.parts(poses)[origin][:, [0, 2, 1]], atol=1e-6)
+    chance = 0.5 * (1 - np.exp(-2 * DYNAMICS.exchanges * DT))
+    np.testing.assert_allclose(shares[n:], chance * weights[origin])
+    np.testing.assert_allclose(shares[:n][origin], (1 - chance) * weights[origin])
+    stays = np.setdiff1d(np.arange(n), origin)
+    np.testing.assert_array_equal(shares[stays], weights[stays])
+
+
+def test_segments_of_exchanged_arms_keep_their_lengths() -> None:
+    past = Ancestors(some(100), np.full(100, 0.01), DT)
+    both = DYNAMICS.with_exchanged(past, np.random.default_rng(0)).poses
+    np.testing.assert_allclose(np.linalg.norm(both.arms, axis=-1), 1.0, atol=1e-9)
+
+
+def test_every_part_has_its_message() -> None:
+    state = samples(some(40))
+    assert part_message(BODY, state.poses, state.weights, 4).predicted.n_parts == len(PARTS)

@@ -1,0 +1,346 @@
+"""Outlines and pictures of bodies against solids that are made of many spheres, pixel by pixel."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.chains.body.silhouette import OUTLINE_PARTS, Silhouettes, silhouettes
+from rsmcm.models.body.poses import BodyPoses
+from rsmcm.models.body.upper_body import UpperBody
+from scipy.spatial.transform import Rotation
+
+from ...support.body_poses import masks, resting
+
+Array = NDArray[np.float64]
+
+BODY = UpperBody.from_head(90)
+SIZE = (420, 560)
+seeds = st.integers(0, 10**6)
+LIMBS = [k for k, name in enumerate(OUTLINE_PARTS) if name.endswith("arm")]
+HANDS = [k for k, name in enumerate(OUTLINE_PARTS) if name.endswith("hand")]
+HEAD, TORSO = OUTLINE_PARTS.index("head"), OUTLINE_PARTS.index("torso")
+
+
+def allowed_poses(n: int, seed: int) -> BodyPoses:
+    random = np.random.default_rng(seed)
+    arms = random.normal(size=(200 * n, 2, 2, 3))
+    arms /= np.linalg.norm(arms, axis=-1, keepdims=True)
+    turns = random.normal(size=(2, 200 * n, 3)) * [[[0.15]], [[0.25]]]
+    poses = BodyPoses(np.tile([280.0, 200.0], (200 * n, 1)), turns[0], turns[1], arms)
+    poses = poses.take(np.flatnonzero(BODY.allowed(poses))[:n])
+    assert len(poses) == n
+    return poses
+
+
+def with_arm(upper: Array, forearm: Array) -> BodyPoses:
+    """One body whose left arm is like this, while the right one hangs a little aside."""
+    poses = resting(np.array([[280.0, 200.0]]))
+    poses.arms[0, 0] = upper / np.linalg.norm(upper), forearm / np.linalg.norm(forearm)
+    poses.arms[0, 1] = np.array([-0.6, 0.8, 0.0])
+    return poses
+
+
+def spheres(poses: BodyPoses, part: int) -> tuple[Array, Array]:
+    """Centres `(k, 3)` and radii `(k,)` of spheres that fill a limb or a hand of the first pose."""
+    joints = BODY.joints(poses)[0]
+    shoulder = 2 if part < 5 else 5
+    name = OUTLINE_PARTS[part].split("_", 1)[1]
+    if name == "hand":
+        return joints[shoulder + 2][None], np.array([BODY.hand])
+    start, first, last = shoulder, BODY.upper_arm_width / 2, BODY.forearm_width / 2
+    if name == "forearm":
+        start, first, last = shoulder + 1, BODY.forearm_width / 2, BODY.wrist_width / 2
+    t = np.linspace(0, 1, 401)
+    centres = joints[start] + t[:, None] * (joints[start + 1] - joints[start])
+    return centres, first + t * (last - first)
+
+
+def fronts(poses: BodyPoses, part: int, pixels: Array) -> Array:
+    """Depth of the front of a part of the first pose at `pixels` `(k, 2)`, infinite where it is not."""
+    if part == HEAD:
+        turn = Rotation.from_rotvec(poses.necks[0]).as_matrix()
+        centre = BODY.joints(poses)[0, 0]
+        axes = np.array([BODY.head_width, BODY.head_height, 0.85 * BODY.head_height]) / 2
+        shape = turn @ np.diag(1 / axes**2) @ turn.T
+        p = np.column_stack([pixels - centre[:2], np.zeros(len(pixels))])
+        # the ellipsoid is met where a z^2 + 2 b z + c = 0
+        a, b = shape[2, 2], p @ shape[2]
+        c = np.einsum("ki,ij,kj->k", p, shape, p) - 1
+        root = b * b - a * c
+        return np.where(root > 0, centre[2] - (b + np.sqrt(np.maximum(root, 0))) / a, np.inf)
+    centres, radii = spheres(poses, part)
+    nearest = np.full(len(pixels), np.inf)
+    for run in np.array_split(np.arange(len(radii)), 1 + len(radii) // 100):
+        span = radii[run] ** 2 - ((pixels[:, None] - centres[run, :2]) ** 2).sum(-1)
+        depth = np.where(span > 0, centres[run, 2] - np.sqrt(np.maximum(span, 0)), np.inf)
+        nearest = np.minimum(nearest, depth.min(1))
+    return nearest
+
+
+def of_part(outline: Silhouettes, part: int) -> tuple[Array, Array]:
+    """Points and normals of a part of the first pose."""
+    mine = outline.part == part
+    return outline.points[0, mine].astype(np.float64), outline.normals[0, mine].astype(np.float64)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pictures_show_the_nearest_of_all_solids(seed: int) -> None:
+    poses = allowed_poses(1, seed)
+    labels = masks(BODY, poses, SIZE)[0]
+    rows, columns = np.mgrid[3 : SIZE[0] : 9, 5 : SIZE[1] : 9]
+    pixels = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64)
+    found = labels[rows, columns].ravel()
+    solids = [part for part in range(len(OUTLINE_PARTS)) if part != TORSO]
+    depths = np.stack([fronts(poses, part, pixels) for part in solids])
+    # the torso is no union of spheres: it is tested by itself, below
+    expected = np.where(np.isfinite(depths).any(0), np.array(solids)[depths.argmin(0)] + 1, 0)
+    judged = found != TORSO + 1
+    first, second = np.partition(depths, 1, axis=0)[:2]
+    # limbs share the sphere of an elbow, and rims have a share of a pixel
+    tie = np.isfinite(second) & (second - np.where(np.isfinite(first), first, 0) < 0.5)
+    wrong = judged & ~tie & (found != expected)
+    assert wrong.sum() <= 0.03 * (judged & (expected > 0)).sum()
+    # where the torso is in front, the others are behind its plane or absent
+    shown = found == TORSO + 1
+    assert (depths[:, shown].min(0, initial=np.inf) > 0.09 * BODY.head_height).all()
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds)
+def test_outlines_of_limbs_and_hands_touch_their_spheres(seed: int) -> None:
+    poses = allowed_poses(1, seed)
+    outline = silhouettes(BODY, poses)
+    for part in LIMBS + HANDS:
+        points, normals = of_part(outline, part)
+        centres, radii = spheres(poses, part)
+        for distance, sign in ((0.0, 0), (0.5, 1), (-0.5, -1)):
+            away = (
+                np.linalg.norm(points[:, None] + distance * normals[:, None] - centres[:, :2], axis=-1)
+                - radii
+            )
+            if sign == 0:
+                np.testing.assert_allclose(away.min(1), 0, atol=0.02)
+            else:
+                # out of the part along the normal, and into it against it
+                np.testing.assert_allclose(away.min(1), distance, atol=0.06)
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds)
+def test_the_head_is_the_outline_of_a_turned_ellipsoid(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    poses = resting(np.array([[280.0, 200.0]]))
+    poses.necks[0] = 0.5 * random.normal(size=3)
+    points, normals = of_part(silhouettes(BODY, poses), HEAD)
+    surface = random.normal(size=(40000, 3))
+    surface /= np.linalg.norm(surface, axis=1, keepdims=True)
+    surface *= np.array([BODY.head_width, BODY.head_height, 0.85 * BODY.head_height]) / 2
+    surface = BODY.joints(poses)[0, 0] + Rotation.from_rotvec(poses.necks[0]).apply(surface)
+    # the outline is as far along each normal as the farthest of the surface's points
+    farthest = (surface[:, :2] @ normals.T).max(0)
+    np.testing.assert_allclose((points * normals).sum(1), farthest, atol=0.1)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_points_are_visible_where_the_picture_shows_their_part(seed: int) -> None:
+    poses = allowed_poses(8, seed)
+    outline = silhouettes(BODY, poses)
+    labels = masks(BODY, poses, SIZE)
+    inside = np.rint(outline.points - 1.5 * outline.normals).astype(int)
+    outside = np.rint(outline.points + 1.5 * outline.normals).astype(int)
+    known = np.ones(outline.visible.shape, bool)
+    for place in (inside, outside):
+        known &= (place >= 0).all(-1) & (place < np.array(SIZE)[::-1]).all(-1)
+    pose, number = np.nonzero(known)
+    shown = labels[pose, inside[pose, number, 1], inside[pose, number, 0]]
+    beyond = labels[pose, outside[pose, number, 1], outside[pose, number, 0]]
+    seen, own = outline.visible[pose, number], outline.part[number] + 1
+    # at corners between parts, 1.5 px aside may be another part, and hidden parts may come out again
+    assert (shown == own)[seen].mean() > 0.93
+    assert (beyond != own)[seen].mean() > 0.97
+    assert (beyond != own)[~seen].mean() > 0.97
+    assert (shown != own)[~seen].mean() > 0.8
+
+
+def test_neighbours_of_a_stretched_arm_do_not_hide_each_other() -> None:
+    poses = with_arm(np.array([1.0, 0.2, 0.0]), np.array([1.0, 0.2, 0.0]))
+    outline = silhouettes(BODY, poses)
+    sideways = np.abs(outline.normals[0] @ [-0.2, 1.0]) > 0.9
+    points = outline.points[0]
+    joints = BODY.joints(poses)[0]
+    clear = (points[:, 0] > joints[2, 0] + BODY.upper_arm_width) & (points[:, 0] < joints[4, 0] - BODY.hand)
+    limbs = np.isin(outline.part, LIMBS[:2]) & sideways & clear
+    assert limbs.sum() >= 10
+    assert outline.visible[0, limbs].all()
+    # but the round end of the forearm lies within the elbow
+    cap = (outline.part == OUTLINE_PARTS.index("left_forearm")) & ~sideways
+    assert cap.sum() >= 1
+    assert not outline.visible[0, cap].any()
+
+
+def test_a_forearm_towards_the_viewer_is_the_disc_of_its_larger_end() -> None:
+    poses = with_arm(np.array([1.0, 0.0, 0.0]), np.array([0.02, 0.0, -1.0]))
+    points, _ = of_part(silhouettes(BODY, poses), OUTLINE_PARTS.index("left_forearm"))
+    elbow = BODY.joints(poses)[0, 3, :2]
+    radius = np.linalg.norm(points - elbow, axis=1)
+    np.testing.assert_allclose(radius, BODY.forearm_width / 2, atol=0.1)
+    # evenly spread
+    gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    np.testing.assert_allclose(gaps, gaps.mean(), rtol=0.02)
+
+
+@given(seeds)
+def test_foreshortening_moves_the_outline_without_jumps(seed: int) -> None:
+    # through the angle at which one end of the forearm begins to hold the other
+    random = np.random.default_rng(seed)
+    limit = (BODY.forearm_width - BODY.wrist_width) / 2 / BODY.forearm
+    turn = random.uniform(0, 2 * np.pi)
+    outlines = []
+    for shift in (-1e-3, 1e-3):
+        aside = (limit + shift) * np.array([np.cos(turn), np.sin(turn)])
+        poses = with_arm(np.array([0.9, 0.1, -0.2]), np.array([*aside, -np.sqrt(1 - aside @ aside)]))
+        outlines.append(of_part(silhouettes(BODY, poses), OUTLINE_PARTS.index("left_forearm"))[0])
+    apart = np.linalg.norm(outlines[0][:, None] - outlines[1], axis=-1).min(1)
+    assert apart.max() < 0.3 * BODY.forearm_width
+
+
+@pytest.mark.parametrize("depth", [-1, 1])
+def test_a_hand_hides_a_face_or_the_face_hides_the_hand(depth: int) -> None:
+    from rsmcm.models.body.inverse_kinematics import arm_at
+
+    poses = resting(np.array([[280.0, 200.0]]))
+    joints = BODY.joints(poses)[0]
+    place = joints[0] + [8, 20, depth * 0.8 * BODY.head_height] - joints[2]
+    arms, reachable = arm_at(BODY, 0, place[None], np.array([2.5]))
+    assert reachable.all()
+    poses.arms[0, 0] = arms[0]
+    outline = silhouettes(BODY, poses)
+    hand, head = outline.part == HANDS[0], outline.part == HEAD
+    within = np.linalg.norm(outline.points[0] - (joints[0, :2] + [8, 20]), axis=1) < 0.9 * BODY.hand
+    if depth < 0:
+        assert outline.visible[0, hand].all()
+        assert not outline.visible[0, head & within].any()
+        assert masks(BODY, poses, SIZE)[0, 134, 288] == HANDS[0] + 1
+    else:
+        assert outline.visible[0, head].sum() >= 17
+        assert outline.visible[0, hand].sum() <= 4
+        assert masks(BODY, poses, SIZE)[0, 134, 288] == HEAD + 1
+
+
+def test_torso_has_shoulders_sides_and_a_neck_that_goes_with_the_head() -> None:
+    poses = resting(np.tile([280.0, 200.0], (3, 1)))
+    poses.necks[1:, 2] = [0.6, -0.6]
+    outline = silhouettes(BODY, poses)
+    mine = outline.part == TORSO
+    points, normals = outline.points[0, mine], outline.normals[0, mine]
+    assert points[:, 1].max() < 200 + BODY.torso_height
+    assert abs(points[:, 0] - 280).max() < BODY.shoulder_width / 2 + 1
+    assert ((points[:, 0] - 280) * normals[:, 0] > 0).all()
+    labels = masks(BODY, poses, SIZE)
+    # between the root and the head there is always something of the body
+    heads = BODY.joints(poses)[:, 0, :2]
+    for share in np.linspace(0, 1, 12):
+        places = np.rint((1 - share) * poses.roots + share * heads).astype(int)
+        assert (labels[np.arange(3), places[:, 1], places[:, 0]] > 0).all()
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds, st.floats(-0.6, 0.6))
+def test_bodies_that_turn_in_the_picture_have_outlines_that_turn(seed: int, angle: float) -> None:
+    poses = allowed_poses(4, seed)
+    turn = Rotation.from_rotvec([0.0, 0.0, angle])
+    flat = turn.as_matrix()[:2, :2]
+    torsos, necks = ((turn * Rotation.from_rotvec(each)).as_rotvec() for each in (poses.torsos, poses.necks))
+    arms = np.reshape(turn.apply(poses.arms.reshape(-1, 3)), poses.arms.shape)
+    here, there = silhouettes(BODY, poses), silhouettes(BODY, BodyPoses(poses.roots, torsos, necks, arms))
+    # circles begin at another of their points, as limbs do that are seen end-on
+    own = np.tile(there.part == TORSO, (len(poses), 1))
+    lengths = np.array([BODY.upper_arm, BODY.forearm])
+    narrowing = np.abs(np.diff([BODY.upper_arm_width, BODY.forearm_width, BODY.wrist_width])) / 2
+    aside = np.linalg.norm(poses.arms[..., :2], axis=-1) * lengths > 1.1 * narrowing
+    for limb, seen in zip(LIMBS, aside.reshape(len(poses), -1).T, strict=True):
+        own |= (there.part == limb) & seen[:, None]
+    for part, turned in (
+        (here.points - poses.roots[:, None], there.points - poses.roots[:, None]),
+        (here.normals, there.normals),
+    ):
+        np.testing.assert_allclose(turned[own], part[own] @ flat.T, atol=2e-3)
+    assert (there.visible == here.visible)[own].mean() > 0.98
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds)
+def test_mirror_images_have_mirrored_outlines(seed: int) -> None:
+    poses = allowed_poses(4, seed)
+    mirrored = BodyPoses(
+        poses.roots * [-1, 1],
+        poses.torsos * [1, -1, -1],
+        poses.necks * [1, -1, -1],
+        poses.arms[:, ::-1] * [-1, 1, 1],
+    )
+    here, there = silhouettes(BODY, poses), silhouettes(BODY, mirrored)
+    swapped = [*OUTLINE_PARTS[:2], *OUTLINE_PARTS[5:], *OUTLINE_PARTS[2:5]]
+    for part, name in enumerate(swapped):
+        mine, theirs = here.part == part, here.part == OUTLINE_PARTS.index(name)
+        points, images = here.points[:, mine], there.points[:, theirs] * np.array([-1, 1], np.float32)
+        away = np.linalg.norm(points[:, :, None] - images[:, None], axis=-1)
+        circle = part == HEAD or part in HANDS  # they begin at another of their points
+        assert circle or away.min(axis=2).max() < 0.01
+        shown = here.visible[:, mine].mean(), there.visible[:, theirs].mean()
+        # of an arc of nine points, one more or less at each end
+        assert shown[0] == pytest.approx(shown[1], abs=2 / 9 if circle else 0.1)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds)
+def test_the_torso_is_a_plane_that_leans_and_turns(seed: int) -> None:
+    """Its outline is the upright one, behind the root, turned in space; normals are across what is seen."""
+    poses = allowed_poses(3, seed)
+    upright = resting(poses.roots)
+    flat, _ = of_part(silhouettes(BODY, upright), TORSO)
+    flat -= upright.roots[0]
+    turns = Rotation.from_rotvec(poses.torsos).as_matrix()
+    outline = silhouettes(BODY, poses)
+    mine = outline.part == TORSO
+    solid = np.column_stack([flat, np.full(len(flat), 0.1 * BODY.head_height)])
+    seen = poses.roots[:, None] + np.einsum("nxy,py->npx", turns, solid)[..., :2]
+    np.testing.assert_allclose(outline.points[:, mine], seen, atol=1e-3)
+    normals = outline.normals[:, mine]
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
+    # points of one side alternate with those of the other
+    along = seen[:, 2:] - seen[:, :-2]
+    same = np.linalg.norm(flat[2:] - flat[:-2], axis=1) < 0.4 * BODY.head_height
+    across = np.abs((along * normals[:, 2:]).sum(-1))[:, same]
+    assert (across < 1e-2 * np.linalg.norm(along, axis=-1)[:, same]).all()
+    outwards = (normals * (seen - seen.mean(axis=1, keepdims=True))).sum(-1)
+    assert (outwards > 0).mean() > 0.9
+
+
+def test_outlines_are_moved_with_the_body_and_alike_in_every_batch() -> None:
+    poses = allowed_poses(20, 0)
+    moved = replace(poses, roots=poses.roots + np.array([13, -40]))
+    here, there = silhouettes(BODY, poses), silhouettes(BODY, moved)
+    np.testing.assert_allclose(there.points, here.points + np.array([13, -40]), atol=1e-3)
+    assert (there.visible == here.visible).mean() > 0.995
+    alone = silhouettes(BODY, poses.take([7]))
+    for name in ("points", "normals", "visible"):
+        np.testing.assert_array_equal(getattr(alone, name)[0], getattr(here, name)[7])
+
+
+def test_outlines_keep_to_their_number_of_points() -> None:
+    outline = silhouettes(BODY, allowed_poses(2, 1))
+    assert outline.points.shape == (2, 108, 2)
+    assert 80 <= len(outline.part) <= 110
+    assert set(outline.part) == set(range(len(OUTLINE_PARTS)))
+    empty = silhouettes(BODY, resting(np.zeros((0, 2))))
+    assert empty.points.shape == (0, 108, 2)
+
+
+def test_bodies_out_of_the_picture_leave_it_empty() -> None:
+    far = resting(np.array([[-5000.0, 100.0], [100.0, 1e5]]))
+    assert not masks(BODY, far, (60, 80)).any()
+    assert np.isfinite(silhouettes(BODY, far).points).all()

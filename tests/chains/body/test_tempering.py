@@ -1,0 +1,356 @@
+"""Tempering and moving of poses, against plain importance sampling and against what must not change."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.chains.body import tempering
+from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
+from rsmcm.chains.body.strata import Strata
+from rsmcm.chains.body.tempering import Tempered, preselected, temper
+from rsmcm.inference.smc import normalised
+from rsmcm.models.body.poses import BodyPoses
+from rsmcm.models.body.upper_body import JOINTS, UpperBody
+from scipy.stats import ks_2samp
+
+Array = NDArray[np.float64]
+LogDensity = Callable[[BodyPoses], Array]
+
+BODY = UpperBody.from_head(90.0)
+SIZE = (360, 640)
+DT = 0.04
+HANDS = [JOINTS.index("left_hand"), JOINTS.index("right_hand")]
+RUNS = 12
+
+
+class Past:
+    """A few poses of the frame before, and the prior that the dynamics make of them."""
+
+    def __init__(self, seed: int, jumps: float = 2.0, elapsed: float = 4 * DT) -> None:
+        random = np.random.default_rng(seed)
+        self.dynamics = BodyDynamics(BODY, jumps=jumps)
+        middle = self.dynamics.draw_anywhere(1, SIZE, random)
+        self.poses = self.dynamics.draw(middle.take(np.zeros(5, np.int64)), DT, random)
+        self.weights = random.dirichlet(np.full(5, 2.0))
+        self.elapsed = elapsed
+
+    def drawn(self, n: int, random: np.random.Generator) -> BodyPoses:
+        """Poses of the prior: allowed by the joints, unusual postures as seldom as they are."""
+        found: list[BodyPoses] = []
+        while sum(map(len, found)) < n:
+            ancestors = self.poses.take(random.choice(5, n, p=self.weights))
+            poses = self.dynamics.draw(ancestors, self.elapsed, random)
+            usual = random.random(n) < np.exp(self.dynamics.log_posture(poses, self.elapsed))
+            found.append(poses.take(BODY.allowed(poses) & usual))
+        return BodyPoses.concatenated(found).take(slice(n))
+
+    def log_density(self, poses: BodyPoses, owners: NDArray[np.int64] | None = None) -> Array:
+        """Minus infinity where joints forbid a pose; the same whatever samples it goes back to."""
+        density = self.dynamics.log_density(poses, Ancestors(self.poses, self.weights, self.elapsed))
+        return np.where(BODY.allowed(poses), density, -np.inf)
+
+    def log_steps(self, chosen: NDArray[np.int64]) -> Callable[[BodyPoses, NDArray[np.int64]], Array]:
+        """The prior of a pose whose sample was drawn from one of the poses, by its number in `chosen`."""
+
+        def log_prior(poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
+            before = self.poses.take(chosen[owners])
+            density = self.dynamics.log_step(poses, before, self.elapsed)
+            return np.where(BODY.allowed(poses), density, -np.inf)
+
+        return log_prior
+
+
+def looks(places: Array, spread: float) -> LogDensity:
+    """Log likelihood of both hands seen at `places` `(2, 2)` px, with Gaussian errors."""
+
+    def log_likelihood(poses: BodyPoses) -> Array:
+        off = BODY.parts(poses)[:, 1:] - places
+        return np.asarray(-0.5 * (off**2).sum(axis=(1, 2)) / spread**2)
+
+    return log_likelihood
+
+
+def nothing(poses: BodyPoses) -> Array:
+    """Log likelihood of an image that says nothing."""
+    return np.zeros(len(poses))
+
+
+def hands(poses: BodyPoses) -> Array:
+    """`(n, 6)` px: both hands in space."""
+    return BODY.joints(poses)[:, HANDS].reshape(len(poses), 6)
+
+
+def summary(poses: BodyPoses, weights: Array) -> Array:
+    """Means and covariances of the hands, `(27,)`."""
+    places = hands(poses)
+    mean = weights @ places
+    covariance = np.cov(places.T, aweights=weights, ddof=0)
+    return np.concatenate([mean, covariance[np.triu_indices(6)]])
+
+
+def even(n: int) -> Array:
+    """Log weights of draws of the prior."""
+    return np.full(n, -np.log(n))
+
+
+def tempered(past: Past, likelihood: LogDensity, n: int, seed: int) -> Tempered:
+    random = np.random.default_rng(seed)
+    poses = past.drawn(n, random)
+    return temper(past.dynamics, poses, even(n), past.log_density, likelihood, n, random)
+
+
+def tempered_with_ancestors(past: Past, likelihood: LogDensity, n: int, seed: int) -> Tempered:
+    """Each sample moves under the prior of its own ancestor; together they are of the same mixture."""
+    random = np.random.default_rng(seed)
+    chosen = random.choice(5, 3 * n, p=past.weights)
+    poses = past.dynamics.draw(past.poses.take(chosen), past.elapsed, random)
+    possible = BODY.allowed(poses)
+    poses, chosen = poses.take(possible), chosen[possible]
+    log_weights = normalised(past.dynamics.log_posture(poses, past.elapsed))
+    return temper(past.dynamics, poses, log_weights, past.log_steps(chosen), likelihood, n, random)
+
+
+@pytest.mark.parametrize("run", [tempered, tempered_with_ancestors])
+@pytest.mark.parametrize("seed", range(2))
+def test_posterior_and_evidence_are_those_of_importance_sampling(
+    seed: int, run: Callable[[Past, LogDensity, int, int], Tempered]
+) -> None:
+    """Hands' means and covariances over 12 runs, beside 300 000 weighted draws of the prior.
+
+    The bar is five standard errors: of the runs by their differences, and of the weighted draws by those
+    of 20 pieces.
+    """
+    past = Past(seed, jumps=0.5)
+    random = np.random.default_rng(seed + 100)
+    target = np.median(BODY.parts(past.drawn(1000, random))[:, 1:], axis=0) + random.normal(0, 15, (2, 2))
+    likelihood = looks(target, 12.0)
+
+    draws = past.drawn(300_000, random)
+    log_likelihood = likelihood(draws)
+    weights = np.exp(log_likelihood)
+    assert weights.sum() ** 2 / (weights**2).sum() > 500
+    pieces = np.array_split(np.arange(len(draws)), 20)
+    parts = [summary(draws.take(piece), weights[piece] / weights[piece].sum()) for piece in pieces]
+    expected = summary(draws, weights / weights.sum())
+    error = np.std(parts, axis=0) / np.sqrt(len(parts))
+
+    runs = [run(past, likelihood, 2000, 1000 * seed + number) for number in range(RUNS)]
+    found = np.stack([summary(one.poses, np.exp(one.log_weights)) for one in runs])
+    bar = 5 * np.hypot(found.std(axis=0, ddof=1) / np.sqrt(RUNS), error)
+    spread = np.sqrt(expected[6:][np.cumsum([0, 6, 5, 4, 3, 2])])
+    assert (np.abs(found.mean(axis=0) - expected) < bar + 1e-3).all()
+    assert (bar[:6] < 0.5 * spread).all()  # so that the bars mean something
+
+    evidence = np.log(weights.mean())
+    relative = weights.std() / weights.mean() / np.sqrt(len(weights))
+    own = np.array([one.log_evidence for one in runs])
+    assert abs(own.mean() - evidence) < 5 * np.hypot(own.std(ddof=1) / np.sqrt(RUNS), relative) + 0.02
+
+
+def test_samples_are_many_where_weights_would_leave_a_few() -> None:
+    past = Past(3, jumps=0.0)
+    random = np.random.default_rng(3)
+    target = BODY.parts(past.drawn(1, random))[0, 1:] + 15.0
+    likelihood = looks(target, 5.0)
+    draws = past.drawn(1000, random)
+    weights = np.exp(likelihood(draws) - likelihood(draws).max())
+    assert weights.sum() ** 2 / (weights**2).sum() < 30
+    found = temper(past.dynamics, draws, even(1000), past.log_density, likelihood, 1000, random)
+    assert len(found.poses) == 1000
+    assert 1 / np.exp(2 * found.log_weights).sum() > tempering.KEPT * 1000
+    assert len(np.unique(found.poses.roots[:, 0])) > 200  # not only copies
+    assert 0.02 < found.accepted < 0.9
+    assert BODY.allowed(found.poses).all()
+
+
+def test_without_a_likelihood_there_is_no_evidence() -> None:
+    found = tempered(Past(4), nothing, 1000, 4)
+    assert found.log_evidence == pytest.approx(0.0, abs=1e-12)
+    assert np.exp(found.log_weights).sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_moves_leave_the_prior_as_it_is(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After 40 of them independent draws of the prior are still such draws: Kolmogorov and Smirnov.
+
+    In one stratum each is drawn once, since all weigh the same; hence they stay independent.
+    """
+    monkeypatch.setattr(tempering, "MOVES", 40)
+    monkeypatch.setattr(Strata, "of", lambda body, poses: Strata(np.zeros(len(poses), np.int64)))
+    past = Past(seed)
+    random = np.random.default_rng(seed)
+    poses, others = (past.drawn(2000, random) for _ in range(2))
+    found = temper(past.dynamics, poses, even(2000), past.log_density, nothing, 2000, random)
+    np.testing.assert_allclose(found.log_weights, even(2000))
+    assert found.accepted > 0.1
+    stayed = np.isin(found.poses.arms[:, 0, 0, 0], poses.arms[:, 0, 0, 0])
+    assert stayed.mean() < 0.1
+
+    def features(some: BodyPoses) -> Array:
+        flexions = (some.arms[:, :, 0] * some.arms[:, :, 1]).sum(axis=2)
+        joints = BODY.joints(some).reshape(len(some), -1)
+        return np.concatenate([joints, some.turns, flexions], axis=1)
+
+    after, fresh = features(found.poses), features(others)
+    varies = fresh.std(axis=0) > 0
+    values = [ks_2samp(after[:, one], fresh[:, one]).pvalue for one in np.flatnonzero(varies)]
+    assert min(values) > 1e-3 / len(values)
+
+
+def test_weights_that_come_in_count() -> None:
+    """Draws of a wider density with weights are draws of the prior."""
+    past, wide = Past(5, jumps=0.5), Past(5, jumps=0.5, elapsed=6 * DT)
+    random = np.random.default_rng(5)
+    direct = past.drawn(100_000, random)
+    expected = hands(direct).mean(axis=0)
+    found = []
+    for run in range(RUNS):
+        random = np.random.default_rng(50 + run)
+        poses = wide.drawn(3000, random)
+        log_weights = normalised(past.log_density(poses) - wide.log_density(poses))
+        after = temper(past.dynamics, poses, log_weights, past.log_density, nothing, 3000, random)
+        found.append(np.exp(after.log_weights) @ hands(after.poses))
+    bar = 5 * np.std(found, axis=0, ddof=1) / np.sqrt(RUNS)
+    bar = np.hypot(bar, 5 * hands(direct).std(axis=0) / np.sqrt(len(direct)))
+    assert (np.abs(np.mean(found, axis=0) - expected) < bar).all()
+
+
+def test_of_many_candidates_as_many_are_left_as_are_wanted() -> None:
+    past = Past(8)
+    random = np.random.default_rng(8)
+    poses = past.drawn(900, random)
+    for likelihood in (nothing, looks(BODY.parts(poses)[0, 1:], 8.0)):
+        found = temper(past.dynamics, poses, even(900), past.log_density, likelihood, 300, random)
+        assert len(found.poses) == 300
+        assert np.exp(found.log_weights).sum() == pytest.approx(1.0)
+    some = poses.take(slice(5))
+    few = temper(past.dynamics, some, even(5), past.log_density, nothing, 300, random)
+    assert len(few.poses) == 300
+
+
+def test_the_prior_is_asked_of_the_sample_that_a_pose_goes_back_to() -> None:
+    """Of five people far apart, however often they are drawn again; nobody moves from one to another."""
+    past, random = Past(9), np.random.default_rng(9)
+    apart = 400.0 * np.arange(5)
+    poses = past.drawn(600, random)
+    roots, start = poses.roots.copy(), random.integers(5, size=600)
+    roots[:, 0] += apart[start]
+    poses = replace(poses, roots=roots)
+    middles, asked = np.median(roots[start == 0], axis=0)[0] + apart, []
+
+    def log_prior(poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
+        asked.append(np.abs(poses.roots[:, 0] - middles[start[owners]]).max())
+        return np.zeros(len(poses))
+
+    def likelihood(poses: BodyPoses) -> Array:
+        return np.asarray(-0.01 * poses.roots[:, 0])
+
+    temper(past.dynamics, poses, even(600), log_prior, likelihood, 400, random)
+    assert len(asked) > 4
+    assert max(asked) < 150
+
+
+def test_impossible_poses_are_never_taken() -> None:
+    """Not even if the image asks for them: hands behind the back."""
+    past = Past(6)
+
+    def likelihood(poses: BodyPoses) -> Array:
+        return np.asarray(0.2 * BODY.joints(poses)[:, HANDS, 2].sum(axis=1))
+
+    found = tempered(past, likelihood, 500, 6)
+    assert BODY.allowed(found.poses).all()
+    assert np.isfinite(past.log_density(found.poses)).all()
+
+
+def test_seeds_decide() -> None:
+    past = Past(7)
+    likelihood = looks(BODY.parts(past.poses)[0, 1:], 4.0)
+    one, same, other = (tempered(past, likelihood, 300, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.poses.angles, same.poses.angles)
+    assert one.log_evidence == same.log_evidence
+    assert not np.array_equal(one.poses.angles, other.poses.angles)
+
+
+# --- what is worth a second look ---
+
+
+def scene_of_hands(seed: int) -> tuple[BodyPoses, Array]:
+    """Weighted poses of a prior of several modes, unevenly."""
+    past = Past(seed, elapsed=10 * DT)
+    random = np.random.default_rng(seed)
+    poses = past.drawn(3000, random)
+    return poses, normalised(random.normal(0, 1, 3000))
+
+
+@pytest.mark.parametrize("kind", ["nothing", "right", "wrong"])
+def test_sums_over_preselected_poses_have_the_same_expectation(kind: str) -> None:
+    """Whatever the first look says: mass, means and evidence over many draws, five standard errors."""
+    poses, log_weights = scene_of_hands(11)
+    places = np.median(BODY.parts(poses)[:, 1:], axis=0)
+    log_likelihood = looks(places, 200.0)(poses)  # no stratum is so improbable that it is forgotten
+    first_look = {"nothing": nothing(poses), "right": log_likelihood, "wrong": -0.05 * log_likelihood}[kind]
+    values = np.column_stack([np.ones(3000), hands(poses), np.exp(log_likelihood)])
+    found = []
+    for run in range(60):
+        chosen, after = preselected(BODY, poses, log_weights, first_look, 500, np.random.default_rng(run))
+        assert chosen.shape == after.shape == (500,)
+        found.append(np.exp(after) @ values[chosen])
+    bar = 5 * np.std(found, axis=0, ddof=1) / np.sqrt(60)
+    expected = np.exp(log_weights) @ values
+    assert (np.abs(np.mean(found, axis=0) - expected) < bar + 1e-9).all()
+    assert bar[-1] < 0.5 * expected[-1]
+
+
+def test_a_good_first_look_saves_samples() -> None:
+    """The mean of the likelihood has less variance than over as many poses drawn by their weights."""
+    poses, log_weights = scene_of_hands(12)
+    likelihood = looks(BODY.parts(poses)[7, 1:], 15.0)(poses)
+    means: list[list[float]] = [[], []]
+    for run in range(40):
+        for kind, first_look in enumerate((nothing(poses), likelihood)):
+            chosen, after = preselected(BODY, poses, log_weights, first_look, 300, np.random.default_rng(run))
+            means[kind].append(np.exp(after) @ np.exp(likelihood[chosen]))
+    blind, good = np.std(means, axis=1)
+    assert good < 0.5 * blind
+
+
+@dataclass(frozen=True)
+class InStages:
+    """A likelihood of which one hand is looked at first."""
+
+    target: Array
+
+    def first(self, poses: BodyPoses) -> Array:
+        off = BODY.parts(poses)[:, 1] - self.target[0]
+        return np.asarray(-0.5 * (off**2).sum(axis=1) / 20.0**2)
+
+    def rest(self, poses: BodyPoses) -> Array:
+        return looks(self.target, 12.0)(poses) - self.first(poses)
+
+
+def test_evidence_and_posterior_of_a_likelihood_in_stages() -> None:
+    """They are those of the whole, though the rest is not worked out for all that is tried."""
+    past = Past(13, jumps=0.5)
+    random = np.random.default_rng(13)
+    target = np.median(BODY.parts(past.drawn(1000, random))[:, 1:], axis=0) + 10.0
+    likelihood = looks(target, 12.0)
+    draws = past.drawn(200_000, random)
+    weights = np.exp(likelihood(draws))
+    evidence, shares = np.log(weights.mean()), weights / weights.sum()
+    expected = shares @ hands(draws)
+    error = np.sqrt(shares**2 @ (hands(draws) - expected) ** 2)
+    relative = weights.std() / weights.mean() / np.sqrt(len(weights))
+
+    found = []
+    for run in range(RUNS):
+        random = np.random.default_rng(run)
+        poses = past.drawn(6000, random)
+        after = temper(
+            past.dynamics, poses, even(6000), past.log_density, InStages(target), 1000, random, 2000
+        )
+        found.append([after.log_evidence, *(np.exp(after.log_weights) @ hands(after.poses))])
+    bar = 5 * np.hypot(np.std(found, axis=0, ddof=1) / np.sqrt(RUNS), [relative, *error]) + 0.02
+    assert bar[[0, 1, 2, 4, 5]].max() < 2.0, "nats, and px in the picture; of depth less is known"
+    assert (np.abs(np.mean(found, axis=0) - [evidence, *expected]) < bar).all()

@@ -1,0 +1,31 @@
+"""Experts begin their search apart, some of them straight ahead."""
+
+import numpy as np
+from rsmcm.chains.face.recovery.search import ASIDE, FARTHEST_AHEAD, STRAIGHT, apart
+from rsmcm.models.face.pose import Poses
+
+N, BASES = 4000, 3
+
+
+def test_shares_of_the_motion_and_steps_aside() -> None:
+    poses = Poses.upright(np.zeros((N, 2)), np.full(N, 40.0), BASES)
+    motion = np.zeros((N, poses.dimension))
+    motion[:, 3] = 10.0
+    walk = np.array([0.01, 0.02, 0.01, 4.0, 9.0, 1.0, 2.0, 3.0])
+    changes = apart(poses, motion, walk, np.random.default_rng(0)).changes_from(poses)
+    straight = np.abs(np.delete(changes, 3, axis=1)).max(axis=1) < 1e-12
+    bar = 5 / np.sqrt(N)
+    assert abs(straight.mean() - STRAIGHT) < bar
+    ahead = changes[straight, 3] / 10.0
+    assert ahead.min() >= 0
+    assert ahead.max() <= FARTHEST_AHEAD
+    assert abs(ahead.mean() - FARTHEST_AHEAD / 2) < bar * FARTHEST_AHEAD
+    np.testing.assert_allclose(changes[~straight, 4].std(), ASIDE * 3.0, rtol=bar)
+    np.testing.assert_allclose(changes[~straight, 5:].std(axis=0), ASIDE * np.sqrt(walk[5:]), rtol=bar)
+
+
+def test_the_same_draws_the_same() -> None:
+    poses = Poses.upright(np.zeros((5, 2)), np.full(5, 40.0), BASES)
+    motion, walk = np.ones((5, poses.dimension)), np.ones(poses.dimension)
+    first, second = (apart(poses, motion, walk, np.random.default_rng(1)).morphs for _ in range(2))
+    np.testing.assert_array_equal(first, second)

@@ -1,0 +1,302 @@
+"""The background terms of G-flow: its own maps, another chain's prediction, and what it says to pixels."""
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.scenes import FaceScene, face
+from rsmcm.chains.face.background_contrast import (
+    TRUST_TIME,
+    UNSEEN,
+    BackgroundContrast,
+    OccludedBackground,
+    SharedBackground,
+    first_trust,
+    tones,
+    units,
+)
+from rsmcm.chains.face.coverage import Coverage
+from rsmcm.chains.face.expert_background import NOISE, UNKNOWN_VARIANCE, WANDERING, ExpertBackground
+from rsmcm.chains.face.experts import log_likelihood
+from rsmcm.chains.face.gflow import GFlow, GFlowState
+from rsmcm.chains.face.image_pyramid import image_pyramid
+from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood
+from rsmcm.chains.pixels.adaptive_background import AdaptiveBackground, BackgroundState
+from rsmcm.inference.engine.graph import MultiChain
+from rsmcm.inference.engine.protocols import Incoming
+from rsmcm.inference.engine.recursive_bp import RecursiveBP
+from rsmcm.models.core.frame import Frame
+from rsmcm.models.face.outline import Box, covered
+from rsmcm.models.face.pose import Poses
+from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.pixels.pixel_labels import PixelLabels, PixelMessage
+
+from ..support.surfaces import bumpy, poses_near, smooth_picture
+
+Array = NDArray[np.float64]
+
+SIZE = (120, 160)
+WHOLE = Box(0, 0, *SIZE)
+PIXELS = PixelLabels()
+DT = 1 / 25
+
+
+# Units
+
+
+def test_the_unit_is_the_derivative_of_the_normalisation() -> None:
+    image = np.full(SIZE, 90, np.uint8)  # even, so that the local mean is known
+    unit = units(image, 24.0, local_mean=True)
+    values = [
+        image_pyramid(np.full(SIZE, grey, np.uint8), 24.0, n_levels=1, local_mean=True) for grey in (90,)
+    ]
+    normalised = values[0][0].image[60, 80]
+    assert normalised == pytest.approx(128 * 90 / 95, rel=1e-4)
+    # the mean held, dy'/dy = 128 / (m + 5)
+    np.testing.assert_allclose(unit, np.log(256 * 128 / 95), rtol=1e-5)
+    np.testing.assert_allclose(units(image, 24.0, local_mean=False), np.log(256), rtol=1e-6)
+
+
+def test_tones_are_a_density_over_grey_values() -> None:
+    image = np.tile(np.arange(256, dtype=np.uint8), (4, 1))
+    where = np.zeros(image.shape, np.bool_)
+    where[:, 100:120] = True
+    found = np.exp(tones(image, where, Box(0, 0, 4, 256))[0].astype(float)) / 256
+    assert found.sum() == pytest.approx(1, abs=0.01)
+    assert found[100:120].sum() > 0.6
+    assert found[200] == pytest.approx(0.2 / 256, rel=0.01)
+
+
+# The likelihood
+
+
+def likelihood_of(image: NDArray[np.uint8], poses: Poses, seed: int) -> TextureLikelihood:
+    model = bumpy(3, seed)
+    surface = TexturedObject(model, SurfaceTexels.dense(model, 3000))
+    n_texels = len(surface.texels)
+    levels = image_pyramid(image, 24.0, n_levels=1, local_mean=False)
+    mean = np.random.default_rng(seed).uniform(90, 160, (1, 1, n_texels)).astype(np.float32)
+    visible = np.ones((1, n_texels), np.bool_)
+    return TextureLikelihood(surface, levels, mean, np.full((1, n_texels), 400, np.float32), visible)
+
+
+def background_of(
+    contrast: NDArray[np.float32], trust: float, image: NDArray[np.uint8], model: Any
+) -> OccludedBackground:
+    trusted = np.full((1, *SIZE), trust, np.float32)
+    its_units = units(image, 24.0, local_mean=False)
+    image_of_tones = np.zeros(SIZE, np.float32)
+    background = BackgroundContrast.of(WHOLE, contrast[None], trusted, image_of_tones, its_units, np.zeros(1))
+    return OccludedBackground(background, TexturedObject(model, SurfaceTexels.dense(model, 3000)))
+
+
+def test_foreground_less_background_is_the_whole_picture_but_for_a_constant() -> None:
+    """Eq. (17) over all pixels against eq. (18) over the covered ones, for poses that cover unlike areas."""
+    image = np.rint(smooth_picture(1)).astype(np.uint8)
+    poses = poses_near(1, 3, 1)
+    poses = Poses.concatenated(
+        [Poses(poses.rotations, poses.translations, poses.morphs * s) for s in (0.8, 1.0, 1.2)]
+    )
+    likelihood = likelihood_of(image, poses, 1)
+    model = likelihood.surface.model
+    room = np.asarray(smooth_picture(7), np.float32)
+    density = -0.5 * (np.log(2 * np.pi * 900) + (image - room) ** 2 / 900)
+    background = background_of((density + np.log(256)).astype(np.float32), 1.0, image, model)
+    everything = np.ones((1, len(background.surface.texels)), np.bool_)
+    background = replace(background, covering=everything)
+    owner = np.zeros(3, np.int64)
+    areas = likelihood.sums(poses, owner)[:, 2]
+    beta = 400 / np.median(areas)
+    found = log_likelihood(likelihood, poses, owner, 400, background) / beta
+    squares, logs, area, _ = likelihood.sums(poses, owner).T
+    own = -0.5 * (squares + logs + np.log(2 * np.pi) * area)
+    inside = covered(model.project(poses), model.triangles, WHOLE) > 0
+    whole = own + np.array([density[~each].sum() for each in inside])
+    # pixels are whole in the sum over the picture: outlines of 150 px, 1/sqrt(12) each, of a few nats
+    np.testing.assert_allclose(np.diff(found), np.diff(whole), atol=80)
+    assert np.abs(np.diff(whole)).min() > 500
+
+
+def test_a_background_that_is_not_known_favours_no_size() -> None:
+    image = np.rint(smooth_picture(2)).astype(np.uint8)
+    poses = poses_near(6, 3, 3)
+    likelihood = likelihood_of(image, poses, 2)
+    unknown = background_of(np.full(SIZE, 2.0, np.float32), 0.0, image, likelihood.surface.model)
+    background = unknown.around(poses[:1])
+    owner = np.zeros(6, np.int64)
+    without = log_likelihood(likelihood, poses, owner, 400)
+    found = log_likelihood(likelihood, poses, owner, 400, background)
+    # the mean density over the covered pixels decides in both; their areas are within a tenth of each other
+    assert np.corrcoef(without, found)[0, 1] > 0.99
+    assert found.argmax() == without.argmax()
+
+
+# Maps of experts
+
+
+def test_maps_are_kalman_filters_of_pixels() -> None:
+    random = np.random.default_rng(0)
+    images = random.integers(0, 256, (4, *SIZE)).astype(np.uint8)
+    box = Box(10, 20, 30, 40)
+    hidden = (random.random((4, 2, 30, 40)) < 0.5).astype(np.uint8)
+    maps = ExpertBackground.unknown(2, SIZE)
+    mean, variance = np.zeros((2, *SIZE)), np.full((2, *SIZE), UNKNOWN_VARIANCE)
+    for image, covers in zip(images, hidden, strict=True):
+        parents = np.array([1, 0])
+        maps = maps.updated(image, parents, covers, box, DT)
+        variance = np.minimum(variance[parents] + WANDERING * DT, UNKNOWN_VARIANCE)
+        gain = variance / (variance + NOISE)
+        gain[:, 10:40, 20:60] *= 1 - covers
+        mean = mean[parents] + gain * (image - mean[parents])
+        variance = (1 - gain) * variance
+    np.testing.assert_allclose(maps.mean, mean, rtol=1e-4, atol=1e-2)
+    np.testing.assert_allclose(maps.variance, variance, rtol=1e-4)
+
+
+def test_what_an_expert_never_saw_says_nothing_and_the_rest_is_a_density() -> None:
+    random = np.random.default_rng(1)
+    image = random.integers(60, 200, SIZE).astype(np.uint8)
+    box = Box(30, 40, 50, 60)
+    hidden = np.zeros((2, 50, 60), np.uint8)
+    hidden[1, 10:40, 10:50] = 1
+    maps = ExpertBackground.unknown(2, SIZE).updated(image, np.arange(2), hidden, box, 0.0)
+    flat = np.zeros((50, 60), np.float32)
+    found = maps.contrast(image, box, flat, units(image, 24.0, local_mean=True), DT)
+    assert np.abs(found.log_ratio[1, 10:40, 10:50]).max() < 1e-5
+    assert (found.trust[0] > 0.98).all()
+    predicted = np.minimum(maps.variance.astype(float) + WANDERING * DT, UNKNOWN_VARIANCE)
+    variance = predicted + NOISE
+    nats = np.log(256) - 0.5 * (
+        np.log(2 * np.pi * variance) + (image - maps.mean.astype(float)) ** 2 / variance
+    )
+    trust = 1 - predicted / UNKNOWN_VARIANCE
+    np.testing.assert_allclose(found.everywhere, (trust * nats).sum(axis=(1, 2)), rtol=1e-4)
+    np.testing.assert_allclose(found.log_ratio, (trust * nats)[:, 30:80, 40:100], atol=1e-3)
+
+
+# A background that is shared
+
+
+def test_trust_grows_where_predictions_come_true_and_the_object_is_not() -> None:
+    scene = np.full(SIZE, 100, np.uint8)
+    chain = AdaptiveBackground(follow_light=False)
+    state = chain.initial(Frame(scene, 0.0, 1))
+    box, hidden = Box(40, 60, 20, 20), np.ones((20, 20), np.bool_)
+    trust = first_trust(hidden, box, SIZE)
+    changed = scene.copy()
+    changed[:20] = 200
+    for image, visible in ((scene, ~hidden), (changed, hidden)):
+        message = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage(image=image)}))
+        trust = SharedBackground(message * PixelMessage(image=image)).trust_after(trust, ~visible, box, DT)
+    left = np.exp(-DT / TRUST_TIME)
+    assert (trust[45, 65], trust[60, 5]) == (UNSEEN, pytest.approx(1 - left**2))
+    assert trust[5, 5] == pytest.approx((1 - left) * left)
+
+
+def following(scene: FaceScene, **options: Any) -> tuple[GFlow, AdaptiveBackground, MultiChain]:
+    chain = GFlow(scene.model, scene.poses[0], experts=3, texels=500, **options)
+    background = AdaptiveBackground(settle_time=1.0, follow_light=False)
+    return chain, background, MultiChain().connect(background, PIXELS)
+
+
+def sliding(n_frames: int, first: int, moving: int, seed: int = 1) -> FaceScene:
+    """A face that slides to the side from frame `first` on, to where the room was seen, and rests there."""
+    scene = face(n_frames, seed, (192, 128), light=0.0)
+    start, n = scene.poses[0], n_frames
+    along = np.clip((np.arange(n) - first) / moving, 0.0, 1.0)
+    scene.__dict__["poses"] = Poses(
+        np.repeat(start.rotations, n, 0),
+        start.translations + np.stack([55 * (along - 0.6), np.zeros(n)], axis=1),
+        np.repeat(start.morphs, n, 0),
+    )
+    return scene
+
+
+@pytest.mark.parametrize("feedback", [True, False])
+def test_the_background_does_not_absorb_a_face_that_rests(feedback: bool) -> None:
+    scene = sliding(150, 70, 30)
+    chain, background, model = following(scene)
+    model.connect(chain, PIXELS, feedback=feedback)
+    *_, belief = RecursiveBP(model).run(scene)
+    state: BackgroundState = belief[background]
+    tracked: GFlowState = belief[chain]
+    error = np.linalg.norm(chain.vertices(tracked)[0][:, :2] - scene.vertices[-1], axis=1).mean()
+    assert error < 1.0
+    seen_before = ~cv2.dilate(scene.foreground(0).astype(np.uint8), np.ones((9, 9))).astype(bool)
+    rests = cv2.erode(scene.foreground(149).astype(np.uint8), np.ones((9, 9))) > 0
+    chosen = seen_before & rests
+    off = np.abs(state.picture().astype(float) - scene._room)[chosen]
+    assert chosen.sum() > 300
+    assert (np.median(off) < 6) == feedback
+
+
+def test_what_the_face_hid_at_first_is_learned_when_it_leaves() -> None:
+    scene = sliding(45, 0, 30)
+    chain, background, model = following(scene)
+    *_, belief = RecursiveBP(model.connect(chain, PIXELS)).run(scene)
+    left = scene.foreground(0) & ~cv2.dilate(scene.foreground(44).astype(np.uint8), np.ones((11, 11))).astype(
+        bool
+    )
+    off = np.abs(belief[background].picture().astype(float) - scene._room)[left]
+    assert left.sum() > 300
+    assert np.median(off) < 6
+    known = belief[chain].known
+    assert known is not None
+    assert np.median(known[left]) > 0.5
+
+
+def test_the_layer_is_what_experts_cover() -> None:
+    scene = face(1, 0, (192, 128))
+    poses = Poses.concatenated(
+        [scene.poses, Poses(scene.poses.rotations, scene.poses.translations + 200, scene.poses.morphs)]
+    )
+    coverage = Coverage.of(scene.model, poses, np.array([0.75, 0.25]), (128, 192))
+    (layer,) = coverage.layers(None).layers
+    mask = np.zeros((128, 192))
+    mask[layer.top : layer.top + layer.mask.shape[0], layer.left : layer.left + layer.mask.shape[1]] = (
+        layer.mask
+    )
+    inside = scene.foreground(0)
+    assert mask[inside].mean() == pytest.approx(0.75, abs=0.01)
+    assert layer.appearance is None
+    far = cv2.dilate(inside.astype(np.uint8), np.ones((9, 9))) == 0
+    assert mask[far][:1].max() == 0
+
+
+def test_a_tracker_that_knows_nothing_says_nothing() -> None:
+    scene = face(2, 0, (192, 128))
+    chain = GFlow(scene.model, scene.poses[0], experts=2, texels=300)
+    state = chain.initial(scene.frame(0))
+    nothing = chain.message(state, PIXELS, Incoming({PIXELS: PixelMessage()}))
+    assert nothing.layers.layers == ()
+    assert nothing.image is None
+    lost = replace(state, trust=replace(state.trust, doubt=9.0), frames_seen=5)
+    others = Incoming({PIXELS: PixelMessage(image=scene.image(0))})
+    message = chain.message(lost, PIXELS, others)
+    assert lost.lost
+    assert message.layers.layers == ()
+    assert message.background is None
+
+
+@pytest.mark.parametrize("background", ["shared", "experts"])
+def test_a_known_background_holds_a_face_without_texture(background: Any) -> None:
+    """Hardly any texture, under light that moves: the outline is seen best."""
+    scene = face(60, 1, texture=0.3, light=0.3)
+    errors = {}
+    for which in ("none", background):
+        chain = GFlow(
+            scene.model, scene.poses[0], experts=4, texels=500, local_mean=False, gain=0.2, recover=False,
+            background="experts" if which == "experts" else "shared",
+        )  # fmt: skip
+        model = MultiChain()
+        if which == "shared":
+            model.connect(AdaptiveBackground(), PIXELS)
+        places = [
+            chain.vertices(belief[chain])[0][:, :2]
+            for belief in RecursiveBP(model.connect(chain, PIXELS)).run(scene)
+        ]
+        errors[which] = np.linalg.norm(places - scene.vertices, axis=2).mean()
+    assert errors[background] < 0.85 * errors["none"]

@@ -1,0 +1,133 @@
+"""The filter of texels against filterpy's, one at a time; gains that are learned against the best ones."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from rsmcm.chains.face.texel_noise import USUAL_RATE, TexelNoise
+from rsmcm.chains.face.texture_filter import UNKNOWN_VARIANCE, LearnedGain, Texture
+
+Array = NDArray[np.float64]
+
+DT = 1 / USUAL_RATE
+
+
+def known(mean: Array, variance: Array) -> Texture:
+    return Texture(mean.astype(np.float32), variance.astype(np.float32))
+
+
+@given(st.integers(0, 10**6), st.floats(0.01, 0.95), st.floats(4, 300))
+def test_every_texel_is_filtered_as_filterpy_does(seed: int, gain: float, temperature: float) -> None:
+    random = np.random.default_rng(seed)
+    noise = TexelNoise.of_steady_state(gain, temperature)
+    assume(900 + noise.process < UNKNOWN_VARIANCE / 2)  # or a texel that is hidden for long is unknown
+    looks = random.uniform(0, 255, (25, 2, 3, 4)).astype(np.float32)
+    seen = random.random((25, 2, 4)) < 0.6
+    texture = known(random.uniform(0, 255, (2, 3, 4)), random.uniform(0, 900, (2, 4)))
+    start = texture
+    for look, visible in zip(looks, seen, strict=True):
+        texture = texture.updated(look, visible, noise, DT).predicted(noise, DT)
+    for expert, texel in np.ndindex(2, 4):
+        one = KalmanFilter(dim_x=1, dim_z=1)
+        one.x[:], one.P[:] = start.mean[expert, 0, texel], start.variance[expert, texel]
+        one.F[:], one.H[:], one.Q[:], one.R[:] = 1, 1, noise.process * DT, noise.rendering
+        for look, visible in zip(looks, seen, strict=True):
+            one.update(look[expert, 0, texel] if visible[expert, texel] else None)
+            one.predict()
+        assert texture.mean[expert, 0, texel] == pytest.approx(one.x[0, 0], rel=1e-4, abs=1e-3)
+        assert texture.variance[expert, texel] == pytest.approx(one.P[0, 0], rel=1e-4)
+        last = np.flatnonzero(seen[:, expert, texel])
+        if len(last):  # coarse levels hold the last look
+            np.testing.assert_array_equal(texture.mean[expert, 1:, texel], looks[last[-1], expert, 1:, texel])
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.05, 1.0])
+def test_a_first_look_is_the_texture(gain: float) -> None:
+    noise = TexelNoise.of_steady_state(gain, 36.0)
+    looks = np.random.default_rng(0).uniform(0, 255, (400, 1, 2, 5)).astype(np.float32)
+    seen = np.array([[True, True, False, False, True]])
+    texture = Texture.unknown(1, 2, 5, learn=False).updated(looks[0], seen, noise, 0.0)
+    np.testing.assert_array_equal(texture.mean[0][:, seen[0]], looks[0, 0][:, seen[0]])
+    np.testing.assert_allclose(texture.variance[seen], noise.rendering if gain else 0, rtol=1e-6, atol=1e-5)
+    np.testing.assert_allclose(texture.variance[~seen], UNKNOWN_VARIANCE)
+    for look in looks[1:]:
+        texture = texture.predicted(noise, DT).updated(look, np.ones_like(seen), noise, DT)
+    texture = texture.predicted(noise, DT)
+    if gain in (0.0, 1.0):  # a template, and optic flow
+        late = looks[-1 if gain else 0, 0, 0]
+        np.testing.assert_allclose(texture.mean[0, 0, seen[0]], late[seen[0]], atol=1e-4)
+    np.testing.assert_allclose(texture.variance, noise.steady_variance, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(texture.temperature(noise), 36.0, rtol=1e-5)
+
+
+def test_children_have_their_parents_textures() -> None:
+    random = np.random.default_rng(1)
+    texture = known(random.normal(size=(3, 2, 4)), random.uniform(size=(3, 4)))
+    texture = Texture(texture.mean, texture.variance, LearnedGain.first(3, 4))
+    child = texture.of(np.array([2, 2, 0]))
+    np.testing.assert_array_equal(child.mean, texture.mean[[2, 2, 0]])
+    np.testing.assert_array_equal(child.variance, texture.variance[[2, 2, 0]])
+    assert child.learned is not None
+    assert child.learned.gain.shape == (3, 4)
+
+
+def test_hidden_texels_stay_unknown_for_ever() -> None:
+    noise = TexelNoise.of_steady_state(0.5, 36.0)
+    texture = Texture.unknown(1, 1, 3, learn=True)
+    for _ in range(200):
+        texture = texture.predicted(noise, DT)
+        texture = texture.updated(np.full((1, 1, 3), 9, np.float32), np.zeros((1, 3), np.bool_), noise, DT)
+    assert texture.variance.max() <= UNKNOWN_VARIANCE
+    np.testing.assert_array_equal(texture.mean, Texture.unknown(1, 1, 3, learn=True).mean)
+
+
+def squared_error(gain: float | None, process: float, rendering: float) -> tuple[float, float]:
+    """Mean squared error of one-look predictions with a fixed or a learned gain, and its mean at the end."""
+    random = np.random.default_rng(7)
+    n, frames = 400, 600
+    truth = np.full(n, 128.0)
+    noise = TexelNoise.of_steady_state(0.0 if gain is None else gain, rendering + process)
+    texture = Texture.unknown(1, 1, n, learn=gain is None)
+    errors = []
+    for frame in range(frames):
+        truth = truth + np.sqrt(process) * random.normal(size=n)
+        look = (truth + np.sqrt(rendering) * random.normal(size=n)).astype(np.float32)[None, None]
+        if frame > frames // 2:
+            errors.append(((look - texture.mean) ** 2).mean())
+        texture = texture.updated(look, np.ones((1, n), np.bool_), noise, DT).predicted(noise, DT)
+    final = 0.0 if texture.learned is None else float(texture.learned.gain.mean())
+    return float(np.mean(errors)), final
+
+
+@pytest.mark.parametrize(
+    ("process", "rendering"), [(0.0, 200.0), (0.5, 20.0), (6.0, 200.0), (200.0, 200.0), (400.0, 10.0)]
+)
+def test_learned_gains_predict_nearly_as_well_as_the_best_one(process: float, rendering: float) -> None:
+    steady = TexelNoise(rendering, process * USUAL_RATE)
+    best = steady.steady_variance / steady.temperature
+    wanted, _ = squared_error(best, process, rendering)
+    found, gain = squared_error(None, process, rendering)
+    assert found < 1.2 * wanted
+    assert abs(gain - best) < 0.12
+
+
+@given(st.floats(0, 1), st.floats(1e-3, 5), st.floats(1e-3, 5))
+def test_two_predictions_are_one(gain: float, first: float, second: float) -> None:
+    noise = TexelNoise.of_steady_state(gain, 36.0)
+    texture = Texture(np.zeros((1, 1, 3), np.float32), np.array([[0.0, 10.0, 3000.0]], np.float32))
+    halves = texture.predicted(noise, first).predicted(noise, second)
+    np.testing.assert_allclose(halves.variance, texture.predicted(noise, first + second).variance, rtol=1e-5)
+
+
+def test_at_half_the_rate_a_frame_counts_for_more() -> None:
+    noise = TexelNoise.of_steady_state(0.1, 36.0)
+    left = []
+    for dt in (DT, 2 * DT):
+        texture = Texture(np.zeros((1, 1, 1), np.float32), np.full((1, 1), noise.steady_variance, np.float32))
+        for _ in range(round(0.4 / dt)):
+            step = np.full((1, 1, 1), 100.0, np.float32)
+            texture = texture.predicted(noise, dt).updated(step, np.ones((1, 1), np.bool_), noise, dt)
+        left.append(100 - texture.mean[0, 0, 0])
+    assert left[0] < left[1] < 100 * (1 - 0.1) ** 5

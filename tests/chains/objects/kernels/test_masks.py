@@ -1,0 +1,90 @@
+"""Loops over soft masks against plain numpy."""
+
+import cv2
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from rsmcm.chains.objects.kernels.masks import fade_beyond, shape_of, without_crumbs
+
+F4 = np.float32
+
+masks = arrays.arrays(
+    F4,
+    st.tuples(st.integers(1, 14), st.integers(1, 18)),
+    # far from the thresholds, so that no rounding decides
+    elements=st.sampled_from([0.0, 0.1, 0.3, 0.4, 0.5, 0.9]),
+    fill=st.just(F4(0)),
+)
+
+
+def span(hit):
+    """First and end of what is true; all and 0 where nothing is."""
+    places = np.flatnonzero(hit)
+    return (int(places[0]), int(places[-1]) + 1) if places.size else (len(hit), 0)
+
+
+@settings(max_examples=150, deadline=None)
+@given(masks)
+def test_boxes_and_mass(mask):
+    shape = shape_of(mask)
+    likely, faint = mask > 0.45, mask > 0.25
+    assert (shape.top, shape.bottom) == span(likely.sum(axis=1) > 1)
+    assert (shape.left, shape.right) == span(likely.sum(axis=0) > 1)
+    assert (shape.faint_top, shape.faint_bottom) == span(faint.any(axis=1))
+    assert (shape.faint_left, shape.faint_right) == span(faint.any(axis=0))
+    np.testing.assert_allclose(shape.mass, mask.sum(dtype=float), rtol=1e-5, atol=1e-6)
+
+
+@settings(max_examples=150, deadline=None)
+@given(masks)
+def test_the_waist_is_the_narrowest_place_between_upright_parts(mask):
+    heights = np.pad(mask.sum(axis=0, dtype=float), 1, mode="edge")
+    smooth = (heights[:-2] + heights[1:-1] + heights[2:]) / 3
+    beside = np.minimum(np.maximum.accumulate(smooth), np.maximum.accumulate(smooth[::-1])[::-1])
+    depth = np.ones(len(smooth))
+    upright = beside > 0.25 * len(mask) + 1e-4
+    depth[upright] = smooth[upright] / beside[upright]
+    shape = shape_of(mask)
+    if np.abs(beside - 0.25 * len(mask)).min() > 1e-4:
+        np.testing.assert_allclose(shape.waist_depth, depth.min(), rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(depth[shape.waist], depth.min() if shape.waist else depth[0], atol=1e-4)
+
+
+def test_two_upright_parts_have_a_waist_and_one_has_none():
+    pair = np.zeros((20, 21), F4)
+    pair[2:18, 2:9] = pair[2:18, 12:19] = 0.9
+    shape = shape_of(pair)
+    assert 9 <= shape.waist <= 11
+    assert shape.waist_depth < 0.1
+    pair[2:18, 9:12] = 0.9
+    assert shape_of(pair).waist_depth == 1
+
+
+@settings(max_examples=150, deadline=None)
+@given(masks, st.floats(0, 20), st.floats(0, 20))
+def test_fade_beyond(mask, height, width):
+    def median(masses):
+        return int(np.flatnonzero(np.cumsum(masses) >= 0.5 * masses.sum())[0])
+
+    mask = np.round(mask * 16) / F4(16)  # sums are exact, so that no rounding moves a median
+    rows, columns = np.indices(mask.shape)
+    far = np.abs(rows - median(mask.sum(axis=1))) > 0.5 * height + 2
+    far |= np.abs(columns - median(mask.sum(axis=0))) > 0.5 * width + 2
+    faded = mask.copy()
+    fade_beyond(faded, height, width, F4(0.5), np.empty(99, F4))
+    np.testing.assert_array_equal(faded, np.where(far, 0.5 * mask, mask))
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 1000), st.floats(0.05, 0.6))
+def test_crumbs_are_spots_of_less_than_a_tenth_of_the_largest(seed, share):
+    mask = np.where(np.random.default_rng(seed).random((24, 31)) < share, 0.9, 0.2).astype(F4)
+    mask[3:11, 4:9] = 0.8
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats((mask > 0.3).astype(np.uint8), connectivity=8)
+    areas = boxes[:, cv2.CC_STAT_AREA]
+    crumb = areas < 0.1 * areas[1:].max()
+    crumb[0] = False
+    expected = np.where(crumb[labels], F4(0), mask)
+    assert without_crumbs(mask, np.empty(3 * mask.size, np.int64)) == crumb.any()
+    np.testing.assert_array_equal(mask, expected)

@@ -1,0 +1,371 @@
+"""Blobs in small films of textured things that move in front of a textured scene."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from rsmcm.apps.scenes import sleeping_man
+from rsmcm.chains import AdaptiveBackground, BlobTracker, GroundPlane
+from rsmcm.chains.objects.blob_tracker import POSITIVE
+from rsmcm.chains.objects.blobs import Blob
+from rsmcm.inference import Incoming, MultiChain, RecursiveBP
+from rsmcm.models import Frame, ObjectBoxes, PixelLabels
+
+HEIGHT, WIDTH = SIZE = (120, 160)
+DT = 1 / 25
+RED, BLUE, WHITE, DARK, GROUND = (40, 50, 200), (200, 70, 40), (225,) * 3, (30, 35, 30), (110, 120, 115)
+TALL = (40, 16)
+"""Height and width px of most things."""
+
+
+def texture(seed, size, colour, contrast):
+    """Squares of 4 px, lighter and darker than a BGR colour."""
+    coarse = np.random.default_rng(seed).normal(0, contrast, (size[0] // 4 + 1, size[1] // 4 + 1, 1))
+    return colour + coarse.repeat(4, axis=0).repeat(4, axis=1)[: size[0], : size[1]]
+
+
+SCENE = texture(0, SIZE, GROUND, 15)
+
+
+def film(n_frames, *things, grey=False):
+    """Images of things `(size, colour, place)`, the last in front; `place` gives left and top at a time.
+
+    Where `place` gives `None`, there is no such thing.
+    """
+    noise = np.random.default_rng(1)
+    images = []
+    for number in range(n_frames):
+        image = np.pad(SCENE, ((400, 400), (400, 400), (0, 0)))
+        for seed, ((height, width), colour, place) in enumerate(things):
+            where = place(number * DT)
+            if where is not None:
+                left, top = (400 + round(value) for value in where)
+                image[top : top + height, left : left + width] = texture(
+                    10 + seed, (height, width), colour, 25
+                )
+        image = image[400:-400, 400:-400] + noise.normal(0, 4, SCENE.shape)
+        image = np.clip(image, 0, 255).astype(np.uint8)
+        images.append(np.ascontiguousarray(image[:, :, 1]) if grey else image)
+    return images
+
+
+def moving(left, top, speed):
+    return lambda time: (left + speed * time, top)
+
+
+def stopping(time):
+    """Walks in, slows down within half a second, and stands at 60 px from 2 s on."""
+    return (-20 + 45 * min(time, 1.5) + 45 * (min(max(time - 1.5, 0), 0.55) * 0.5), 50)
+
+
+def engine(feedback=True, ground=False, **parameters):
+    pixels, tracker = PixelLabels(), BlobTracker(**parameters)
+    model = MultiChain().connect(AdaptiveBackground(), pixels).connect(tracker, pixels, feedback=feedback)
+    if ground:
+        boxes = ObjectBoxes()
+        model.connect(tracker, boxes).connect(GroundPlane(), boxes)
+    return RecursiveBP(model)
+
+
+def run(frames, **options):
+    return list(engine(**options).run(frames, dt=DT))
+
+
+def tracks_of(belief):
+    return belief["blobs"].tracks()
+
+
+def identities(beliefs):
+    return {track.identity for belief in beliefs for track in tracks_of(belief)}
+
+
+def by_identity(belief):
+    return {track.identity: track for track in tracks_of(belief)}
+
+
+def contents(blob):
+    """All that a blob holds, as bytes."""
+    return [np.asarray(getattr(blob, field.name)).tobytes() for field in fields(Blob)]
+
+
+def same(states, others):
+    return [contents(blob) for blob in states.blobs] == [contents(blob) for blob in others.blobs]
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """A thing that crosses the picture at 60 px/s from left to right."""
+    return film(90, (TALL, RED, moving(-20, 50, 60)))
+
+
+@pytest.fixture(scope="module")
+def walked(walk):
+    return run(walk)
+
+
+def test_one_thing_is_one_track_from_its_birth_to_its_exit(walked):
+    assert identities(walked) == {1}
+    seen = [number for number, belief in enumerate(walked) if tracks_of(belief)]
+    assert seen == list(range(seen[0], seen[-1] + 1))
+    # it is wholly inside from frame 9 on, and outside again from frame 75 on
+    assert seen[0] <= 14
+    assert 70 <= seen[-1] <= 76
+    assert not walked[-1]["blobs"].blobs
+
+
+def test_box_and_velocity_are_those_of_the_thing(walked):
+    for number in range(15, 64):
+        (track,) = tracks_of(walked[number])
+        assert track.box == pytest.approx((-20 + 60 * number * DT, 50, 16, 40), abs=2)
+        assert track.velocity == pytest.approx((60, 0), abs=6)
+        assert track.confidence > 0.9
+
+
+@pytest.mark.parametrize("time", [0.01, 0.2, 0.5])
+def test_an_object_is_reported_after_it_was_seen_for_a_while(walk, time):
+    for belief in run(walk[:25], confirmed_time=time):
+        (blob,) = belief["blobs"].blobs or (None,)
+        assert bool(tracks_of(belief)) == (blob is not None and blob.seen >= time)
+    assert blob.seen > 0.6
+
+
+@pytest.mark.parametrize(
+    ("size", "speed"), [(TALL, 20), (TALL, -40), (TALL, 60), ((40, 30), -40), ((40, 30), 60)]
+)
+@pytest.mark.parametrize("colour", [BLUE, DARK])
+def test_what_enters_over_the_edge_is_one_object(size, speed, colour):
+    """What enters fast or is wide may keep a tail of the scene behind it, up to half its width."""
+    start = -size[1] if speed > 0 else WIDTH
+    n_frames = int((size[1] / abs(speed) + 2) / DT)
+    beliefs = run(film(n_frames, (size, colour, moving(start, 40, speed))))
+    assert identities(beliefs) == {1}
+    (track,) = tracks_of(beliefs[-1])
+    x = start + speed * (n_frames - 1) * DT
+    left, top, width, height = track.box
+    assert (top, height) == pytest.approx((40, size[0]), abs=3)
+    leading, true_leading = (left + width, x + size[1]) if speed > 0 else (left, x)
+    assert leading == pytest.approx(true_leading, abs=3)
+    assert size[1] - 3 < width < 1.5 * size[1]
+
+
+def test_what_vanishes_is_given_up_when_patience_is_over():
+    frames = film(70, (TALL, RED, lambda time: (-20 + 60 * time, 50) if time < 1.58 else None))
+    beliefs = run(frames)
+    assert [(track.confidence, track.seen) for track in tracks_of(beliefs[41])] == [(0, False)]
+    assert [track.seen for track in tracks_of(beliefs[35])] == [True]
+    assert len(tracks_of(beliefs[40 + 5])) == 1
+    assert not any(tracks_of(belief) for belief in beliefs[40 + 15 :])
+    impatient = run(frames, patience=0.1)
+    assert tracks_of(impatient[40])
+    assert not any(tracks_of(belief) for belief in impatient[40 + 3 :])
+
+
+def test_what_has_stopped_stays_foreground_and_the_scene_behind_it_stays_known():
+    frames = film(360, (TALL, RED, stopping))
+    thing = np.s_[52:88, 62:74]
+    correct, forgetful = run(frames), run(frames, feedback=False)
+    assert identities(correct) == {1}
+    for belief in correct[60::20]:
+        (track,) = tracks_of(belief)
+        assert track.box == pytest.approx((60, 50, 16, 40), abs=3)
+        assert track.velocity == pytest.approx((0, 0), abs=3)
+        assert (belief["pixels"].foreground()[thing] > 0).mean() > 0.98
+    error, absorbed = (
+        np.abs(beliefs[-1]["background"].picture().astype(float) - SCENE)[thing].mean()
+        for beliefs in (correct, forgetful)
+    )
+    assert error < 4
+    assert absorbed > 20
+    assert (forgetful[-1]["pixels"].foreground()[thing] > 0).mean() < 0.1
+
+
+def test_two_that_cross_keep_their_identities():
+    beliefs = run(film(80, (TALL, RED, moving(-20, 44, 50)), ((44, 16), BLUE, moving(164, 50, -50))))
+    assert identities(beliefs) == {1, 2}
+    for number in [*range(18, 41), *range(52, 78)]:
+        found = by_identity(beliefs[number])
+        assert found[1].box == pytest.approx((-20 + 50 * number * DT, 44, 16, 40), abs=3)
+        assert found[2].box == pytest.approx((164 - 50 * number * DT, 50, 16, 44), abs=3)
+    # the red one goes on unseen behind the blue one
+    hidden = [by_identity(belief)[1] for belief in beliefs[42:50]]
+    assert min(track.confidence for track in hidden) == 0
+    assert all(track.velocity == pytest.approx((50, 0), abs=6) for track in hidden)
+
+
+def test_a_pair_that_enters_together_and_separates_becomes_two():
+    def ahead(time):
+        return -15 + 40 * time + 12 * max(0, time - 1.2), 46
+
+    beliefs = run(film(90, ((40, 14), RED, moving(-30, 44, 40)), ((40, 14), BLUE, ahead)))
+    assert [track.identity for track in tracks_of(beliefs[28])] == [1]
+    assert len(identities(beliefs)) == 2
+    for number in (70, 80):
+        rear, front = sorted(tracks_of(beliefs[number]), key=lambda track: track.box[0])
+        assert rear.box == pytest.approx((-30 + 40 * number * DT, 44, 14, 40), abs=3)
+        assert front.box == pytest.approx((*ahead(number * DT), 14, 40), abs=3)
+        assert (rear.velocity[0], front.velocity[0]) == pytest.approx((40, 52), abs=6)
+
+
+def test_head_and_body_that_are_born_apart_become_one():
+    def hidden_at_first(time):
+        """The neck, in the colours of nothing known, shows only later."""
+        return moving(20, 42, 40)(time) if time > 0.5 else None
+
+    frames = film(
+        60,
+        ((12, 14), RED, lambda time: (20 + 40 * time, 30) if time > 0.2 else None),
+        ((26, 16), BLUE, lambda time: (19 + 40 * time, 46) if time > 0.2 else None),
+        ((4, 10), WHITE, hidden_at_first),
+    )
+    beliefs = run(frames)
+    assert max(len(belief["blobs"].blobs) for belief in beliefs[:12]) == 2
+    assert len(identities(beliefs[25:])) == 1
+    (track,) = tracks_of(beliefs[-1])
+    assert track.box == pytest.approx((19 + 40 * 59 * DT, 30, 16, 42), abs=3)
+
+
+@pytest.mark.parametrize("left", [48, 52, 54])
+def test_where_something_was_from_the_start_there_is_no_ghost_for_long(left):
+    beliefs = run(film(120, (TALL, DARK, lambda time: (left + 60 * max(0, time - 0.4), 50))))
+    place = np.s_[50:90, left : left + 16]
+    assert max((belief["pixels"].foreground()[place] > 0).mean() for belief in beliefs[10:30]) > 0.5
+    for belief in beliefs[10 + 50 :]:
+        assert (belief["pixels"].foreground()[place] > 0).mean() < 0.02
+        assert not tracks_of(belief)
+    shown = np.abs(beliefs[-1]["background"].picture().astype(float) - SCENE)[place]
+    assert shown.mean() < 5
+    # what has left is one track until it is out
+    (mover,) = tracks_of(beliefs[49])
+    assert mover.box == pytest.approx((left + 60 * 1.56, 50, 16, 40), abs=3)
+
+
+def test_missing_frames_are_bridged_by_the_motion(walk):
+    gaps = [None if 30 <= number < 38 else image for number, image in enumerate(walk)]
+    beliefs = run(gaps)
+    assert identities(beliefs) == {1}
+    for number in range(30, 70):
+        (track,) = tracks_of(beliefs[number])
+        assert track.box[0] == pytest.approx(-20 + 60 * number * DT, abs=3)
+        assert track.seen == (number not in range(30, 38))
+    unsure = [tracks_of(belief)[0].position_covariance[0][0] for belief in beliefs[29:39]]
+    assert (np.diff(unsure[:9]) > 0).all()
+    assert unsure[9] < unsure[1]
+    seen = [belief["blobs"].blobs[0].seen for belief in beliefs[29:39]]
+    assert seen[:9] == [seen[0]] * 9
+    assert seen[9] == pytest.approx(seen[0] + 9 * DT)
+
+
+def test_half_the_frames_show_the_same(walk, walked):
+    """Reported within a frame of the same time, in the same places and at the same speed."""
+    slow = list(engine().run(walk[::2], dt=2 * DT))
+    first = [next(k for k, belief in enumerate(beliefs) if tracks_of(belief)) for beliefs in (walked, slow)]
+    assert abs(first[0] - 2 * first[1]) <= 2
+    for number in range(9, 32):
+        (track,), (other,) = tracks_of(walked[2 * number]), tracks_of(slow[number])
+        assert other.box == pytest.approx(track.box, abs=2)
+        assert other.velocity == pytest.approx(track.velocity, abs=6)
+
+
+@pytest.mark.parametrize("colour", [WHITE, DARK])
+def test_grey_pictures(colour):
+    beliefs = run(film(80, (TALL, colour, moving(-20, 50, 60)), grey=True))
+    assert identities(beliefs) == {1}
+    for number in range(20, 64):
+        (track,) = tracks_of(beliefs[number])
+        assert track.box == pytest.approx((-20 + 60 * number * DT, 50, 16, 40), abs=3)
+    assert beliefs[40]["blobs"].blobs[0].appearance.shape[0] == 1
+
+
+def test_without_objects_nothing_is_said():
+    frames = film(10)
+    both, pixels = run(frames), PixelLabels()
+    alone = list(RecursiveBP(MultiChain().connect(AdaptiveBackground(), pixels)).run(frames, dt=DT))
+    for belief, other in zip(both, alone, strict=True):
+        assert not belief["blobs"].blobs
+        assert not belief["pixels"].layers
+        np.testing.assert_array_equal(belief["pixels"].foreground(), other["pixels"].foreground())
+        assert belief["background"].mean.tobytes() == other["background"].mean.tobytes()
+        assert belief.log_evidence == other.log_evidence
+    tracker, message = BlobTracker(), pixels.uniform()
+    state = tracker.initial(Frame(frames[0], 0.0, 1))
+    said = tracker.message(state, pixels, Incoming({pixels: message}))
+    assert not said.layers
+    assert said.background is None
+    assert said.image is None
+
+
+def test_states_are_values(walk):
+    beliefs = run(walk[:30])
+    state, tracker = beliefs[-1].state, engine()
+    kept = [
+        replace(blob, **{name: getattr(blob, name).copy() for name in ARRAYS}) for blob in state_blobs(state)
+    ]
+    first = tracker.step(state, Frame(walk[30], 30 * DT, 31))
+    assert [contents(blob) for blob in kept] == [contents(blob) for blob in state_blobs(state)]
+    tracker.step(state, Frame(walk[60], 30 * DT, 31))
+    again = tracker.step(state, Frame(walk[30], 30 * DT, 31))
+    assert same(first["blobs"], again["blobs"])
+    assert [contents(blob) for blob in kept] == [contents(blob) for blob in state_blobs(state)]
+
+
+ARRAYS = ("position", "velocity", "covariance", "mask", "appearance", "size")
+
+
+def state_blobs(state):
+    return state.states["blobs"].blobs
+
+
+def test_the_same_run_twice_gives_the_same_bytes(walk, walked):
+    for belief, other in zip(walked, run(walk), strict=True):
+        assert same(belief["blobs"], other["blobs"])
+        assert tracks_of(belief) == tracks_of(other)
+        assert belief["pixels"].foreground().tobytes() == other["pixels"].foreground().tobytes()
+
+
+@pytest.mark.parametrize("at", [8, 30])
+def test_a_saved_run_with_blobs_goes_on_as_if_it_had_not_stopped(walk, walked, at, tmp_path):
+    engine().save(tmp_path / "state.npz", walked[at].state)
+    state, _ = engine().load(tmp_path / "state.npz")
+    assert state_blobs(state)
+    assert same(state.states["blobs"], walked[at]["blobs"])
+    for belief, other in zip(engine().run(walk[at + 1 :], dt=DT, state=state), walked[at + 1 :], strict=True):
+        assert same(belief["blobs"], other["blobs"])
+        assert tracks_of(belief) == tracks_of(other)
+
+
+@pytest.mark.parametrize("name", POSITIVE)
+@pytest.mark.parametrize("value", [0, -1.5, float("nan")])
+def test_parameters_must_be_positive(name, value):
+    with pytest.raises(ValueError, match=rf"^{name}: got {value}, expected more than 0$"):
+        BlobTracker(**{name: value})
+
+
+@pytest.mark.parametrize("value", [0, 1, -0.1, 3, float("nan")])
+def test_outliers_are_a_share(value):
+    with pytest.raises(ValueError, match=rf"^outliers: got {value}, expected a share"):
+        BlobTracker(outliers=value)
+
+
+def test_a_start_needs_an_image():
+    with pytest.raises(ValueError, match="frame 3: got no image"):
+        BlobTracker().initial(Frame(None, 0.0, 3))
+
+
+def test_three_chains_compose_and_the_ground_hears_of_boxes(walk):
+    beliefs = run(walk, ground=True)
+    assert identities(beliefs) == {1}
+    assert not len(beliefs[5]["objects"].objects)
+    for number in range(32, 64):
+        (track,) = tracks_of(beliefs[number])
+        assert track.box == pytest.approx((-20 + 60 * number * DT, 50, 16, 40), abs=3)
+        mean, covariance = beliefs[number]["objects"].objects.marginal(1)
+        x, y, width, height = track.box
+        assert mean == pytest.approx((x + width / 2, y + height, width, height), abs=3)
+        assert (covariance.diagonal() > 0).all()
+        assert list(beliefs[number]["ground"].identities) == [1]
+
+
+def test_a_parked_car_that_leaves_is_a_few_tracks():
+    """Its edges set off as eight blobs; parts that it leaves over may be reported."""
+    beliefs = list(engine(ground=True).run(sleeping_man(80, enter=1000, car_leaves=10)))
+    assert 1 <= len(identities(beliefs)) <= 4

@@ -1,0 +1,64 @@
+"""What is reported of blobs."""
+
+import numpy as np
+import pytest
+from rsmcm.chains.objects.blob_table import Blobs, BlobState
+from rsmcm.chains.objects.blobs import Blob, DetectedBox, Track, middle_covariance
+from rsmcm.models.camera.affine_map import AffineMap
+
+
+def test_a_track_is_seen_by_a_camera_that_has_moved_as_its_middle_is() -> None:
+    view = AffineMap(np.array([4.0, 3.0, -6.0, -2.0, 5.0, 2.0]), (120, 160))
+    covariance = ((4.0, 1.0), (1.0, 9.0))
+    track = Track(3, (40.0, 30.0, 10.0, 20.0), 0.75, (8.0, -6.0), True, covariance)
+    seen = track.seen_by(view)
+
+    def middle(moved: float) -> np.ndarray:
+        x, y, width, height = view.box((40 + 8 * moved, 30 - 6 * moved, 10.0, 20.0))
+        return np.array([x + width / 2, y + height / 2])
+
+    assert (seen.identity, seen.confidence, seen.seen) == (3, 0.75, True)
+    assert seen.box == pytest.approx(view.box(track.box))
+    np.testing.assert_allclose(seen.velocity, middle(1.0) - middle(0.0), atol=1e-9)
+    drawn = np.random.default_rng(0).multivariate_normal((0, 0), covariance, 100_000)
+    places = view.points(drawn)
+    np.testing.assert_allclose(seen.position_covariance, np.cov(places.T), atol=0.12)
+
+
+def test_a_middle_is_half_a_height_above_the_foot() -> None:
+    variance = np.array([4.0, 9.0, 1.0, 16.0])
+    boxes = np.random.default_rng(0).normal(0, np.sqrt(variance), (200_000, 4))
+    middles = boxes[:, :2] - [0, 0.5] * boxes[:, 3:]
+    np.testing.assert_allclose(middle_covariance(variance), np.cov(middles.T), atol=0.1)
+
+
+def known(**changes: object) -> Blob:
+    """Somebody who is well known, and shown by the last frame."""
+    mask = np.full((30, 20), 0.9, np.float32)
+    blob = Blob.newborn(1, np.array([50.0, 40.0]), mask, np.zeros((1, 30, 20), np.float32), 1.0, 100.0)
+    return blob.changed(covariance=np.array([[4.0, 1.0], [1.0, 9.0]]), seen=2.0, existence=9.0, **changes)
+
+
+@pytest.mark.parametrize(
+    ("unseen", "unfound", "elapsed", "seen"),
+    [
+        (0.0, None, 0.0, True),  # the image shows it
+        (0.2, None, 0.0, False),  # it is hidden
+        (0.0, None, 0.04, False),  # there is no image
+        (0.2, 0.0, 0.0, True),  # the detector alone finds it
+        (0.0, 0.0, 0.04, True),  # and does without an image
+        (0.2, 0.1, 0.0, False),  # it has found it before
+    ],
+)
+def test_who_is_seen_and_who_is_only_predicted(
+    unseen: float, unfound: float | None, elapsed: float, seen: bool
+) -> None:
+    detected = None
+    if unfound is not None:
+        detected = DetectedBox(np.array([10.0, 30, 20, 30]), np.array([1.0, 2, 3, 8]), unfound)
+    blob = known(unseen=unseen, detected=detected)
+    (track,) = BlobState(Blobs.of((blob,), 1), 1, (120, 160), elapsed, 0.35, detected is not None).tracks()
+    assert track.seen == seen
+    assert track.position_covariance == (
+        ((4.0, 0.0), (0.0, 4.0)) if detected is None else ((5.0, 0.0), (0.0, 8.0))
+    )

@@ -1,0 +1,254 @@
+"""What detections do to blobs: against a dense Kalman filter, and on films whose people are known."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.chains import AdaptiveBackground, BlobTracker, DetectorRates, GroundPlane
+from rsmcm.chains.objects import detections
+from rsmcm.chains.objects.blob_table import Blobs
+from rsmcm.chains.objects.blobs import Blob, DetectedBox
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.inference.engine.recursive_bp import Belief
+from rsmcm.models import Frame, GivenBoxes, ObjectBoxes, PixelLabels
+from rsmcm.models.objects.association import Association
+from rsmcm.models.objects.box_message import BoxMessage, LogOdds
+
+DT = 0.08
+HEIGHT, WIDTH = 120, 160
+SCENE = np.random.default_rng(5).integers(90, 130, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+
+
+def film(n_frames: int, *things: tuple[int, float]) -> list[NDArray[np.uint8]]:
+    """Dark and upright things of 16 x 40 px with their tops in row 50: first column, and px/s."""
+    random, images = np.random.default_rng(1), []
+    for number in range(n_frames):
+        image = SCENE + random.normal(0, 2, SCENE.shape)
+        for start, speed in things:
+            left = round(start + speed * DT * number)
+            image[50:90, max(left, 0) : max(left + 16, 0)] = 30
+        images.append(image.clip(0, 255).astype(np.uint8))
+    return images
+
+
+def boxes_at(number: int, *things: tuple[int, float]) -> GivenBoxes:
+    lefts = np.array([start + speed * DT * number for start, speed in things])
+    boxes = np.stack([lefts, np.full(len(things), 50), lefts + 16, np.full(len(things), 90)], axis=1)
+    return GivenBoxes(boxes.reshape(-1, 4).astype(np.float64))
+
+
+def engine(*, detector: bool = True) -> RecursiveBP:
+    pixels, objects, blobs = PixelLabels(), ObjectBoxes(), BlobTracker()
+    model = MultiChain().connect(AdaptiveBackground(), pixels).connect(blobs, pixels).connect(blobs, objects)
+    model.connect(GroundPlane(), objects)
+    return RecursiveBP(model.connect(DetectorRates(), objects) if detector else model)
+
+
+def run(images: list[NDArray[np.uint8]], given: list[GivenBoxes | None], **options: bool) -> list[Belief]:
+    frames = [
+        Frame(image, number * DT, number + 1, boxes=boxes)
+        for number, (image, boxes) in enumerate(zip(images, given, strict=True))
+    ]
+    return list(engine(**options).run(frames))
+
+
+def blob_at(x: float, y: float) -> Blob:
+    blob = Blob.newborn(
+        7, np.array([y, x]), np.full((30, 20), 0.9, np.float32), np.zeros((3, 30, 20), np.float32), 1.0, 300.0
+    )
+    mean, variance = np.array([10.0, 30.0, 20.0, 30.0]), np.array([4.0, 4.0, 9.0, 16.0])
+    covariance = np.array([[5.0, 3.0], [3.0, 40.0]])
+    return blob.changed(covariance=covariance, detected=DetectedBox(mean, variance, detections.WHOLE))
+
+
+def told(box: NDArray[np.float64], noise: NDArray[np.float64]) -> BoxMessage:
+    """One box, which is surely that of object 7."""
+    one = np.ones(1)
+    association = Association(
+        boxes=box[None], noise=noise[None], scores=one, identities=np.array([7]), pairs=np.ones((1, 1)),
+        expected=one, missed=0 * one, visible=one, new=0 * one, double=0 * one, log_evidence=0.0,
+    )  # fmt: skip
+    return BoxMessage(existence=LogOdds(np.array([7]), np.array([2.5])), association=association)
+
+
+def test_a_box_corrects_place_velocity_and_size_as_a_dense_filter_does() -> None:
+    """State: place and velocity of the patch, foot within it; what is measured is the sum of two of them."""
+    blob, noise = blob_at(100.0, 50.0), np.array([6.0, 6.0, 10.0, 12.0])
+    box = np.array([114.0, 83.0, 24.0, 33.0])
+    (after,) = detections.corrected(Blobs.of([blob], 3), told(box, noise))
+    assert after.detected is not None
+    for axis, place in ((0, 1), (1, 0)):
+        prior = np.zeros((3, 3))
+        prior[:2, :2], prior[2, 2] = blob.covariance, 4.0
+        observed = np.array([1.0, 0.0, 1.0])
+        mean = np.array([blob.position[place], 0.0, (10.0, 30.0)[axis]])
+        gain = prior @ observed / (observed @ prior @ observed + noise[axis])
+        mean = mean + gain * (box[axis] - observed @ mean)
+        assert after.position[place] == pytest.approx(mean[0])
+        assert after.velocity[place] == pytest.approx(mean[1])
+        assert after.detected.mean[axis] == pytest.approx(mean[2])
+        covariance = prior - np.outer(gain, observed @ prior)
+        np.testing.assert_allclose(after.covariance, covariance[:2, :2])
+        assert after.detected.variance[axis] == pytest.approx(covariance[2, 2])
+    np.testing.assert_allclose(after.detected.mean[2:], [20 + 9 / 19 * 4, 30 + 16 / 28 * 3])
+    assert after.existence == 2.5
+
+
+def test_somebody_new_has_the_outline_that_the_detector_gives() -> None:
+    box, noise = np.array([60.0, 90.0, 20.0, 40.0]), np.array([6.0, 6.0, 10.0, 12.0])
+    picture = np.zeros((1, 120, 160), bool)
+    picture[0, 52:88, 55:62] = True
+    message = told(box, noise)
+    assert message.association is not None
+    outlined = replace(message, association=replace(message.association, new=np.ones(1), outlines=picture))
+    blob = detections.newborn(1, outlined, 0, 3)
+    top, left = blob.corner
+    placed = np.zeros((120, 160), np.float32)
+    placed[top : top + blob.mask.shape[0], left : left + blob.mask.shape[1]] = blob.mask
+    np.testing.assert_allclose(placed, 0.9 * picture[0])
+
+
+def test_boxes_that_follow_each_other_soon_are_worth_less() -> None:
+    blob, noise = blob_at(100.0, 50.0), np.array([6.0, 6.0, 10.0, 12.0])
+    assert blob.detected is not None
+    soon = blob.changed(detected=replace(blob.detected, unfound=0.2 * detections.WHOLE))
+    box = np.array([114.0, 83.0, 24.0, 33.0])
+    (one,), (two,) = (detections.corrected(Blobs.of([each], 3), told(box, noise)) for each in (blob, soon))
+    (five,) = detections.corrected(Blobs.of([blob], 3), told(box, 5 * noise))
+    assert two.position[1] < one.position[1]
+    np.testing.assert_allclose(two.position, five.position)
+
+
+def test_doubt_grows_with_time_alike_in_one_step_and_in_many() -> None:
+    steps = Blobs.of([blob_at(100.0, 50.0).changed(existence=4.0, noticed=3.0)], 3)
+    (once,) = detections.moved(steps, 0.4, 0.9, True)
+    for _ in range(10):
+        steps = detections.moved(steps, 0.04, 0.9, True)
+    (many,) = steps
+    assert once.detected is not None
+    assert many.detected is not None
+    assert many.existence == pytest.approx(once.existence)
+    assert many.noticed == pytest.approx(once.noticed)
+    np.testing.assert_allclose(many.covariance, once.covariance)
+    np.testing.assert_allclose(many.detected.variance, once.detected.variance)
+    assert once.existence < 4.0
+    assert once.noticed < 3.0
+
+
+def test_without_boxes_the_detectors_chain_changes_no_byte() -> None:
+    images = film(40, (-20, 60.0))
+    for one, two in zip(run(images, [None] * 40), run(images, [None] * 40, detector=False), strict=True):
+        assert one["blobs"].tracks() == two["blobs"].tracks()
+        assert one["pixels"].foreground().tobytes() == two["pixels"].foreground().tobytes()
+        assert one["ground"].scene.tobytes() == two["ground"].scene.tobytes()
+
+
+def test_who_is_found_keeps_one_identity_and_who_is_not_is_not_reported() -> None:
+    """Two walk; the detector knows the first one only."""
+    known, unknown = (-16, 40.0), (150, -30.0)
+    beliefs = run(film(60, known, unknown), [boxes_at(number, known) for number in range(60)])
+    for number in range(15, 40):
+        (track,) = beliefs[number]["blobs"].tracks()
+        assert track.box == pytest.approx((-16 + 40 * number * DT, 50, 16, 40), abs=3)
+        assert track.identity == beliefs[15]["blobs"].tracks()[0].identity
+        assert track.confidence > 0.95
+    assert len(beliefs[30]["blobs"].blobs) >= 2
+
+
+def test_two_who_walk_together_are_two() -> None:
+    """With half a width between them."""
+    pair = (-40, 40.0), (-16, 40.0)
+    beliefs = run(film(60, *pair), [boxes_at(number, *pair) for number in range(60)])
+    for number in range(20, 50):
+        one, two = sorted(beliefs[number]["blobs"].tracks(), key=lambda track: track.box[0])
+        for track, start in ((one, -40), (two, -16)):
+            assert track.box == pytest.approx((start + 40 * number * DT, 50, 16, 40), abs=4)
+    assert len({track.identity for belief in beliefs[20:50] for track in belief["blobs"].tracks()}) == 2
+
+
+def test_a_detector_on_every_fifth_frame_is_enough() -> None:
+    """In between the pixels show where somebody is, or at least the motion does."""
+    walker = (-16, 40.0)
+    given = [boxes_at(number, walker) if number % 5 == 0 else None for number in range(60)]
+    beliefs = run(film(60, walker), given)
+    found = [belief["blobs"].tracks() for belief in beliefs[20:44]]
+    assert {track.identity for tracks in found for track in tracks} == {found[0][0].identity}
+    assert sum(len(tracks) for tracks in found) >= 22
+    for number, tracks in enumerate(found, 20):
+        for track in tracks:
+            assert track.box == pytest.approx((-16 + 40 * number * DT, 50, 16, 40), abs=4)
+
+
+def test_who_vanishes_is_given_up_and_a_single_false_box_is_no_track() -> None:
+    walker = (20, 20.0)
+    given = [boxes_at(number, walker) if number < 25 else boxes_at(number) for number in range(50)]
+    given[10] = boxes_at(10, walker, (120, 0.0))
+    images = [*film(25, walker), *film(25)]
+    beliefs = run(images, given)
+    assert len(beliefs[24]["blobs"].tracks()) == 1
+    assert not any(belief["blobs"].tracks() for belief in beliefs[40:])
+    assert all(len(belief["blobs"].tracks()) <= 1 for belief in beliefs[12:])
+
+
+def test_a_saved_run_goes_on_as_if_it_had_not_stopped(tmp_path: Path) -> None:
+    walker = (-16, 40.0)
+    images, given = film(40, walker), [boxes_at(number, walker) for number in range(40)]
+    beliefs = run(images, given)
+    engine().save(tmp_path / "state.npz", beliefs[19].state)
+    state, _ = engine().load(tmp_path / "state.npz")
+    frames = [Frame(images[k], k * DT, k + 1, boxes=given[k]) for k in range(20, 40)]
+    for one, two in zip(engine().run(frames, state=state), beliefs[20:], strict=True):
+        assert one["blobs"].tracks() == two["blobs"].tracks()
+        assert one.log_evidence == two.log_evidence
+
+
+def test_a_detector_that_finds_nothing_has_run() -> None:
+    images = film(8, (20, 0.0))
+    nothing = GivenBoxes(np.zeros((0, 4)))
+    last = run(images, [nothing] * len(images))[-1]
+    assert last[ObjectBoxes()].association is not None
+    assert last.states["blobs"].detecting
+    assert not last.states["blobs"].tracks()
+    assert last.states["detector"].elapsed == 0.0
+    found = run(images, [boxes_at(0, (20, 0.0))] * 4 + [nothing] * 4)
+    existence = [belief.states["blobs"].blobs[0].existence for belief in found]
+    assert existence[-1] < existence[3] - 3
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_somebody_found_where_there_is_no_image_gets_the_colours_of_the_next(channels: int) -> None:
+    thing = (40, 0.0)
+    images = [image if channels == 3 else image[..., 0].copy() for image in film(10, thing)]
+    shown = [images[0], None, None, *images[3:]]
+    given = [None, *(boxes_at(number, thing) for number in range(1, 10))]
+    frames = [
+        Frame(image, number * DT, number + 1, boxes=boxes)
+        for number, (image, boxes) in enumerate(zip(shown, given, strict=True))
+    ]
+    beliefs = list(engine().run(frames))
+    assert [len(belief.states["blobs"].tracks()) for belief in beliefs] == [0] + [1] * 9
+    (blob,) = beliefs[-1].states["blobs"].blobs
+    assert blob.appearance.shape == (channels, *blob.mask.shape)
+    middle = blob.appearance[0, blob.mask.shape[0] // 2, blob.mask.shape[1] // 2]
+    assert abs(middle - 30) < 5
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_smallest_boxes_are_drawn_without_overflow() -> None:
+    for width, height in [(0.01, 0.01), (1.0, 1.0), (1.0, 30.0)]:
+        mask = detections._ellipse(width, height)
+        assert np.isfinite(mask).all()
+        assert mask.min() >= 0
+        assert mask.max() <= detections.SURE_COVER
+
+
+def test_boxes_alone_are_nothing_to_start_from() -> None:
+    thing = (40, 0.0)
+    given = [boxes_at(number, thing) for number in range(3)]
+    first, second, third = (Frame(None, number * DT, number + 1, boxes=given[number]) for number in range(3))
+    beliefs = list(engine().run([first, replace(second, image=film(2, thing)[1]), third]))
+    assert beliefs[0].frame.missing
+    assert [len(belief.states) for belief in beliefs] == [0, 4, 4]
+    assert [track.identity for track in beliefs[2].states["blobs"].tracks()] == [1]

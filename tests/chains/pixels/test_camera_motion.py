@@ -1,0 +1,179 @@
+"""The camera's chain: exact where it is Gaussian, and against known shakes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rsmcm.apps.scenes import ShakenFilm, shaken, sleeping_man
+from rsmcm.chains import AdaptiveBackground, BlobTracker, CameraMotion
+from rsmcm.inference import Belief, Incoming, MultiChain, RecursiveBP
+from rsmcm.models import Frame, PixelLabels, ScenePixels
+from rsmcm.models.camera.affine_map import UNKNOWNS, AffineMap
+from rsmcm.models.camera.view import View
+from rsmcm.models.core.gaussian_message import GaussianMessage
+from rsmcm.models.pixels.pixel_labels import PixelMessage
+from scipy.stats import multivariate_normal
+
+CAMERA = CameraMotion()
+PIXELS = ScenePixels()
+
+
+def film(n_frames: int = 60, amount: float = 3.0, seed: int = 0) -> ShakenFilm:
+    scene = sleeping_man(n_frames, size=(224, 168), enter=5, car_leaves=n_frames, noise=0.0, seed=seed)
+    return shaken(scene, amount, seed, noise=4.0)
+
+
+def model(*, following: bool) -> MultiChain:
+    pixels = ScenePixels() if following else PixelLabels()
+    made = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
+    return made.connect(CAMERA, pixels) if following else made  # type: ignore[arg-type]
+
+
+def follow(frames: ShakenFilm) -> list[Belief]:
+    return list(RecursiveBP(model(following=True)).run(frames))
+
+
+@pytest.fixture(scope="module")
+def shaking() -> tuple[ShakenFilm, list[Belief]]:
+    frames = film()
+    return frames, follow(frames)
+
+
+def errors(frames: ShakenFilm, beliefs: list[Belief]) -> np.ndarray:
+    """px, root mean square over the picture."""
+    found = [belief["pixels"].view.map.parameters for belief in beliefs]
+    pairs = zip(found, frames.views, strict=True)
+    return np.array([AffineMap(one - view.parameters, view.size).displacement for one, view in pairs])
+
+
+def test_it_knows_where_a_shaking_camera_looks(shaking: tuple[ShakenFilm, list[Belief]]) -> None:
+    assert np.median(errors(*shaking)) < 0.07
+    assert errors(*shaking).max() < 0.25
+
+
+def test_masks_are_nearly_those_of_a_steady_camera(shaking: tuple[ShakenFilm, list[Belief]]) -> None:
+    frames, beliefs = shaking
+
+    def f_measure(beliefs: list[Belief], frames: ShakenFilm) -> float:
+        hits = wrong = 0
+        for index, belief in enumerate(beliefs):
+            pixels = belief["pixels"]
+            mask = pixels.foreground()
+            found = (mask if pixels.view is None else pixels.view.map.in_frame(mask)) > 0
+            truth = frames.mask(frames.film.foreground(index), index)  # type: ignore[attr-defined]
+            hits, wrong = hits + int((found & truth).sum()), wrong + int((found != truth).sum())
+        return 2 * hits / (2 * hits + wrong)
+
+    steady = film(amount=0.0)
+    fixed = RecursiveBP(model(following=False))
+    wanted = f_measure(list(fixed.run(steady)), steady)
+    assert wanted > 0.8
+    assert f_measure(beliefs, frames) > wanted - 0.05
+    assert f_measure(list(fixed.run(frames)), frames) < 0.5 * wanted
+
+
+def test_evidence_speaks_for_it_where_the_camera_shakes(shaking: tuple[ShakenFilm, list[Belief]]) -> None:
+    frames, beliefs = shaking
+    without = list(RecursiveBP(model(following=False)).run(frames))[1::10]
+    gain = [one.log_evidence - other.log_evidence for one, other in zip(beliefs[1::10], without, strict=True)]
+    n_pixels = frames.size[0] * frames.size[1]
+    assert np.mean(gain) > 0.5 * n_pixels
+
+
+def test_what_it_predicts_is_a_density_and_forgets_at_its_own_pace() -> None:
+    state = CAMERA.initial(film(1)[0])
+    for seconds in (0.04, 0.5, 100.0):
+        later = CAMERA.predict(state, seconds)
+        assert CAMERA.message(later, PIXELS, Incoming({})).log_mass == pytest.approx(0.0, abs=1e-9)
+    widest = CAMERA.reach * np.hypot(136, 192) / 2
+    np.testing.assert_allclose(np.sqrt(np.diag(later.covariance)), widest, rtol=1e-6)
+
+
+def test_update_is_that_of_a_kalman_filter() -> None:
+    random = np.random.default_rng(0)
+    frame = film(1)[0]
+    assert frame.image is not None
+    state = CAMERA.predict(CAMERA.initial(frame), 0.1)
+    spread = random.normal(size=(UNKNOWNS, UNKNOWNS))
+    noise = 0.1 * spread @ spread.T + 0.01 * np.eye(UNKNOWNS)
+    seen = random.normal(size=UNKNOWNS)
+    information = np.linalg.inv(noise)
+    scale = np.array([-0.5 * seen @ information @ seen])
+    where = GaussianMessage(np.zeros(1, np.int64), information[None], (information @ seen)[None], scale)
+    likelihood = PixelMessage(image=frame.image, view=View(frame.image.shape[:2], where))
+    after = CAMERA.update(state, Incoming({PIXELS: likelihood}))
+    gain = state.covariance @ np.linalg.inv(state.covariance + noise)
+    np.testing.assert_allclose(after.mean, state.mean + gain @ (seen - state.mean), rtol=1e-8)
+    np.testing.assert_allclose(after.covariance, (np.eye(UNKNOWNS) - gain) @ state.covariance, rtol=1e-6)
+    # what the Gaussians weigh: the density of the map that was found, times the likelihood's own integral
+    weight = (CAMERA.message(state, PIXELS, Incoming({})) * likelihood).log_mass
+    found = multivariate_normal(state.mean, state.covariance + noise).logpdf(seen)
+    own = 0.5 * np.linalg.slogdet(2 * np.pi * noise)[1]
+    assert weight == pytest.approx(found + own)
+
+
+def test_a_dark_frame_tells_nothing_and_a_missing_one_is_predicted(
+    shaking: tuple[ShakenFilm, list[Belief]],
+) -> None:
+    frames, beliefs = shaking
+    state, engine = beliefs[20].state, RecursiveBP(model(following=True))
+    image = frames[21].image
+    assert image is not None
+    expected = CAMERA.predict(state.states["camera"], 0.04)
+    for shown in (np.zeros_like(image), None):
+        belief = engine.step(state, Frame(shown, frames[21].time, 22))
+        assert np.isfinite(belief.log_evidence)
+        np.testing.assert_allclose(belief["camera"].mean, expected.mean, atol=1e-9)
+        after = engine.step(belief.state, frames[22])
+        assert (
+            AffineMap(after["camera"].mean - frames.views[22].parameters, frames.views[22].size).displacement
+            < 0.25
+        )
+
+
+def test_who_stands_in_the_scene_is_not_learned() -> None:
+    image = np.random.default_rng(0).integers(80, 120, (60, 80, 3)).astype(np.uint8)
+    state = CAMERA.predict(CAMERA.initial(Frame(image, 0.0, 1)), 5.0)
+    background = AdaptiveBackground()
+    known = background.initial(Frame(image, 0.0, 1))
+    covered = image.copy()
+    covered[20:40, 30:50] = 250
+    told = background.message(known, PIXELS, Incoming({PIXELS: PixelMessage(image=covered)}))
+    after = CAMERA.update(state, Incoming({PIXELS: told * PixelMessage(image=covered)}))
+    np.testing.assert_array_equal(after.picture[22:38, 32:48], image[22:38, 32:48])
+
+
+def test_what_the_frame_does_not_show_counts_as_pixels_of_any_colour() -> None:
+    image = np.random.default_rng(1).integers(80, 120, (40, 60, 3)).astype(np.uint8)
+    background = AdaptiveBackground(follow_light=False)
+    told = background.message(background.initial(Frame(image, 0.0, 1)), PIXELS, Incoming({}))
+    narrow = 1e-6 * np.eye(UNKNOWNS)
+    for shift, n_hidden in ((0.0, 0), (15.0, 15 * 40), (1000.0, 60 * 40)):
+        view = View.predicted(np.array([shift, 0, 0, 0, 0, 0]), narrow, image.astype(np.float32))
+        message = told * PixelMessage(image=image, view=view)
+        shown = told.background.log_likelihood(image[:, :60])  # type: ignore[union-attr]
+        if n_hidden == 0:
+            assert message.log_mass == pytest.approx(shown)
+            continue
+        other = image.copy()
+        other[view.hidden] = 255
+        assert (told * PixelMessage(image=other, view=view)).log_mass == pytest.approx(message.log_mass)
+        assert int(view.hidden.sum()) == n_hidden
+        if n_hidden == 2400:
+            assert message.log_mass == pytest.approx(-2400 * 3 * np.log(256), rel=1e-5)
+
+
+def test_a_run_is_saved_and_goes_on(shaking: tuple[ShakenFilm, list[Belief]], tmp_path: Path) -> None:
+    frames, beliefs = shaking
+    engine = RecursiveBP(model(following=True))
+    engine.save(tmp_path / "state.npz", beliefs[30].state)
+    state, _ = engine.load(tmp_path / "state.npz")
+    again = engine.step(state, frames[31])
+    np.testing.assert_array_equal(again["camera"].mean, beliefs[31]["camera"].mean)
+    np.testing.assert_array_equal(again["pixels"].foreground(), beliefs[31]["pixels"].foreground())
+
+
+@pytest.mark.parametrize("name", ["reach", "time"])
+def test_what_is_out_of_range_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        CameraMotion(**{name: 0.0})

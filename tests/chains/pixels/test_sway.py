@@ -1,0 +1,124 @@
+"""Scenes that move to and fro: rates are learned of leaves, not of shade, and not of people."""
+
+import cv2
+import numpy as np
+import pytest
+from rsmcm.chains import AdaptiveBackground, BlobTracker
+from rsmcm.chains.pixels.sway import learned_rates, reach
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.models import PixelLabels
+from rsmcm.models.pixels import colour
+from rsmcm.models.pixels.gaussian import fixed_point, log_prior_odds, stored_planes
+from rsmcm.models.pixels.kernels.gaussian import PixelModel
+from rsmcm.models.pixels.kernels.sway import LEAST_RATE, Sway, recall_moved
+from rsmcm.models.pixels.light import LightField
+
+SIZE = (60, 80)
+GRID = (3, 4)
+
+
+def scene(seed=0):
+    """Leaves: spots of a few px, `(60, 80, 3)` uint8."""
+    noise = np.random.default_rng(seed).normal(0, 1, (*SIZE, 3))
+    spots = np.dstack([cv2.GaussianBlur(plane, (0, 0), 1.5) for plane in np.moveaxis(noise, -1, 0)])
+    return np.clip(120 + 40 * spots / spots.std(), 0, 255).astype(np.uint8)
+
+
+def known(image):
+    flat = np.full(image.shape[0] * image.shape[1], 1, np.float32)
+    return fixed_point(colour.to_planes(image), flat, 30 * flat)
+
+
+def light():
+    return LightField(np.ones(GRID, np.float32), SIZE).along_rows
+
+
+def rates_after(images, covered=None, seconds=5.0, dt=0.04):
+    sway, age = Sway(np.zeros(GRID, np.float32), reach(SIZE)), 0.0
+    covered = np.zeros(SIZE, np.uint8) if covered is None else covered
+    unsure = np.zeros(covered.size, np.int8)
+    for k in range(round(seconds / dt)):
+        rates = learned_rates(
+            sway, images[k % len(images)], known(images[0]), light(), unsure, covered.ravel(), (age, dt)
+        )
+        sway, age = Sway(rates, sway.reach), age + dt
+    return sway.rates
+
+
+def test_leaves_sway_and_shade_and_people_do_not():
+    still = scene()
+    leaves = [np.roll(still, (down, right), (0, 1)) for down, right in ((0, 0), (2, 1), (-1, 3), (1, -2))]
+    assert rates_after(leaves).min() > 0.1
+    assert rates_after([still]).max() < LEAST_RATE / 4
+    shade = [np.clip(still * share, 0, 255).astype(np.uint8) for share in (1, 0.7, 0.8)]
+    assert rates_after(shade).max() < 2 * LEAST_RATE
+    person = still.copy()
+    person[10:50, 30:44] = (200, 30, 30)
+    assert rates_after([person if k % 5 else still for k in range(10)]).max() < LEAST_RATE
+
+
+def test_what_is_covered_is_not_learned_from_and_what_is_not_seen_is_kept():
+    still = scene()
+    covered = np.zeros(SIZE, np.uint8)
+    covered[:, :60] = 255
+    rates = rates_after([still, np.roll(still, 3, 1)], covered)
+    assert (rates[:, :2] == 0).all()
+    assert rates[:, 3].min() > 0.1
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.08])
+def test_rates_do_not_depend_on_the_frame_rate(dt):
+    still = scene()
+    films = [still, np.roll(still, 2, 0)]
+    np.testing.assert_allclose(rates_after(films, dt=dt), rates_after(films, dt=0.04), rtol=0.1)
+
+
+def test_the_likelihood_is_that_of_the_best_place_within_reach():
+    still, rng = scene(), np.random.default_rng(1)
+    image = rng.integers(0, 256, still.shape).astype(np.uint8)
+    image[:30] = np.roll(still, (2, -3), (0, 1))[:30]
+    rates = rng.uniform(0.05, 0.5, GRID).astype(np.float32)
+    rates[2, 3] = LEAST_RATE / 2
+    before, prior = known(still), log_prior_odds(0.95, 3)
+    model = PixelModel(*map(np.float32, (prior, 2.9, 1, 0, 20, 0)))
+    odds = np.where(rng.random(4800) < 0.5, -100, 50).astype(np.int8)
+    after = odds.copy()
+    recall_moved(0, image.reshape(-1), before, light(), model, Sway(rates, 3), after)
+    shown, mean = colour.to_planes(image).reshape(3, *SIZE), stored_planes(before.mean, SIZE).grey_levels()
+    padded = np.pad(mean, ((0, 0), (3, 3), (3, 3)), constant_values=1e6)
+    gaps = [
+        ((shown - padded[:, y : y + 60, x : x + 80]) ** 2).sum(axis=0) for y in range(7) for x in range(7)
+    ]
+    rate = np.kron(rates, np.ones((20, 20)))
+    found = prior + np.log(rate) - 0.5 * (3 * np.log(31) + np.min(gaps, axis=0) / 31)
+    expected = np.maximum(odds, np.trunc(20 * np.clip(found, -6, 5.95)).ravel())
+    expected = np.where((odds < 0) & (rate.ravel() >= LEAST_RATE), expected, odds)
+    assert np.abs(after - expected).max() <= 1
+    assert (after[:2400] > odds[:2400]).mean() > 0.4
+
+
+def test_while_only_leaves_move_there_is_next_to_no_foreground_and_a_person_is_seen():
+    wide = np.hstack([scene(seed) for seed in range(2)])
+    rng, images = np.random.default_rng(3), []
+    ys, xs = np.mgrid[:60, :160].astype(np.float32)
+    fields = [cv2.GaussianBlur(rng.normal(0, 1, (60, 160)), (0, 0), 12) for _ in range(6)]
+    for k in range(250):
+        turns = np.sin(2 * np.pi * k * 0.04 * np.array([0.7, 1.1, 1.7, 0.5, 0.9, 1.3]) + np.arange(6))
+        shift = [
+            sum(t * f / f.std() for t, f in zip(turns[a : a + 3], fields[a : a + 3], strict=True))
+            for a in (0, 3)
+        ]
+        moved = cv2.remap(wide, xs + np.float32(shift[0]), ys + np.float32(shift[1]), 1, borderMode=4)
+        if k >= 200:
+            moved[10:50, 3 * (k - 200) : 3 * (k - 200) + 14] = (235, 60, 50)
+        images.append(np.clip(moved + rng.normal(0, 3, moved.shape), 0, 255).astype(np.uint8))
+    pixels = PixelLabels()
+    model = MultiChain().connect(AdaptiveBackground(), pixels).connect(BlobTracker(), pixels)
+    shares, found = [], []
+    for k, belief in enumerate(RecursiveBP(model).run(images, dt=0.04)):
+        mask = belief[pixels].foreground() > 0
+        shares.append(mask.mean())
+        if k >= 220:
+            found.append(mask[10:50, 3 * (k - 200) : 3 * (k - 200) + 14].mean())
+    assert np.mean(shares[75:200]) < 0.02
+    assert np.mean(found) > 0.9

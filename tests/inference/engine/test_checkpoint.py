@@ -1,0 +1,351 @@
+"""Saved runs: exact, checked, whole or not at all."""
+
+import copy
+import json
+import os
+import sys
+import typing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+from rsmcm.inference import Incoming, MultiChain, Port, RecursiveBP, RunState
+from rsmcm.inference.engine import checkpoint
+from rsmcm.models.core.categorical import Categorical, CategoricalMessage
+from rsmcm.models.core.frame import Frame
+
+from ...support.discrete import image, random_model
+
+TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=5)
+DTYPES = st.one_of(
+    hnp.boolean_dtypes(), hnp.integer_dtypes(), hnp.floating_dtypes(), hnp.complex_number_dtypes()
+)
+ARRAYS = hnp.arrays(DTYPES, hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=3))
+FLOATS = st.floats()
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    array: NDArray[Any]
+    count: int
+    score: float
+
+
+class Named(NamedTuple):
+    array: NDArray[Any]
+    part: Part | None
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    array: NDArray[Any]
+    maybe: NDArray[Any] | None
+    part: Part | None
+    flag: bool
+    text: str
+    nothing: None
+    pair: tuple[int, NDArray[Any]]
+    named: Named
+    parts: tuple[Part, ...]
+    floats: list[float]
+    by_number: dict[int, Part]
+    by_name: dict[str, NDArray[Any]]
+    random: np.random.Generator
+    plain: Any
+
+
+PARTS = st.builds(Part, ARRAYS, st.integers(), FLOATS)
+GENERATORS = st.builds(
+    lambda name, seed: np.random.Generator(getattr(np.random, name)(seed)),
+    st.sampled_from(["PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64"]),
+    st.integers(0, 2**64),
+)
+PLAIN = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | TEXT,
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(TEXT, inner, max_size=2),
+    max_leaves=4,
+)
+TREES = st.builds(
+    Tree,
+    array=ARRAYS,
+    maybe=st.none() | ARRAYS,
+    part=st.none() | PARTS,
+    flag=st.booleans(),
+    text=TEXT,
+    nothing=st.none(),
+    pair=st.tuples(st.integers(), ARRAYS),
+    named=st.builds(Named, ARRAYS, st.none() | PARTS),
+    parts=st.lists(PARTS, max_size=2).map(tuple),
+    floats=st.lists(FLOATS, max_size=3),
+    by_number=st.dictionaries(st.integers(), PARTS, max_size=2),
+    by_name=st.dictionaries(TEXT, ARRAYS, max_size=2),
+    random=GENERATORS,
+    plain=PLAIN,
+)
+
+
+def assert_same(one: Any, other: Any) -> None:
+    assert type(one) is type(other)
+    if isinstance(one, np.ndarray | np.generic):
+        assert (one.dtype, one.shape) == (other.dtype, other.shape)
+        assert one.tobytes() == other.tobytes()
+    elif isinstance(one, np.random.Generator):
+        assert_same(one.bit_generator.state, other.bit_generator.state)
+        assert one.random() == other.random()
+    elif isinstance(one, Part | Tree):
+        assert_same(vars(one), vars(other))
+    elif isinstance(one, dict):
+        assert list(one) == list(other)
+        assert_same(list(one.values()), list(other.values()))
+    elif isinstance(one, list | tuple):
+        assert len(one) == len(other)
+        for left, right in zip(one, other, strict=True):
+            assert_same(left, right)
+    else:
+        assert one == other or (one != one and other != other)
+
+
+@given(TREES)
+@settings(max_examples=60, deadline=None)
+def test_a_tree_comes_back_bit_for_bit(tmp_path_factory: pytest.TempPathFactory, tree: Tree) -> None:
+    path = tmp_path_factory.getbasetemp() / "tree.npz"
+    checkpoint.save(path, {"tree": tree}, {"tree": Tree})
+    assert_same(checkpoint.load(path, {"tree": Tree})["tree"], tree)
+
+
+def test_numpy_scalars_stay_what_they_are(tmp_path: Path) -> None:
+    # A float64 scalar promotes float32 arrays, a Python float does not: a resumed run would differ.
+    path = tmp_path / "scalar.npz"
+    value = {"x": np.float64(0.1), "n": np.int32(3)}
+    checkpoint.save(path, value, {"x": float, "n": int})
+    assert_same(checkpoint.load(path, {"x": float, "n": int}), value)
+
+
+def test_the_file_needs_no_pickle_and_names_its_arrays(tmp_path: Path) -> None:
+    path = tmp_path / "tree.npz"
+    checkpoint.save(path, {"part": Part(np.arange(3), 1, 0.5)}, {"part": Part})
+    with np.load(path, allow_pickle=False) as members:
+        assert set(members.files) == {"skeleton", "part/array", "digest"}
+        assert json.loads(str(members["skeleton"]))["values"]["part"]["score"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [
+        ("a", int),
+        (1.5, int),
+        (True, int),
+        (1, bool),
+        (None, int),
+        ((1, 2), tuple[int]),
+        ([1, "a"], list[int]),
+        (np.arange(3), int | None),
+        (3, NDArray[Any]),
+        ({"a": np.arange(3)}, Any),
+        (object(), Any),
+        (np.array([None]), NDArray[Any]),
+        (1, int | str),
+        (1, complex),
+        ({1: 2}, Part),
+    ],
+)
+def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, value: Any, kind: Any) -> None:
+    with pytest.raises((TypeError, ValueError)):
+        checkpoint.save(tmp_path / "x.npz", {"x": value}, {"x": kind})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.version_info < (3, 12), reason="Python 3.12 brought the `type` statement")
+def test_aliases_stand_for_what_they_name(tmp_path: Path) -> None:
+    first, second = TypeVar("first"), TypeVar("second")
+    swapped = typing.TypeAliasType("swapped", tuple[second, first], type_params=(first, second))
+    several = typing.TypeAliasType("several", list[swapped[int, str]])
+    values: dict[str, Any] = {"one": ("a", 1), "more": [("b", 2)]}
+    kinds = {"one": swapped[int, str], "more": several}
+    checkpoint.save(tmp_path / "x.npz", values, kinds)
+    assert checkpoint.load(tmp_path / "x.npz", kinds) == values
+    with pytest.raises(ValueError, match=r"one/0: got '1', expected str"):
+        checkpoint.save(tmp_path / "x.npz", {**values, "one": (1, "a")}, kinds)
+
+
+@dataclass(frozen=True, eq=False)
+class WalkState:
+    weights: NDArray[np.float64]
+    steps: int
+    random: np.random.Generator
+
+
+class RandomWalk:
+    """A chain that draws its predictions."""
+
+    name = "walk"
+    ports = (Port(Categorical),)
+
+    def initial(self, frame: Frame) -> WalkState:
+        return WalkState(np.full(3, 1 / 3), 0, np.random.default_rng(5))
+
+    def predict(self, state: WalkState, dt: float) -> WalkState:
+        random = copy.deepcopy(state.random)
+        weights = state.weights + random.random(3)
+        return WalkState(weights / weights.sum(), state.steps + 1, random)
+
+    def message(self, state: WalkState, feature: Categorical, incoming: Incoming) -> CategoricalMessage:
+        return CategoricalMessage(np.log(state.weights))
+
+    def update(self, state: WalkState, incoming: Incoming) -> WalkState:
+        weights = state.weights * incoming[Categorical].probabilities()
+        return WalkState(weights / weights.sum(), state.steps, state.random)
+
+
+def walking() -> RecursiveBP:
+    door = Categorical("door", 3, lambda frame: np.log1p(np.arange(3) * float(frame.image.mean())))  # type: ignore[union-attr]
+    return RecursiveBP(MultiChain().connect(RandomWalk(), door))
+
+
+FRAMES = [image(3), None, image(7), image(1), image(2)]
+
+
+@pytest.mark.parametrize("at", range(1, len(FRAMES)))
+def test_a_saved_run_goes_on_as_if_never_interrupted(tmp_path: Path, at: int) -> None:
+    whole = list(walking().run(FRAMES))
+    path = tmp_path / "run.npz"
+    for belief in walking().run(FRAMES[:at]):
+        walking().save(path, belief.state, {"source": "door.avi", "every": 1})
+    state, about = walking().load(path)
+    assert about == {"source": "door.avi", "every": 1}
+    rest = list(walking().run(FRAMES[at:], state=state))
+    for one, other in zip(whole[at:], rest, strict=True):
+        assert one["walk"].weights.tobytes() == other["walk"].weights.tobytes()
+        assert (one.state.time, one.state.number, one.state.shape) == (
+            other.state.time,
+            other.state.number,
+            other.state.shape,
+        )
+        assert one.log_evidence == other.log_evidence
+    assert [path.name for path in tmp_path.iterdir()] == ["run.npz"]
+
+
+def test_a_run_without_an_image_yet_can_be_saved(tmp_path: Path) -> None:
+    (belief,) = walking().run([None])
+    walking().save(tmp_path / "run.npz", belief.state)
+    state, about = walking().load(tmp_path / "run.npz")
+    assert (state.states, state.number, state.time, state.shape, about) == ({}, 1, 0.0, None, {})
+
+
+def saved(path: Path) -> Path:
+    *_, belief = walking().run(FRAMES)
+    walking().save(path, belief.state)
+    return path
+
+
+def test_broken_bytes_are_never_read_as_something_else(tmp_path: Path) -> None:
+    path = saved(tmp_path / "run.npz")
+    content = path.read_bytes()
+    expected = walking().load(path)[0]
+    random = np.random.default_rng(0)
+    for position in random.integers(len(content), size=300):
+        broken = bytearray(content)
+        broken[position] ^= 1 << random.integers(8)
+        path.write_bytes(broken)
+        message = f"{path}: "
+        try:
+            state, _ = walking().load(path)
+        except ValueError as error:
+            message = str(error)
+        else:  # a date or a flag of the zip's own
+            assert_same(vars(state.states["walk"])["weights"], vars(expected.states["walk"])["weights"])
+            assert (state.number, state.time) == (expected.number, expected.time)
+        assert message.startswith(f"{path}: ")
+        assert "\n" not in message
+
+
+@pytest.mark.parametrize("keep", [0, 1, 10, 100, 1000, -1, -30])
+def test_truncated_files_are_named(tmp_path: Path, keep: int) -> None:
+    path = saved(tmp_path / "run.npz")
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(ValueError, match=r"run.npz: got (neither|a damaged)"):
+        walking().load(path)
+
+
+def test_other_files_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    with pytest.raises(FileNotFoundError):
+        walking().load(path)
+    np.savez(path, a=np.arange(3))
+    with pytest.raises(ValueError, match=r"run.npz: got .*expected a state that was saved here"):
+        walking().load(path)
+    np.savez(path, skeleton=np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match=r"run.npz: got .*expected a state that was saved here"):
+        walking().load(path)
+    np.savez(path, skeleton=np.array(json.dumps({"format": "rsmcm state 0", "values": {}})))
+    with pytest.raises(ValueError, match=r"run.npz: got format 'rsmcm state 0', expected 'rsmcm state 2'"):
+        walking().load(path)
+
+
+def test_states_of_other_chains_are_named(tmp_path: Path) -> None:
+    path = saved(tmp_path / "run.npz")
+    other = RecursiveBP(random_model(np.random.default_rng(0), [("a", "f"), ("b", "f")]))
+    with pytest.raises(ValueError, match=r"run.npz: states: got walk, expected a, b"):
+        other.load(path)
+
+
+def test_missing_fields_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "part.npz"
+    checkpoint.save(path, {"part": {"count": 1}}, {"part": {"count": int}})
+    with pytest.raises(ValueError, match=r"part.npz: part: got count, expected array, count, score"):
+        checkpoint.load(path, {"part": Part})
+
+
+def test_a_chain_without_a_declared_state_cannot_be_saved(tmp_path: Path) -> None:
+    class Undeclared(RandomWalk):
+        def initial(self, frame):  # type: ignore[no-untyped-def]
+            return super().initial(frame)
+
+    engine = RecursiveBP(MultiChain().connect(Undeclared(), Categorical("door", 3)))
+    state = engine.step(RunState(), Frame(image(1), 0.0, 1)).state
+    with pytest.raises(TypeError, match="'walk': initial has no return annotation"):
+        engine.save(tmp_path / "run.npz", state)
+
+
+class HandsOn:
+    """Has nothing of its own: all is looked up in what it wraps."""
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+
+    @property  # type: ignore[misc]
+    def __class__(self) -> Any:
+        return self._node.__class__
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._node, name)
+
+
+def test_a_wrapper_that_hands_on_to_a_chain_is_one(tmp_path: Path) -> None:
+    path = saved(tmp_path / "run.npz")
+    wrapped: Any = HandsOn(RandomWalk())
+    door: Any = HandsOn(Categorical("door", 3))
+    engine = RecursiveBP(MultiChain().connect(wrapped, door))
+    state, _ = engine.load(path)
+    engine.save(tmp_path / "again.npz", state)
+    assert (tmp_path / "again.npz").read_bytes() == path.read_bytes()
+
+
+def test_a_failed_write_leaves_the_older_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = saved(tmp_path / "run.npz")
+    before = path.read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OSError, match="No space"):
+        saved(path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,109 @@
+"""Positions of which some are wrong: nothing changes where none is, and little where some are."""
+
+import numpy as np
+import pytest
+from rsmcm.apps.scenes import cylinder
+from rsmcm.inference.sfm.factor_analysis.factorisation import factorise, predicted
+from rsmcm.inference.sfm.factor_analysis.robust import factorise_robustly
+
+SCENE = cylinder(n_points=60, n_frames=24, p_loose=0.1, p_drift=0.0, seed=3)
+
+
+@pytest.mark.parametrize("coherence", [False, True])
+def test_without_outliers_it_is_factorise(coherence: bool) -> None:
+    found = factorise_robustly(SCENE.observed, coherence=coherence)
+    plain = factorise(SCENE.observed, coherence=coherence)
+    seen = SCENE.visible
+    assert found.trusted[seen].mean() > 0.995
+    assert not found.right[~seen].any()
+    assert found.consistent.all()
+    off = predicted(found.factorisation)[0] - predicted(plain)[0]
+    # a tenth of the noise
+    assert np.sqrt(np.square(off).mean()) < 0.001
+    assert found.factorisation.noise_variance == pytest.approx(plain.noise_variance, rel=0.05)
+
+
+@pytest.mark.parametrize("coherence", [False, True])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_outliers_are_told_from_right_positions(coherence: bool, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    positions = SCENE.observed.copy()
+    wrong = SCENE.visible & (random.random(SCENE.visible.shape) < 0.08)
+    positions[wrong] += random.uniform(0.2, 1.0, (wrong.sum(), 1)) * _directions(random, wrong.sum())
+    found = factorise_robustly(positions, coherence=coherence)
+    assert not (found.trusted & wrong).any()
+    assert found.trusted[SCENE.visible & ~wrong].mean() > 0.99
+    knowing = positions.copy()
+    knowing[wrong] = np.nan
+    oracle = factorise(knowing, coherence=coherence)
+    off, least, most = (
+        np.sqrt(np.square(predicted(fit)[0] - SCENE.positions).sum(axis=2).mean())
+        for fit in (found.factorisation, oracle, factorise(positions, coherence=coherence))
+    )
+    assert off < 1.1 * least
+    assert most > 3 * least
+
+
+def test_a_mismatch_in_two_frames_is_seen() -> None:
+    """Three of its four numbers go into the point: what is left is judged by what that leaves free."""
+    positions = np.full((*SCENE.positions.shape[:2], 2), np.nan)
+    positions[:] = SCENE.observed
+    positions = np.concatenate([positions, np.full((24, 8, 2), np.nan)], axis=1)
+    for k in range(8):
+        positions[3 * k, 60 + k] = SCENE.positions[3 * k, k]
+        positions[3 * k + 1, 60 + k] = SCENE.positions[3 * k + 1, k + (8 if k < 4 else 0)]
+    found = factorise_robustly(positions, coherence=True)
+    right = found.consistent[60:]
+    assert right[4:].all()
+    assert not right[:4].any()
+    assert found.consistent[:60].all()
+
+
+def test_scale_and_units_do_not_matter() -> None:
+    one = factorise_robustly(SCENE.observed, coherence=True)
+    weights = np.where(SCENE.visible, 1e4, 0.0)
+    other = factorise_robustly(250 * SCENE.observed + (320, 240), weights, coherence=True)
+    np.testing.assert_allclose(other.right, one.right, atol=1e-3)
+
+
+def test_positions_without_noise_are_all_right() -> None:
+    found = factorise_robustly(SCENE.positions, coherence=False)
+    assert found.consistent.all()
+    assert np.isfinite(found.factorisation.shape).all()
+
+
+def _directions(random: np.random.Generator, n: int) -> np.ndarray:
+    angle = random.uniform(0, 2 * np.pi, n)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+@pytest.mark.parametrize("coherence", [False, True])
+def test_positions_of_one_coordinate_help(coherence: bool) -> None:
+    """A fifth of the positions has lost one of its coordinates: less is lost with what is left of them."""
+    errors = []
+    for seed in range(5):
+        scene = cylinder(n_points=25, n_frames=20, p_loose=0.15, p_drift=0.0, seed=seed)
+        random = np.random.default_rng(seed)
+        half = scene.visible & (random.random(scene.visible.shape) < 0.2)
+        positions = scene.observed.copy()
+        frames, points = np.nonzero(half)
+        positions[frames, points, random.integers(0, 2, len(frames))] = np.nan
+        found = factorise_robustly(positions, coherence=coherence)
+        assert found.trusted[half].mean() > 0.98
+        whole = np.where(half[..., None], np.nan, positions)
+        others = (factorise_robustly(each, coherence=coherence) for each in (whole, scene.observed))
+        fits = [found.factorisation, *(other.factorisation for other in others)]
+        errors.append([np.square(predicted(fit)[0] - scene.positions).mean() for fit in fits])
+    with_them, without, with_both = np.sqrt(np.mean(errors, axis=0))
+    assert with_them < 0.95 * without
+    assert with_them < 1.15 * with_both
+
+
+def test_an_outlier_of_one_coordinate_is_told() -> None:
+    positions = SCENE.observed.copy()
+    frames, points = np.nonzero(SCENE.visible & (np.random.default_rng(0).random(SCENE.visible.shape) < 0.2))
+    positions[frames, points, 0] = np.nan
+    positions[frames[::10], points[::10], 1] += 0.5
+    found = factorise_robustly(positions)
+    assert not found.trusted[frames[::10], points[::10]].any()
+    assert found.trusted[SCENE.visible].mean() > 0.97

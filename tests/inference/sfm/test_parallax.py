@@ -1,0 +1,59 @@
+"""What tracks show of depth: against cameras and scenes that are known."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rsmcm.inference.sfm.parallax import far_pairs, motion_of, variance_over_shape
+
+from ...support.fruitless import tracks_in_depth, tracks_on_wall
+
+KINDS = {"still": "still", "zoom": "similarity", "rotation": "rotation", "plane": "plane"}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", KINDS)
+def test_kinds_of_motion(kind: str, seed: int) -> None:
+    tracks = tracks_on_wall(kind, seed=seed)
+    assert motion_of(tracks).kind == KINDS[kind]
+    tracks[:, ::7] += np.random.default_rng(seed).normal(0, 20, tracks[:, ::7].shape)  # some are wrong
+    assert motion_of(tracks).kind == KINDS[kind]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_wall_has_no_parallax(kind: str) -> None:
+    """Homographies leave the noise of two pictures, less what lies in the tails of the points left out."""
+    on_wall, deep = motion_of(tracks_on_wall(kind, n_points=300)), motion_of(tracks_in_depth())
+    assert 0.25 < on_wall.parallax < 0.4
+    assert deep.parallax > 2
+    assert motion_of(tracks_on_wall(kind, noise=0.0)).parallax < 1e-6
+
+
+def test_figures_of_tracks() -> None:
+    tracks = np.full((6, 3, 2), np.nan)
+    tracks[:, 0] = np.arange(6)[:, None] * (3, 4)
+    tracks[2:4, 1] = (7, 7)
+    motion = motion_of(tracks)
+    assert (motion.tracks, motion.life, motion.per_frame) == (2, 4, 5)
+    assert motion.kind == "unknown"
+    assert np.isnan(motion.parallax)
+    nothing = motion_of(np.full((3, 0, 2), np.nan))
+    assert (nothing.tracks, nothing.life) == (0, 0)
+    assert np.isnan(nothing.per_frame)
+
+
+@given(st.integers(2, 20), st.integers(1, 30), st.integers(0, 100))
+def test_pairs_share_tracks(n_frames: int, n_tracks: int, seed: int) -> None:
+    seen = np.random.default_rng(seed).random((n_frames, n_tracks)) < 0.8
+    for one, other in far_pairs(seen):
+        assert 0 <= one < other < n_frames
+        assert np.count_nonzero(seen[one] & seen[other]) >= 8
+
+
+def test_a_shape_that_is_no_better_than_homographies() -> None:
+    wall, deep = tracks_on_wall("rotation"), tracks_in_depth()
+    noise = 0.2 * np.random.default_rng(1).standard_normal(wall.shape)
+    assert variance_over_shape(wall, 5 * noise) == pytest.approx(1 / 25, rel=0.2)
+    assert variance_over_shape(wall, noise, 1.0) == pytest.approx(1, rel=0.2)
+    assert variance_over_shape(deep, 5 * noise) > 3
+    assert np.isnan(variance_over_shape(wall[:, :5], noise[:, :5]))
