@@ -16,7 +16,7 @@ R_1 alone, and messages are worked out again in each pass.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, overload
 
 import numpy as np
@@ -30,21 +30,14 @@ from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_message import BoxMessage
 from ...models.objects.object_boxes import ObjectBoxes
-from ...models.pixels.light import LightField
+from ...models.pixels.empty_scene import EmptyScene
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
-from ..pixels.empty_scene import EmptyScene, empty_scene
 from .blob_geometry import box_densities
 from .blob_table import BlobState
 from .blobs import Box
 from .trajectories import Boxes, messages_of
 
 Numbers = NDArray[np.float64]
-
-SCENE = {"mean", "variance", "noise", "light"}
-"""Fields of the state of a background of which the empty scene can be found."""
-
-LIGHT_ROUNDS = 2
-"""How often scene and light are found in turn; from then on the scene's noise changes by 1 %."""
 
 LONG = 60.0
 """s, in which any light can come about."""
@@ -90,7 +83,7 @@ class SceneFilter:
     ----------
     model
         of filtering chains over one `PixelLabels` and perhaps one `ObjectBoxes`, an `AdaptiveBackground`
-        among them (or a chain whose state has `mean`, `variance`, `noise` and `light` too).
+        among them (or another chain with its method `empty_scene`).
     memory
         s, for which the beginning of the film says more of its first scene than what comes later: frames
         that are so much later count 1/e. Cars park and leave, and light changes.
@@ -156,39 +149,16 @@ class SceneFilter:
         times: Numbers,
         covered: Sequence[NDArray[np.bool_]] | None = None,
     ) -> EmptyScene:
-        """What a sample of images, in order of time, shows of the empty scene.
-
-        First without knowing how the light changes from image to image, and then again with what the
-        background's chain says of that, given the scene until then. Parameters are those of `empty_scene`.
-        """
-        chain = self.model.chains[self._background() or ""]
-        first = chain.initial(Frame(images[0], 0.0, 1))
-        steady = LightField(first.light, first.size)
-        noise = float(chain.noise)
-        scene = empty_scene(images, times, [steady], noise, covered)
-        for _ in range(LIGHT_ROUNDS if len(images) > 1 else 0):
-            fields = [self._light(chain, scene, image) for image in images]
-            scene = empty_scene(images, times, fields, noise, covered)
+        """Return the empty scene that a sample of images shows: see `AdaptiveBackground.empty_scene`."""
+        background: Any = self.model.chains[self._background() or ""]
+        scene: EmptyScene = background.empty_scene(images, times, covered)
         return scene
 
     def _background(self) -> str | None:
-        """Name of the chain that knows the empty scene."""
-        blank = Frame(np.zeros((4, 4), np.uint8), 0.0, 1)
-        for name, chain in self.model.chains.items():
-            if any(issubclass(PixelLabels, port.kind) for port in chain.ports):
-                state = chain.initial(blank)
-                if is_dataclass(state) and {field.name for field in fields(state)} >= SCENE:
-                    return name
-        return None
-
-    def _light(self, chain: Any, scene: EmptyScene, image: NDArray[np.uint8]) -> LightField:
-        """The light of an image, by the background's chain, which has had all the time to follow it."""
-        state = scene.known_to(chain.initial(Frame(image, 0.0, 1)))
-        pixels = PixelLabels()
-        incoming = Incoming({pixels: PixelMessage(image=image)})
-        message = chain.message(chain.predict(state, LONG), pixels, incoming)
-        light: LightField = message.background.light
-        return light
+        """Name of the chain that can find the empty scene."""
+        return next(
+            (name for name, chain in self.model.chains.items() if hasattr(chain, "empty_scene")), None
+        )
 
     @overload
     def messages(

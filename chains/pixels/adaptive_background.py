@@ -13,6 +13,7 @@ first frame on, m_k is unknown. Where things are seen to sway, p(L_k | B_k = 1) 
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,12 +23,14 @@ from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.pixels import colour
+from ...models.pixels.empty_scene import EmptyScene
 from ...models.pixels.gaussian import BackgroundPrediction, fixed_point, stored_planes
 from ...models.pixels.kernels.gaussian import Gaussians
 from ...models.pixels.kernels.second_colours import SETTLED, SecondColours, Settling, learn_second_colours
 from ...models.pixels.kernels.sway import Sway
 from ...models.pixels.light import LightField, followed, light_grid, share_of_blocks
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
+from .empty_scene import empty_scene
 from .kernels.behind import update_behind
 from .sway import learned_rates, reach
 
@@ -47,6 +50,12 @@ BOOTSTRAP_TIME = 3.0
 
 LEAST_TIME = 0.2
 """s for which a second colour must have been seen in any case."""
+
+LIGHT_ROUNDS = 2
+"""How often empty scene and light are found in turn; from then on the scene's noise changes by 1 %."""
+
+LONG = 60.0
+"""s, in which any light can come about."""
 
 MOST_NOISE_SHARE = 0.1
 """Of a single observation in a pixel's noise, however long ago the one before was."""
@@ -254,6 +263,40 @@ class AdaptiveBackground:
             age=state.age + state.elapsed,
             frames=state.frames + 1,
         )
+
+    def empty_scene(
+        self,
+        images: Sequence[NDArray[np.uint8]],
+        times: NDArray[np.float64],
+        covered: Sequence[NDArray[np.bool_]] | None = None,
+    ) -> EmptyScene:
+        """Return the empty scene that a sample of images shows.
+
+        First without knowing how the light changes from image to image, then with the light of each image
+        relative to the scene found so far.
+
+        Parameters
+        ----------
+        images
+            uint8 `(height, width[, 3])`, all alike, in order of time; one at least.
+        times
+            `(n_images,)` s.
+        covered
+            `(height, width)` for every image: where objects are known to be, which does not count, unless
+            they always are.
+        """
+        first = self.initial(Frame(images[0], 0.0, 1))
+        steady = LightField(first.light, first.size)
+        scene = empty_scene(images, times, [steady], self.noise, covered)
+        for _ in range(LIGHT_ROUNDS if len(images) > 1 else 0):
+            fields = [self._light(scene, image) for image in images]
+            scene = empty_scene(images, times, fields, self.noise, covered)
+        return scene
+
+    def _light(self, scene: EmptyScene, image: NDArray[np.uint8]) -> LightField:
+        """The light of an image of the scene, with all the time to follow it."""
+        state = self.predict(scene.known_to(self.initial(Frame(image, 0.0, 1))), LONG)
+        return self._prediction(state, image if self.follow_light else None).light
 
     def _predicted(self, state: BackgroundState, incoming: Incoming) -> BackgroundPrediction:
         image = incoming[PixelLabels].image if self.follow_light else None

@@ -7,22 +7,17 @@ Colours of those who pass differ, and somebody who stays is seen for one stretch
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.short_repr import short_repr
 from ...models.numerics.threads import over_bands
-from ...models.pixels.gaussian import fixed_point
+from ...models.pixels.empty_scene import EmptyScene
 from ...models.pixels.kernels.gaussian import HIGHEST_NOISE, HIGHEST_VARIANCE, LOWEST_NOISE, LOWEST_VARIANCE
 from ...models.pixels.light import LightField
 from .kernels.modes import Modes, find_modes
 
 Image = NDArray[np.uint8]
-State = TypeVar("State")
-Planes = NDArray[np.float32]
 Numbers = NDArray[np.float64]
 
 STILL = 3.0
@@ -30,37 +25,6 @@ STILL = 3.0
 
 PRIOR_FRAMES = 8.0
 """How many frames what is known of the noise beforehand counts for."""
-
-
-@short_repr
-@dataclass(frozen=True, eq=False)
-class EmptyScene:
-    """A picture of the empty scene.
-
-    Parameters
-    ----------
-    shape
-        of an image: `(height, width)` px, or `(height, width, 3)`.
-    mean
-        `(channels, n_pixels)` float32 in the planes of `colour`.
-    variance
-        `(n_pixels,)` float32, squared grey levels: of the mean.
-    noise
-        `(n_pixels,)` float32, squared grey levels: of a single observation.
-    light
-        `(block_rows, block_columns)` float32: that of the first image relative to that of the mean.
-    """
-
-    shape: tuple[int, ...]
-    mean: Planes
-    variance: Planes
-    noise: Planes
-    light: Planes
-
-    def known_to(self, state: State) -> State:
-        """The state of a background, a dataclass with these fields, that knows the scene."""
-        pixels = fixed_point(self.mean, self.variance, self.noise)
-        return replace(state, **pixels._asdict(), light=self.light)  # type: ignore[type-var]
 
 
 def empty_scene(
