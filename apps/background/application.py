@@ -22,13 +22,12 @@ from ..events.report import Happened
 from ..events.watch import EVENTS, EventWriter, read_events
 from ..events.zones import Zones, read_zones
 from ..exports.track_table import TABLE, TrackTableWriter
-from ..io.detections.attached import given_boxes, with_boxes
-from ..io.detections.read import digest
-from ..io.detections.table import Detections
+from ..io.detections import Detections, given_boxes, with_boxes
 from ..io.files import write_image
 from ..io.masks import MaskWriter
 from ..io.mot import TrackedObject, TrackWriter, read_tracks
 from ..io.segments import segment_pattern
+from ..io.tables import digest
 from ..runs.film_run import FilmRun, Writer
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import BACKGROUND

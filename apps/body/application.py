@@ -22,9 +22,7 @@ from ...models.body.upper_body import PARTS
 from ...models.core.frame import Frame
 from ..drawing.overlay_video import OverlayVideo
 from ..io.film import SeenFrames
-from ..io.keypoints.attached import given_keypoints, with_keypoints
-from ..io.keypoints.read import digest_of
-from ..io.keypoints.table import Keypoints
+from ..io.keypoints import Keypoints, digest_of, given_keypoints, with_keypoints
 from ..io.segments import segment_pattern
 from ..io.sources.open_source import open_source
 from ..runs.film_run import FilmRun, Step, Writer

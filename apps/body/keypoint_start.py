@@ -10,7 +10,7 @@ from ...models.body.keypoints import head_places, joints_of, largest
 from ...models.body.upper_body import PROPORTIONS, UpperBody
 from ...models.core.frame import Frame
 from ...models.core.keypoints import GivenKeypoints
-from ..io.keypoints.table import Keypoints
+from ..io.keypoints import Keypoints
 from .joint_files import ClickedJoints
 from .start import BodyStart, start_from_head
 

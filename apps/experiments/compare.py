@@ -21,7 +21,7 @@ from ..background.job import BackgroundJob, Camera, Engine
 from ..background.parameters import Parameters, read_parameters
 from ..drawing.mosaic import fitting, mosaic
 from ..evaluation.scoring import Scoring, scoring_of
-from ..io.detections.attached import given_boxes, with_boxes
+from ..io.detections import given_boxes, with_boxes
 from ..io.files import write_image, write_json
 from ..io.mot import TrackedBox
 from ..io.sources.open_source import open_source

@@ -19,9 +19,7 @@ from ..background.job import WHOLE_FILM, BackgroundJob, Engine
 from ..background.whole_film import read_whole
 from ..evaluation.masks import ratio
 from ..evaluation.tracks import TrackScores, evaluate_tracks
-from ..io.detections.attached import with_boxes
-from ..io.detections.read import read_detections
-from ..io.detections.table import Detections
+from ..io.detections import Detections, read_detections, with_boxes
 from ..io.ground_truth import BoxTruth, read_ground_truth
 from ..io.sources.open_source import open_source
 from ..runs.interruption import Interruption

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.files import LAST_FRAME
-from ..io.mot import LAST_IDENTITY, LONGEST_LINE, LineWriter, TrackedObject, box_columns
-from ..io.point_files import FARTHEST
+from ..io.mot import LineWriter, TrackedObject, box_columns, check_box
+from ..io.tables import Row, lines_of
 
 TABLE = "tracks.csv"
 
@@ -91,41 +91,29 @@ def read_tracks_table(path: str | Path) -> dict[str, NDArray[Any]]:
 def table_rows(path: Path) -> Iterator[list[float]]:
     """Rows of `tracks.csv` one by one, with the values of `COLUMNS`; raises as `read_tracks_table`."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        header = file.readline(LONGEST_LINE).strip()
+        lines = lines_of(file)
+        header = next(lines, "").strip()
         if header != HEADER:
             raise ValueError(f"{path}, line 1: got {header[:60]!r}, expected {HEADER}")
-        last = [0.0, -math.inf]
-        for place, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=2):
+        last_frame, last_time = 0.0, -math.inf
+        for place, line in enumerate(lines, start=2):
+            row = Row(path, "line", place, {})
             try:
-                row = _parse_line(line)
-                if row[0] < last[0] or row[1] < last[1]:
-                    raise ValueError(
-                        f"got frame {row[0]:.0f} at {row[1]:g} s after frame {last[0]:.0f} at {last[1]:g} s, "
-                        "expected frames and times that ascend"
-                    )
-            except ValueError as error:
-                raise ValueError(f"{path}, line {place}: {error}") from None
-            last = row
-            yield row
-
-
-def _parse_line(line: str) -> list[float]:
-    try:
-        values = [float(field or math.nan) for field in line.rstrip("\n").split(",")]
-    except ValueError:
-        values = []
-    if len(values) != len(COLUMNS) or not math.isfinite(sum(values[:8])):  # velocities may be unknown
-        raise ValueError(f"got {line.strip()[:60]!r}, expected numbers {HEADER}")
-    frame, identity, seen = values[0], values[2], values[-1]
-    if not 1 <= frame <= LAST_FRAME or frame % 1 or identity % 1 or abs(identity) > LAST_IDENTITY:
-        raise ValueError(
-            f"got frame {frame:g}, id {identity:g}, expected whole numbers, frames from 1 to {LAST_FRAME}"
-        )
-    if min(values[5:7]) < 0 or max(map(abs, values[3:7])) > FARTHEST or abs(values[1]) > LAST_FRAME:
-        raise ValueError(
-            f"got a box {line.strip()[:60]!r}, expected a size that is not negative, px up to {FARTHEST:g} "
-            f"and s up to {LAST_FRAME}"
-        )
-    if seen not in (0, 1):
-        raise ValueError(f"got seen {seen:g}, expected 0 or 1")
-    return values
+                values = [float(field or math.nan) for field in line.rstrip("\n").split(",")]
+            except ValueError:
+                values = []
+            if len(values) != len(COLUMNS) or not math.isfinite(sum(values[:8])):  # velocities may be unknown
+                raise row.wrong(f"{line.strip()[:60]!r}", f"numbers {HEADER}")
+            frame, time, identity, seen = *values[:3], values[-1]
+            check_box(row, "id", frame, identity, values[3:7])
+            if abs(time) > LAST_FRAME:
+                raise row.wrong(f"time {time:g}", f"s up to {LAST_FRAME}")
+            if seen not in (0, 1):
+                raise row.wrong(f"seen {seen:g}", "0 or 1")
+            if frame < last_frame or time < last_time:
+                raise row.wrong(
+                    f"frame {frame:.0f} at {time:g} s after frame {last_frame:.0f} at {last_time:g} s",
+                    "frames and times that ascend",
+                )
+            last_frame, last_time = frame, time
+            yield values

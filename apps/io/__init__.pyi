@@ -1,10 +1,6 @@
-from .detections.attached import with_boxes
-from .detections.read import read_detections
-from .detections.table import Detections
+from .detections import Detections, read_detections, with_boxes
 from .ground_truth import BoxTruth, MaskTruth, read_ground_truth
-from .keypoints.attached import with_keypoints
-from .keypoints.read import read_keypoints
-from .keypoints.table import Keypoints
+from .keypoints import Keypoints, read_keypoints, with_keypoints
 from .masks import MaskWriter
 from .mot import TrackWriter, read_tracks
 from .point_files import frames_of_tracks, read_points

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from ...models.array_files import ARCHIVE, PACKED
 from ...models.core.short_repr import short_repr
 from ...models.files import MOST_SETTINGS, MOST_TEXT, read_text
-from .mot import lines_of, read_lines
+from .mot import mot_rows, mot_rows_of
 from .sources.images import read_grey
+from .tables import Row, rows_of_frame
 
 SHADOW, OUTSIDE, UNKNOWN, FOREGROUND = 50, 85, 170, 255
 """CDnet's labels of a pixel; 0 is background."""
@@ -95,7 +96,7 @@ class BoxTruth:
 
     def at(self, number: int) -> "BoxTruth":
         """Return the boxes of frame `number` (1-based), perhaps none."""
-        rows = slice(*np.searchsorted(self.frame, [number, number + 1]))
+        rows = rows_of_frame(self.frame, number)
         return BoxTruth(self.frame[rows], self.identity[rows], self.box[rows], self.kind[rows])
 
 
@@ -214,7 +215,7 @@ def common_frames(truth: BoxTruth | MaskTruth, processed: range) -> Sequence[int
 def _read_boxes(path: Path) -> BoxTruth:
     if path.stat().st_size > MOST_TEXT:
         raise ValueError(f"{path}: got more than {MOST_TEXT} bytes, expected MOT ground truth")
-    return _boxes(str(path), read_lines(path), 1, _KIND_OF_CLASS)
+    return _boxes(str(path), mot_rows(path), 1, _KIND_OF_CLASS)
 
 
 def _read_archive(path: Path) -> BoxTruth:
@@ -227,7 +228,7 @@ def _read_archive(path: Path) -> BoxTruth:
             number: _KIND_OF_CLASS.get(known, Kind.IGNORED) for number, known in enumerate(classes, start=1)
         }
     name = f"{path}, {found}"
-    return _boxes(name, lines_of(io.StringIO(boxes), name), 0, kinds)
+    return _boxes(name, mot_rows_of(io.StringIO(boxes), name), 0, kinds)
 
 
 def _unpacked(path: Path) -> tuple[str, str, str | None]:
@@ -253,17 +254,15 @@ def _unpacked(path: Path) -> tuple[str, str, str | None]:
 
 
 def _boxes(
-    path: str, lines: Iterable[tuple[int, list[float]]], origin: int, kinds: Mapping[int, Kind]
+    path: str, lines: Iterable[tuple[Row, list[float]]], origin: int, kinds: Mapping[int, Kind]
 ) -> BoxTruth:
     """Boxes of lines in MOT format, whose first pixel is `origin`; `kinds` are of classes."""
     rows: list[tuple[float, ...]] = []
-    for number, values in lines:
-        width, height = values[4:6]
+    for row, numbers in lines:
+        width, height = numbers[4:6]
         if min(width, height) <= 0:
-            raise ValueError(
-                f"{path}, line {number}: got a box of {width:g} x {height:g} pixels, expected a positive size"
-            )
-        rows.append((*values[:6], _kind_of(values, kinds)))
+            raise row.wrong(f"a box of {width:g} x {height:g} pixels", "a positive size")
+        rows.append((*numbers[:6], _kind_of(numbers, kinds)))
     if not rows:
         raise ValueError(f"{path}: holds no boxes")
     table = np.array(rows)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ...models.core.frame import BoundingBox
 from ...models.files import LAST_FRAME, naming, write_text
 from .point_files import FARTHEST
-
-LONGEST_LINE = 10_000  # of a file of boxes: beyond, it is none
+from .tables import Row, is_frame, lines_of
 
 LAST_IDENTITY = 1 << 53
 """Whole numbers up to it are exact among those that are read."""
@@ -171,19 +170,19 @@ def read_tracks(path: str | Path) -> NDArray[np.void]:
         naming file and line, if a line is no such box.
     """
     rows = []
-    for _, (frame, identity, x, y, w, h, *others) in read_lines(Path(path)):
+    for _, (frame, identity, x, y, w, h, *others) in mot_rows(Path(path)):
         rows.append((int(frame), int(identity), (x - 1, y - 1, w, h), others[0] if others else 1.0))
     return np.array(rows, dtype=TRACK_FIELDS)
 
 
-def read_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
-    """Read what the lines of a file in MOT format say, separated by commas or blanks.
+def mot_rows(path: Path) -> Iterator[tuple[Row, list[float]]]:
+    """Read the lines of a file in MOT format, separated by commas or blanks; blank lines are left out.
 
     Yields
     ------
     tuple
-        number of the line, and its values: frame, identity, x, y, width and height as they are there (px
-        from 1), and whatever follows. Lines that are blank are left out.
+        where it stands, and its numbers: frame, identity, x, y, width and height as they are there (px from
+        1), and whatever follows.
 
     Raises
     ------
@@ -193,41 +192,51 @@ def read_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
         if the file cannot be read.
     """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        yield from lines_of(file, str(path))
+        yield from mot_rows_of(file, str(path))
 
 
-def lines_of(file: TextIO, name: str) -> Iterator[tuple[int, list[float]]]:
-    """What `read_lines` reads, of a text that is open and is called `name` in messages."""
-    for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), start=1):
+def mot_rows_of(file: TextIO, name: str) -> Iterator[tuple[Row, list[float]]]:
+    """What `mot_rows` reads, of a text that is open and is called `name` in messages."""
+    for place, line in enumerate(lines_of(file), start=1):
         if "\0" in line:
             raise ValueError(f"{name}: got binary data, expected MOT boxes")
         if line.strip():
+            row = Row(name, "line", place, {})
             try:
-                yield number, _parse_line(line)
-            except ValueError as error:
-                raise ValueError(f"{name}, line {number}: {error}") from None
+                numbers = [float(field) for field in line.replace(",", " ").split()]
+            except ValueError:
+                numbers = []
+            if len(numbers) < 6 or not math.isfinite(sum(numbers[:6])):
+                raise row.wrong(
+                    f"{line.strip()[:60]!r}",
+                    "frame,identity,left,top,width,height[,flag or confidence [,class,visibility]]",
+                )
+            check_box(row, "identity", numbers[0], numbers[1], numbers[2:6])
+            yield row, numbers
 
 
-def _parse_line(line: str) -> list[float]:
-    fields = line.replace(",", " ").split()
-    try:
-        values = [float(field) for field in fields]
-    except ValueError:
-        values = []
-    if len(values) < 6 or not math.isfinite(sum(values[:6])):
-        raise ValueError(
-            f"got {line.strip()[:60]!r}, expected frame,identity,left,top,width,height[,flag or confidence "
-            "[,class,visibility]]"
+def check_box(row: Row, name: str, frame: float, identity: float, box: Sequence[float]) -> None:
+    """Make sure that numbers of a row are those of a box.
+
+    Parameters
+    ----------
+    row, name
+        where they stand, and what the identity is called there.
+    frame, identity, box
+        numbers; x, y, width, height, px.
+
+    Raises
+    ------
+    ValueError
+        naming the place, if they are none.
+    """
+    left, top, width, height = box
+    if not is_frame(frame) or identity % 1 or abs(identity) > LAST_IDENTITY:
+        raise row.wrong(
+            f"frame {frame:g}, {name} {identity:g}", f"whole numbers, frames from 1 to {LAST_FRAME}"
         )
-    frame, identity, left, top, width, height = values[:6]
-    if not 1 <= frame <= LAST_FRAME or frame % 1 or identity % 1 or abs(identity) > LAST_IDENTITY:
-        raise ValueError(
-            f"got frame {frame:g}, identity {identity:g}, expected whole numbers, frames from 1 to "
-            f"{LAST_FRAME}"
+    if min(width, height) < 0 or max(map(abs, box)) > FARTHEST:
+        raise row.wrong(
+            f"a box of {width:g} x {height:g} pixels at {left:g}, {top:g}",
+            f"a size that is not negative and px up to {FARTHEST:g}",
         )
-    if min(width, height) < 0 or max(map(abs, values[2:6])) > FARTHEST:
-        raise ValueError(
-            f"got a box of {width:g} x {height:g} pixels at {left:g}, {top:g}, expected a size that is not "
-            f"negative and px up to {FARTHEST:g}"
-        )
-    return values

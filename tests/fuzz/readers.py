@@ -14,9 +14,9 @@ from rsmcm.apps.evaluation.tracks import track_rows
 from rsmcm.apps.evaluation.validity import report_validity
 from rsmcm.apps.events import Sighting, Watch, read_zones
 from rsmcm.apps.exports import to_coco, to_cvat, to_movement
-from rsmcm.apps.io.detections.read import read_detections
+from rsmcm.apps.io.detections import read_detections
 from rsmcm.apps.io.ground_truth import BoxTruth, read_ground_truth
-from rsmcm.apps.io.keypoints.read import read_keypoints
+from rsmcm.apps.io.keypoints import read_keypoints
 from rsmcm.apps.io.mot import read_tracks
 from rsmcm.apps.io.point_files import read_points
 from rsmcm.apps.io.sources.open_source import IMAGE_SUFFIXES, open_source

@@ -2,13 +2,17 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.io import Detections, read_detections
+from numpy.typing import NDArray
+from rsmcm.apps.io import Detections, read_detections, with_boxes
+from rsmcm.models.core.frame import Frame, GivenBoxes
 
 Row = tuple[int, tuple[float, float, float, float], float, str]
 CLASSES = ["person", "car"]
@@ -240,3 +244,155 @@ def test_pictures_that_the_film_does_not_have(tmp_path: Path) -> None:
     assert len(read_detections(path, pictures=["a.png", "b.png"]).at(2) or ()) == 1
     with pytest.raises(ValueError, match=r"result 1: got image 'b\.png', expected a picture of street"):
         read_detections(path, film="street", pictures=["a.png"])
+
+
+@pytest.fixture
+def detections(tmp_path: Path) -> Detections:
+    path = tmp_path / "det.txt"
+    path.write_text("1,-1,1,1,10,10,1\n1,-1,91,41,20,20,1\n3,-1,-8,1,10,10,1\n5,-1,1,1,10,10,1\n")
+    return read_detections(path)
+
+
+def test_boxes_are_those_of_the_frames_number(detections: Detections) -> None:
+    image = np.zeros((50, 100), np.uint8)
+    counts = [detections(Frame(image, 0.1 * number, number)) for number in range(1, 7)]
+    assert [None if boxes is None else len(boxes) for boxes in counts] == [2, None, 1, None, 1, None]
+    assert detections.counted(range(1, 4)) == {"boxes": 3, "frames": 2}
+
+
+def test_boxes_that_reach_out_of_the_picture_are_of_it(detections: Detections) -> None:
+    detections.check("film", (100, 50), 5)
+    detections.check("film", (100, 50), None)
+
+
+@pytest.mark.parametrize(
+    ("size", "last", "complaint"),
+    [
+        (
+            (90, 50),
+            5,
+            r"line 2: got a box from 90, 40, 110, 60 .* in frame 1, outside of the picture of 90x50",
+        ),
+        ((100, 40), 5, r"line 2: got a box from 90, 40, 110, 60"),
+        ((100, 50), 4, r"det\.txt, line 4: got frame 5, but film has 4 frames"),
+    ],
+)
+def test_boxes_of_another_film(
+    detections: Detections, size: tuple[int, int], last: int, complaint: str
+) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        detections.check("film", size, last)
+
+
+def test_frames_without_a_box_can_be_beyond_the_film(tmp_path: Path) -> None:
+    path = tmp_path / "coco.json"
+    path.write_text('{"images": [{"id": 1, "file_name": "a9.png"}], "annotations": []}')
+    with pytest.raises(ValueError, match=r"coco\.json: got frame 9, but film has 8 frames"):
+        read_detections(path).check("film", (100, 50), 8)
+
+
+IMAGE = np.zeros((40, 60, 3), np.uint8)
+FRAMES = [Frame(None if number == 4 else IMAGE, 0.1 * number, number) for number in range(1, 9)]
+
+
+@dataclass
+class LikeSupervision:
+    """As the library supervision has them."""
+
+    xyxy: NDArray[np.float32]
+    mask: NDArray[np.bool_] | None = None
+    confidence: NDArray[np.float32] | None = None
+    class_id: NDArray[np.int64] | None = None
+    tracker_id: NDArray[np.int64] | None = None
+    data: dict[str, Any] = field(default_factory=dict)
+
+
+def test_a_detector_is_called_with_every_frame_that_has_an_image() -> None:
+    called = []
+
+    def detector(frame: Frame) -> NDArray[np.float64] | None:
+        called.append(frame.number)
+        return None if frame.number == 2 else np.array([[1.0, 2, 3 + frame.number, 5]])
+
+    frames = list(with_boxes(FRAMES, detector))
+    assert called == [1, 2, 3, 5, 6, 7, 8]
+    assert [frame.number for frame in frames] == list(range(1, 9))
+    assert [frame.boxes is None for frame in frames] == [number in (2, 4) for number in range(1, 9)]
+    assert frames[6].boxes is not None
+    assert frames[6].boxes.xyxy.tolist() == [[1, 2, 10, 5]]
+    assert frames[6].image is FRAMES[6].image
+
+
+def test_a_detector_can_run_on_every_third_frame() -> None:
+    """A missing frame is none of those that are counted."""
+    frames = list(with_boxes(FRAMES, lambda _: [], every=3))
+    assert [frame.number for frame in frames if frame.boxes is not None] == [1, 5, 8]
+    assert all(len(frame.boxes) == 0 for frame in frames if frame.boxes is not None)
+
+
+def supervision_like() -> LikeSupervision:
+    return LikeSupervision(
+        np.array([[1, 2, 3, 4], [5, 5, 9, 9]], np.float32),
+        np.zeros((2, 40, 60), bool),
+        np.array([0.5, 0.75], np.float32),
+        np.array([0, 2]),
+        None,
+        {"class_name": np.array(["person", "car"])},
+    )
+
+
+@pytest.mark.parametrize(
+    ("found", "n_boxes", "confidence", "classes"),
+    [
+        (np.array([[1.0, 2, 3, 4]]), 1, None, None),
+        ([[1, 2, 3, 4, 0.5]], 1, [0.5], None),
+        (np.array([[1, 2, 3, 4, 0.5, 7]], np.float32), 1, [0.5], [7]),
+        (np.zeros((0, 6)), 0, None, None),
+        ([], 0, None, None),
+        (supervision_like(), 2, [0.5, 0.75], ["person", "car"]),
+        (LikeSupervision(np.empty((0, 4), np.float32)), 0, None, None),
+        (LikeSupervision(np.array([[0, 0, 1, 1]]), class_id=np.array([3])), 1, None, [3]),
+        (GivenBoxes(np.array([[0.0, 0, 1, 1]]), np.array([0.25])), 1, [0.25], None),
+    ],
+)
+def test_boxes_come_in_many_forms(found: Any, n_boxes: int, confidence: Any, classes: Any) -> None:
+    (frame,) = with_boxes(FRAMES[:1], lambda _: found)
+    boxes = frame.boxes
+    assert boxes is not None
+    assert boxes.xyxy.shape == (n_boxes, 4)
+    assert boxes.xyxy.dtype == np.float64
+    for values, expected in ((boxes.confidence, confidence), (boxes.classes, classes)):
+        assert (None if values is None else values.tolist()) == expected
+
+
+@pytest.mark.parametrize(
+    ("found", "complaint"),
+    [
+        (np.zeros((2, 3)), r"frame 1: boxes: got \(2, 3\), expected \(n, 4\), \(n, 5\) or \(n, 6\)"),
+        ("boxes", "frame 1: boxes: got str, expected an array"),
+        (np.array([[5.0, 0, 5, 9]]), "frame 1: boxes: got 5, 0, 5, 9 as box 0"),
+        (np.array([[5.0, 0, np.nan, 9]]), "frame 1: boxes: got 5, 0, nan, 9 as box 0"),
+    ],
+)
+def test_what_a_detector_returns_wrongly_is_said(found: Any, complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        list(with_boxes(FRAMES, lambda _: found))
+
+
+def test_what_is_no_frame() -> None:
+    with pytest.raises(TypeError, match="frames: got ndarray, expected Frame"):
+        next(with_boxes([IMAGE], lambda _: None))  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "complaint"),
+    [
+        ((np.zeros((1, 4)),), TypeError, "detector: got ndarray, expected something to call with a frame"),
+        ((lambda _: None, 0), ValueError, "every: got 0"),
+    ],
+)
+def test_what_is_no_detector(
+    arguments: tuple[Callable[..., Any], int], error: type[Exception], complaint: str
+) -> None:
+    with pytest.raises(error, match=complaint):
+        with_boxes(FRAMES, *arguments)

@@ -1,0 +1,373 @@
+"""Points that a detector has found of persons in a film: in files, or by a callable as frames come."""
+
+import json
+import math
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from reprlib import repr as brief
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.frame import Frame
+from ...models.core.keypoints import COCO, KEYPOINTS, KNOWN, POINTS, SKELETONS, GivenKeypoints
+from ...models.core.short_repr import short_repr
+from ...models.files import MOST_SETTINGS, read_text
+from .detections import check_not_live, last_frame, with_found
+from .point_files import FARTHEST
+from .sources.open_source import Source
+from .tables import Column, JsonStream, Pictures, Row, csv_rows, digest, first_line, rows_of_frame
+
+Array = NDArray[np.float64]
+
+COLUMNS = {
+    "frame": Column(("frame", "frame_number"), "frame"),
+    "person": Column(("person", "person_id", "track_id"), "text"),
+    "joint": Column(("joint", "keypoint", "landmark", "name"), "text"),
+    "x": Column(("x",), empty=True),
+    "y": Column(("y",), empty=True),
+    "score": Column(("score", "confidence", "conf", "visibility"), empty=True),
+}
+NEEDED = (("frame", "joint", "x", "y"),)
+
+FORMS = "CSV with a header, COCO's JSON of results, or the folder of OpenPose's JSON"
+
+ENDING = "_keypoints.json"
+"""How the names of OpenPose's files end."""
+
+BODIES = (25, 18)
+"""Numbers of points of its bodies: BODY_25, and COCO with a neck."""
+
+HAND_POINTS = 21
+
+NORMALISED = 2.0
+"""px: no film is so small; places that are all below it are shares of the picture."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Keypoints:
+    """Points of the persons in a film, sorted by frame; called with a frame, those of it.
+
+    Parameters
+    ----------
+    path
+        of the file, or of the folder.
+    frame
+        `(n,)` int64 of n persons: numbers of frames, 1-based, ascending.
+    given
+        points of all n.
+    place
+        `(n,)`: where each stands, for messages.
+    """
+
+    path: Path
+    frame: NDArray[np.int64]
+    given: GivenKeypoints
+    place: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def at(self, number: int) -> GivenKeypoints | None:
+        """The persons of frame `number`; `None` where the detector did not run, or found nobody."""
+        rows = rows_of_frame(self.frame, number)
+        if rows.start == rows.stop:
+            return None
+        return GivenKeypoints(self.given.positions[rows], self.given.scores[rows])
+
+    def __call__(self, frame: Frame) -> GivenKeypoints | None:
+        """The persons of a frame, by its number."""
+        return self.at(frame.number)
+
+    def frames(self) -> Iterator[tuple[int, GivenKeypoints]]:
+        """Numbers of the frames in which somebody was found, and who."""
+        for number in np.unique(self.frame).tolist():
+            given = self.at(number)
+            assert given is not None
+            yield number, given
+
+    def counted(self, numbers: Collection[int]) -> dict[str, int]:
+        """How many persons there are in the frames of these numbers, and in how many of them."""
+        taken = self.frame[np.isin(self.frame, list(numbers))]
+        return {"persons": len(taken), "frames": len(np.unique(taken))}
+
+    def check(self, film: str, size: tuple[int, int], last: int | None) -> None:
+        """Make sure that the points can be of a film.
+
+        Parameters
+        ----------
+        film
+            its name.
+        size
+            `(width, height)` px.
+        last
+            number of its last frame; `None` if that is not known.
+
+        Raises
+        ------
+        ValueError
+            if a frame comes after the last one, or nothing of a person lies in the picture.
+        """
+        if last is not None and len(self) and self.frame[-1] > last:
+            first = int(np.searchsorted(self.frame, last + 1))
+            raise ValueError(
+                f"{self.path}, {self.place[first]}: got frame {self.frame[first]}, "
+                f"but {film} has {last} frames"
+            )
+        places = self.given.positions
+        if np.nanmax(np.abs(places), initial=0.0) < NORMALISED < max(size):
+            raise ValueError(f"{self.path}: got places from 0 to 1, expected px")
+        beyond = np.maximum(-0.5 - places, places - (np.array(size) - 0.5)).max(axis=2)  # NaN: not found
+        outside = np.flatnonzero(~(beyond <= 0).any(axis=1))
+        if outside.size:
+            who = int(outside[0])
+            raise ValueError(
+                f"{self.path}, {self.place[who]}: got a person in frame {self.frame[who]} of whom nothing "
+                f"is in the picture of {size[0]}x{size[1]} px"
+            )
+
+
+def read_keypoints(path: str | Path, *, film: str = "the film", pictures: Sequence[str] = ()) -> Keypoints:
+    """Read the points that a detector has found of persons in a film; the content tells the form.
+
+    Parameters
+    ----------
+    path
+        CSV with a header (`read_csv`), COCO's JSON of results (`read_coco`), or the folder of OpenPose's JSON
+        (`read_openpose`).
+    film, pictures
+        name of the film, and of its pictures in order, if it consists of such.
+
+    Raises
+    ------
+    ValueError
+        naming file and place, if it is no such file, or is damaged or empty.
+    OSError
+        if it cannot be read.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return read_openpose(path, film, pictures)
+    line = first_line(path, FORMS)
+    if line.lstrip()[0] in "[{":
+        return read_coco(path, film, pictures)
+    if "frame" in line.lower():
+        return read_csv(path)
+    raise ValueError(f"{path}, line 1: got {line.strip()[:60]!r}, expected {FORMS}")
+
+
+def digest_of(path: Path) -> str:
+    """The sha256 of a file's content, or of all files of a folder that were read."""
+    return digest(path, f"*{ENDING}")
+
+
+def read_csv(path: Path) -> Keypoints:
+    """Read points in CSV with a header that names the columns; frames count from 1, px from 0.
+
+    Columns are frame, joint, x, y, and perhaps person and score. An empty place is a point not found.
+    """
+    persons = _Persons(path)
+    for row in csv_rows(path, COLUMNS, NEEDED, "frame, joint, x, y, and perhaps person and score"):
+        values = row.values
+        frame, joint = int(values["frame"]), values["joint"].lower().replace(" ", "_")
+        if joint not in KNOWN:
+            raise row.wrong(f"joint {values['joint'][:40]!r}", f"one of {', '.join(KEYPOINTS)}")
+        points = persons.of(row, frame, values.get("person"))
+        place = {name: values.get(name, 1.0) for name in ("x", "y", "score")}
+        if math.isnan(place["x"]) and math.isnan(place["y"]):
+            continue
+        for name, number in place.items():
+            if math.isnan(number):
+                raise row.wrong(f"{name} ''", "a number")
+        if joint in POINTS and not math.isnan(points[POINTS.index(joint), 0]):
+            raise row.wrong(f"{joint} of frame {frame} a second time", "once, or a column person")
+        _write(row, points, joint, *place.values())
+    return persons.table()
+
+
+def read_coco(path: Path, film: str, pictures: Sequence[str]) -> Keypoints:
+    """Read a list of COCO's results; `keypoints` are x, y (px from 0) and score of 17 points.
+
+    `image_id` is the number of a frame, or names a picture; each result is a person.
+    """
+    persons, known = _Persons(path), Pictures(film, pictures)
+    with JsonStream(path, "keypoints in COCO's form: a list of image_id, keypoints, score") as stream:
+        for row in stream.rows("result", ("image_id", "keypoints")):
+            points = persons.of(row, known.frame(row, row.values["image_id"]), row.place)
+            triples = _triples(row, row.values["keypoints"], len(COCO))
+            for name, (x, y, score) in zip(COCO, triples, strict=True):
+                _write(row, points, name, x, y, score)
+        stream.end()
+    return persons.table()
+
+
+def read_openpose(folder: Path, film: str, pictures: Sequence[str]) -> Keypoints:
+    """Read OpenPose's `NAME_keypoints.json` of every frame; px count from 0.
+
+    Of films, OpenPose numbers frames from 0, with the last number in the name; of a folder of pictures, NAME
+    is that of the picture. Bodies have 25 or 18 points. Where hands were found as well (21 points), their
+    centre is the mean of those.
+    """
+    persons, known = _Persons(folder), Pictures(film, pictures)
+    stems = {Path(name).stem: name for name in pictures}
+    paths = sorted(path for path in folder.iterdir() if path.name.endswith(ENDING))
+    if not paths:
+        raise ValueError(f"{folder}: got no file NAME{ENDING}, expected the folder of OpenPose's results")
+    for number, path in enumerate(paths, start=1):
+        name = path.name.removesuffix(ENDING)
+        if pictures:
+            frame = known.frame(Row(folder, "file", number, {}), stems.get(name, name))
+        else:
+            digits = name.rpartition("_")[2]
+            if not (digits.isdecimal() and digits.isascii() and len(digits) <= 12):
+                raise ValueError(
+                    f"{folder}, {path.name}: got a name without a number, expected such as "
+                    f"film_000000000012{ENDING}"
+                )
+            frame = int(digits) + 1
+        for who, person in enumerate(_people(path), start=1):
+            row = Row(folder, f"{path.name}, person", who, {})
+            _take_person(row, person, persons, frame)
+    return persons.table()
+
+
+def _people(path: Path) -> list[Any]:
+    """The people of a frame, in a file of OpenPose."""
+    expected = "expected the JSON of OpenPose: version and people"
+    text = read_text(path, expected, MOST_SETTINGS)
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        raise ValueError(f"{path}: got no JSON, or a part of it, {expected}") from None
+    people = content.get("people") if isinstance(content, dict) else None
+    if not isinstance(people, list):
+        raise ValueError(f"{path}: got {brief(content)}, {expected}")
+    return people
+
+
+def _take_person(row: Row, person: Any, persons: "_Persons", frame: int) -> None:
+    """Add the points of a person of OpenPose."""
+    if not isinstance(person, Mapping) or not isinstance(person.get("pose_keypoints_2d"), list):
+        raise row.wrong(brief(person), "an object with pose_keypoints_2d")
+    points, body = persons.of(row, frame, row.place), person["pose_keypoints_2d"]
+    n_points = next((count for count in BODIES if len(body) == 3 * count), BODIES[0])
+    for name, (x, y, score) in zip(SKELETONS[n_points], _triples(row, body, n_points), strict=True):
+        _write(row, points, name, x, y, score)
+    for side in ("left", "right"):
+        hand = person.get(f"hand_{side}_keypoints_2d")
+        if hand:
+            found = np.array(_triples(row, hand, HAND_POINTS))
+            found = found[found[:, 2] > 0]
+            if len(found):
+                _write(row, points, f"{side}_hand", *found.mean(axis=0).tolist())
+
+
+def _triples(row: Row, values: object, n_points: int) -> list[tuple[float, float, float]]:
+    """x, y and score of points that stand in a row."""
+    if not isinstance(values, list) or len(values) != 3 * n_points:
+        got = f"{len(values)} numbers" if isinstance(values, list) else brief(values)
+        raise row.wrong(got, f"x, y and score of {n_points} points")
+    try:
+        numbers = [float(value) for value in values]
+    except (TypeError, ValueError, OverflowError):
+        raise row.wrong(brief(values), "numbers") from None
+    return list(zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True))
+
+
+def _write(row: Row, points: Array, name: str, x: float, y: float, score: float) -> None:
+    """Write a point of a person into its `points`, if it is one of `POINTS`."""
+    if not (abs(x) <= FARTHEST and abs(y) <= FARTHEST):
+        raise row.wrong(f"{name} at {x:g}, {y:g}", f"px up to {FARTHEST:g}")
+    if not abs(score) < np.inf:
+        raise row.wrong(f"a score of {score:g}", "a finite one")
+    if name in POINTS:
+        points[POINTS.index(name)] = x, y, score
+
+
+@dataclass(eq=False)
+class _Persons:
+    """Persons of a file, gathered point by point."""
+
+    path: Path
+    _rows: dict[tuple[int, Hashable], int] = field(default_factory=dict)
+    _points: list[Array] = field(default_factory=list)
+    _places: list[str] = field(default_factory=list)
+
+    def of(self, row: Row, frame: int, person: Hashable) -> Array:
+        """`(15, 3)`: x, y and score of the `POINTS` of somebody in a frame, to be written; NaN so far."""
+        number = self._rows.setdefault((frame, person), len(self._points))
+        if number == len(self._points):
+            self._points.append(np.full((len(POINTS), 3), np.nan))
+            self._places.append(f"{row.unit} {row.place}")
+        return self._points[number]
+
+    def table(self) -> Keypoints:
+        """All of it, sorted by frame; of whom nothing was found that counts, nothing is kept.
+
+        Raises
+        ------
+        ValueError
+            if that is nobody.
+        """
+        points = np.array(self._points, np.float64).reshape(-1, len(POINTS), 3)
+        given = GivenKeypoints.named(points)
+        frame = np.array([number for number, _ in self._rows], np.int64)
+        order = np.argsort(frame, kind="stable")
+        order = order[(given.scores[order] > 0).any(axis=1)]
+        if not len(order):
+            raise ValueError(f"{self.path}: holds no point of an upper body")
+        kept = GivenKeypoints(given.positions[order], given.scores[order])
+        return Keypoints(self.path, frame[order], kept, tuple(self._places[row] for row in order))
+
+
+def with_keypoints(
+    frames: Iterable[Frame], detector: Callable[[Frame], Any], every: int = 1
+) -> Iterator[Frame]:
+    """Frames with the points that a detector of poses or hands finds in them.
+
+    Parameters
+    ----------
+    frames
+        in order, as `open_source` gives them; one without an image stays without points.
+    detector
+        is called with a frame. It returns what `GivenKeypoints.of` takes, or `None`: it has not looked.
+        `Keypoints` of a file are such a detector.
+    every
+        it is called for every so many frames with an image, the first among them.
+
+    Raises
+    ------
+    ValueError
+        if `every` is below 1; or naming the frame, if what the detector returns are no points.
+    TypeError
+        if the detector cannot be called, or what comes are no frames.
+    """
+    return with_found(
+        frames, detector, every, lambda frame, found: replace(frame, keypoints=GivenKeypoints.of(found))
+    )
+
+
+def given_keypoints(path: Path, source: Source, start: int, stop: int | None, step: int) -> Keypoints:
+    """Read what a detector has found in a source, and make sure that it belongs to it.
+
+    Parameters
+    ----------
+    path
+        as of `read_keypoints`.
+    source
+        opened.
+    start, stop, step
+        which of its frames are taken.
+
+    Raises
+    ------
+    ValueError
+        if the source is live, or they are of frames or places that it does not have.
+    """
+    check_not_live(source, "--keypoints")
+    found = read_keypoints(path, film=source.name, pictures=source.pictures)
+    found.check(source.name, source.size, last_frame(source, start, stop, step))
+    return found

@@ -1,1 +1,0 @@
-"""Points of persons that a detector has found: in files, in arrays of other libraries, by a callable."""
