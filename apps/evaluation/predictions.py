@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.validity.estimate import RecordedPredictions
+from ...inference.validity import RecordedPredictions
 from ...models.array_files import read_arrays
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.files import write_atomically

@@ -6,8 +6,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.validity.estimate import FEWEST_GROUPS, Comparison, Interval, compare
-from ...inference.validity.scores import ScoreComparison, compare_scores
+from ...inference.validity import (
+    FEWEST_GROUPS,
+    Comparison,
+    Interval,
+    ScoreComparison,
+    compare,
+    compare_scores,
+)
 from ...models.core.mahalanobis import squared_distances
 from .predictions import FILE, PairRecord, ScoreRecord, read_predictions
 from .text_tables import in_columns

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...models.array_files import SINGLE, Arrays, read_arrays
 from ...models.core.frame import Frame, GivenPoints
-from ...models.points.point_arrays import FARTHEST, check_points
+from ...models.points.point_tracks import FARTHEST, check_points
 from .sources.open_source import DEFAULT_RATE, Selection
 
 __all__ = ["FARTHEST", "read_points", "read_shapes"]

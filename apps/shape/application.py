@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ...inference.sfm.nonrigid.choice import choose_bases
-from ...inference.sfm.nonrigid.comparison import shape_error
-from ...inference.sfm.nonrigid.learning import learn_shape
+from ...inference.sfm.nonrigid.learning import choose_bases, learn_shape
+from ...inference.sfm.nonrigid.shape import shape_error
 from ...models.face.model_files import write_model
 from ..io.files import write_json
 from ..io.point_files import read_shapes, read_track_file

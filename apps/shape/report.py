@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from ...inference.sfm.nonrigid.choice import BasesChoice
+from ...inference.sfm.nonrigid.learning import BasesChoice
 from ..drawing.boxes import identity_colour
 from ..reports.evenly_spaced import evenly_spread
 from ..reports.page import Section, cards, moving_picture, write_run_page

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.sfm.nonrigid.choice import BasesChoice
+from ...inference.sfm.nonrigid.learning import BasesChoice
 from ...inference.sfm.nonrigid.shape import NonrigidShape
 from ..io.sources.open_source import DEFAULT_RATE
 

@@ -9,8 +9,12 @@ import numpy as np
 
 from ...chains.structure.factor_structure import StructureTrajectory
 from ...inference import Solution
-from ...inference.sfm.perspective.affine_fit import affine_fit
-from ...inference.sfm.perspective.structure import Lens, PerspectiveStructure, perspective_structure
+from ...inference.sfm.perspective.structure import (
+    Lens,
+    PerspectiveStructure,
+    affine_fit,
+    perspective_structure,
+)
 from ...models.core.frame import Frame
 from ..io.sources.images import focal_of_picture
 from .job import Camera

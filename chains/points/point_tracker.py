@@ -1,32 +1,278 @@
-"""Tracker of single points: a first-order Kalman filter each, and what each one looks like (RSMCM §4.3).
+"""Identities that turn out to be one point: what the shape takes for one, and what sits on one spot."""
 
-p(x(t + dt) | x(t)) = prod_i N(x_i(t + dt); A(dt) x_i(t), q Q(dt)),    p(F | x) = prod_i delta(u_i - H x_i)
-
-x_i are position H x_i (px) and velocity (px/s) of point i, which white acceleration of density q (px^2/s^3)
-moves out of its straight way; A and Q are those of `kinematic(2, dt)`. F holds positions u_i and patches a_i
-by identity. The message to F is prod_i N(u_i; H m_i, H P_i H^T), the predicted positions, and with it what
-points look like; the evidence is where the picture shows these patches (`PointTracks`).
-
-It follows every point by itself and knows nothing of how points move together. Alone it loses a point that is
-not seen for a while, and takes it for another one when it comes back. With a second chain over the same
-points, that chain's prediction is a virtual observation: it keeps a point alive, and says where to look for
-one that was lost.
-"""
-
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ...models.core.frame import Frame
+from ...models.core.gaussian_message import GaussianMessage
+from ...models.core.mahalanobis import squared_distances
 from ...models.core.short_repr import short_repr
+from ...models.points.patches import Patches, ncc
 from ...models.points.point_tracks import PointMessage, PointTracks
-from .film_search import FilmSearch
-from .known_points import KnownPoints
-from .motion_noise import estimate_motion
-from .tracker import GIVEN_LIMIT, TrackerState, message_of, predicted, replenished, updated, with_given
-from .trajectory import Appearances, PointTrajectory, StackedMessages, smoothed_trajectory
+from .tracker import (
+    GIVEN_LIMIT,
+    NEW_DEVIATION,
+    SAME_PLACE,
+    KnownPoints,
+    TrackerState,
+    initial_states,
+    message_of,
+    predicted,
+    replenished,
+    updated,
+    with_given,
+)
+from .trajectory import Appearances, PointTrajectory, StackedMessages, estimate_motion, smoothed_trajectory
+
+Identities = NDArray[np.int64]
+Duplicates = Mapping[int, int]
+"""Identity, and the smaller one of the point that it is."""
+
+LEAST_NCC = 0.7
+"""Normalised correlation of two points that are said to be one, where their patches are most alike."""
+
+LEAST_FRAMES = 5
+"""Frames in which two points are found on one spot before they are taken for one."""
+
+
+def duplicates(trajectory: PointTrajectory, others: Sequence[PointMessage]) -> dict[int, int]:
+    """Identities that were one point before, and those that other chains take for one and that look alike."""
+    same = {int(one): int(other) for one, other in trajectory.absorbed}
+    said = {
+        (int(one), int(other))
+        for message in others
+        if message.same_as is not None
+        for one, other in zip(message.positions.identities, message.same_as, strict=True)
+        if one != other
+    }
+    seen = trajectory.appearances
+    if seen is None or not said:
+        return same
+    pairs = np.array(sorted(said), np.int64)
+    pairs = pairs[np.isin(pairs, seen.identities).all(axis=1)]
+    one, other = np.searchsorted(seen.identities, pairs.T)
+    alike = np.max(
+        [ncc(a[one], b[other]) for a in (seen.first, seen.last) for b in (seen.first, seen.last)],
+        axis=0,
+    )
+    return merged_groups(same, pairs[alike >= LEAST_NCC])
+
+
+def merged_groups(same: Duplicates, pairs: Iterable[Sequence[int]]) -> dict[int, int]:
+    """Groups with some more pairs in one: each identity that is not the smallest of its group, with that."""
+    group = dict(same)
+
+    def smallest(identity: int) -> int:
+        while identity in group:
+            identity = group[identity]
+        return identity
+
+    for one, other in pairs:
+        low, high = sorted((smallest(int(one)), smallest(int(other))))
+        if low != high:
+            group[high] = low
+    return {identity: smallest(identity) for identity in group}
+
+
+def without_duplicates(message: PointMessage, same: Duplicates) -> PointMessage:
+    """What is said of each point once, under its smallest identity."""
+    if not same:
+        return message
+    identities = canonical(message.positions.identities, same)
+    names, first = np.unique(identities, return_index=True)
+    positions = replace(message.positions.only(first), identities=names)
+    return PointMessage(positions, message.patches, message.view)
+
+
+def canonical(identities: Identities, same: Duplicates) -> Identities:
+    """`(n,)`: the smallest identity of each one's point."""
+    names: Identities = np.array(
+        [same.get(int(identity), int(identity)) for identity in identities], np.int64
+    )
+    return names
+
+
+def coincident_tracks(messages: Sequence[PointMessage], spot: float) -> list[tuple[int, int]]:
+    """Pairs of identities that were found nearer to each other than `spot` px in several frames."""
+    times: Counter[tuple[int, int]] = Counter()
+    for message in messages:
+        identities, mean, _ = message.positions.moments
+        if len(identities) > 1:
+            pairs = cKDTree(mean).query_pairs(spot, output_type="ndarray")
+            times.update((int(one), int(other)) for one, other in identities[np.sort(pairs, axis=1)])
+    return sorted(pair for pair, count in times.items() if count >= LEAST_FRAMES)
+
+
+Numbers = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+GATE = 3.0
+"""Standard deviations from where others say that a point is, within which it may begin."""
+
+NOBODY = np.zeros(0, np.int64)
+
+
+class FilmSearch:
+    """Points of all frames, searched for one frame after the other as in filtering.
+
+    After the first round there are no new points: those of the round before are searched for wherever others
+    say that they are, and from where they were found first.
+
+    Parameters
+    ----------
+    empty
+        state of a tracker without points.
+    replenished
+        a state with new points in place of those that are missing.
+    learns
+        whether the acceleration is learned on the way.
+    incoming_over_time, others
+        of all frames: what reaches the tracker, and the messages of other chains alone.
+    current
+        the trajectory of the round before.
+
+    Attributes
+    ----------
+    same
+        identities that are one point.
+    others
+        the messages of others, once for each point.
+    """
+
+    def __init__(
+        self,
+        empty: TrackerState,
+        replenished: Callable[[TrackerState], TrackerState],
+        learns: bool,
+        incoming_over_time: Sequence[BatchIncoming],
+        others: Sequence[PointMessage],
+        current: PointTrajectory | None,
+    ) -> None:
+        self._empty, self._replenished, self._learns = empty, replenished, learns
+        self._incoming, self._current = incoming_over_time, current
+        self._all_others = others
+        self._unite({} if current is None else duplicates(current, others))
+
+    def run(self) -> tuple[list[PointMessage], KnownPoints]:
+        """What frames show of points, and those points.
+
+        A point that no other frame shows than the one where it began is no track, and says nothing.
+        """
+        found = self._followed()
+        if self._current is not None:
+            pairs = coincident_tracks(found[0], SAME_PLACE)
+            if pairs:
+                self._unite(merged_groups(self.same, pairs))
+                found = self._followed()
+        evidence, known = found
+        names, counts = np.unique(
+            np.concatenate([message.positions.identities for message in evidence]), return_counts=True
+        )
+        alone = names[counts == 1]
+        return [_without(message, alone) for message in evidence], known
+
+    def _unite(self, same: Duplicates) -> None:
+        self.same = same
+        self.others = [without_duplicates(message, same) for message in self._all_others]
+
+    def _followed(self) -> tuple[list[PointMessage], KnownPoints]:
+        state, last = None, 0.0
+        evidence = []
+        for number, (incoming, others) in enumerate(zip(self._incoming, self.others, strict=True)):
+            frame = incoming.frame
+            if state is not None:
+                state = predicted(state, frame.time - last)
+            elif not frame.missing:
+                state = self._beginning()
+            last = frame.time
+            if state is None:
+                evidence.append(incoming.search(PointTracks, others))
+            else:
+                state, seen = self._step(state, incoming, others, number)
+                evidence.append(seen)
+        return evidence, KnownPoints.none() if state is None else state.known
+
+    def _step(
+        self, state: TrackerState, incoming: BatchIncoming, others: PointMessage, number: int
+    ) -> tuple[TrackerState, PointMessage]:
+        """The state after a frame, and what was seen there.
+
+        A point that begins in the frame is searched for there at once: what cannot be told from its
+        surroundings in the very picture that it was cut from is no point.
+        """
+        prior = message_of(state) * others
+        seen = incoming.search(PointTracks, prior)
+        before = updated(state, others * seen, learns=self._learns)
+        if seen.view is None:
+            return before, seen
+        if seen.view.grey is None:
+            return with_given(before, others * seen), seen
+        after = (
+            self._replenished(before) if self._current is None else self._begun_again(before, others, number)
+        )
+        known = after.known
+        new = known.alive & ~np.isin(known.identities, before.known.identities[before.known.alive])
+        if not new.any():
+            return after, seen
+        begun = message_of(replace(after, known=known.only(new)))
+        patches = Patches(known.identities, known.patches)
+        prior = PointMessage(prior.positions * begun.positions, patches, prior.view)
+        seen = incoming.search(PointTracks, prior)
+        found = NOBODY if seen.view is None else seen.view.found.identities
+        alive = known.alive & ~(new & ~np.isin(known.identities, found))
+        return replace(after, known=replace(known, alive=alive), view=seen.view), seen
+
+    def _beginning(self) -> TrackerState:
+        """In later rounds the patches of all points are known, and no position."""
+        current = self._current
+        if current is None or current.appearances is None:
+            return self._empty
+        seen = current.appearances
+        kept = np.isin(seen.identities, current.identities) & ~np.isin(seen.identities, list(self.same))
+        lost = KnownPoints.lost(seen.identities[kept], seen.first[kept], seen.first[kept])
+        return replace(self._empty, known=lost)
+
+    def _begun_again(self, state: TrackerState, others: PointMessage, number: int) -> TrackerState:
+        """With points that were found first in this frame in the round before, unless others know better."""
+        known, view, current = state.known, state.view, self._current
+        if current is None or current.appearances is None or view is None:
+            return state
+        first = np.flatnonzero(current.observed[number] & ~current.observed[:number].any(axis=0))
+        names, once = np.unique(canonical(current.identities[first], self.same), return_index=True)
+        points = first[once]
+        position = current.position[number, points]
+        begins = ~known.alive[known.places_of(names)] & _plausible(others.positions, names, position)
+        points, places, position = points[begins], known.places_of(names[begins]), position[begins]
+        patches = known.patches.copy()
+        patches[places] = current.appearances.first[current.appearances.places_of(current.identities[points])]
+        states = initial_states(state, view, position, NEW_DEVIATION**2 * np.eye(2))
+        return replace(state, known=replace(known, patches=patches).with_states(places, states))
+
+
+def _without(message: PointMessage, alone: Identities) -> PointMessage:
+    """What a picture shows, without some points; points that are given stay."""
+    if message.view is None or message.view.grey is None:
+        return message
+    stay = ~np.isin(message.positions.identities, alone)
+    return replace(message, positions=message.positions.only(stay))
+
+
+def _plausible(others: GaussianMessage, identities: Identities, positions: Numbers) -> Mask:
+    """`(n,)`: whether points may be at `positions`, `(n, 2)` px, as far as anything is said of them."""
+    known, mean, covariance = others.only(np.isin(others.identities, identities)).moments
+    place = np.searchsorted(identities, known)
+    off = positions[place] - mean
+    spread = covariance + NEW_DEVIATION**2 * np.eye(2)
+    plausible = np.ones(len(identities), np.bool_)
+    plausible[place] = squared_distances(off, spread) <= GATE**2
+    return plausible
+
 
 ACCELERATION_TIME = 0.5
 """s, correlation time of what pushes a point out of its straight way."""

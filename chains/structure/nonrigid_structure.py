@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Cavity, Port, Smoothed
-from ...inference.sfm.nonrigid.association import learn_associated
+from ...inference.sfm.nonrigid.learning import learn_associated
 from ...inference.sfm.nonrigid.shape import NonrigidShape
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.points.point_tracks import PointMessage, PointTracks
-from .incoming_points import observations
+from .factor_structure import observations
 
 Numbers = NDArray[np.float64]
 

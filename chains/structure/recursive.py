@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.sfm.factor_analysis.moments import homogeneous
+from ...inference.sfm.factor_analysis.em import homogeneous
 from ...models.core.mahalanobis import squared_distances
 from ...models.core.short_repr import short_repr
 from . import camera_motion

@@ -1,30 +1,81 @@
-"""Which tracks show the same point: partial tracks that the shape says are one become one.
-
-A point that was lost and found again has several tracks. The RSMCM paper (§4.3) lets the shape decide which
-belong together, but gives no equations; these are ours. Cameras and points of all tracks, each a point of its
-own, have a joint posterior; pairs of which it says that they are at one place are taken for one, the surest
-first, and the posterior is conditioned on that, so that each union makes cameras of different times agree
-better and the next one surer. What is ambiguous waits until it no longer is. At the end every track is tested
-against every point, without its own part in it, and is kept where it surely belongs.
-"""
+"""Which tracks show which points, as sparse matrices of probabilities."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, triu
+from scipy.special import expit
 
 from ...inference.sfm.factor_analysis.factorisation import Factorisation, factorise
 from ...inference.sfm.factor_analysis.observations import Observations, as_arrays
 from ...inference.sfm.factor_analysis.robust import factorise_robustly
-from .correlated_noise import CorrelatedNoise, estimate_correlated_noise
-from .joint_posterior import covariance_of_points
-from .kernels.track_association import assign_tracks, same_point_gains
-from .memberships import certain, pooled, pooled_positions
-from .pair_odds import log_odds_of_new
+from .correlated_noise import CorrelatedNoise, covariance_of_points, estimate_correlated_noise
+from .kernels import assign_tracks, same_point_gains
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+LEAST_WEIGHT = 1e-3
+"""Of a position that is pooled from tracks: less is none."""
+
+
+def certain(point: Indices, n_points: int) -> csr_array:
+    """Memberships `(n_tracks, n_points)` of tracks that show a point for sure, or none where it is -1."""
+    shown = point >= 0
+    edges = np.concatenate([[0], np.cumsum(shown)])
+    return csr_array((np.ones(edges[-1]), point[shown], edges), shape=(len(point), n_points))
+
+
+def pooled(membership: csr_array, values: Numbers) -> Numbers:
+    """Sums `(n_points, ...)` over tracks of what each of them says, `(n_tracks, ...)`, by memberships."""
+    sums = np.asarray(membership.T @ values.reshape(len(values), -1), np.float64)
+    return sums.reshape(membership.shape[1], *values.shape[1:])
+
+
+def pooled_positions(membership: csr_array, positions: Numbers, weights: Numbers) -> tuple[Numbers, Numbers]:
+    """Positions `(n_frames, n_points, 2)` px and weights `(n_frames, n_points)` of points, of their tracks.
+
+    A coordinate that no track knows while one knows the other is NaN.
+    """
+    known = ~np.isnan(positions)
+    weight = weights[..., None] * known
+    each = pooled(membership, weight.transpose(1, 0, 2)).transpose(1, 0, 2)
+    sums = pooled(membership, (weight * np.where(known, positions, 0.0)).transpose(1, 0, 2))
+    each[each < LEAST_WEIGHT] = 0
+    with np.errstate(invalid="ignore"):
+        return sums.transpose(1, 0, 2) / np.where(each > 0, each, np.nan), each.max(axis=2)
+
+
+MOST_SHARE, LEAST_SHARE, SHARE_STEPS = 0.1, 1e-9, 50
+"""Of pairs that are at one place: at most, and to begin with; at the least; steps of EM."""
+
+
+def log_odds_of_new(gains: Numbers, apart: NDArray[np.bool_]) -> float:
+    """Log prior odds that a pair of points is two and not one.
+
+    Which share of the pairs is at one place is learned by EM. Different points may be there, too, more often
+    than if they were draws from a Gaussian, as on surfaces: as often as pairs that are two for sure.
+
+    Parameters
+    ----------
+    gains
+        `(n_pairs,)`, log of how much likelier a pair is if it is at one place than if it is not.
+    apart
+        `(n_pairs,)`, whether it is two points for sure.
+    """
+    share = max(_share_in_one_place(gains[~apart]) - _share_in_one_place(gains[apart]), LEAST_SHARE)
+    return float(np.log((1 - share) / share))
+
+
+def _share_in_one_place(gains: Numbers) -> float:
+    share = MOST_SHARE if len(gains) else 0.0
+    for _ in range(SHARE_STEPS):
+        if share <= LEAST_SHARE:
+            break
+        share = min(float(expit(gains + np.log(share / (1 - share))).mean()), MOST_SHARE)
+    return share
+
 
 NEW_POINT = 0.1
 """Prior probability that a track shows a point that no other one shows, at the least."""

@@ -17,8 +17,7 @@ from rsmcm.apps.io import frames_of_tracks
 from rsmcm.apps.scenes import cylinder
 from rsmcm.chains import PointTracker
 from rsmcm.inference import MultiChain, RecursiveBP
-from rsmcm.inference.validity.estimate import RecordedPredictions, compare
-from rsmcm.inference.validity.theory import PredictionErrors
+from rsmcm.inference.validity import PredictionErrors, RecordedPredictions, compare
 from rsmcm.models import Frame, PointTracks
 
 # %%

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .factor_analysis.connectivity import determined
 from .factor_analysis.em import LEAST_NOISE
 from .factor_analysis.factorisation import Factorisation
 from .factor_analysis.initialisation import RANK, freedom
-from .factor_analysis.observations import Observations
+from .factor_analysis.observations import Observations, determined
 from .factor_analysis.variable_projection import NEAR, least_squares
 
 PRECISION = 1e-4

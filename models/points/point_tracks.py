@@ -1,8 +1,4 @@
-"""Points in the picture as a feature node: where each one is and what it looks like, by identity.
-
-F = {(u_i, v_i, a_i)} of RSMCM §4.3. A tracker that follows single points meets here what knows how all of
-them move together.
-"""
+"""Arrays of points over time, from anybody: damage is refused before it drowns everything else."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -16,10 +12,41 @@ from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
 from ..core.grey import grey_of
 from ..core.short_repr import short_repr
-from .alignment import sample_patches
-from .corners import find_corners
-from .patches import Patches
+from .patches import Patches, find_corners, sample_patches
 from .search import Before, find_points
+
+FARTHEST = 1e7
+"""px: coordinates beyond are taken for damage; their squares would drown everything else."""
+
+
+def check_points(name: str, points: NDArray[np.float64], *, half: bool = False) -> None:
+    """Refuse points `(n_frames, n_points, 2)` px that are neither positions nor missing, which is NaN twice.
+
+    Parameters
+    ----------
+    name
+        of the points, for the message.
+    points
+        to be judged.
+    half
+        whether one coordinate alone will do.
+
+    Raises
+    ------
+    ValueError
+        that names the first such point of `name`: it is infinite or farther off than `FARTHEST`, or has one
+        coordinate only.
+    """
+    missing = np.isnan(points)
+    for wrong, expected in (
+        (np.abs(points) > FARTHEST, f"finite px up to {FARTHEST:g}, NaN where missing"),
+        ((missing[..., :1] != missing) & (not half), "both coordinates or none"),
+    ):
+        if wrong.any():
+            frame, point = np.argwhere(wrong.any(axis=2))[0]
+            place = f"point {point} of frame {frame} (both from 0)"
+            raise ValueError(f"{name}: got {points[frame, point].tolist()} at {place}, expected {expected}")
+
 
 Numbers = NDArray[np.float64]
 

@@ -17,10 +17,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .alignment import LIGHT
 from .kernels.alignment import Expected, align_all, sample_all
-from .kernels.correlation import LEAST_WEIGHT, Candidates, Windows, best_places
-from .kernels.search import DOUBT, GRID, NEAR, ODDS, REACH, WHOLE, Asked, Places, decide
+from .kernels.search import (
+    DOUBT,
+    GRID,
+    LEAST_WEIGHT,
+    NEAR,
+    ODDS,
+    REACH,
+    WHOLE,
+    Asked,
+    Candidates,
+    Places,
+    Windows,
+    best_places,
+    decide,
+)
+from .patches import LIGHT
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]

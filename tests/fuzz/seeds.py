@@ -17,7 +17,7 @@ from rsmcm.apps.evaluation.predictions import FILE, PairRecord, ScoreRecord, wri
 from rsmcm.apps.exports.track_table import TABLE, TrackTableWriter
 from rsmcm.apps.io.mot import TrackedBox
 from rsmcm.inference import RecursiveBP
-from rsmcm.inference.validity.estimate import RecordedPredictions
+from rsmcm.inference.validity import RecordedPredictions
 from rsmcm.models.body.upper_body import JOINTS
 from rsmcm.models.face.model_files import write_model
 from rsmcm.models.face.morphable_model import MorphableModel, spread

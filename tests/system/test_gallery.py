@@ -12,7 +12,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from rsmcm.inference.validity.estimate import RecordedPredictions, compare
+from rsmcm.inference.validity import RecordedPredictions, compare
 
 GALLERY = Path(__file__).parents[2] / "docs" / "gallery"
 EXAMPLES = sorted(GALLERY.glob("plot_*.py"))

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ....inference.kalman import PointStates, filter_tracks, predict, smooth, update
 from ....inference.linear_motion import kinematic
-from ....models.points.alignment import sample_patches
 from ....models.points.kernels.search import GRID, NEAR, REACH, WHOLE
+from ....models.points.patches import sample_patches
 from ....models.points.point_tracks import PointTracks
 from ....models.points.search import Before, find_points
 from ...evaluation.text_tables import in_columns

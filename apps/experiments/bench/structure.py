@@ -14,10 +14,9 @@ from scipy.sparse import csr_array
 from scipy.sparse.linalg import svds
 
 from ....inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
-from ....inference.sfm.factor_analysis.factorisation import factorise
+from ....inference.sfm.factor_analysis.factorisation import around_start, factorise
 from ....inference.sfm.factor_analysis.initialisation import mean_filled
 from ....inference.sfm.factor_analysis.observations import Observations
-from ....inference.sfm.factor_analysis.posterior import around_start
 from ...io.point_files import frames_of_tracks
 from ...scenes import cylinder
 from ...structure.reconstruction import engine_for

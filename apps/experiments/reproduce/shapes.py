@@ -8,9 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ....inference.sfm.nonrigid.comparison import shape_error
 from ....inference.sfm.nonrigid.learning import LEAST_FRAMES, learn_shape
-from ....inference.sfm.nonrigid.shape import NonrigidShape
+from ....inference.sfm.nonrigid.shape import NonrigidShape, shape_error
 from ...io.datasets import data_folder
 from ...runs.progress import Progress
 from ..expectations import Expectation

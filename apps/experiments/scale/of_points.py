@@ -11,8 +11,8 @@ from ....chains.points.point_tracker import PointTracker
 from ....chains.structure.track_association import associate_tracks
 from ....inference import MultiChain, RecursiveBP, RunState
 from ....inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
+from ....inference.sfm.factor_analysis.factorisation import around_start
 from ....inference.sfm.factor_analysis.observations import Indices, Listed, Numbers, Observations
-from ....inference.sfm.factor_analysis.posterior import around_start
 from ....models import Frame
 from ....models.points.point_tracks import PointTracks
 from ..bench.structure import turning_points

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import svds
 
-from .em import LEAST_NOISE, CameraPrior, estimate_cameras, first_prior
-from .kernels.moments import frame_moments, invert_information, point_moments, squared_error
-from .moments import camera_moments, shape_moments
+from .em import LEAST_NOISE, CameraPrior, camera_moments, estimate_cameras, first_prior, shape_moments
+from .kernels import frame_moments, invert_information, point_moments, squared_error
 from .observations import LEAST_POINTS, Numbers, Observations
 
 Mask = NDArray[np.bool_]

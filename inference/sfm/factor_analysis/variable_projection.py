@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .em import shape_moments
 from .initialisation import RANK
-from .kernels.moments import frame_moments, invert_information
-from .kernels.variable_projection import camera_gradient, eliminate_points, reduced_step
-from .moments import shape_moments
+from .kernels import camera_gradient, eliminate_points, frame_moments, invert_information, reduced_step
 from .observations import Numbers, Observations
 
 ACCURACY = 1e-3

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....models.numerics.rotations import cross_matrices, exponential, nearest_rotation
-from ..factor_analysis.anderson import Anderson
+from ...anderson import Anderson
 
 Numbers = NDArray[np.float64]
 

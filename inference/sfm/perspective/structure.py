@@ -1,22 +1,212 @@
-"""Shape and perspective cameras from point tracks with gaps, and whether they explain them best."""
+"""Affine cameras and shape under noise with heavy tails, and how likely they make what was seen."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from ....models.camera.perspective_camera import PerspectiveCameras
+from ....models.camera.perspective_camera import MIRROR, PerspectiveCameras
 from ....models.core.short_repr import short_repr
-from ..affine_camera import euclidean
-from ..factor_analysis.observations import Listed, Numbers
-from .affine_fit import AffineFit
-from .bundle_adjustment import Bundle, about, freedom, retriangulated
-from .covariance import BundleCovariance, covariance_of, predicted
-from .search import affine_starts, best_bundle, grown_starts
+from ..affine_camera import Euclidean, euclidean
+from ..factor_analysis.factorisation import projected
+from ..factor_analysis.observations import Listed, Numbers, Observations, determined
+from ..factor_analysis.variable_projection import NEAR, least_squares
+from .bundle_adjustment import (
+    Bundle,
+    BundleCovariance,
+    about,
+    adjust,
+    covariance_of,
+    freedom,
+    predicted,
+    retriangulated,
+)
+from .growth import grown
 from .student_noise import StudentNoise
+
+FIT_ROUNDS = 15
+FIT_SETTLED = 1e-3
+"""Nats an observation: a round that gains less is the last."""
+PRECISION, MOST_STEPS = 1e-3, 20
+"""Of the least squares of a round: the next one has other weights."""
+
+
+@dataclass(frozen=True, eq=False)
+class AffineFit:
+    """Cameras and shape under Student's noise.
+
+    Parameters
+    ----------
+    cameras, shape
+        `(n_frames, 2, 4)` and `(n_points, 3)`, in px.
+    frames, points
+        `(n_frames,)` and `(n_points,)` bool: which the observations determine; others are not fitted.
+    weights
+        `(n_frames, n_points)`: as given, less what makes an observation an outlier.
+    noise
+        px^2 at weight 1.
+    log_likelihood
+        of the observations of those frames and points, nats.
+    """
+
+    cameras: Numbers
+    shape: Numbers
+    frames: NDArray[np.bool_]
+    points: NDArray[np.bool_]
+    weights: Numbers
+    noise: StudentNoise
+    log_likelihood: float
+
+
+def affine_fit(positions: ArrayLike, weights: ArrayLike, cameras: Numbers, shape: Numbers) -> AffineFit:
+    """Make observations likelier, by weighted least squares whose weights follow from the round before.
+
+    Parameters
+    ----------
+    positions, weights
+        as of `factorise`.
+    cameras, shape
+        `(n_frames, 2, 4)` and `(n_points, 3)`, the start.
+
+    Raises
+    ------
+    ValueError
+        as `factorise` does, but frames may fall into sets that share no points.
+    """
+    where, given = np.asarray(positions, np.float64), np.asarray(weights, np.float64)
+    frames, points = determined(Observations.from_arrays(where, given), apart=True)
+    seen = (given > 0) & frames[:, None] & points
+    best: AffineFit | None = None
+    counted = given
+    for _ in range(FIT_ROUNDS):
+        squares = np.sum((where - projected(cameras, shape)) ** 2, axis=2)[seen]
+        noise = StudentNoise.of_errors(squares, given[seen])
+        likelihood = noise.log_likelihood(squares, given[seen])
+        before = -np.inf if best is None else best.log_likelihood
+        counted = given.copy()
+        counted[seen] = noise.weights(squares, given[seen])
+        if likelihood > before:
+            best = AffineFit(cameras, shape, frames, points, counted, noise, likelihood)
+        if likelihood < before + FIT_SETTLED * len(squares):
+            break
+        cameras, shape = _refitted(where, np.where(seen, counted, 0), cameras)
+    assert best is not None
+    return best
+
+
+def _refitted(positions: Numbers, weights: Numbers, cameras: Numbers) -> tuple[Numbers, Numbers]:
+    observations = Observations.from_arrays(positions, weights)
+    found = least_squares(
+        observations,
+        observations.scaled(cameras),
+        damping=NEAR,
+        tolerance=PRECISION,
+        most_steps=MOST_STEPS,
+    )
+    moved = found.cameras * observations.scale
+    moved[..., 3] += observations.centre
+    return moved, found.shape
+
+
+Start = tuple[PerspectiveCameras, Numbers]
+
+FOCAL_STARTS = (0.8, 1.5, 3.0)
+"""Focal lengths to grow with, in widths of the picture: from 64 degrees wide, as of phones, to 19."""
+AFFINE_STARTS = (1.0, 2.0)
+"""And those for an affine structure, which is quicker to have but may need them for either mirror image."""
+
+TRIAL_STEPS = 15
+"""Steps of bundle adjustment in each of two rounds after which starts are compared."""
+FINALISTS = 2
+"""Starts that go on after that."""
+MOST_ROUNDS = 6
+"""Of bundle adjustment and new points, at the end."""
+SETTLED = 3.0
+"""Nats: a round that gains less is the last. It is the evidence of no more than one number in a film."""
+
+
+def affine_starts(
+    metric: Euclidean, principal: Numbers, width: float, focal: float | None
+) -> Iterable[Start]:
+    """Starts from an affine structure: the shape and its mirror image.
+
+    Parameters
+    ----------
+    metric
+        the affine structure in a space with right angles.
+    principal
+        `(2,)` px.
+    width
+        px, the longer edge of the picture.
+    focal
+        px; `None` where it is unknown. Then scaled orthography is a start as well, from which the first step
+        finds out which of the two it is.
+    """
+    shifts = metric.cameras[..., 3] - principal
+    focals = [focal] if focal is not None else [factor * width for factor in AFFINE_STARTS]
+    curvatures = [sign / each for each in focals for sign in (1, -1)]
+    for curvature in curvatures if focal is not None else [0.0, *curvatures]:
+        start = PerspectiveCameras(metric.rotations, metric.scales, shifts, curvature, principal)
+        yield (start, metric.shape) if curvature >= 0 else (start.mirrored(), metric.shape @ MIRROR)
+
+
+def grown_starts(places: Numbers, principal: Numbers, width: float, focal: float | None) -> Iterable[Start]:
+    """Starts that grow from two views, which need no affine structure and take any depth.
+
+    Parameters
+    ----------
+    places
+        `(n_frames, n_points, 2)` px, NaN where nothing was seen.
+    principal, width, focal
+        as of `affine_starts`.
+    """
+    focals = [focal] if focal is not None else [factor * width for factor in FOCAL_STARTS]
+    tried = [grown(places - principal, each, focal_known=focal is not None) for each in focals]
+    found = [each for each in tried if each is not None]
+    most = max((np.count_nonzero(known) for _, _, known in found), default=0)
+    for cameras, shape, known in found:
+        if np.count_nonzero(known) == most:  # where it has come to a halt all further cameras are wrong
+            yield replace(cameras, principal=principal), shape
+
+
+def best_bundle(listed: Listed, starts: Iterable[Start], *, focal_known: bool) -> Bundle | None:
+    """Bundle adjustment from the start that gets farthest; `None` where there is none.
+
+    Of an unknown focal length the sign is free, too: a negative one is that of the mirrored shape.
+    """
+    trials = [_tried(listed, start, focal_known) for start in starts]
+    if not trials:
+        return None
+    trials.sort(key=lambda each: -each.log_likelihood)
+    ends = [_settled(listed, trial, focal_known) for trial in trials[:FINALISTS]]
+    return max(ends, key=lambda each: each.log_likelihood)
+
+
+def _tried(listed: Listed, start: Start, focal_known: bool) -> Bundle:
+    found = _round(listed, start, focal_known, TRIAL_STEPS)
+    return _round(listed, (found.cameras, found.shape), focal_known, TRIAL_STEPS)
+
+
+def _settled(listed: Listed, found: Bundle, focal_known: bool) -> Bundle:
+    for _ in range(MOST_ROUNDS):
+        before = found.log_likelihood
+        found = _round(listed, (found.cameras, found.shape), focal_known)
+        if found.log_likelihood < before + SETTLED:
+            break
+    return found
+
+
+def _round(listed: Listed, start: Start, focal_known: bool, most_steps: int = 100) -> Bundle:
+    """Bundle adjustment and new points, before cameras of a focal length that is not negative."""
+    found = adjust(listed, *start, focal_known=focal_known, most_steps=most_steps)
+    if found.cameras.curvature < 0:
+        found = replace(found, cameras=found.cameras.mirrored(), shape=found.shape @ MIRROR)
+    return replace(found, shape=retriangulated(listed, found))
+
 
 Mask = NDArray[np.bool_]
 

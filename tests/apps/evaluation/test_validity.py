@@ -17,13 +17,14 @@ from rsmcm.apps.evaluation.predictions import (
     read_predictions,
     write_predictions,
 )
-from rsmcm.inference.validity.estimate import (
+from rsmcm.inference.validity import (
     FEWEST_GROUPS,
     Comparison,
+    PredictionErrors,
     RecordedPredictions,
     compare,
+    cost,
 )
-from rsmcm.inference.validity.theory import PredictionErrors, cost
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from scipy.optimize import minimize
 

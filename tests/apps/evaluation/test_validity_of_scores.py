@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from rsmcm.apps.command_line import main
 from rsmcm.apps.evaluation.predictions import FILE, ScoreRecord, read_predictions, write_predictions
 from rsmcm.apps.evaluation.validity import TooFewError, report_validity
-from rsmcm.inference.validity.estimate import FEWEST_GROUPS
-from rsmcm.inference.validity.scores import compare_scores
+from rsmcm.inference.validity import FEWEST_GROUPS, compare_scores
 from scipy.stats import norm
 
 Numbers = NDArray[np.float64]

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.shape import application as module
-from rsmcm.inference.sfm.nonrigid.comparison import shape_error
 from rsmcm.inference.sfm.nonrigid.learning import learn_shape
-from rsmcm.inference.sfm.nonrigid.shape import Rival
+from rsmcm.inference.sfm.nonrigid.shape import Rival, shape_error
 from rsmcm.models.face.model_files import read_model
 
 from ...conftest import Command, names, summary_of

@@ -14,7 +14,7 @@ from rsmcm.chains.points.point_tracker import PointTracker
 from rsmcm.inference.engine.graph import MultiChain
 from rsmcm.inference.engine.protocols import Incoming
 from rsmcm.inference.engine.recursive_bp import RecursiveBP, RunState
-from rsmcm.inference.validity.estimate import compare
+from rsmcm.inference.validity import compare
 from rsmcm.models.core.frame import Frame, GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.pixels.pixel_labels import PixelLabels

@@ -5,13 +5,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.points.duplicate_tracks import (
-    coincident_tracks,
-    duplicates,
-    merged_groups,
-    without_duplicates,
-)
-from rsmcm.chains.points.known_points import KnownPoints
+from rsmcm.chains.points.point_tracker import coincident_tracks, duplicates, merged_groups, without_duplicates
+from rsmcm.chains.points.tracker import KnownPoints
 from rsmcm.chains.points.trajectory import Appearances, PointTrajectory
 from rsmcm.inference.kalman import PointStates
 from rsmcm.models.core.gaussian_message import GaussianMessage

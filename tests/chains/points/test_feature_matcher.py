@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rsmcm.apps.scenes import turntable
 from rsmcm.chains import FactorStructure, FeatureMatcher, PointTracker
-from rsmcm.chains.points.feature_tracks import FIRST_IDENTITY
+from rsmcm.chains.points.feature_matcher import FIRST_IDENTITY
 from rsmcm.inference import CoordinateAscent, MultiChain
 from rsmcm.inference.engine.protocols import Cavity, Port, Smoothed
 from rsmcm.inference.sfm.affine_camera import euclidean

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import turntable
-from rsmcm.chains.points.features import Features, find_features
-from rsmcm.chains.points.film_matches import LEAST_LENGTH, FilmMatches
-from rsmcm.chains.points.kernels.descriptors import join_matches
+from rsmcm.chains.points.features import LEAST_LENGTH, Features, FilmMatches, find_features
+from rsmcm.chains.points.kernels import join_matches
 
 FILM = turntable(8, (288, 360), 5.0, seed=1)
 PICTURES = [find_features(image, 1000) for image in FILM.images]

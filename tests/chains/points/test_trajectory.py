@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.points.motion_noise import MotionModel
-from rsmcm.chains.points.trajectory import StackedMessages, smoothed_trajectory
+from rsmcm.chains.points.trajectory import MotionModel, StackedMessages, smoothed_trajectory
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from scipy.stats import multivariate_normal
 

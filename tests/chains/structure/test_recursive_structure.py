@@ -25,10 +25,16 @@ from rsmcm.chains.structure.recursive import (
     register,
     update,
 )
-from rsmcm.chains.structure.recursive_start import LEAST_SEEN, MOST_FRAMES, Window, first_structure
-from rsmcm.chains.structure.recursive_structure import RecursiveStructure, StructureState
+from rsmcm.chains.structure.recursive_structure import (
+    LEAST_SEEN,
+    MOST_FRAMES,
+    RecursiveStructure,
+    StructureState,
+    Window,
+    first_structure,
+)
 from rsmcm.inference import Cavity, Incoming, MultiChain, RecursiveBP, RunState
-from rsmcm.inference.sfm.factor_analysis.moments import homogeneous
+from rsmcm.inference.sfm.factor_analysis.em import homogeneous
 from rsmcm.models.core.frame import Frame, GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.points.point_tracks import PointMessage, PointTracks

@@ -6,11 +6,18 @@ from numpy.typing import NDArray
 from rsmcm.apps.scenes import cylinder
 from rsmcm.apps.structure.metrics import score_structure
 from rsmcm.chains.structure import track_association
-from rsmcm.chains.structure.correlated_noise import CorrelatedNoise, estimate_correlated_noise
-from rsmcm.chains.structure.joint_posterior import motion_precision
-from rsmcm.chains.structure.kernels.track_association import camera_coupling
-from rsmcm.chains.structure.pair_odds import log_odds_of_new
-from rsmcm.chains.structure.track_association import associate_tracks, log_partition, unite_points
+from rsmcm.chains.structure.correlated_noise import (
+    CorrelatedNoise,
+    estimate_correlated_noise,
+    motion_precision,
+)
+from rsmcm.chains.structure.kernels import camera_coupling
+from rsmcm.chains.structure.track_association import (
+    associate_tracks,
+    log_odds_of_new,
+    log_partition,
+    unite_points,
+)
 from rsmcm.inference.sfm.factor_analysis.factorisation import factorise, predicted
 from rsmcm.inference.sfm.factor_analysis.observations import Observations
 from rsmcm.inference.sfm.factor_analysis.robust import factorise_robustly

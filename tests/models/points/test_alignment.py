@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.points.alignment import Expected, align_patches, sample_patches
-from rsmcm.models.points.patches import ncc, with_light_of
+from rsmcm.models.points.patches import Expected, align_patches, ncc, sample_patches, with_light_of
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, Texture, picture
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.points.corners import BORDER, find_corners
+from rsmcm.models.points.patches import BORDER, find_corners
 from scipy.spatial.distance import cdist, pdist
 
 Grey = NDArray[np.uint8]

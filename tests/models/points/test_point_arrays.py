@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.models.points.point_arrays import FARTHEST, check_points
+from rsmcm.models.points.point_tracks import FARTHEST, check_points
 
 
 @pytest.mark.parametrize(

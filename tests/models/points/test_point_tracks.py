@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from rsmcm.models import Frame, PointTracks
 from rsmcm.models.core.frame import GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage
-from rsmcm.models.points.corners import find_corners
-from rsmcm.models.points.patches import Patches
+from rsmcm.models.points.patches import Patches, find_corners
 from rsmcm.models.points.point_tracks import PointMessage, View, noise_of_tracks
 from scipy.stats import norm
 

@@ -10,10 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from rsmcm.models.core.mahalanobis import squared_distances
-from rsmcm.models.points.alignment import align_patches, sample_patches
-from rsmcm.models.points.corners import find_corners
-from rsmcm.models.points.kernels.correlation import LEAST_NCC, Candidates, Windows
-from rsmcm.models.points.kernels.search import GRID, REACH, UNLIKE, least_ncc, odds_over_chance
+from rsmcm.models.points.kernels.search import (
+    GRID,
+    LEAST_NCC,
+    REACH,
+    UNLIKE,
+    Candidates,
+    Windows,
+    least_ncc,
+    odds_over_chance,
+)
+from rsmcm.models.points.patches import align_patches, find_corners, sample_patches
 from rsmcm.models.points.search import Before, find_points, leads_back, likeliest_places
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, film

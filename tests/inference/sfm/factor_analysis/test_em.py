@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.inference.sfm.factor_analysis.anderson import Anderson
+from rsmcm.inference.anderson import Anderson
 from rsmcm.inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
+from rsmcm.inference.sfm.factor_analysis.factorisation import around_start
 from rsmcm.inference.sfm.factor_analysis.initialisation import mean_filled
 from rsmcm.inference.sfm.factor_analysis.observations import Observations
-from rsmcm.inference.sfm.factor_analysis.posterior import around_start
 
 from ...support.turning import turning
 

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from rsmcm.apps.experiments.bench.structure import bundle_adjustment, turning_points, turntable
 from rsmcm.apps.scenes import Cylinder, cylinder
 from rsmcm.inference.sfm.depth_test import depth
-from rsmcm.inference.sfm.factor_analysis.connectivity import ranges
+from rsmcm.inference.sfm.factor_analysis.em import camera_moments
 from rsmcm.inference.sfm.factor_analysis.factorisation import Factorisation, factorise, predicted, projected
-from rsmcm.inference.sfm.factor_analysis.kernels.moments import point_moments
-from rsmcm.inference.sfm.factor_analysis.moments import camera_moments
-from rsmcm.inference.sfm.factor_analysis.observations import Observations
+from rsmcm.inference.sfm.factor_analysis.kernels import point_moments
+from rsmcm.inference.sfm.factor_analysis.observations import Observations, ranges
 from scipy.optimize import least_squares
 
 from ...support.turning import rotation, through, turning

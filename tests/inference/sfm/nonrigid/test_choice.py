@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.inference.sfm.nonrigid.choice import LEAST_LEFT, choose_bases, withheld
+from rsmcm.inference.sfm.nonrigid.learning import LEAST_LEFT, choose_bases, withheld
 
 from ...support.deforming import N_BASES, deforming, holes
 

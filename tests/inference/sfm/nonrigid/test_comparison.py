@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.inference.sfm.nonrigid.comparison import shape_error
+from rsmcm.inference.sfm.nonrigid.shape import shape_error
 
 
 def test_error_is_mean_distance_over_mean_deviation_up_to_one_mirror_image() -> None:

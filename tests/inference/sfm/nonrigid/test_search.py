@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from rsmcm.inference.sfm.nonrigid.comparison import shape_error
 from rsmcm.inference.sfm.nonrigid.learning import learn_shape
+from rsmcm.inference.sfm.nonrigid.shape import shape_error
 
 from ...support.deforming import N_BASES, deforming
 from ...support.stick_figures import stick_figure

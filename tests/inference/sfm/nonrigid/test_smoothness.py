@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rsmcm.inference.sfm.nonrigid import em, smoothness
-from rsmcm.inference.sfm.nonrigid.comparison import shape_error
 from rsmcm.inference.sfm.nonrigid.learning import learn_shape
+from rsmcm.inference.sfm.nonrigid.shape import shape_error
 from rsmcm.models.numerics.rotations import exponential
 from scipy.stats import multivariate_normal
 

@@ -4,8 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rsmcm.inference.sfm.perspective.bundle_adjustment import Bundle, adjust
-from rsmcm.inference.sfm.perspective.covariance import covariance_of, gauge_of, predicted
+from rsmcm.inference.sfm.perspective.bundle_adjustment import (
+    Bundle,
+    adjust,
+    covariance_of,
+    gauge_of,
+    predicted,
+)
 from rsmcm.inference.sfm.perspective.student_noise import StudentNoise
 from rsmcm.models.numerics.rotations import exponential
 

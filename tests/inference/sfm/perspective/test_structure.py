@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 from rsmcm.inference.sfm.factor_analysis.factorisation import factorise
-from rsmcm.inference.sfm.perspective.affine_fit import affine_fit
-from rsmcm.inference.sfm.perspective.structure import Lens, PerspectiveStructure, perspective_structure
+from rsmcm.inference.sfm.perspective.structure import (
+    Lens,
+    PerspectiveStructure,
+    affine_fit,
+    perspective_structure,
+)
 from rsmcm.models.numerics.rotations import logarithm
 from scipy.spatial.transform import Rotation
 

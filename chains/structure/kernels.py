@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ....models.numerics.compiled import compiled, inlined
+from ...models.numerics.compiled import compiled, inlined
 
 
 @compiled

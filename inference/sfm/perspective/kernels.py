@@ -6,7 +6,7 @@ are a turn w (R <- exp([w]x) R), log a, and u of `PerspectiveCameras`; of all fr
 
 import numpy as np
 
-from .....models.numerics.compiled import compiled, inlined
+from ....models.numerics.compiled import compiled, inlined
 
 CAMERA = 6
 
@@ -221,3 +221,149 @@ def _jacobian(rotation, scale, shift, curvature, place, by_camera, by_place, by_
     by_focal[0] = -x * by_turned * pz
     by_focal[1] = -y * by_turned * pz
     return d
+
+
+ROUNDS = 12
+"""Reweighted linear solutions of each start."""
+OPEN = 1e-9
+"""Share of a point's information below which a direction of it is rounding; there the point stays."""
+
+
+@compiled
+def triangulate(by_point, cameras, shape, noise):
+    """Move each point to where Student's noise makes its observations likeliest, if that is anywhere better.
+
+    From where it is, from all its observations alike, and from its first and its last one alone: an outlier
+    spoils one of the starts. Equations are linear in the point once its depths are divided out.
+
+    Parameters
+    ----------
+    cameras
+        rotations, scales, shifts and curvature of `PerspectiveCameras`.
+    shape
+        `(n_points, 3)`, changed in place.
+    noise
+        variance and degrees of freedom; the least depth before a camera, and the squared distance that stands
+        for less than that.
+    """
+    rotations, scales, shifts, curvature = cameras
+    edges, _, other, x, y, weight = by_point
+    most = 1
+    for i in range(edges.size - 1):
+        most = max(most, edges[i + 1] - edges[i])
+    counts = np.empty(most)
+    tried, information, vector = np.empty(3), np.empty((3, 3)), np.empty(3)
+    row = np.empty(3)
+    for i in range(edges.size - 1):
+        low, high = edges[i], edges[i + 1]
+        if high == low:
+            continue
+        best = _cost(by_point, low, high, cameras, shape[i], noise, counts)
+        for start in range(3):
+            tried[:] = shape[i]
+            if start > 0:
+                for k in range(low, high):
+                    ends = k == low or k == high - 1
+                    counts[k - low] = weight[k] if start == 1 or ends else 0.0
+            for _ in range(ROUNDS):
+                information[:] = 0.0
+                vector[:] = 0.0
+                for k in range(low, high):
+                    t = other[k]
+                    for c in range(2):
+                        place = x[k] if c == 0 else y[k]
+                        for n in range(3):
+                            row[n] = scales[t] * (rotations[t, c, n] - place * curvature * rotations[t, 2, n])
+                        aim = place - shifts[t, c]
+                        for m in range(3):
+                            vector[m] += counts[k - low] * row[m] * aim
+                            for n in range(3):
+                                information[m, n] += counts[k - low] * row[m] * row[n]
+                _solve(information, vector, tried)
+                cost = _cost(by_point, low, high, cameras, tried, noise, counts)
+                if cost < best:
+                    best = cost
+                    shape[i] = tried
+
+
+@inlined
+def _cost(by_point, low, high, cameras, place, noise, counts):
+    """Minus the log likelihood of a point's observations; and what each counts in the next solution."""
+    _, _, other, x, y, weight = by_point
+    rotations, scales, shifts, curvature = cameras
+    variance, freedom, nearest, behind = noise
+    cost = 0.0
+    for k in range(low, high):
+        t = other[k]
+        px, py, pz = _turned(rotations[t], place)
+        d = 1.0 + curvature * scales[t] * pz
+        square = behind
+        if d >= nearest:
+            dx = x[k] - (scales[t] * px + shifts[t, 0]) / d
+            dy = y[k] - (scales[t] * py + shifts[t, 1]) / d
+            square = min(dx * dx + dy * dy, behind)
+        ratio = weight[k] * square / (freedom * variance)
+        cost += np.log(1.0 + ratio)
+        safe = max(d, nearest)
+        counts[k - low] = weight[k] / ((1.0 + ratio) * safe * safe)
+    return cost
+
+
+@inlined
+def _solve(matrix, vector, out):
+    """Write the solution of a symmetric system of 3; where rounding decides, `out` hardly changes."""
+    ridge = OPEN * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2]) + 1e-30
+    a00, a11, a22 = matrix[0, 0] + ridge, matrix[1, 1] + ridge, matrix[2, 2] + ridge
+    a01, a02, a12 = matrix[0, 1], matrix[0, 2], matrix[1, 2]
+    b0, b1, b2 = vector[0] + ridge * out[0], vector[1] + ridge * out[1], vector[2] + ridge * out[2]
+    c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
+    c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+    determinant = a00 * c00 + a01 * c01 + a02 * c02
+    out[0] = (c00 * b0 + c01 * b1 + c02 * b2) / determinant
+    out[1] = (c01 * b0 + c11 * b1 + c12 * b2) / determinant
+    out[2] = (c02 * b0 + c12 * b1 + c22 * b2) / determinant
+
+
+@compiled
+def prediction_covariances(
+    rotations, scales, shifts, curvature, shape, of_cameras, of_points, of_points_and_cameras
+):
+    """Covariances `(n_frames, n_points, 2, 2)` of all points in all frames, to first order.
+
+    Parameters
+    ----------
+    of_cameras
+        `(n_frames, 7, 7)` of each frame's camera and q.
+    of_points
+        `(n_points, 3, 3)`.
+    of_points_and_cameras
+        `(n_points, 3, 6 n_frames + 1)`.
+    """
+    n_frames, n_points = scales.size, shape.shape[0]
+    out = np.empty((n_frames, n_points, 2, 2))
+    last = CAMERA
+    by_camera, by_place, by_focal = np.zeros((2, CAMERA)), np.zeros((2, 3)), np.zeros(2)
+    rows, seen = np.zeros((2, CAMERA + 1)), np.zeros(2)
+    for t in range(n_frames):
+        for i in range(n_points):
+            _jacobian(
+                rotations[t], scales[t], shifts[t], curvature, shape[i], by_camera, by_place, by_focal, seen
+            )
+            for c in range(2):
+                rows[c, :last] = by_camera[c]
+                rows[c, last] = by_focal[c]
+            for c in range(2):
+                for e in range(c + 1):
+                    total = 0.0
+                    for m in range(last + 1):
+                        for n in range(last + 1):
+                            total += rows[c, m] * of_cameras[t, m, n] * rows[e, n]
+                    for m in range(3):
+                        for n in range(3):
+                            total += by_place[c, m] * of_points[i, m, n] * by_place[e, n]
+                        for n in range(last + 1):
+                            column = CAMERA * t + n if n < last else CAMERA * n_frames
+                            both = of_points_and_cameras[i, m, column]
+                            total += both * (by_place[c, m] * rows[e, n] + by_place[e, m] * rows[c, n])
+                    out[t, i, c, e] = out[t, i, e, c] = total
+    return out

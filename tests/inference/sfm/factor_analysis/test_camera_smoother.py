@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.inference.sfm.factor_analysis.em import CameraPrior, estimate_cameras
-from rsmcm.inference.sfm.factor_analysis.kernels.camera_smoother import smooth_cameras
+from rsmcm.inference.sfm.factor_analysis.kernels import smooth_cameras
 
 Numbers = NDArray[np.float64]
 

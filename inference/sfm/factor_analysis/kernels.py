@@ -1,0 +1,674 @@
+"""Loops of factor analysis: moments over observations, cameras frame by frame, points one by one.
+
+Observations come by frame or by point, as `Listed` of `observations` has them. A symmetric 4x4 matrix is ten
+numbers: 00 01 02 03 11 12 13 22 23 33.
+"""
+
+import numpy as np
+
+from ....models.numerics.compiled import compiled, inlined
+
+
+@compiled
+def frame_moments(listed, shape, shape_moments):
+    """Information `(n_frames, 4, 4)` and vector `(n_frames, 4, 2)` that points give of each camera's rows.
+
+    At noise variance 1. `shape` is `(n_points, 3)`, `shape_moments` `(n_points, 10)` E[s s^T], s = (S, 1).
+    """
+    edges, _, other, x, y, weight = listed
+    n_frames = edges.size - 1
+    information = np.empty((n_frames, 4, 4))
+    vector = np.empty((n_frames, 4, 2))
+    for t in range(n_frames):
+        a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = a8 = a9 = 0.0
+        b0 = b1 = b2 = b3 = c0 = c1 = c2 = c3 = 0.0
+        for k in range(edges[t], edges[t + 1]):
+            i, w = other[k], weight[k]
+            phi, s = shape_moments[i], shape[i]
+            a0 += w * phi[0]
+            a1 += w * phi[1]
+            a2 += w * phi[2]
+            a3 += w * phi[3]
+            a4 += w * phi[4]
+            a5 += w * phi[5]
+            a6 += w * phi[6]
+            a7 += w * phi[7]
+            a8 += w * phi[8]
+            a9 += w
+            wx, wy = w * x[k], w * y[k]
+            b0 += wx * s[0]
+            b1 += wx * s[1]
+            b2 += wx * s[2]
+            b3 += wx
+            c0 += wy * s[0]
+            c1 += wy * s[1]
+            c2 += wy * s[2]
+            c3 += wy
+        _unpack((a0, a1, a2, a3, a4, a5, a6, a7, a8, a9), information[t])
+        h = vector[t]
+        h[0, 0], h[1, 0], h[2, 0], h[3, 0] = b0, b1, b2, b3
+        h[0, 1], h[1, 1], h[2, 1], h[3, 1] = c0, c1, c2, c3
+    return information, vector
+
+
+@inlined
+def _unpack(numbers, matrix):
+    """Write ten numbers as a symmetric matrix."""
+    a0, a1, a2, a3, a4, a5, a6, a7, a8, a9 = numbers
+    matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[0, 3] = a0, a1, a2, a3
+    matrix[1, 0], matrix[1, 1], matrix[1, 2], matrix[1, 3] = a1, a4, a5, a6
+    matrix[2, 0], matrix[2, 1], matrix[2, 2], matrix[2, 3] = a2, a5, a7, a8
+    matrix[3, 0], matrix[3, 1], matrix[3, 2], matrix[3, 3] = a3, a6, a8, a9
+
+
+@compiled
+def point_moments(listed, cameras, camera_moments):
+    """Information `(n_points, 3, 3)`, vector `(n_points, 3)` and quadratic `(n_points,)` of each point.
+
+    E[sum_t w |x_t - M_t (S, 1)|^2] = quadratic - 2 vector . S + S . information S. `cameras` is
+    `(n_frames, 2, 4)`, `camera_moments` `(n_frames, 10)`: E[m m^T] summed over both rows m.
+    """
+    edges, _, other, x, y, weight = listed
+    n_points = edges.size - 1
+    information = np.empty((n_points, 3, 3))
+    vector = np.empty((n_points, 3))
+    quadratic = np.empty(n_points)
+    for i in range(n_points):
+        a0 = a1 = a2 = a4 = a5 = a7 = b0 = b1 = b2 = total = 0.0
+        for k in range(edges[i], edges[i + 1]):
+            t, w = other[k], weight[k]
+            m, phi = cameras[t], camera_moments[t]
+            u, v = x[k], y[k]
+            a0 += w * phi[0]
+            a1 += w * phi[1]
+            a2 += w * phi[2]
+            a4 += w * phi[4]
+            a5 += w * phi[5]
+            a7 += w * phi[7]
+            b0 += w * (m[0, 0] * u + m[1, 0] * v - phi[3])
+            b1 += w * (m[0, 1] * u + m[1, 1] * v - phi[6])
+            b2 += w * (m[0, 2] * u + m[1, 2] * v - phi[8])
+            total += w * (u * (u - 2.0 * m[0, 3]) + v * (v - 2.0 * m[1, 3]) + phi[9])
+        matrix, h = information[i], vector[i]
+        matrix[0, 0], matrix[0, 1], matrix[0, 2] = a0, a1, a2
+        matrix[1, 0], matrix[1, 1], matrix[1, 2] = a1, a4, a5
+        matrix[2, 0], matrix[2, 1], matrix[2, 2] = a2, a5, a7
+        h[0], h[1], h[2] = b0, b1, b2
+        quadratic[i] = total
+    return information, vector, quadratic
+
+
+@compiled
+def squared_error(listed, cameras, shape):
+    """Weighted squared error of each point `(n_points,)` at given cameras and shape."""
+    edges, _, other, x, y, weight = listed
+    error = np.zeros(edges.size - 1)
+    for i in range(error.size):
+        s0, s1, s2 = shape[i, 0], shape[i, 1], shape[i, 2]
+        total = 0.0
+        for k in range(edges[i], edges[i + 1]):
+            m = cameras[other[k]]
+            du = x[k] - (m[0, 0] * s0 + m[0, 1] * s1 + m[0, 2] * s2 + m[0, 3])
+            dv = y[k] - (m[1, 0] * s0 + m[1, 1] * s1 + m[1, 2] * s2 + m[1, 3])
+            total += weight[k] * (du * du + dv * dv)
+        error[i] = total
+    return error
+
+
+@compiled
+def invert_information(information, prior, scale):
+    """Covariances `(n, d, d)` and log determinants `(n,)` of `scale * information + diag(prior)`."""
+    n, d = information.shape[0], information.shape[1]
+    covariance = np.empty((n, d, d))
+    log_determinant = np.empty(n)
+    factor = np.zeros((d, d))
+    inverse = np.zeros((d, d))
+    for i in range(n):
+        log_determinant[i] = _invert(information[i], prior, scale, factor, inverse, covariance[i])
+    return covariance, log_determinant
+
+
+@compiled
+def _invert(information, prior, scale, factor, inverse, covariance):
+    """Invert by Cholesky; `factor` and `inverse` are work space, zero above the diagonal."""
+    d = prior.size
+    log_determinant = 0.0
+    for j in range(d):
+        for k in range(j + 1):
+            total = scale * information[j, k]
+            if k == j:
+                total += prior[j]
+            for n in range(k):
+                total -= factor[j, n] * factor[k, n]
+            if k == j:
+                # rounding may eat up what little information there is in a direction
+                total = max(total, 1e-14 * (scale * information[j, j] + prior[j]) + 1e-300)
+                log_determinant += np.log(total)
+                factor[j, j] = np.sqrt(total)
+            else:
+                factor[j, k] = total / factor[k, k]
+    for j in range(d):
+        inverse[j, j] = 1.0 / factor[j, j]
+        for k in range(j):
+            total = 0.0
+            for n in range(k, j):
+                total -= factor[j, n] * inverse[n, k]
+            inverse[j, k] = total / factor[j, j]
+    for j in range(d):
+        for k in range(j + 1):
+            total = 0.0
+            for n in range(j, d):
+                total += inverse[n, j] * inverse[n, k]
+            covariance[j, k] = total
+            covariance[k, j] = total
+    return log_determinant
+
+
+@compiled
+def connected_frames(by_frame, by_point, first, second, shared, views):
+    """Frames that hang together with two frames to begin with, bool `(n_frames,)`.
+
+    Points are known once `views` frames that hang together show them, frames as soon as they show `shared`
+    known points.
+    """
+    n_frames, n_points = by_frame.edges.size - 1, by_point.edges.size - 1
+    joined = np.zeros(n_frames, np.bool_)
+    seen_in, known_in = np.zeros(n_points, np.int64), np.zeros(n_frames, np.int64)
+    waiting = np.empty(n_frames, np.int64)
+    waiting[0], waiting[1] = first, second
+    joined[first] = joined[second] = True
+    done, end = 0, 2
+    while done < end:
+        t = waiting[done]
+        done += 1
+        for k in range(by_frame.edges[t], by_frame.edges[t + 1]):
+            i = by_frame.other[k]
+            seen_in[i] += 1
+            if seen_in[i] == views:
+                for n in range(by_point.edges[i], by_point.edges[i + 1]):
+                    other = by_point.other[n]
+                    known_in[other] += 1
+                    if known_in[other] >= shared and not joined[other]:
+                        joined[other] = True
+                        waiting[end] = other
+                        end += 1
+    return joined
+
+
+@compiled
+def point_leverages(listed, cameras, inverses):
+    """Share of each observation `(n_observations,)`, by frame, in its point: mean of both coordinates, 0..1.
+
+    `inverses` `(n_points, 3, 3)` of the points' information at noise variance 1.
+    """
+    edges, _, other, _, _, weight = listed
+    leverages = np.empty(weight.size)
+    for t in range(edges.size - 1):
+        m = cameras[t]
+        # sum over rows of r P r^T = sum of P times these
+        q00 = m[0, 0] * m[0, 0] + m[1, 0] * m[1, 0]
+        q11 = m[0, 1] * m[0, 1] + m[1, 1] * m[1, 1]
+        q22 = m[0, 2] * m[0, 2] + m[1, 2] * m[1, 2]
+        q01 = 2.0 * (m[0, 0] * m[0, 1] + m[1, 0] * m[1, 1])
+        q02 = 2.0 * (m[0, 0] * m[0, 2] + m[1, 0] * m[1, 2])
+        q12 = 2.0 * (m[0, 1] * m[0, 2] + m[1, 1] * m[1, 2])
+        for k in range(edges[t], edges[t + 1]):
+            p = inverses[other[k]]
+            total = p[0, 0] * q00 + p[1, 1] * q11 + p[2, 2] * q22
+            total += p[0, 1] * q01 + p[0, 2] * q02 + p[1, 2] * q12
+            leverages[k] = min(0.5 * weight[k] * total, 1.0)
+    return leverages
+
+
+ROW = 4
+STATE = 12
+
+
+@compiled
+def smooth_cameras(information, vector, precision, noise, start_mean, start_variance):
+    """Posterior of the cameras under eq. (19), and what it says of the motion's noise.
+
+    Parameters
+    ----------
+    information, vector
+        `(n_frames, 4, 4)` and `(n_frames, 4, 2)`, of the camera rows at noise variance 1.
+    precision
+        1 / noise variance of the observations.
+    noise
+        `(12,)` variances of eps_1, eps_2, eps_3.
+    start_mean, start_variance
+        `(12, 2)` and `(12,)` of the state in the first frame with information. Frames before that are
+        foreseen backwards from there, as if nothing were known of the very first one.
+
+    Returns
+    -------
+    cameras, covariance
+        `(n_frames, 2, 4)` and `(n_frames, 4, 4)`.
+    log_evidence
+        log integral of p(M) exp(sum of (vector . m - m . information m / 2) precision) dM.
+    squares, counts
+        `(12,)`: twice the derivative of the log evidence by `noise` is `squares - counts`, both positive.
+    """
+    n_frames = information.shape[0]
+    first = 0
+    while first < n_frames - 1 and information[first, ROW - 1, ROW - 1] <= 0.0:
+        first += 1
+    mean, spread = start_mean.copy(), np.diag(start_variance)
+    filtered, log_evidence = _filtered(information, vector, precision, noise, first, mean, spread)
+    cameras, covariance = np.empty((n_frames, 2, ROW)), np.empty((n_frames, ROW, ROW))
+    squares, counts = _smoothed(filtered, first, mean, spread, cameras, covariance)
+    for t in range(first - 1, -1, -1):
+        for j in range(STATE):
+            spread[j, j] += noise[j]
+        _undo(mean)
+        _undo(spread)
+        _undo(spread.T)
+        _read(mean, spread, cameras[t], covariance[t])
+    return cameras, covariance, log_evidence, squares, counts
+
+
+@inlined
+def _filtered(information, vector, precision, noise, first, mean, spread):
+    """The way forward, from the state `mean`, `spread` (changed in place) of frame `first`.
+
+    Returns, for every frame, what the way back needs (filtered means and covariances; of the predictions
+    P H^T, the gain on it, (I + information H P H^T)^-1 and the innovation), and the log evidence.
+    """
+    n_frames = information.shape[0]
+    means, spreads = np.empty((n_frames, STATE, 2)), np.empty((n_frames, STATE, STATE))
+    ahead, gains = np.empty((n_frames, STATE, ROW)), np.empty((n_frames, ROW, ROW))
+    shrinks = np.empty((n_frames, ROW, ROW))
+    innovations = np.empty((n_frames, ROW, 2))
+    scaled, left = np.empty((ROW, ROW)), np.empty((STATE, ROW))
+    log_evidence = 0.0
+    for t in range(first, n_frames):
+        if t > first:
+            _advance(mean)
+            _advance(spread)
+            _advance(spread.T)
+            for j in range(STATE):
+                spread[j, j] += noise[j]
+        for j in range(ROW):
+            for k in range(ROW):
+                scaled[j, k] = precision * information[t, j, k]
+        ahead[t] = spread[:, :ROW]
+        shrink = shrinks[t]
+        log_evidence -= _shrinkage(scaled, spread, shrink)
+        log_evidence += _innovate(scaled, vector[t], precision, mean, spread, shrink, innovations[t])
+        _multiply(shrink, scaled, gains[t])
+        _multiply(ahead[t], gains[t], left)
+        for j in range(STATE):
+            for c in range(2):
+                for n in range(ROW):
+                    mean[j, c] += ahead[t, j, n] * innovations[t, n, c]
+        # the first four columns as a product: their difference from the prediction would cancel
+        for j in range(ROW, STATE):
+            for k in range(ROW, j + 1):
+                total = spread[j, k]
+                for n in range(ROW):
+                    total -= left[j, n] * ahead[t, k, n]
+                spread[j, k] = spread[k, j] = total
+        _multiply(ahead[t], shrink, left)
+        for j in range(STATE):
+            for k in range(min(j + 1, ROW)):
+                value = 0.5 * (left[j, k] + left[k, j]) if j < ROW else left[j, k]
+                spread[j, k] = spread[k, j] = value
+        means[t] = mean
+        spreads[t] = spread
+    return (means, spreads, ahead, gains, shrinks, innovations), log_evidence
+
+
+@inlined
+def _smoothed(filtered, first, mean, spread, cameras, covariance):
+    """The way back to frame `first`, whose state is written to `mean`, `spread`; and every frame's camera.
+
+    Returns squares and counts of `smooth_cameras`.
+    """
+    means, spreads, ahead, gains, shrinks, innovations = filtered
+    product = np.empty((STATE, STATE))
+    squares, counts = np.zeros(STATE), np.zeros(STATE)
+    # what later frames say of a prediction: x + P pull, P - P stiffness P
+    pull, stiffness = np.zeros((STATE, 2)), np.zeros((STATE, STATE))
+    for t in range(means.shape[0] - 1, first - 1, -1):
+        for j in range(STATE):
+            squares[j] += pull[j, 0] ** 2 + pull[j, 1] ** 2
+            counts[j] += 2.0 * stiffness[j, j]
+        _retreat(pull)
+        _retreat(stiffness)
+        _retreat(stiffness.T)
+        _multiply(stiffness, spreads[t], product)
+        rows = STATE if t == first else ROW
+        for j in range(rows):
+            for c in range(2):
+                total = means[t, j, c]
+                for n in range(STATE):
+                    total += spreads[t, j, n] * pull[n, c]
+                mean[j, c] = total
+            for k in range(j + 1):
+                total = spreads[t, j, k]
+                for n in range(STATE):
+                    total -= spreads[t, j, n] * product[n, k]
+                spread[j, k] = spread[k, j] = total
+        _read(mean, spread, cameras[t], covariance[t])
+        _through_update(pull, ahead[t], gains[t], shrinks[t])
+        _through_update(stiffness, ahead[t], gains[t], shrinks[t])
+        _through_update(stiffness.T, ahead[t], gains[t], shrinks[t])
+        for j in range(ROW):
+            for c in range(2):
+                pull[j, c] += innovations[t, j, c]
+            for k in range(ROW):
+                stiffness[j, k] += gains[t, j, k]
+    return squares, counts
+
+
+@inlined
+def _read(mean, spread, camera, covariance):
+    """Write the camera that is part of a state, and its covariance."""
+    for j in range(ROW):
+        for c in range(2):
+            camera[c, j] = mean[j, c]
+        for k in range(ROW):
+            covariance[j, k] = spread[j, k]
+
+
+@inlined
+def _undo(rows):
+    """F^-1 times a matrix of 12 rows, in place."""
+    for j in range(ROW):
+        for c in range(rows.shape[1]):
+            rows[ROW + j, c] -= rows[2 * ROW + j, c]
+            rows[j, c] -= rows[ROW + j, c] + 0.5 * rows[2 * ROW + j, c]
+
+
+@inlined
+def _advance(rows):
+    """F times a matrix of 12 rows, in place, with F of eq. (19)."""
+    for j in range(ROW):
+        for c in range(rows.shape[1]):
+            rows[j, c] += rows[ROW + j, c] + 0.5 * rows[2 * ROW + j, c]
+            rows[ROW + j, c] += rows[2 * ROW + j, c]
+
+
+@inlined
+def _retreat(rows):
+    """F^T times a matrix of 12 rows, in place."""
+    for j in range(ROW):
+        for c in range(rows.shape[1]):
+            rows[2 * ROW + j, c] += rows[ROW + j, c] + 0.5 * rows[j, c]
+            rows[ROW + j, c] += rows[j, c]
+
+
+@inlined
+def _through_update(rows, ahead, gain, shrink):
+    """(I - H^T G H P) times a matrix of 12 rows, in place; `ahead` is P H^T.
+
+    Of the first four columns the difference is `shrink` = (I + information H P H^T)^-1, which would drown in
+    rounding.
+    """
+    for c in range(rows.shape[1]):
+        v0 = v1 = v2 = v3 = 0.0
+        for n in range(ROW, STATE):
+            v0 += ahead[n, 0] * rows[n, c]
+            v1 += ahead[n, 1] * rows[n, c]
+            v2 += ahead[n, 2] * rows[n, c]
+            v3 += ahead[n, 3] * rows[n, c]
+        w0, w1, w2, w3 = rows[0, c], rows[1, c], rows[2, c], rows[3, c]
+        for j in range(ROW):
+            kept = shrink[j, 0] * w0 + shrink[j, 1] * w1 + shrink[j, 2] * w2 + shrink[j, 3] * w3
+            rows[j, c] = kept - (gain[j, 0] * v0 + gain[j, 1] * v1 + gain[j, 2] * v2 + gain[j, 3] * v3)
+
+
+@inlined
+def _multiply(one, other, out):
+    """Write `one @ other` to `out`: small matrices, for which a call of BLAS costs more than the work."""
+    for j in range(one.shape[0]):
+        for k in range(other.shape[1]):
+            total = 0.0
+            for n in range(other.shape[0]):
+                total += one[j, n] * other[n, k]
+            out[j, k] = total
+
+
+@inlined
+def _innovate(scaled, vector, precision, mean, spread, shrink, innovation):
+    """Write u, with mean + P H^T u the filtered mean; return the exponent of the log evidence."""
+    exponent = 0.0
+    for c in range(2):
+        residual = np.empty(ROW)
+        for j in range(ROW):
+            explained = 0.0
+            for k in range(ROW):
+                explained += scaled[j, k] * mean[k, c]
+            residual[j] = precision * vector[j, c]
+            exponent += mean[j, c] * (residual[j] - 0.5 * explained)
+            residual[j] -= explained
+        d0, d1, d2, d3 = residual[0], residual[1], residual[2], residual[3]
+        for j in range(ROW):
+            innovation[j, c] = shrink[j, 0] * d0 + shrink[j, 1] * d1 + shrink[j, 2] * d2 + shrink[j, 3] * d3
+        for j in range(ROW):
+            for k in range(ROW):
+                exponent += 0.5 * residual[j] * spread[j, k] * innovation[k, c]
+    return exponent
+
+
+@inlined
+def _shrinkage(scaled, spread, shrink):
+    """Write W = (I + information P)^-1 (4, 4), by elimination with pivots; return log |W^-1|."""
+    table = np.zeros((ROW, 2 * ROW))
+    for j in range(ROW):
+        for k in range(ROW):
+            total = 1.0 if j == k else 0.0
+            for n in range(ROW):
+                total += scaled[j, n] * spread[n, k]
+            table[j, k] = total
+        table[j, ROW + j] = 1.0
+    log_determinant = 0.0
+    for j in range(ROW):
+        best = j
+        for k in range(j + 1, ROW):
+            if abs(table[k, j]) > abs(table[best, j]):
+                best = k
+        if best != j:
+            for n in range(2 * ROW):
+                table[j, n], table[best, n] = table[best, n], table[j, n]
+        pivot = table[j, j]
+        log_determinant += np.log(abs(pivot))
+        for n in range(2 * ROW):
+            table[j, n] /= pivot
+        for k in range(ROW):
+            if k != j:
+                factor = table[k, j]
+                for n in range(2 * ROW):
+                    table[k, n] -= factor * table[j, n]
+    for j in range(ROW):
+        for k in range(ROW):
+            shrink[j, k] = table[j, ROW + k]
+    return log_determinant
+
+
+ROUNDING = 1e-13
+"""Share of a point's information below which a direction of it is rounding."""
+
+
+@compiled
+def eliminate_points(by_point, cameras):
+    """Best points for given cameras, the inverses of their information, and the weighted squared error left.
+
+    `(n_points, 3)` and `(n_points, 3, 3)`. Directions that only rounding determines stay at 0.
+    """
+    edges, _, other, x, y, weight = by_point
+    n_points = edges.size - 1
+    shape, inverses = np.empty((n_points, 3)), np.empty((n_points, 3, 3))
+    error = 0.0
+    for i in range(n_points):
+        a00 = a01 = a02 = a11 = a12 = a22 = b0 = b1 = b2 = 0.0
+        for k in range(edges[i], edges[i + 1]):
+            m, w = cameras[other[k]], weight[k]
+            for c in range(2):
+                r0, r1, r2 = m[c, 0], m[c, 1], m[c, 2]
+                d = w * ((x[k] if c == 0 else y[k]) - m[c, 3])
+                a00 += w * r0 * r0
+                a01 += w * r0 * r1
+                a02 += w * r0 * r2
+                a11 += w * r1 * r1
+                a12 += w * r1 * r2
+                a22 += w * r2 * r2
+                b0 += d * r0
+                b1 += d * r1
+                b2 += d * r2
+        least = ROUNDING * (a00 + a11 + a22) + 1e-300
+        d0 = 1.0 / np.sqrt(a00) if a00 > least else 0.0
+        l10, l20 = a01 * d0, a02 * d0
+        p11 = a11 - l10 * l10
+        d1 = 1.0 / np.sqrt(p11) if p11 > least else 0.0
+        l21 = (a12 - l10 * l20) * d1
+        p22 = a22 - l20 * l20 - l21 * l21
+        d2 = 1.0 / np.sqrt(p22) if p22 > least else 0.0
+        g10, g21 = -l10 * d0 * d1, -l21 * d1 * d2
+        g20 = -(l20 * d0 + l21 * g10) * d2
+        z0, z1, z2 = d0 * b0, g10 * b0 + d1 * b1, g20 * b0 + g21 * b1 + d2 * b2
+        s0, s1, s2 = d0 * z0 + g10 * z1 + g20 * z2, d1 * z1 + g21 * z2, d2 * z2
+        shape[i, 0], shape[i, 1], shape[i, 2] = s0, s1, s2
+        f = inverses[i]
+        f[0, 0], f[1, 1], f[2, 2] = d0 * d0 + g10 * g10 + g20 * g20, d1 * d1 + g21 * g21, d2 * d2
+        f[0, 1] = f[1, 0] = g10 * d1 + g20 * g21
+        f[0, 2] = f[2, 0] = g20 * d2
+        f[1, 2] = f[2, 1] = g21 * d2
+        for k in range(edges[i], edges[i + 1]):
+            m = cameras[other[k]]
+            du = m[0, 0] * s0 + m[0, 1] * s1 + m[0, 2] * s2 + m[0, 3] - x[k]
+            dv = m[1, 0] * s0 + m[1, 1] * s1 + m[1, 2] * s2 + m[1, 3] - y[k]
+            error += weight[k] * (du * du + dv * dv)
+    return shape, inverses, error
+
+
+@compiled
+def camera_gradient(by_point, cameras, shape):
+    """Half the derivative of the squared error by cameras, `(n_frames, 2, 4)`."""
+    edges, _, other, x, y, weight = by_point
+    gradient = np.zeros(cameras.shape)
+    for i in range(edges.size - 1):
+        s0, s1, s2 = shape[i, 0], shape[i, 1], shape[i, 2]
+        for k in range(edges[i], edges[i + 1]):
+            t, w = other[k], weight[k]
+            m = cameras[t]
+            a = w * (m[0, 0] * s0 + m[0, 1] * s1 + m[0, 2] * s2 + m[0, 3] - x[k])
+            b = w * (m[1, 0] * s0 + m[1, 1] * s1 + m[1, 2] * s2 + m[1, 3] - y[k])
+            _add_outer(gradient[t], a, b, s0, s1, s2)
+    return gradient
+
+
+@inlined
+def _add_outer(out, a, b, s0, s1, s2):
+    """Add (a, b) (S, 1)^T to a camera's matrix."""
+    out[0, 0] += a * s0
+    out[0, 1] += a * s1
+    out[0, 2] += a * s2
+    out[0, 3] += a
+    out[1, 0] += b * s0
+    out[1, 1] += b * s1
+    out[1, 2] += b * s2
+    out[1, 3] += b
+
+
+@compiled
+def reduced_step(by_point, by_frame, system, accuracy, most):
+    """Gauss-Newton step of the cameras `(n_frames, 2, 4)` with points eliminated, by conjugate gradients.
+
+    The matrix is never formed: a product with it goes through both lists of observations once. It leaves out
+    how the eliminated points' own directions turn (Kaufman), as all variable projection does that works well.
+
+    Parameters
+    ----------
+    by_point, by_frame
+        the observations in both orders.
+    system
+        the normal equations, a `System`.
+    accuracy, most
+        relative, and number of products at most.
+    """
+    cameras, shape, inverses, information, preconditioner, gradient, damping = system
+    n_frames, n_points = cameras.shape[0], shape.shape[0]
+    step, residual = np.zeros(gradient.shape), -gradient
+    direction, product = np.zeros(gradient.shape), np.empty(gradient.shape)
+    solved = np.empty(gradient.shape)
+    of_frames, of_points = np.empty((n_frames, ENTRIES)), np.empty((n_points, ENTRIES))
+    length = first_length = 1.0
+    for turn in range(most):
+        before = length
+        length = 0.0
+        for t in range(n_frames):
+            for c in range(2):
+                for j in range(4):
+                    total = 0.0
+                    for n in range(4):
+                        total += preconditioner[t, j, n] * residual[t, c, n]
+                    solved[t, c, j] = total
+                    length += total * residual[t, c, j]
+        if turn == 0:
+            first_length = length
+        if length <= accuracy * accuracy * first_length:
+            break
+        direction = solved + (length / before if turn else 0.0) * direction
+        _turned_by(cameras, direction, of_frames)
+        _weighted_sums(by_point, of_frames, of_points)
+        _answers(inverses, shape, of_points)
+        _weighted_sums(by_frame, of_points, of_frames)
+        stride = 0.0
+        for t in range(n_frames):
+            for c in range(2):
+                for j in range(4):
+                    total = damping * direction[t, c, j]
+                    for n in range(4):
+                        total += information[t, j, n] * direction[t, c, n]
+                    for k in range(3):
+                        total -= cameras[t, c, k] * of_frames[t, 4 * k + j]
+                    product[t, c, j] = total
+                    stride += total * direction[t, c, j]
+        stride = length / max(stride, 1e-300)
+        step += stride * direction
+        residual -= stride * product
+    return step
+
+
+ENTRIES = 12
+"""Of a 3x4 matrix; sums over observations are of such, for which vector units serve."""
+
+
+@inlined
+def _turned_by(cameras, direction, of_frames):
+    """Write R^T D for every frame."""
+    for t in range(cameras.shape[0]):
+        for k in range(3):
+            for j in range(4):
+                total = cameras[t, 0, k] * direction[t, 0, j] + cameras[t, 1, k] * direction[t, 1, j]
+                of_frames[t, 4 * k + j] = total
+
+
+@inlined
+def _weighted_sums(listed, rows, out):
+    """Write for each frame (point) the weighted sum of the rows of its points (frames)."""
+    edges, _, other, _, _, weight = listed
+    for k in range(out.shape[0]):
+        total = out[k]
+        for j in range(ENTRIES):
+            total[j] = 0.0
+        for n in range(edges[k], edges[k + 1]):
+            row, w = rows[other[n]], weight[n]
+            for j in range(ENTRIES):
+                total[j] += w * row[j]
+
+
+@inlined
+def _answers(inverses, shape, of_points):
+    """From the sums E of R^T D, write z (S, 1)^T for every point, z = inverse E (S, 1)."""
+    for i in range(shape.shape[0]):
+        e, f, s = of_points[i], inverses[i], shape[i]
+        y0 = e[0] * s[0] + e[1] * s[1] + e[2] * s[2] + e[3]
+        y1 = e[4] * s[0] + e[5] * s[1] + e[6] * s[2] + e[7]
+        y2 = e[8] * s[0] + e[9] * s[1] + e[10] * s[2] + e[11]
+        for k in range(3):
+            z = f[k, 0] * y0 + f[k, 1] * y1 + f[k, 2] * y2
+            for j in range(3):
+                e[4 * k + j] = z * s[j]
+            e[4 * k + 3] = z

@@ -1,1 +1,0 @@
-"""When does it pay to combine two chains?"""
