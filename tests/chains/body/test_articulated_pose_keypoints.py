@@ -14,7 +14,7 @@ from rsmcm.models import BodyParts, Frame
 from rsmcm.models.body.upper_body import JOINTS
 from rsmcm.models.core.mahalanobis import squared_distances
 
-from ..support.keypoints import found_in
+from ...support.keypoints import found_in
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 
-from ..support.body_poses import resting
+from ...support.body_poses import resting
 
 Array = NDArray[np.float64]
 

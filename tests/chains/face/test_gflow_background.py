@@ -34,7 +34,7 @@ from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
 from rsmcm.models.pixels.pixel_labels import PixelLabels, PixelMessage
 
-from ..support.surfaces import bumpy, poses_near, smooth_picture
+from ...support.surfaces import bumpy, poses_near, smooth_picture
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.pixels.pixel_labels import PixelLabels
 from rsmcm.models.points.point_tracks import PointTracks
 
-from ..support.surfaces import bumpy, poses_near
+from ...support.surfaces import bumpy, poses_near
 
 Array = NDArray[np.float64]
 

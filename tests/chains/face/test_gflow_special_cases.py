@@ -23,7 +23,7 @@ from rsmcm.models.pixels.pixel_labels import PixelLabels, PixelMessage
 from scipy.ndimage import affine_transform
 from scipy.spatial.transform import Rotation
 
-from ..support.surfaces import bilinear, bumpy, poses_near, smooth_picture
+from ...support.surfaces import bilinear, bumpy, poses_near, smooth_picture
 
 Array = NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.core.mahalanobis import squared_distances
 from rsmcm.models.points.point_tracks import PointMessage, noise_of_tracks
 
-from ..support.pictures import HEIGHT, WIDTH, Pose, film, hidden_by_a_bar, sliding, turning
+from ...support.pictures import HEIGHT, WIDTH, Pose, film, hidden_by_a_bar, sliding, turning
 
 Numbers = NDArray[np.float64]
 

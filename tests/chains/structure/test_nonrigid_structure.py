@@ -10,7 +10,7 @@ from rsmcm.inference import CoordinateAscent, MultiChain, Solution
 from rsmcm.inference.sfm.nonrigid.learning import learn_shape
 from rsmcm.models.points.point_tracks import PointTracks
 
-from ..support.deforming import N_BASES, N_POINTS, NOISE, deforming
+from ...support.deforming import N_BASES, N_POINTS, NOISE, deforming
 
 Numbers = NDArray[np.float64]
 

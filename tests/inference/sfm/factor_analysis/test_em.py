@@ -9,7 +9,7 @@ from rsmcm.inference.sfm.factor_analysis.factorisation import around_start
 from rsmcm.inference.sfm.factor_analysis.initialisation import mean_filled
 from rsmcm.inference.sfm.factor_analysis.observations import Observations
 
-from ...support.turning import turning
+from ....support.turning import turning
 
 Numbers = NDArray[np.float64]
 

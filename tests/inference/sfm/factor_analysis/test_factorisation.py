@@ -16,7 +16,7 @@ from rsmcm.inference.sfm.factor_analysis.kernels import point_moments
 from rsmcm.inference.sfm.factor_analysis.observations import Observations, ranges
 from scipy.optimize import least_squares
 
-from ...support.turning import rotation, through, turning
+from ....support.turning import rotation, through, turning
 
 Numbers = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rsmcm.inference.sfm.nonrigid.learning import LEAST_LEFT, choose_bases, withheld
 
-from ...support.deforming import N_BASES, deforming, holes
+from ....support.deforming import N_BASES, deforming, holes
 
 
 def test_as_many_as_there_are() -> None:

@@ -9,7 +9,7 @@ from rsmcm.inference.sfm.nonrigid import em
 from rsmcm.models.numerics.rotations import exponential
 from scipy.stats import multivariate_normal
 
-from ...support.deforming import N_BASES, N_POINTS, SIZE, deforming, holes
+from ....support.deforming import N_BASES, N_POINTS, SIZE, deforming, holes
 
 Numbers = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from rsmcm.inference.sfm.nonrigid.learning import learn_shape
 from rsmcm.inference.sfm.nonrigid.shape import NonrigidShape
 from scipy.stats import multivariate_normal
 
-from ...support.deforming import N_BASES, N_FRAMES, N_POINTS, NOISE, deforming, error, holes
+from ....support.deforming import N_BASES, N_FRAMES, N_POINTS, NOISE, deforming, error, holes
 
 Numbers = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from rsmcm.inference.sfm.nonrigid.search import rotations_of_rank
 from rsmcm.models.numerics.rotations import exponential, logarithm, nearest_rotation
 
-from ...support.deforming import MIRROR
+from ....support.deforming import MIRROR
 
 Numbers = NDArray[np.float64]
 

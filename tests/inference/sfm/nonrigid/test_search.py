@@ -5,8 +5,8 @@ import pytest
 from rsmcm.inference.sfm.nonrigid.learning import learn_shape
 from rsmcm.inference.sfm.nonrigid.shape import shape_error
 
-from ...support.deforming import N_BASES, deforming
-from ...support.stick_figures import stick_figure
+from ....support.deforming import N_BASES, deforming
+from ....support.stick_figures import stick_figure
 
 BASES = 5
 

@@ -10,8 +10,8 @@ from rsmcm.inference.sfm.nonrigid.shape import shape_error
 from rsmcm.models.numerics.rotations import exponential
 from scipy.stats import multivariate_normal
 
-from ...support.deforming import deforming
-from ...support.stick_figures import stick_figure
+from ....support.deforming import deforming
+from ....support.stick_figures import stick_figure
 
 N, MODES, POINTS = 7, 2, 6
 

@@ -7,7 +7,7 @@ from rsmcm.inference.sfm.nonrigid import em
 from rsmcm.inference.sfm.nonrigid import search as start
 from rsmcm.models.numerics.rotations import exponential
 
-from ...support.deforming import MIRROR, N_POINTS
+from ....support.deforming import MIRROR, N_POINTS
 
 
 def test_a_turned_over_stretch_of_frames_is_turned_back() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 from rsmcm.inference.sfm.nonrigid.learning import learn_shape
 
-from ...support.deforming import MIRROR, N_BASES, deforming, holes
+from ....support.deforming import MIRROR, N_BASES, deforming, holes
 
 
 def test_errors_are_as_large_as_stated() -> None:

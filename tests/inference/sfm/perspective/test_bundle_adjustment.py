@@ -19,7 +19,7 @@ from rsmcm.models.camera.perspective_camera import PerspectiveCameras
 from rsmcm.models.numerics.rotations import exponential
 from scipy.optimize import least_squares
 
-from ...support.perspective_films import PerspectiveFilm, table_top, turning
+from ....support.perspective_films import PerspectiveFilm, table_top, turning
 
 Numbers = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from rsmcm.inference.sfm.perspective.bundle_adjustment import (
 from rsmcm.inference.sfm.perspective.student_noise import StudentNoise
 from rsmcm.models.numerics.rotations import exponential
 
-from ...support.perspective_films import PerspectiveFilm, table_top
+from ....support.perspective_films import PerspectiveFilm, table_top
 from .test_bundle_adjustment import dense_jacobian, listed_of
 
 VAGUE = 1e8 * np.eye(3)

@@ -5,7 +5,7 @@ import pytest
 from rsmcm.inference.sfm.perspective.growth import grown
 from rsmcm.models.numerics.rotations import logarithm
 
-from ...support.perspective_films import PerspectiveFilm, table_top, turning
+from ....support.perspective_films import PerspectiveFilm, table_top, turning
 
 
 def about_principal(film: PerspectiveFilm) -> np.ndarray:

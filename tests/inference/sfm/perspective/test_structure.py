@@ -12,7 +12,7 @@ from rsmcm.inference.sfm.perspective.structure import (
 from rsmcm.models.numerics.rotations import logarithm
 from scipy.spatial.transform import Rotation
 
-from ...support.perspective_films import PerspectiveFilm, table_top, turning
+from ....support.perspective_films import PerspectiveFilm, table_top, turning
 
 
 def found_in(film: PerspectiveFilm, focal: float | None = None) -> tuple[PerspectiveStructure, bool]:
