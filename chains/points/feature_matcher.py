@@ -1,4 +1,12 @@
-"""Points that features of several pictures show: where they were matched, and where they are searched for."""
+"""Features matched between pictures near and far: points that need no motion from picture to picture.
+
+p(F_t | X) = prod_i 1 / |I|,    evidence = prod_i |I| N(z_ti; u_ti, (0.1 size_ti)^2)
+
+X is which features of all pictures show one point. A point may be anywhere in the next picture, so that the
+chain has no message: all that it knows is evidence, where the pictures show its points. It works where a
+tracker cannot: on a turntable, a slow camera, pictures in no order. It and `PointTracker` share one feature
+node; which of their points are one is for a chain of the shape to find out.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

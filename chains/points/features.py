@@ -1,4 +1,4 @@
-"""Features that are found in pictures far apart: where they are and what they look like (SIFT, Lowe 2004).
+"""Features of pictures far apart (SIFT, Lowe 2004), matched over a whole film and joined into tracks.
 
 Descriptors are compared by their square roots (Arandjelovic and Zisserman 2012), of which the scalar product
 is a likeness from 0 to 1.
@@ -18,6 +18,7 @@ from .kernels import best_and_second, join_matches, keep_near
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 CONTRAST = 0.02
 """Of a feature, as OpenCV has it: half of Lowe's, so that matt things have some, too."""
@@ -171,8 +172,6 @@ def _ratio(best: NDArray[np.float32], second: NDArray[np.float32]) -> Numbers:
     ratio: Numbers = np.sqrt(near / far)
     return ratio
 
-
-Mask = NDArray[np.bool_]
 
 STEPS = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89)
 """Pictures from one to the next that it is matched with: as many as there is a common view."""

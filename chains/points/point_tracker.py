@@ -1,4 +1,17 @@
-"""Identities that turn out to be one point: what the shape takes for one, and what sits on one spot."""
+"""Tracker of single points: a first-order Kalman filter each, and what each one looks like (RSMCM §4.3).
+
+p(x(t + dt) | x(t)) = prod_i N(x_i(t + dt); A(dt) x_i(t), q Q(dt)),    p(F | x) = prod_i delta(u_i - H x_i)
+
+x_i are position H x_i (px) and velocity (px/s) of point i, which white acceleration of density q (px^2/s^3)
+moves out of its straight way; A and Q are those of `kinematic(2, dt)`. F holds positions u_i and patches a_i
+by identity. The message to F is prod_i N(u_i; H m_i, H P_i H^T), the predicted positions, and with it what
+points look like; the evidence is where the picture shows these patches (`PointTracks`).
+
+It follows every point by itself and knows nothing of how points move together. Alone it loses a point that is
+not seen for a while, and takes it for another one when it comes back. With a second chain over the same
+points, that chain's prediction is a virtual observation: it keeps a point alive, and says where to look for
+one that was lost.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -31,6 +44,9 @@ from .tracker import (
 from .trajectory import Appearances, PointTrajectory, StackedMessages, estimate_motion, smoothed_trajectory
 
 Identities = NDArray[np.int64]
+Numbers = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
 Duplicates = Mapping[int, int]
 """Identity, and the smaller one of the point that it is."""
 
@@ -108,9 +124,6 @@ def coincident_tracks(messages: Sequence[PointMessage], spot: float) -> list[tup
             times.update((int(one), int(other)) for one, other in identities[np.sort(pairs, axis=1)])
     return sorted(pair for pair, count in times.items() if count >= LEAST_FRAMES)
 
-
-Numbers = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 GATE = 3.0
 """Standard deviations from where others say that a point is, within which it may begin."""

@@ -1,4 +1,7 @@
-"""Points that a tracker knows: those that it follows, and those that it lost lately and may meet again."""
+"""Points that a tracker knows, from frame to frame: found again, lost, recognised, and new ones taken up.
+
+Steps of the tracker of RSMCM §4.3, from one state to the next.
+"""
 
 from dataclasses import dataclass, fields, replace
 from typing import Any

@@ -1,7 +1,8 @@
-"""How restlessly points move, learned from how far they are from where the Kalman filter expects them.
+"""Tracks of points over a whole sequence: their motion learned, smoothed, each frame's evidence kept apart.
 
 The motion model of RSMCM §4.3 has one number that nobody knows beforehand, and it has the unit of the tracks:
-pixels of a film, or anything in a track file.
+pixels of a film, or anything in a track file. It is learned from how far points are from where the Kalman
+filter expects them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,7 @@ from ...models.core.short_repr import short_repr
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Identities = NDArray[np.int64]
 
 MEDIAN = 2 * np.log(2)
 """Of the squared Mahalanobis distance of two numbers from where they are expected."""
@@ -184,8 +186,6 @@ def _distances(measured: Measurements, motion: MotionModel) -> Numbers:
     spread = (covariance + noise[1:])[known]
     return squared_distances(off, spread)
 
-
-Identities = NDArray[np.int64]
 
 AT_ONCE = 128
 """Points that are smoothed in one go: states of all points in all frames need not fit into memory."""

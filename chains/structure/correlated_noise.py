@@ -13,6 +13,7 @@ from ...inference.sfm.factor_analysis.observations import Listed, Observations
 from .kernels import camera_coupling, track_information
 
 Numbers = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99)
 """Of the variance, that may be drift."""
@@ -146,8 +147,6 @@ def _likeliest_scale(total: float, values: Numbers, squares: Numbers, count: int
             break
     return scale, left
 
-
-Indices = NDArray[np.int64]
 
 LEAST_CORRELATION = 1e-8
 """Of the noise of two frames, that counts."""

@@ -1,4 +1,4 @@
-"""What comes in at point tracks over a whole film, as arrays."""
+"""Shape from motion as a chain: rigid points seen by an affine camera (factor analysis, RSMCM §4.3)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

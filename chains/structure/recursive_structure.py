@@ -1,4 +1,8 @@
-"""The first frames of a structure from motion, kept until they determine a shape."""
+"""Structure from motion as a filtering chain: points of a rigid shape before a moving affine camera (§4.3).
+
+The conclusion of the RSMCM paper claims this filter without giving it; what is here is ours, in constant time
+per frame. `chains.structure.recursive` has its mathematics.
+"""
 
 from dataclasses import dataclass, replace
 

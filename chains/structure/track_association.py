@@ -1,4 +1,12 @@
-"""Which tracks show which points, as sparse matrices of probabilities."""
+"""Which tracks show the same point: partial tracks that the shape says are one become one.
+
+A point that was lost and found again has several tracks. The RSMCM paper (§4.3) lets the shape decide which
+belong together, but gives no equations; these are ours. Cameras and points of all tracks, each a point of its
+own, have a joint posterior; pairs of which it says that they are at one place are taken for one, the surest
+first, and the posterior is conditioned on that, so that each union makes cameras of different times agree
+better and the next one surer. What is ambiguous waits until it no longer is. At the end every track is tested
+against every point, without its own part in it, and is kept where it surely belongs.
+"""
 
 from dataclasses import dataclass, replace
 

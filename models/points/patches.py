@@ -1,4 +1,8 @@
-"""Small square pieces of a grey picture: what points look like."""
+"""Small square pieces of a grey picture: what points look like, where exactly they are, and corners.
+
+A peak of the normalised correlation of 5x5 pixels is a fifth of a pixel off, for any change of brightness and
+contrast is free, and at a corner that is much like a motion. `align_patches` lets both change a little only.
+"""
 
 from dataclasses import dataclass
 

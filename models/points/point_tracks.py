@@ -1,4 +1,8 @@
-"""Arrays of points over time, from anybody: damage is refused before it drowns everything else."""
+"""Points in the picture as a feature node: where each one is and what it looks like, by identity.
+
+F = {(u_i, v_i, a_i)} of RSMCM §4.3. A tracker that follows single points meets here what knows how all of
+them move together.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -14,6 +18,8 @@ from ..core.grey import grey_of
 from ..core.short_repr import short_repr
 from .patches import Patches, find_corners, sample_patches
 from .search import Before, find_points
+
+Numbers = NDArray[np.float64]
 
 FARTHEST = 1e7
 """px: coordinates beyond are taken for damage; their squares would drown everything else."""
@@ -47,8 +53,6 @@ def check_points(name: str, points: NDArray[np.float64], *, half: bool = False) 
             place = f"point {point} of frame {frame} (both from 0)"
             raise ValueError(f"{name}: got {points[frame, point].tolist()} at {place}, expected {expected}")
 
-
-Numbers = NDArray[np.float64]
 
 PLANE = 2
 

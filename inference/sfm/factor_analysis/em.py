@@ -1,4 +1,11 @@
-"""What observations say of cameras given points, and of points given cameras, through both sides' moments."""
+"""EM of factor analysis with missing data: RSMCM eq. (18), cameras independent or coherent by eq. (19).
+
+Model, in the units of `Observations`: position = M_t (S_i, 1) + noise of variance sigma^2 / weight; points
+S_i ~ N(0, I), which is no restriction as long as cameras are free to scale and shear; the rows of M_t
+either independent, or moving by eq. (19). The posterior is sought in the form q(M) q(S) (variational EM),
+so both sides enter each other's update with their moments: a point that is hardly determined does not pull
+at cameras, nor a camera that hardly is at points.
+"""
 
 import math
 from dataclasses import dataclass

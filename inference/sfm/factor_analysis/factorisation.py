@@ -1,4 +1,7 @@
-"""What is known of cameras and points around given values of them."""
+"""Structure from motion as factor analysis: shape and affine cameras from point tracks with gaps.
+
+RSMCM eq. (18): position of point i in frame t = M_t (S_i, 1) + noise, M_t (2, 4), S_i (3,).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

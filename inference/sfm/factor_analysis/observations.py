@@ -1,4 +1,7 @@
-"""Observed positions of points as two sparse lists, by frame and by point, in units of their own spread."""
+"""Observed positions of points as two sparse lists, by frame and by point, and what of them is one structure.
+
+Positions are in units of their own spread, so that numbers are around 1 whatever the unit was.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +15,7 @@ from .kernels import connected_frames
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 LEAST_FRAMES = 3
 LEAST_POINTS = 4
@@ -205,8 +209,6 @@ class Observations:
             self, by_frame=self.by_frame.only(frames, points), by_point=self.by_point.only(points, frames)
         )
 
-
-Mask = NDArray[np.bool_]
 
 LEAST_VIEWS = 2
 

@@ -1,4 +1,8 @@
-"""Non-rigid structure from motion: the shape of a deforming object, and its poses, from 2-D point tracks."""
+"""Non-rigid structure from motion: the shape of a deforming object, and its poses, from 2-D point tracks.
+
+`learn_shape` is given the number of bases; `choose_bases` finds it by positions that were withheld;
+`learn_associated` also finds which partial tracks show one point.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,6 +27,9 @@ from .shape import (
 )
 from .smoothness import LEAST_FRAMES as SMOOTH_FRAMES
 from .smoothness import smoothed
+
+Numbers = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 LEAST_FRAMES = 3
 """That a point is seen in, and that there are; two views leave depth open."""
@@ -188,8 +195,6 @@ def _squared_error(tracks: Tracks, state: State, found: WeightPosterior) -> floa
     return float(np.sum(tracks.seen[..., None] * (tracks.positions - predicted) ** 2))
 
 
-Numbers = NDArray[np.float64]
-
 WITHHELD = 0.1
 """Share of the positions; the model is learned from the others."""
 LEAST_LEFT = 5
@@ -286,8 +291,6 @@ def withheld(positions: Numbers, seed: int) -> NDArray[np.bool_]:
         hidden &= rank >= LEAST_LEFT
     return hidden
 
-
-Indices = NDArray[np.int64]
 
 ALIKE = 3.0
 """Mean squared distance of a coordinate from where the other track expects it, in units of what is stated.

@@ -1,4 +1,8 @@
-"""Where EM for deforming shapes starts: a rigid shape, modes that are added to it, or taken away."""
+"""Which of many starts leads to the likeliest deforming shape, and how fine its deformations are modelled.
+
+EM starts from rigid shapes, to which modes are added, and from rotations that a factorisation has to fulfil
+whatever the deformation is.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +16,6 @@ from ..factor_analysis.factorisation import factorise
 from .em import (
     FIRST_DAMPING,
     LEAST_NOISE,
-    Numbers,
     State,
     Tracks,
     WeightPosterior,
@@ -23,6 +26,8 @@ from .em import (
     run_em,
 )
 from .shape import shape_error
+
+Numbers = NDArray[np.float64]
 
 USUAL_DEPTH = 0.7
 """Of objects that do not turn enough to show it, in root mean squares of their width and height."""
@@ -173,8 +178,6 @@ def _angles(one: Numbers, other: Numbers) -> Numbers:
     angles: Numbers = np.arccos(np.clip((np.sum(one * other, axis=(-2, -1)) - 1) / 2, -1, 1))
     return angles
 
-
-Numbers = NDArray[np.float64]
 
 STEPS = 100
 ROWS_DAMPING, MOST_ROWS_DAMPING = 1e-2, 1e10

@@ -1,4 +1,4 @@
-"""How far shapes are from each other, or from the truth, up to what orthography cannot tell."""
+"""A deforming shape with its poses and its uncertainty, as learned from tracks, and errors of shapes."""
 
 from dataclasses import dataclass
 

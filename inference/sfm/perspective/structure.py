@@ -1,4 +1,7 @@
-"""Affine cameras and shape under noise with heavy tails, and how likely they make what was seen."""
+"""Shape and perspective cameras from point tracks with gaps, and whether they explain them best.
+
+Affine cameras under the same noise are what they are compared with, and one of the starts of the search.
+"""
 
 import math
 from collections.abc import Iterable
@@ -27,6 +30,8 @@ from .bundle_adjustment import (
 )
 from .growth import grown
 from .student_noise import StudentNoise
+
+Mask = NDArray[np.bool_]
 
 FIT_ROUNDS = 15
 FIT_SETTLED = 1e-3
@@ -206,9 +211,6 @@ def _round(listed: Listed, start: Start, focal_known: bool, most_steps: int = 10
     if found.cameras.curvature < 0:
         found = replace(found, cameras=found.cameras.mirrored(), shape=found.shape @ MIRROR)
     return replace(found, shape=retriangulated(listed, found))
-
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

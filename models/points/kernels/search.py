@@ -1,4 +1,4 @@
-"""Normalised correlation of many small patches, each in a window of its own."""
+"""Search for small patches by normalised correlation, each in its window, and which places are the points."""
 
 from typing import NamedTuple
 
@@ -9,6 +9,8 @@ from ...numerics.compiled import compiled, logarithm
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
 
 _f4 = np.float32
 
@@ -277,8 +279,6 @@ def _parabola(before, here, after):
     off = _f4(0.5) * (before - after) / bent
     return off, _f4(-0.25) * (before - after) * off
 
-
-Mask = NDArray[np.bool_]
 
 REACH = 3.0
 """Standard deviations from where a point should be within which it is searched for."""
