@@ -6,10 +6,13 @@ of a camera are of equal length and orthogonal, which fixes that change up to a 
 enough.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from ..least_squares import Damping, levenberg_marquardt
 
 Numbers = NDArray[np.float64]
 
@@ -29,6 +32,9 @@ OPEN = 1e-12
 """Share of the information on stretches that is rounding."""
 
 MOST_STEPS = 100
+DAMPING = Damping(1e-3, most=1e13)
+SHORT = 1e-12
+"""Step, a change of the logarithm of a stretch, that is the last."""
 
 FLATTISH = "no depth shows: the camera does not turn out of the picture plane, or the scene is flat"
 HARDLY = "the camera hardly turns out of the picture plane"
@@ -192,41 +198,64 @@ def _linear_metric(rows: Numbers) -> Numbers:
     return root
 
 
-def _refined(rows: Numbers, spread: Numbers | None, upgrade: Numbers) -> tuple[Numbers, float]:
-    """Improve G by Gauss-Newton steps G <- G exp(E); and give the largest standard deviation of E.
+@dataclass(frozen=True, eq=False)
+class _Metric:
+    """A root G of the metric, how far rows are from what they should be in it, and how it was reached.
 
-    Errors are (|u|^2 - |v|^2) / (|u|^2 + |v|^2) and 2 u . v / (|u|^2 + |v|^2), in which the scale is no
-    matter.
+    Errors `(2 n_frames,)` are (|u|^2 - |v|^2) / (|u|^2 + |v|^2) and 2 u . v / (|u|^2 + |v|^2), in which the
+    scale is no matter; `jacobian` `(2 n_frames, 5)` are their derivatives by E, and `weight` their weights.
+    `step` is the largest number of the E of the last step G <- G exp(E).
     """
-    damping, best = 1e-3, _errors(rows, spread, upgrade)
-    for _ in range(MOST_STEPS):
-        errors, jacobian, weight = best
-        normal, pull = jacobian.T @ (weight[:, None] * jacobian), jacobian.T @ (weight * errors)
-        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
-        values, axes = np.linalg.eigh(np.tensordot(step, _BASIS, 1))
-        moved = upgrade @ (axes * np.exp(np.clip(values, -1, 1))) @ axes.T
-        reached = _errors(rows, spread, moved)
-        # weights depend on G: compare under the same
-        if np.sum(weight * reached[0] ** 2) <= np.sum(weight * errors**2):
-            upgrade, best, damping = moved, reached, damping / 10
-            if np.abs(step).max() < 1e-12:
-                break
-        else:
-            damping *= 10
-            if damping > 1e12:
-                break
-    errors, jacobian, weight = best
-    deviation = float(np.sum(weight * errors**2)) / max(len(errors) - len(_BASIS), 1)
-    known = np.linalg.eigvalsh(jacobian.T @ (weight[:, None] * jacobian))
+
+    root: Numbers
+    errors: Numbers
+    jacobian: Numbers
+    weight: Numbers
+    step: float
+
+    @property
+    def normal(self) -> Numbers:
+        """`(5, 5)`."""
+        matrix: Numbers = self.jacobian.T @ (self.weight[:, None] * self.jacobian)
+        return matrix
+
+    def squares(self, errors: Numbers) -> float:
+        """Sum of squared errors, weighted as they are here: weights depend on G."""
+        return float(np.sum(self.weight * errors**2))
+
+
+def _refined(rows: Numbers, spread: Numbers | None, root: Numbers) -> tuple[Numbers, float]:
+    """Improve G by steps G <- G exp(E); and give the largest standard deviation of E."""
+
+    def linearised(at: _Metric) -> Callable[[float], _Metric | None]:
+        normal, pull = at.normal, at.jacobian.T @ (at.weight * at.errors)
+
+        def step(damping: float) -> _Metric | None:
+            change = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
+            values, axes = np.linalg.eigh(np.tensordot(change, _BASIS, 1))
+            moved = at.root @ (axes * np.exp(np.clip(values, -1, 1))) @ axes.T
+            reached = _metric(rows, spread, moved, float(np.abs(change).max()))
+            return reached if at.squares(reached.errors) <= at.squares(at.errors) else None
+
+        return step
+
+    found = levenberg_marquardt(
+        _metric(rows, spread, root, np.inf),
+        linearised,
+        lambda before, after: after.step < SHORT,
+        DAMPING,
+        most_steps=MOST_STEPS,
+    ).place
+    known = np.linalg.eigvalsh(found.normal)
     if known[0] <= OPEN * known[-1]:
-        return upgrade, np.inf
+        return found.root, np.inf
+    deviation = found.squares(found.errors) / max(len(found.errors) - len(_BASIS), 1)
     inflation = deviation if spread is None else max(deviation, 1.0)
-    return upgrade, float(np.sqrt(inflation / known[0]))
+    return found.root, float(np.sqrt(inflation / known[0]))
 
 
-def _errors(rows: Numbers, spread: Numbers | None, upgrade: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-    """Errors `(2 n_frames,)`, their derivatives by E `(2 n_frames, 5)` and their weights."""
-    moved = rows @ upgrade
+def _metric(rows: Numbers, spread: Numbers | None, root: Numbers, step: float) -> _Metric:
+    moved = rows @ root
     u, v = moved[:, 0], moved[:, 1]
     size = np.sum(moved**2, axis=(1, 2))
     uu, vv, uv = (np.einsum("tj,njk,tk->tn", a, _BASIS, b) for a, b in ((u, u), (v, v), (u, v)))
@@ -243,9 +272,10 @@ def _errors(rows: Numbers, spread: Numbers | None, upgrade: Numbers) -> tuple[Nu
         weight = np.ones(len(rows))
     else:
         # first order: both errors have 4 (u C u + v C v) / size^2, uncorrelated
-        inside = upgrade.T @ spread @ upgrade
+        inside = root.T @ spread @ root
         weight = size**2 / (4 * np.einsum("tcj,tjk,tck->t", moved, inside, moved) + 1e-300)
-    return np.concatenate([difference, product]), jacobian, np.concatenate([weight, weight])
+    errors = np.concatenate([difference, product])
+    return _Metric(root, errors, jacobian, np.concatenate([weight, weight]), step)
 
 
 def scaled_rotations(matrices: ArrayLike) -> tuple[Numbers, Numbers]:

@@ -9,7 +9,7 @@ from .factor_analysis.em import LEAST_NOISE
 from .factor_analysis.factorisation import Factorisation
 from .factor_analysis.initialisation import RANK, freedom
 from .factor_analysis.observations import Observations, determined
-from .factor_analysis.variable_projection import NEAR, least_squares
+from .factor_analysis.variable_projection import NEAR, variable_projection
 
 PRECISION = 1e-4
 MOST_STEPS = 60
@@ -65,10 +65,10 @@ def depth(positions: ArrayLike, weights: ArrayLike | None, found: Factorisation)
     if left <= 0:  # everything is fitted, and nothing is left to tell noise by
         return Depth(0.0, needed)
     cameras = observations.scaled(found.cameras)
-    deep = least_squares(part, cameras, damping=NEAR, tolerance=PRECISION, most_steps=MOST_STEPS)
+    deep = variable_projection(part, cameras, damping=NEAR, tolerance=PRECISION, most_steps=MOST_STEPS)
     noise = max(deep.error / left, LEAST_NOISE**2)
     cameras[..., 2] = 0  # the axis that moves points least
-    flat = least_squares(
+    flat = variable_projection(
         part,
         cameras,
         rank=2,

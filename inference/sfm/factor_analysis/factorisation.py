@@ -32,7 +32,7 @@ from .kernels import (
     squared_error,
 )
 from .observations import Numbers, Observations, as_arrays, determined
-from .variable_projection import FAR, NEAR, LeastSquares, least_squares
+from .variable_projection import FAR, NEAR, LeastSquares, variable_projection
 
 LOOSEST = 100.0
 """Standard deviation, in spreads of the shape, of a direction in which observations leave a point open."""
@@ -338,7 +338,7 @@ def _factorised(
     beginning = _beginning(observations, part, start, coherence)
     if polish and not coherence:
         near = isinstance(start, str | Factorisation)
-        found = least_squares(part, beginning.cameras, damping=NEAR if near else FAR)
+        found = variable_projection(part, beginning.cameras, damping=NEAR if near else FAR)
         posterior, history = around_optimum(observations, part, found), list[float]()
     else:
         posterior, history = expectation_maximisation(

@@ -572,7 +572,19 @@ def _add_outer(out, a, b, s0, s1, s2):
 
 
 @compiled
-def reduced_step(by_point, by_frame, system, accuracy, most):
+def reduced_step(
+    by_point,
+    by_frame,
+    cameras,
+    shape,
+    inverses,
+    information,
+    preconditioner,
+    gradient,
+    damping,
+    accuracy,
+    most,
+):
     """Gauss-Newton step of the cameras `(n_frames, 2, 4)` with points eliminated, by conjugate gradients.
 
     The matrix is never formed: a product with it goes through both lists of observations once. It leaves out
@@ -582,12 +594,18 @@ def reduced_step(by_point, by_frame, system, accuracy, most):
     ----------
     by_point, by_frame
         the observations in both orders.
-    system
-        the normal equations, a `System`.
+    cameras, shape, inverses
+        cameras `(n_frames, 2, 4)`, the points `(n_points, 3)` that `eliminate_points` gives for them, and the
+        inverses `(n_points, 3, 3)` of these points' information.
+    information, preconditioner
+        `(n_frames, 4, 4)` of the cameras at fixed points, and the inverse of it plus `damping`.
+    gradient
+        `(n_frames, 2, 4)`, of `camera_gradient`.
+    damping
+        added to the diagonal.
     accuracy, most
         relative, and number of products at most.
     """
-    cameras, shape, inverses, information, preconditioner, gradient, damping = system
     n_frames, n_points = cameras.shape[0], shape.shape[0]
     step, residual = np.zeros(gradient.shape), -gradient
     direction, product = np.zeros(gradient.shape), np.empty(gradient.shape)

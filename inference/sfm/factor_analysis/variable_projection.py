@@ -5,12 +5,13 @@ cameras alone. It has far fewer poor valleys than the error as a function of bot
 "Secrets of matrix factorization", 2015), and is reached from nearly everywhere, where alternation stalls.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...least_squares import Damping, levenberg_marquardt
 from .em import shape_moments
 from .initialisation import RANK
 from .kernels import camera_gradient, eliminate_points, frame_moments, invert_information, reduced_step
@@ -20,63 +21,34 @@ ACCURACY = 1e-3
 """Relative, of the solution of the normal equations."""
 MOST_PRODUCTS = 500
 FAR, NEAR = 1.0, 1e-2
-"""First damping, of the mean of the diagonal, from anywhere and from near the optimum."""
-LEAST_DAMPING = 1e-12
-BOLDNESS = 10.0
-"""Factor by which damping falls after a step that lowered the error, and rises after one that did not. Bold
-steps get past poor valleys: with gentler rules half of the random starts end in one."""
-MOST_REJECTED = 20
-"""Steps in a row; then there is no better place in reach."""
+"""First damping, of the mean of the diagonal, from anywhere and from near the optimum. It changes by bold
+factors of ten, which get past poor valleys: with gentler ones half of the random starts end in one."""
+LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e12
 STILL = 3
 """Steps in a row that hardly lower the error: one may be short because it was damped."""
 
 
-class System(NamedTuple):
-    """Normal equations of the cameras, with points eliminated.
-
-    Parameters
-    ----------
-    cameras, shape, inverses
-        cameras `(n_frames, 2, 4)`, the points `(n_points, 3)` that `eliminate_points` gives for them, and the
-        inverses `(n_points, 3, 3)` of these points' information.
-    information, preconditioner
-        `(n_frames, 4, 4)` of the cameras at fixed points, and the inverse of it plus `damping`.
-    gradient
-        `(n_frames, 2, 4)`, of `camera_gradient`.
-    damping
-        added to the diagonal.
-    """
-
-    cameras: Numbers
-    shape: Numbers
-    inverses: Numbers
-    information: Numbers
-    preconditioner: Numbers
-    gradient: Numbers
-    damping: float
-
-
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """Cameras and shape where the weighted squared error is least.
+    """Cameras and shape, and the weighted squared error that they leave.
 
     Parameters
     ----------
     cameras, shape
         in the units of the observations.
+    inverses
+        `(n_points, 3, 3)` of the points' information.
     error
         weighted squared error.
-    steps
-        that were tried.
     """
 
     cameras: Numbers
     shape: Numbers
+    inverses: Numbers
     error: float
-    steps: int
 
 
-def least_squares(
+def variable_projection(
     observations: Observations,
     cameras: Numbers,
     *,
@@ -108,38 +80,43 @@ def least_squares(
     by_point, by_frame = observations.by_point, observations.by_frame
     points = np.diff(by_point.edges) > 0
     certain = np.zeros((len(points), RANK, RANK))
+
+    def linearised(at: LeastSquares) -> Callable[[float], LeastSquares | None]:
+        if at.error <= enough:
+            return lambda damping: at
+        gradient = camera_gradient(by_point, at.cameras, at.shape)
+        information, _ = frame_moments(by_frame, at.shape, shape_moments(at.shape, certain))
+        scale = float(np.einsum("tjj->", information)) / (4 * len(at.cameras))
+
+        def step(damping: float) -> LeastSquares | None:
+            added = damping * scale
+            preconditioner, _ = invert_information(information, np.full(4, added), 1.0)
+            moved = reduced_step(
+                by_point, by_frame, at.cameras, at.shape, at.inverses, information, preconditioner, gradient,
+                added, ACCURACY, MOST_PRODUCTS,
+            )  # fmt: skip
+            with np.errstate(over="ignore", invalid="ignore"):  # where damping is too small it may run away
+                promised = -float(np.sum(moved * gradient))
+            if damping <= NEAR and promised <= tolerance * at.error:
+                return at  # even an undamped step would hardly gain
+            shape, inverses, error = eliminate_points(by_point, at.cameras + moved)
+            if not error < at.error:
+                return None
+            return LeastSquares(*_in_gauge(at.cameras + moved, shape, inverses, points, rank), error)
+
+        return step
+
     cameras = cameras.copy()
     cameras[..., rank:RANK] = 0
     shape, inverses, error = eliminate_points(by_point, cameras)
-    cameras, shape, inverses = _in_gauge(cameras, shape, inverses, points, rank)
-    rejected, small, better = 0, 0, True
-    for steps in range(1, most_steps + 1):  # noqa: B007
-        if better:
-            gradient = camera_gradient(by_point, cameras, shape)
-            information, _ = frame_moments(by_frame, shape, shape_moments(shape, certain))
-            scale = float(np.einsum("tjj->", information)) / (4 * len(cameras))
-        added = damping * scale
-        inverse, _ = invert_information(information, np.full(4, added), 1.0)
-        system = System(cameras, shape, inverses, information, inverse, gradient, added)
-        step = reduced_step(by_point, by_frame, system, ACCURACY, MOST_PRODUCTS)
-        with np.errstate(over="ignore", invalid="ignore"):  # steps may run away where damping is too small
-            promised = -float(np.sum(step * gradient))
-        if damping <= NEAR and promised <= tolerance * error:
-            break  # even an undamped step would hardly gain
-        reached, spreads, left = eliminate_points(by_point, cameras + step)
-        better = left < error
-        if better:
-            damping, rejected = max(damping / BOLDNESS, LEAST_DAMPING), 0
-            small = small + 1 if error - left <= tolerance * error else 0
-            error = left
-            cameras, shape, inverses = _in_gauge(cameras + step, reached, spreads, points, rank)
-            if small == STILL or error <= enough:
-                break
-        else:
-            damping, rejected = damping * BOLDNESS, rejected + 1
-            if rejected == MOST_REJECTED:
-                break
-    return LeastSquares(cameras, shape, error, steps)
+    return levenberg_marquardt(
+        LeastSquares(*_in_gauge(cameras, shape, inverses, points, rank), error),
+        linearised,
+        lambda before, after: before.error - after.error <= tolerance * before.error,
+        Damping(damping, least=LEAST_DAMPING, most=MOST_DAMPING),
+        most_steps=most_steps,
+        patience=STILL,
+    ).place
 
 
 def _in_gauge(

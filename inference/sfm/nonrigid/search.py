@@ -6,11 +6,13 @@ whatever the deformation is.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....models.numerics.rotations import nearest_rotation
+from ...least_squares import Damping, levenberg_marquardt
 from ..affine_camera import euclidean, scaled_rotations
 from ..factor_analysis.factorisation import factorise
 from .em import (
@@ -179,8 +181,8 @@ def _angles(one: Numbers, other: Numbers) -> Numbers:
     return angles
 
 
-STEPS = 100
-ROWS_DAMPING, MOST_ROWS_DAMPING = 1e-2, 1e10
+STEPS = 1000
+ROWS_DAMPING = Damping(1e-2, rise=4.0)
 LEAST_GAIN = 1e-7
 """Of the sum of squares, as a share: below this nothing more is to be had."""
 ROWS_RIDGE = 1e-9
@@ -213,36 +215,49 @@ def rotations_of_rank(positions: Numbers, ranks: set[int]) -> list[Numbers]:
     for rank in sorted({min(rank, strong) for rank in ranks if strong >= LEAST_RANK}):
         motion = left[:, :rank] * np.sqrt(2 * n_frames * values[:rank] / values[0])
         motion = motion.reshape(n_frames, 2, rank)
-        found.append(_rotations(_corrected(motion, np.eye(rank, 3))[0]))
+        found.append(_rotations(_corrected(motion, np.eye(rank, 3)).rows))
         firsts = random.standard_normal((RANDOM_STARTS, rank, 3)) / np.sqrt(rank)
         solved = [_corrected(motion, first) for first in firsts]
-        found.append(_rotations(min(solved, key=lambda each: each[1])[0]))
+        found.append(_rotations(min(solved, key=lambda each: each.squares).rows))
     return found
 
 
-def _corrected(motion: Numbers, correction: Numbers) -> tuple[Numbers, float]:
-    """Rows `(n_frames, 2, 3)` near orthonormality, `motion` `(n_frames, 2, r)` times Q; the squares left."""
-    rank = motion.shape[2]
-    rows = motion @ correction
-    residual = _violations(rows)
-    squares, damping = float(residual @ residual), ROWS_DAMPING
-    for _ in range(STEPS):
-        jacobian = _derivatives(motion, rows)
-        normal, pull = jacobian.T @ jacobian, jacobian.T @ residual
+class _Corrected(NamedTuple):
+    """A correction Q, rows `(n_frames, 2, 3)`, how they violate orthonormality, and the squares of that."""
+
+    correction: Numbers
+    rows: Numbers
+    violations: Numbers
+    squares: float
+
+
+def _corrected(motion: Numbers, first: Numbers) -> _Corrected:
+    """Rows near orthonormality, `motion` `(n_frames, 2, r)` times Q, from a first Q `(r, 3)`."""
+
+    def at(correction: Numbers) -> _Corrected:
+        rows = motion @ correction
+        violations = _violations(rows)
+        return _Corrected(correction, rows, violations, float(violations @ violations))
+
+    def linearised(here: _Corrected) -> Callable[[float], _Corrected | None]:
+        jacobian = _derivatives(motion, here.rows)
+        normal, pull = jacobian.T @ jacobian, jacobian.T @ here.violations
         diagonal = np.diag(normal)
-        before = squares
-        while damping < MOST_ROWS_DAMPING:
+
+        def step(damping: float) -> _Corrected | None:
             damped = normal + np.diag(damping * diagonal + ROWS_RIDGE * diagonal.mean())
-            tried = correction - np.linalg.solve(damped, pull).reshape(rank, 3)
-            left = _violations(motion @ tried)
-            if left @ left < squares:
-                correction, rows, residual, squares = tried, motion @ tried, left, float(left @ left)
-                damping /= 10
-                break
-            damping *= 4
-        if before - squares <= LEAST_GAIN * before:
-            break
-    return rows, squares
+            reached = at(here.correction - np.linalg.solve(damped, pull).reshape(first.shape))
+            return reached if reached.squares < here.squares else None
+
+        return step
+
+    return levenberg_marquardt(
+        at(first),
+        linearised,
+        lambda before, after: before.squares - after.squares <= LEAST_GAIN * before.squares,
+        ROWS_DAMPING,
+        most_steps=STEPS,
+    ).place
 
 
 def _violations(rows: Numbers) -> Numbers:

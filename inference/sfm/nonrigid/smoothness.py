@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from ....models.numerics.rotations import logarithm
+from ...least_squares import Damping, levenberg_marquardt
 from .em import (
     RIDGE,
     PointSums,
@@ -35,7 +36,9 @@ Numbers = NDArray[np.float64]
 LEAST_FRAMES = 5
 """Fewer say nothing about differences of differences."""
 ITERATIONS = 40
-FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e6
+DAMPING = Damping(1e-4, most=1e6)
+MOST_STEPS = 20
+"""That are tried, with more and more damping."""
 MOST_CORRELATION = 0.9999
 LEAST_SPREAD = 1e-4
 """Of second differences of turns, rad: finer ones no film shows."""
@@ -49,7 +52,7 @@ def smoothed(tracks: Tracks, state: State, on_iteration: Callable[[], None]) -> 
     The log likelihoods of the posterior are those of frames by themselves.
     """
     correlations, spread = np.zeros(len(state.bases) - 1), None
-    prior, damping = basis_covariance(state), FIRST_DAMPING
+    prior, damping = basis_covariance(state), DAMPING.first
     for _ in range(ITERATIONS):
         sums = point_sums(tracks, state.bases)
         found = smooth_weights(state, sums, correlations)[0]
@@ -154,19 +157,25 @@ def _turned(
         squares = float(np.sum(second_differences(at.rotations) ** 2))
         return smooth_weights(at, sums, correlations)[2] - squares / (2 * spread)
 
-    n, before = len(normal), posterior(state)
-    rows = _differences(n)
-    turns = sparse.kron(sparse.eye(n), sparse.eye(6, 3))
-    pull = pull - (turns @ (rows.T @ second_differences(state.rotations).ravel()) / spread).reshape(n, 6)
-    smooth = turns @ (rows.T @ rows) @ turns.T / spread
-    diagonal = np.diagonal(normal, axis1=1, axis2=2)
-    ridge = RIDGE * diagonal.max(axis=1)[:, None]
-    while damping < MOST_DAMPING:
-        added = (damping * diagonal + ridge).ravel()
-        whole = smooth + sparse.block_diag(list(normal)) + sparse.diags(added)
-        step = spsolve(sparse.csc_matrix(whole), pull.ravel(), permc_spec="NATURAL").reshape(n, 6)
-        moved = moved_poses(state, step)
-        if posterior(moved) >= before:
-            return moved, damping / 10
-        damping *= 10
-    return state, FIRST_DAMPING
+    def linearised(at: State) -> Callable[[float], State | None]:
+        n, before = len(normal), posterior(at)
+        rows = _differences(n)
+        turns = sparse.kron(sparse.eye(n), sparse.eye(6, 3))
+        smooth_pull = (turns @ (rows.T @ second_differences(at.rotations).ravel()) / spread).reshape(n, 6)
+        right = (pull - smooth_pull).ravel()
+        smooth = turns @ (rows.T @ rows) @ turns.T / spread
+        diagonal = np.diagonal(normal, axis1=1, axis2=2)
+        ridge = RIDGE * diagonal.max(axis=1)[:, None]
+
+        def step(damping: float) -> State | None:
+            added = (damping * diagonal + ridge).ravel()
+            whole = smooth + sparse.block_diag(list(normal)) + sparse.diags(added)
+            change = spsolve(sparse.csc_matrix(whole), right, permc_spec="NATURAL").reshape(n, 6)
+            moved = moved_poses(at, change)
+            return moved if posterior(moved) >= before else None
+
+        return step
+
+    damped = replace(DAMPING, first=damping)
+    found = levenberg_marquardt(state, linearised, lambda *_: True, damped, most_steps=MOST_STEPS)
+    return found.place, DAMPING.first if found.place is state else found.damping

@@ -5,6 +5,7 @@ Levenberg-Marquardt on the log likelihood under Student's noise, each step weigh
 McLauchlan, Hartley and Fitzgibbon, "Bundle adjustment - a modern synthesis", 2000).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from scipy.sparse import csr_array
 
 from ....models.camera.perspective_camera import NEAREST, PerspectiveCameras
 from ....models.numerics.rotations import exponential
+from ...least_squares import Damping, levenberg_marquardt
 from ..factor_analysis.observations import Listed, Numbers
 from .kernels import (
     CAMERA,
@@ -26,8 +28,9 @@ from .kernels import (
 )
 from .student_noise import StudentNoise
 
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e8
-"""Share of the diagonal that is added to it."""
+DAMPING = Damping(1e-3, least=1e-9, most=1e9)
+STILL = 3
+"""Steps in a row that hardly gain: one may be short because it was damped."""
 
 BEHIND = 1e6
 """px^2: the squared distance that stands for a point behind a camera, and the largest that is told apart."""
@@ -64,15 +67,12 @@ class Bundle:
         px^2 at weight 1.
     log_likelihood
         of all observations, nats.
-    steps
-        that were tried.
     """
 
     cameras: PerspectiveCameras
     shape: Numbers
     noise: StudentNoise
     log_likelihood: float
-    steps: int
 
 
 def about(by_point: Listed, principal: Numbers) -> Listed:
@@ -119,26 +119,31 @@ def adjust(
     """
     squares = squares_of(listed, cameras, shape)
     noise = StudentNoise.of_errors(squares, listed.weight)
-    likelihood = noise.log_likelihood(squares, listed.weight)
-    damping, small, sums, steps = FIRST_DAMPING, 0, None, 0
-    for steps in range(1, most_steps + 1):  # noqa: B007
-        if sums is None:
-            sums = sums_of(listed, noise.weights(squares, listed.weight), cameras, shape)
-        moved = _step(listed, sums, damping, cameras, shape, focal_known)
-        reached = None if moved is None else squares_of(listed, *moved)
-        if moved is None or reached is None or noise.log_likelihood(reached, listed.weight) <= likelihood:
-            damping *= 10
-            if damping > MOST_DAMPING:
-                break
-            continue
-        (cameras, shape), squares, sums = moved, reached, None
-        noise = noise.rescaled(squares, listed.weight)
-        better = noise.log_likelihood(squares, listed.weight)
-        small = small + 1 if better - likelihood < tolerance else 0
-        likelihood, damping = better, max(damping / 10, LEAST_DAMPING)
-        if small == 3:
-            break
-    return Bundle(cameras, shape, noise, likelihood, steps)
+
+    def linearised(at: Bundle) -> Callable[[float], Bundle | None]:
+        squares = squares_of(listed, at.cameras, at.shape)
+        sums = sums_of(listed, at.noise.weights(squares, listed.weight), at.cameras, at.shape)
+
+        def step(damping: float) -> Bundle | None:
+            moved = _moved(listed, sums, damping, at, focal_known)
+            if moved is None:
+                return None
+            squares = squares_of(listed, *moved)
+            if at.noise.log_likelihood(squares, listed.weight) <= at.log_likelihood:
+                return None
+            noise = at.noise.rescaled(squares, listed.weight)
+            return Bundle(*moved, noise, noise.log_likelihood(squares, listed.weight))
+
+        return step
+
+    return levenberg_marquardt(
+        Bundle(cameras, shape, noise, noise.log_likelihood(squares, listed.weight)),
+        linearised,
+        lambda before, after: after.log_likelihood - before.log_likelihood < tolerance,
+        DAMPING,
+        most_steps=most_steps,
+        patience=STILL,
+    ).place
 
 
 def retriangulated(listed: Listed, found: Bundle) -> Numbers:
@@ -194,13 +199,8 @@ def reduced(
     return matrix, vector, inverses
 
 
-def _step(
-    listed: Listed,
-    sums: Sums,
-    damping: float,
-    cameras: PerspectiveCameras,
-    shape: Numbers,
-    focal_known: bool,
+def _moved(
+    listed: Listed, sums: Sums, damping: float, at: Bundle, focal_known: bool
 ) -> tuple[PerspectiveCameras, Numbers] | None:
     """Cameras and shape after a step; `None` if the normal equations are not positive definite."""
     matrix, vector, inverses = reduced(listed, sums, damping, focal_known=focal_known)
@@ -215,7 +215,7 @@ def _step(
         return None
     if not np.isfinite(step).all():
         return None
-    by_camera = step[:-1].reshape(-1, CAMERA)
+    by_camera, cameras = step[:-1].reshape(-1, CAMERA), at.cameras
     moved = replace(
         cameras,
         rotations=exponential(by_camera[:, :3]) @ cameras.rotations,
@@ -223,7 +223,7 @@ def _step(
         shifts=cameras.shifts + by_camera[:, 4:],
         curvature=cameras.curvature + float(step[-1]),
     )
-    return moved, shape + put_in(listed, inverses, sums.mixed, sums.mixed_border, sums.point_vector, step)
+    return moved, at.shape + put_in(listed, inverses, sums.mixed, sums.mixed_border, sums.point_vector, step)
 
 
 HELD = 1e6

@@ -265,7 +265,7 @@ class _Growth:
         by_frame = Listed.sorted_by(frames, len(seen), columns, x, y, np.ones(len(x)))
         listed = by_frame.transposed(len(points))
         noise = StudentNoise((NEAR / 2) ** 2, 4.0)
-        part = Bundle(self._cameras.of(self._frames), self._shape[points], noise, 0.0, 0)
+        part = Bundle(self._cameras.of(self._frames), self._shape[points], noise, 0.0)
         return part, listed, points
 
 

@@ -17,7 +17,7 @@ from ....models.core.short_repr import short_repr
 from ..affine_camera import Euclidean, euclidean
 from ..factor_analysis.factorisation import projected
 from ..factor_analysis.observations import Listed, Numbers, Observations, determined
-from ..factor_analysis.variable_projection import NEAR, least_squares
+from ..factor_analysis.variable_projection import NEAR, variable_projection
 from .bundle_adjustment import (
     Bundle,
     BundleCovariance,
@@ -105,7 +105,7 @@ def affine_fit(positions: ArrayLike, weights: ArrayLike, cameras: Numbers, shape
 
 def _refitted(positions: Numbers, weights: Numbers, cameras: Numbers) -> tuple[Numbers, Numbers]:
     observations = Observations.from_arrays(positions, weights)
-    found = least_squares(
+    found = variable_projection(
         observations,
         observations.scaled(cameras),
         damping=NEAR,

@@ -193,7 +193,7 @@ def test_new_points_are_better_ones() -> None:
     behind = film.shape.copy()
     behind[::4] *= -3
     noise = adjust(listed, film.cameras, film.shape, focal_known=False).noise
-    bundle = Bundle(film.cameras, behind, noise, 0.0, 0)
+    bundle = Bundle(film.cameras, behind, noise, 0.0)
     found = retriangulated(listed, bundle)
 
     def costs(shape: Numbers) -> Numbers:
