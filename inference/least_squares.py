@@ -3,6 +3,15 @@
 A step solves normal equations with something added to their diagonal: much where the last step did harm,
 little where it did good. Problems differ in how a step is solved (by conjugate gradients, with points
 eliminated, on rotations); the loop has the damping, what is taken and what is refused, and the end.
+
+Measured against `scipy.optimize.least_squares` (one core): joint least squares of cameras and points with a
+sparse Jacobian takes 3 to 46 times as long as a solve by variable projection and stays above its error (`make
+bench`); the rotations of a deforming shape, small and dense, take it 4.4 ms (`lm`) and 8.3 ms (`trf`) instead
+of 2.9 ms, and it ends higher from one start in ten. It serves where parameters have bounds (`sfm.parallax`).
+
+Three loops are their own. Landmarks are fitted in 256 frames at once, each with a damping of its own: one by
+one they take 11 times as long. The poses of a deforming shape take one step of that kind in each iteration of
+EM. The experts on a face climb in compiled threads, which cannot call back into Python.
 """
 
 from collections.abc import Callable

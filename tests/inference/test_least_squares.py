@@ -1,0 +1,97 @@
+"""Steps lower the error until it stands still; scipy finds the same minimum."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rsmcm.inference.least_squares import Damping, levenberg_marquardt
+from scipy.optimize import least_squares
+
+Numbers = np.ndarray
+
+
+def residuals(x: Numbers) -> Numbers:
+    """Rosenbrock's valley."""
+    return np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]])
+
+
+def jacobian(x: Numbers) -> Numbers:
+    return np.array([[-20 * x[0], 10.0], [-1.0, 0.0]])
+
+
+def linearised(x: Numbers) -> Callable[[float], Numbers | None]:
+    rows, error = jacobian(x), residuals(x)
+
+    def step(damping: float) -> Numbers | None:
+        normal = rows.T @ rows
+        moved = x - np.linalg.solve(normal + damping * np.diag(np.diag(normal)), rows.T @ error)
+        return moved if np.sum(residuals(moved) ** 2) < np.sum(error**2) else None
+
+    return step
+
+
+def hardly(before: Numbers, after: Numbers) -> bool:
+    return bool(np.abs(after - before).max() < 1e-12)
+
+
+@settings(max_examples=20)
+@given(st.tuples(st.floats(-3, 3), st.floats(-3, 3)))
+def test_the_minimum_is_that_of_scipy(start: tuple[float, float]) -> None:
+    found = levenberg_marquardt(np.array(start), linearised, hardly, Damping(), most_steps=1000)
+    np.testing.assert_allclose(
+        found.place, least_squares(residuals, start, jacobian, xtol=1e-12).x, atol=1e-6
+    )
+
+
+def test_no_step_raises_the_error() -> None:
+    seen: list[float] = []
+
+    def watched(x: Numbers) -> Callable[[float], Numbers | None]:
+        seen.append(float(np.sum(residuals(x) ** 2)))
+        return linearised(x)
+
+    levenberg_marquardt(np.array([-1.2, 1.0]), watched, hardly, Damping(), most_steps=1000)
+    assert len(seen) > 5
+    assert (np.diff(seen) < 0).all()
+
+
+def test_damping_falls_and_rises() -> None:
+    answers = iter([1, None, None, 2, 3])
+    asked: list[float] = []
+
+    def scripted(place: int) -> Callable[[float], int | None]:
+        def step(damping: float) -> int | None:
+            asked.append(damping)
+            return next(answers)
+
+        return step
+
+    found = levenberg_marquardt(
+        0, scripted, lambda *_: False, Damping(1.0, fall=2.0, rise=8.0, least=0.75), most_steps=5
+    )
+    assert asked == [1.0, 0.75, 6.0, 48.0, 24.0]
+    assert (found.place, found.damping, found.steps) == (3, 12.0, 5)
+
+
+@pytest.mark.parametrize(("patience", "steps"), [(1, 1), (3, 3)])
+def test_so_many_settled_steps_are_the_end(patience: int, steps: int) -> None:
+    found = levenberg_marquardt(
+        0, lambda at: lambda _: at + 1, lambda *_: True, Damping(), most_steps=9, patience=patience
+    )
+    assert (found.place, found.steps) == (steps, steps)
+
+
+def test_where_no_step_helps_it_ends_with_the_most_damping() -> None:
+    found = levenberg_marquardt(
+        0, lambda at: lambda _: None, lambda *_: False, Damping(1.0, most=1e3), most_steps=99
+    )
+    assert (found.place, found.steps) == (0, 3)
+
+
+def test_a_problem_may_say_that_nothing_is_to_be_gained() -> None:
+    place = object()
+    found = levenberg_marquardt(place, lambda at: lambda _: at, lambda *_: False, Damping(), most_steps=99)
+    assert found.place is place
+    assert found.steps == 1
