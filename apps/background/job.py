@@ -1,17 +1,19 @@
 """What the background application is asked for."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from cyclopts import Parameter
 
-from ..options.job import FilmJob, resolved
+from ..options.job import Bounds, FilmJob, resolved
 
 Camera = Literal["fixed", "moving"]
 Engine = Literal["recursive-bp", "feed-forward", "stand-alone", "coordinate-ascent"]
 WHOLE_FILM: Engine = "coordinate-ascent"
+WHOLE = f"--engine {WHOLE_FILM}"
 Masks = Literal["none", "png", "video"]
 
 
@@ -70,37 +72,25 @@ class BackgroundJob(FilmJob):
     zones: Path | None = None
     chain: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = ()
 
+    BOUNDS: ClassVar[Bounds] = {
+        "warm_up": (lambda seconds: 0 < seconds < math.inf, "seconds, more than 0"),
+    }
+    EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (
+        ("--chain", "--engine stand-alone"),
+        ("--detections", "--camera moving"),
+        ("--detections", "--engine stand-alone"),
+        ("--zones", "--engine stand-alone"),
+        ("--warm-up", WHOLE, "the second finds the empty scene from the whole film"),
+        ("--warm-up", "--camera moving"),
+        ("--warm-up", "--from", "--from knows the empty scene"),
+        (WHOLE, "--camera moving"),
+        (WHOLE, "--from", "--from knows the empty scene"),
+    )
+
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.chain and self.engine == "stand-alone":
-            raise ValueError("--chain and --engine stand-alone: got both, expected one of them")
-        if self.detections is not None and self.camera == "moving":
-            raise ValueError("--detections and --camera moving: got both, expected one of them")
-        if self.detections is not None and self.engine == "stand-alone":
-            raise ValueError("--detections and --engine stand-alone: got both, expected one of them")
-        if self.zones is not None and self.engine == "stand-alone":
-            raise ValueError("--zones and --engine stand-alone: got both, expected one of them")
         if self.classes and self.detections is None:
             raise ValueError("--classes: got it without --detections, expected both")
-        if self.warm_up is not None:
-            if not 0 < self.warm_up < math.inf:
-                raise ValueError(f"--warm-up: got {self.warm_up:g}, expected seconds, more than 0")
-            if self.engine == WHOLE_FILM:
-                raise ValueError(
-                    "--warm-up and --engine coordinate-ascent: got both, expected one of them "
-                    "(the second finds the empty scene from the whole film)"
-                )
-        begun = {
-            "--warm-up": self.warm_up is not None,
-            f"--engine {WHOLE_FILM}": self.engine == WHOLE_FILM,
-        }
-        for option in (name for name, given in begun.items() if given):
-            if self.camera == "moving":
-                raise ValueError(f"{option} and --camera moving: got both, expected one of them")
-            if self.learned is not None:
-                raise ValueError(
-                    f"{option} and --from: got both, expected one of them (--from knows the empty scene)"
-                )
 
     @property
     def class_names(self) -> list[str]:

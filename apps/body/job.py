@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from cyclopts import Parameter
 
-from ..options.job import FilmJob, resolved
+from ..options.job import Bounds, FilmJob, resolved
 
 FEWEST_SAMPLES = 10
 
@@ -52,12 +52,13 @@ class BodyJob(FilmJob):
     samples: int = 1000
     lag: int | None = None
 
+    BOUNDS: ClassVar[Bounds] = {
+        "samples": (lambda samples: samples >= FEWEST_SAMPLES, f"{FEWEST_SAMPLES} or more"),
+        "lag": (lambda frames: 0 <= frames <= MOST_LAG, f"0 to {MOST_LAG} frames"),
+    }
+
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.samples < FEWEST_SAMPLES:
-            raise ValueError(f"--samples: got {self.samples}, expected {FEWEST_SAMPLES} or more")
-        if self.lag is not None and not 0 <= self.lag <= MOST_LAG:
-            raise ValueError(f"--lag: got {self.lag}, expected 0 to {MOST_LAG} frames")
         if self.learned is not None:
             for name in ("head", "joints"):
                 if getattr(self, name) is not None:

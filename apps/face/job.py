@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
-from ..options.job import FilmJob, resolved
+from ..options.job import Bounds, FilmJob, resolved
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,12 +44,13 @@ class FaceJob(FilmJob):
     experts: int = 20
     gain: float | Literal["learned"] = 0.1
 
+    BOUNDS: ClassVar[Bounds] = {
+        "experts": (lambda experts: experts >= 1, "1 or more"),
+        "gain": (lambda gain: gain == "learned" or 0 <= gain <= 1, "0 to 1, or learned"),
+    }
+
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.experts < 1:
-            raise ValueError(f"--experts: got {self.experts}, expected 1 or more")
-        if self.gain != "learned" and not 0 <= self.gain <= 1:
-            raise ValueError(f"--gain: got {self.gain}, expected 0 to 1, or learned")
         if self.learned is not None:
             for name in ("model", "landmarks", "detector"):
                 if getattr(self, name) is not None:

@@ -19,7 +19,6 @@ from cyclopts import (
     UnknownCommandError,
     UnknownOptionError,
     UnusedCliTokensError,
-    ValidationError,
     convert,
 )
 
@@ -45,18 +44,6 @@ def convert_strictly(kind: Any, tokens: Sequence[Token]) -> Any:
         if not typed or (int in _kinds(kind) and not is_taken):
             raise ValueError
     return convert(kind, tokens)
-
-
-def not_negative(_: object, number: int | None) -> None:
-    """Refuse a number below 0; one that was not given is none.
-
-    Raises
-    ------
-    ValueError
-        if it is one.
-    """
-    if number is not None and number < 0:
-        raise ValueError("expected 0 or more")
 
 
 def one_line(error: Exception) -> str:
@@ -116,8 +103,6 @@ def _of_arguments(error: CycloptsError) -> str:
                 return f"{name}: got a value, expected none"
             got = repr(token.value) if token.value else "no value"
             return f"{name}: got {got}, expected {_expected(argument.hint)}"
-        case ValidationError(argument=Argument() as argument, exception_message=expected):
-            return f"{_name(argument)}: got {argument.tokens[-1].value}, {expected}"
         case _:
             return str(error)
 

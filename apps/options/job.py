@@ -3,19 +3,25 @@
 The docstrings are the command line's help. Nothing here takes long to import.
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from cyclopts import Group, Parameter
 
 from ..live.address import read_address
-from .complaints import not_negative
 
 T = TypeVar("T")
 Flag = Annotated[bool, Parameter(negative="")]
-Seed = Annotated[int, Parameter(validator=not_negative)]
 OfRuns = Annotated[T, Parameter(group=Group("Of every run", sort_key=1))]
+
+
+Bounds = Mapping[str, tuple[Callable[[Any], bool], str]]
+"""By field: what a value that is given has to fulfil, and this in words."""
+
+NAMES = {"learned": "from"}
+"""Of options that are called otherwise than their fields."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +66,29 @@ class Job:
     overwrite: OfRuns[Flag] = False
     reconnect: OfRuns[float | None] = None
 
+    BOUNDS: ClassVar[Bounds] = {}
+    EXCLUSIVE: ClassVar[Sequence[tuple[str, ...]]] = (("--resume", "--overwrite"),)
+    """Pairs of options, perhaps with one of their values, that are not given together, and perhaps why."""
+
     def __post_init__(self) -> None:
-        if self.resume and self.overwrite:
-            raise ValueError("--resume and --overwrite: got both, expected one of them")
+        for kind in reversed(type(self).__mro__):
+            for name, (holds, expected) in vars(kind).get("BOUNDS", {}).items():
+                value = getattr(self, name)
+                if value is not None and not holds(value):
+                    got = f"{value:g}" if isinstance(value, float) else value
+                    option = NAMES.get(name, name).replace("_", "-")
+                    raise ValueError(f"--{option}: got {got}, expected {expected}")
+            for one, other, *why in vars(kind).get("EXCLUSIVE", ()):
+                if self._given(one) and self._given(other):
+                    reason = f" ({why[0]})" if why else ""
+                    raise ValueError(f"{one} and {other}: got both, expected one of them{reason}")
+
+    def _given(self, option: str) -> bool:
+        """Whether an option is given; of `--name value`, with this value."""
+        name, _, value = option.removeprefix("--").partition(" ")
+        field = next((field for field, other in NAMES.items() if other == name), name.replace("-", "_"))
+        given = getattr(self, field)
+        return given == value if value else given not in (None, False, ())
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source: a run is resumed only with the same."""
@@ -89,15 +115,18 @@ class FilmJob(Job):
 
     every: OfRuns[int] = 500
     learned: Annotated[Path | None, Parameter(name="--from", group="Of every run")] = None
-    seed: OfRuns[Seed] = 0
+    seed: OfRuns[int] = 0
     live: OfRuns[str | None] = None
+
+    BOUNDS: ClassVar[Bounds] = {
+        "every": (lambda frames: frames >= 1, "1 or more frames"),
+        "seed": (lambda seed: seed >= 0, "0 or more"),
+    }
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.live is not None:
             read_address(self.live)
-        if self.every < 1:
-            raise ValueError(f"--every: got {self.every}, expected 1 or more frames")
 
     def settings(self) -> dict[str, Any]:
         """What the results depend on, beside the source: a run is resumed only with the same."""

@@ -2,9 +2,9 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
-from ..options.job import Job
+from ..options.job import Bounds, Job
 
 Coherence = Literal["second-order", "none"]
 Association = Literal["dual-chain", "none"]
@@ -40,10 +40,10 @@ class StructureJob(Job):
     camera: Camera = "auto"
     focal: float | None = None
 
+    BOUNDS: ClassVar[Bounds] = {"focal": (lambda px: 0 < px < math.inf, "px, more than 0")}
+
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.focal is not None and not 0 < self.focal < math.inf:
-            raise ValueError(f"--focal: got {self.focal:g}, expected px, more than 0")
         if self.focal is not None and self.camera == "affine":
             raise ValueError("--focal: got one with --camera affine, expected a camera that has one")
 
