@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference import Belief
-from ...models.camera.affine_map import AffineMap
-from ...models.camera.registration import ScenePicture, is_thin
-from ...models.core.grey import grey_of
+from ...models.camera.moving_camera import AffineMap, ScenePicture, is_thin
+from ...models.core.pictures import grey_of
 
 _log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...inference.engine.sequence import LazyFrames
 from ...models.core.frame import Frame
-from ...models.core.grey import grey_of
+from ...models.core.pictures import grey_of
 from .sources.open_source import Source
 
 

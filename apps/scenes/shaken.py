@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.camera.affine_map import UNKNOWNS, AffineMap
+from ...models.camera.moving_camera import UNKNOWNS, AffineMap
 from ...models.core.frame import Frame
 
 Picture = NDArray[np.uint8] | NDArray[np.float32]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...inference import CoordinateAscent, Solution
 from ...inference.sfm.parallax import AS_WELL, MOST, Kind, Motion, motion_of, variance_over_shape
 from ...models.core.frame import Frame
-from ...models.core.grey import grey_of
+from ...models.core.pictures import grey_of
 from .reconstruction import FEWEST_POINTS, Numbers, Reconstruction, following
 
 FEWEST_FRAMES = 3

@@ -18,7 +18,7 @@ from ...models.body.upper_body import UpperBody
 from ...models.core.frame import Frame
 from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
 from ...models.core.short_repr import short_repr
-from ...models.numerics.log_sums import log_sums
+from ...models.numerics.densities import log_sums
 from .flesh.assignment import VISIBLE, Answers, PartOptions, Things
 from .flesh.clutter import Clutter, ClutterMatch
 from .flesh.moving_parts import MovingParts

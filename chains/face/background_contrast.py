@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.grey import grey_of
+from ...models.core.pictures import grey_of
 from ...models.face.outline import Box
 from ...models.face.pose import Poses
 from ...models.face.visibility import visible

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.grey import grey_of
+from ...models.core.pictures import grey_of
 from ...models.core.short_repr import short_repr
 from ...models.face.outline import Box
 from ...models.numerics.threads import over_bands

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Cavity, Incoming, Port
 from ...models.core.frame import Frame
-from ...models.core.pickling import PickledByFields
-from ...models.core.short_repr import short_repr
+from ...models.core.short_repr import PickledByFields, short_repr
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.face.surface_points import SurfacePoints

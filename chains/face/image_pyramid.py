@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.grey import grey_of
+from ...models.core.pictures import grey_of
 from ...models.numerics.threads import side_by_side
 
 Picture = NDArray[np.float32]

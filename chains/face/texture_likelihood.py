@@ -11,8 +11,8 @@ from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import RIGID, Poses
 from ...models.face.surface_texels import SurfaceTexels
 from ...models.face.visibility import visible
+from ...models.numerics.compiled import LANES
 from ...models.numerics.threads import over_bands
-from ...models.numerics.vectors import LANES
 from .image_pyramid import Level
 from .kernels import normal_equations as newton_kernels
 from .kernels import warp as warp_kernels

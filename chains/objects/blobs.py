@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.camera.affine_map import AffineMap
+from ...models.camera.moving_camera import AffineMap
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_detector import FOOT_X, FOOT_Y, HEIGHT
 from .kernels.masks import MaskShape, shape_of

@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...inference.linear_motion import kinematic
+from ...inference.kalman import kinematic
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH
 from ...models.objects.box_message import BoxMessage, LogOdds

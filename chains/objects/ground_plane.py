@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
-from ...inference.linear_motion import kinematic
+from ...inference.kalman import kinematic
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_detector import HEIGHT, WIDTH

@@ -8,8 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.kalman import PointStates, filter_tracks, smooth
-from ...inference.linear_motion import kinematic
+from ...inference.kalman import PointStates, filter_tracks, kinematic, smooth
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.core.short_repr import short_repr
 from ...models.objects.box_detector import BOX, FOOT_X, FOOT_Y, HEIGHT, WIDTH

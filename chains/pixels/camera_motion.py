@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.engine.protocols import Incoming, Port
-from ...models.camera.affine_map import UNKNOWNS
-from ...models.camera.view import View
+from ...models.camera.moving_camera import UNKNOWNS, View
 from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from ...models.pixels.pixel_labels import PixelMessage

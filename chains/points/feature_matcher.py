@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from ...inference.engine.protocols import BatchIncoming, Port, Smoothed
 from ...models.core.gaussian_message import GaussianMessage
-from ...models.core.grey import grey_of
-from ...models.core.mahalanobis import squared_distances
+from ...models.core.pictures import grey_of
 from ...models.core.short_repr import short_repr
+from ...models.numerics.densities import squared_distances
 from ...models.points.patches import Patches, sample_patches
 from ...models.points.point_tracks import PointMessage, PointTracks
 from .features import Features, FilmMatches, find_features

@@ -24,8 +24,8 @@ from scipy.spatial import cKDTree
 from ...inference.engine.protocols import BatchIncoming, Incoming, Port, Smoothed
 from ...models.core.frame import Frame
 from ...models.core.gaussian_message import GaussianMessage
-from ...models.core.mahalanobis import squared_distances
 from ...models.core.short_repr import short_repr
+from ...models.numerics.densities import squared_distances
 from ...models.points.patches import Patches, ncc
 from ...models.points.point_tracks import PointMessage, PointTracks
 from .tracker import (

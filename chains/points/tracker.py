@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from ...inference import kalman
 from ...inference.kalman import STATE, PointStates
 from ...models.core.gaussian_message import GaussianMessage
-from ...models.core.mahalanobis import squared_distances
 from ...models.core.short_repr import short_repr
+from ...models.numerics.densities import squared_distances
 from ...models.points.patches import Patches, ncc, with_light_of
 from ...models.points.point_tracks import PointMessage, View
 from .trajectory import MEDIAN

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ...inference.kalman import PointStates, cavity, filter_tracks, smooth
 from ...models.core.gaussian_message import GaussianMessage
-from ...models.core.mahalanobis import squared_distances
 from ...models.core.short_repr import short_repr
+from ...models.numerics.densities import squared_distances
 
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inference.linear_motion import kinematic
+from ...inference.kalman import kinematic
 from ...inference.sfm.factor_analysis.em import CameraPrior, estimate_cameras
 from ...models.core.short_repr import short_repr
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inference.sfm.factor_analysis.em import homogeneous
-from ...models.core.mahalanobis import squared_distances
 from ...models.core.short_repr import short_repr
+from ...models.numerics.densities import squared_distances
 from . import camera_motion
 from .camera_motion import CameraMotion
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.core.drawing import as_bgr
+from ...models.core.pictures import as_bgr
 
 
 @runtime_checkable

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.gaussian_mixtures import GaussianMixtures
-from ..core.grey import grey_of
+from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
 from .keypoints import SeenKeypoints
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.short_repr import short_repr
-from ..numerics.log_sums import log_sums
+from ..numerics.densities import log_sums
 from .image_features import BodyImage
 from .upper_body import PARTS
 

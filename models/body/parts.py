@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.drawing import draw_region
 from ..core.frame import BoundingBox, Frame
 from ..core.gaussian_mixtures import GaussianMixtures
+from ..core.pictures import draw_region
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from ..numerics.threads import side_by_side

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .kernels.gaussians import invert
+from .kernels import invert
 from .short_repr import short_repr
 
 Numbers = NDArray[np.float64]

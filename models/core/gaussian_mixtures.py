@@ -8,9 +8,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.log_sums import log_sums
+from ..numerics.densities import log_sums
 from ..numerics.threads import over_bands
-from .kernels.gaussian_mixtures import products, sums_of_densities, sums_over_hypotheses
+from .kernels import products, sums_of_densities, sums_over_hypotheses
 from .short_repr import short_repr
 
 Array = NDArray[np.float64]

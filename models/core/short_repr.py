@@ -1,4 +1,7 @@
-"""Short `repr`s: arrays by dtype and shape, collections by their length, parameters where they were set."""
+"""What an object shows and keeps of itself: a `repr` of one line, and pickles of its fields alone.
+
+Arrays are shown by dtype and shape, collections by their length, parameters where they were set.
+"""
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
@@ -90,3 +93,10 @@ def _flat(members: Collection[object]) -> bool:
 
 def _name(value: object) -> str:
     return brief(value) if isinstance(value, np.ndarray) else f"{type(value).__name__}(...)"
+
+
+class PickledByFields:
+    """A dataclass of which fields alone are pickled, and not what its cached properties keep."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.frame import Frame
-from ..core.grey import grey_of
+from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
 
 Array = NDArray[np.float64]

@@ -6,8 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.pickling import PickledByFields
-from ..core.short_repr import short_repr
+from ..core.short_repr import PickledByFields, short_repr
 from ..numerics.rotations import cross_matrices
 from .landmark_fit import LANDMARK_NOISE, fit_points
 from .pose import RIGID, Poses

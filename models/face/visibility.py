@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ..numerics.compiled import LANES
 from ..numerics.threads import over_bands
-from ..numerics.vectors import LANES
 from .kernels import visibility as visibility_kernels
 from .surface_texels import SurfaceTexels
 

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.drawing import FARTHEST, draw_region
 from ..core.frame import Frame
+from ..core.pictures import FARTHEST, draw_region
 from ..core.short_repr import short_repr
 from .box_detector import BoxDetector
 from .box_likelihood import associate

@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera.view import View
+from ..camera.moving_camera import View
 from ..core.frame import Frame
 from ..core.short_repr import short_repr
 from .gaussian import BackgroundFactor, Subtraction

@@ -11,10 +11,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.drawing import draw_region
 from ..core.frame import Frame, GivenPoints
 from ..core.gaussian_message import GaussianMessage
-from ..core.grey import grey_of
+from ..core.pictures import draw_region, grey_of
 from ..core.short_repr import short_repr
 from .patches import Patches, find_corners, sample_patches
 from .search import Before, find_points

@@ -5,7 +5,7 @@ import pytest
 from filterpy.common import Q_continuous_white_noise, kinematic_state_transition, van_loan_discretization
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.inference.linear_motion import LinearMotion, kinematic, ornstein_uhlenbeck_velocity
+from rsmcm.inference.kalman import LinearMotion, kinematic, ornstein_uhlenbeck_velocity
 
 SECONDS = st.floats(0, 10) | st.floats(0, 1e-3)
 

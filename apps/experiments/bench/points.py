@@ -12,8 +12,7 @@ import simdkalman
 from filterpy.kalman import KalmanFilter, rts_smoother
 from numpy.typing import NDArray
 
-from ....inference.kalman import PointStates, filter_tracks, predict, smooth, update
-from ....inference.linear_motion import kinematic
+from ....inference.kalman import PointStates, filter_tracks, kinematic, predict, smooth, update
 from ....models.points.kernels.search import GRID, NEAR, REACH, WHOLE
 from ....models.points.patches import sample_patches
 from ....models.points.point_tracks import PointTracks

@@ -15,7 +15,7 @@ from ....chains.face.gflow import GFlow
 from ....inference import MultiChain, RecursiveBP
 from ....inference.sfm.nonrigid.learning import learn_shape
 from ....models.core.frame import Frame
-from ....models.core.grey import grey_of
+from ....models.core.pictures import grey_of
 from ....models.face.model_files import read_correspondences, read_model
 from ....models.pixels.pixel_labels import PixelLabels
 from ...face.start import FaceStart, start_from_landmarks

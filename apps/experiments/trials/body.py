@@ -21,7 +21,7 @@ from ....inference.engine.recursive_bp import RunState
 from ....models.body.parts import BodyParts
 from ....models.body.upper_body import JOINTS, PARTS
 from ....models.core.frame import Frame
-from ....models.core.mahalanobis import squared_distances
+from ....models.numerics.densities import squared_distances
 from ...body.measures import APART, HANDS, LEAST_VARIANCE, PLACES, BodyTrial, exchanged_hands
 from ...body.overlay import TrackedBody
 from ...scenes import SignerScene, signer

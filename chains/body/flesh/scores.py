@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....models.body.part_message import PartMessage
-from ....models.numerics.log_sums import log_sums
+from ....models.numerics.densities import log_sums
 from .assignment import PartOptions
 from .moving_parts import MovingParts
 

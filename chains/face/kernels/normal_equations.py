@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.numerics.compiled import compiled, inlined
-from ....models.numerics.vectors import LANES, MOST, add_vector, add_vectors, own_array
+from ....models.numerics.compiled import LANES, MOST, add_vector, add_vectors, compiled, inlined, own_array
 from .warp import OFF_PICTURE, Map, fetch, place_corners, place_row, row_length, whole_vectors
 
 _f4 = np.float32

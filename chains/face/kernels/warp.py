@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.numerics.compiled import compiled, inlined
-from ....models.numerics.vectors import LANES, MOST, own_array
+from ....models.numerics.compiled import LANES, MOST, compiled, inlined, own_array
 
 Map = NDArray[np.float32]
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....models.core.frame import Frame
-from ....models.core.pickling import PickledByFields
-from ....models.core.short_repr import short_repr
+from ....models.core.short_repr import PickledByFields, short_repr
 from ....models.face.detectors import PartDetector, for_height
 from ....models.face.morphable_model import MorphableModel
 from ....models.face.pose import Poses

@@ -10,7 +10,7 @@ from .records import FRESH, box_of, length_of
 def move(blobs, dt, noise, acceleration, detected_acceleration):
     """Places and velocities `dt` s on, in place: velocity stays, but for a random force of own lengths/s^2.
 
-    `noise` `(2, 2)` is the covariance of the step for a density of 1 (see `linear_motion.kinematic`).
+    `noise` `(2, 2)` is the covariance of the step for a density of 1 (see `kalman.kinematic`).
     """
     for k in range(blobs.size):
         blob = blobs[k]

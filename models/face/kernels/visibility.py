@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from ...numerics.compiled import compiled, float_as_bits
-from ...numerics.vectors import LANES, MOST, own_array
+from ...numerics.compiled import LANES, MOST, compiled, float_as_bits, own_array
 
 _f4 = np.float32
 _FAR = _f4(1e30)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rsmcm.chains.objects.blob_table import Blobs, BlobState
 from rsmcm.chains.objects.blobs import Blob, DetectedBox, Track, middle_covariance
-from rsmcm.models.camera.affine_map import AffineMap
+from rsmcm.models.camera.moving_camera import AffineMap
 
 
 def test_a_track_is_seen_by_a_camera_that_has_moved_as_its_middle_is() -> None:

@@ -8,8 +8,7 @@ from rsmcm.apps.scenes import ShakenFilm, shaken, sleeping_man
 from rsmcm.chains import AdaptiveBackground, BlobTracker, CameraMotion
 from rsmcm.inference import Belief, Incoming, MultiChain, RecursiveBP
 from rsmcm.models import Frame, PixelLabels, ScenePixels
-from rsmcm.models.camera.affine_map import UNKNOWNS, AffineMap
-from rsmcm.models.camera.view import View
+from rsmcm.models.camera.moving_camera import UNKNOWNS, AffineMap, View
 from rsmcm.models.core.gaussian_message import GaussianMessage
 from rsmcm.models.pixels.pixel_labels import PixelMessage
 from scipy.stats import multivariate_normal

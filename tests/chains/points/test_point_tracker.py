@@ -21,7 +21,7 @@ from rsmcm.inference import (
 from rsmcm.models import Frame, PointTracks
 from rsmcm.models.core.frame import GivenPoints
 from rsmcm.models.core.gaussian_message import GaussianMessage
-from rsmcm.models.core.mahalanobis import squared_distances
+from rsmcm.models.numerics.densities import squared_distances
 from rsmcm.models.points.point_tracks import PointMessage, noise_of_tracks
 
 from ...support.pictures import HEIGHT, WIDTH, Pose, film, hidden_by_a_bar, sliding, turning

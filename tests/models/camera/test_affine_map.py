@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.models.camera.affine_map import AffineMap
+from rsmcm.models.camera.moving_camera import AffineMap
 
 SIZE = (60, 90)
 

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.camera.affine_map import AffineMap
-from rsmcm.models.camera.registration import ScenePicture
+from rsmcm.models.camera.moving_camera import AffineMap, ScenePicture
 from scipy.ndimage import affine_transform
 
 SIZE = (180, 240)

@@ -13,7 +13,7 @@ from rsmcm.models.numerics.code_cache import digest_of, fcntl
 PROGRAM = """
 from numba.core import event
 import numpy as np
-from rsmcm.models.core.kernels.gaussians import invert
+from rsmcm.models.core.kernels import invert
 
 class Compiled(event.Listener):
     names = []

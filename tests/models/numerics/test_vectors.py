@@ -1,8 +1,7 @@
 """Sums of whole vectors, and arrays on the stack, against numpy."""
 
 import numpy as np
-from rsmcm.models.numerics.compiled import compiled
-from rsmcm.models.numerics.vectors import LANES, MOST, add_vector, add_vectors, own_array
+from rsmcm.models.numerics.compiled import LANES, MOST, add_vector, add_vectors, compiled, own_array
 
 
 @compiled

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.core.mahalanobis import squared_distances
+from rsmcm.models.numerics.densities import squared_distances
 from rsmcm.models.points.kernels.search import (
     GRID,
     LEAST_NCC,

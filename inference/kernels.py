@@ -8,7 +8,7 @@ A block is the tuple (xx, xy, yx, yy).
 
 import numpy as np
 
-from ...models.numerics.compiled import compiled, inlined
+from ..models.numerics.compiled import compiled, inlined
 
 LANES = 32
 

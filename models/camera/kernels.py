@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...numerics.compiled import compiled
+from ..numerics.compiled import compiled
 
 UNKNOWNS = 7
 """The six of an affine map, and the contrast."""

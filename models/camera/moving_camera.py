@@ -1,22 +1,128 @@
-"""Registration of a frame with a picture of the scene: by which affine map the one shows the other.
+"""A camera that moves: the affine map by which a frame shows the scene, and how it is found.
 
-Gauss-Newton steps over the points with the strongest gradients, from coarse to fine (Lucas and Kanade 1981,
-with Student's t for what moves by itself). Both pictures are band-passed first, so that smooth changes of
-light do not matter, and one contrast is free.
+A frame is registered with a picture of the scene by Gauss-Newton steps over the points with the strongest
+gradients, from coarse to fine (Lucas and Kanade 1981, with Student's t for what moves by itself). Both
+pictures are band-passed first, so that smooth changes of light do not matter, and one contrast is free.
 """
 
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.frame import BoundingBox
+from ..core.gaussian_message import GaussianMessage
+from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
-from .affine_map import UNKNOWNS, AffineMap
-from .kernels import registration as kernels
+from . import kernels
 
 Numbers = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Value = TypeVar("Value", np.uint8, np.float32)
+
+UNKNOWNS = 6
+"""Numbers of an affine map."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class AffineMap:
+    """Where the places of a scene's picture are seen in a frame of the same size.
+
+    A place x, with (u, v) = (x - middle) / radius, is seen at x + (p0 + p1 u + p2 v, p3 + p4 u + p5 v); the
+    radius is half the picture's diagonal. All six numbers are therefore in px, and none moves a place of the
+    picture by more than its own amount.
+
+    Parameters
+    ----------
+    parameters
+        `(6,)` float64 px: p0 to p5.
+    size
+        `(height, width)` px of scene and frame.
+    """
+
+    parameters: Numbers
+    size: tuple[int, int]
+
+    @classmethod
+    def identity(cls, size: tuple[int, int]) -> Self:
+        """The map of a camera that looks where it did."""
+        return cls(np.zeros(UNKNOWNS), size)
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Of the picture, px."""
+        return (self.size[1] - 1) / 2, (self.size[0] - 1) / 2
+
+    @property
+    def radius(self) -> float:
+        """Half the diagonal, px."""
+        return float(np.hypot(*self.size)) / 2
+
+    @property
+    def matrix(self) -> Numbers:
+        """`(2, 3)`: the same map of places (x, y, 1)."""
+        rows = self.parameters.reshape(2, 3)
+        linear = np.eye(2) + rows[:, 1:] / self.radius
+        middle = np.array(self.middle)
+        return np.column_stack([linear, middle + rows[:, 0] - linear @ middle])
+
+    @property
+    def displacement(self) -> float:
+        """px by which places of the picture are moved: root of the mean square over all of it."""
+        shares = (np.array([self.size[1], self.size[0]]) / (2 * self.radius)) ** 2 / 3
+        rows = self.parameters.reshape(2, 3) ** 2
+        return float(np.sqrt((rows[:, 0] + rows[:, 1:] @ shares).sum()))
+
+    def points(self, places: NDArray[np.float64]) -> Numbers:
+        """Where places `(..., 2)` of the scene are seen in the frame, px."""
+        matrix = self.matrix
+        return places @ matrix[:, :2].T + matrix[:, 2]
+
+    def box(self, box: BoundingBox) -> BoundingBox:
+        """Where the frame shows a box (x, y, width, height) of the scene: upright, about the same middle.
+
+        Boxes have the pixels' edges at whole numbers.
+        """
+        x, y, width, height = box
+        (middle_x, middle_y) = self.points(np.array([x + width / 2 - 0.5, y + height / 2 - 0.5])) + 0.5
+        across, down = np.hypot(*self.matrix[:, :2])
+        width, height = width * float(across), height * float(down)
+        return float(middle_x) - width / 2, float(middle_y) - height / 2, width, height
+
+    def in_scene(self, image: Image, beyond: Image) -> Image:
+        """A frame's image as the scene's picture: what every place of the scene shows.
+
+        Parameters
+        ----------
+        image
+            `(height, width[, 3])` uint8.
+        beyond
+            of the same shape: what is taken where the frame does not show the scene.
+        """
+        out = beyond.copy()
+        flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+        cv2.warpAffine(
+            image, self.matrix, self.size[::-1], dst=out, flags=flags, borderMode=cv2.BORDER_TRANSPARENT
+        )
+        return out
+
+    @property
+    def shown(self) -> NDArray[np.bool_]:
+        """`(height, width)`: places of the scene that lie in the frame."""
+        frame = np.ones(self.size, np.uint8)
+        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        return np.asarray(cv2.warpAffine(frame, self.matrix, self.size[::-1], flags=flags), bool)
+
+    def in_frame(self, mask: NDArray[Value]) -> NDArray[Value]:
+        """What is said of the scene's places, `(height, width)`, as the frame shows it; 0 beyond."""
+        seen = cv2.warpAffine(mask, self.matrix, self.size[::-1], flags=cv2.INTER_NEAREST)
+        return np.asarray(seen, mask.dtype)
+
+
 Floats = NDArray[np.float32]
 
 POINTS = 3000
@@ -243,3 +349,87 @@ def _correlation(one: Numbers, other: Floats, among: NDArray[np.bool_]) -> float
 def _cut(values: Numbers) -> Numbers:
     usual = np.median(np.abs(values))
     return np.clip(values, -usual, usual)
+
+
+LEAST_CORRELATION = 0.25
+"""Below which a frame is not like the scene wherever the camera looks: chance makes 0.1."""
+
+_CAMERA = np.zeros(1, np.int64)
+"""The one thing that the Gaussians are about."""
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class View:
+    """A factor about the map from the scene to the frame: a Gaussian over its parameters.
+
+    Parameters
+    ----------
+    size
+        `(height, width)` px of scene and frame.
+    where
+        of the six parameters of `AffineMap` (px); uniform where nothing is known.
+    scene
+        `(height, width[, 3])` float32, what the scene looks like; of the chain that knows the camera.
+    """
+
+    size: tuple[int, int]
+    where: GaussianMessage
+    scene: NDArray[np.float32] | None = None
+
+    @classmethod
+    def predicted(cls, mean: Numbers, covariance: Numbers, scene: NDArray[np.float32]) -> Self:
+        """A density of the map, and the scene by which it is found."""
+        where = GaussianMessage.from_moments(_CAMERA, mean[None], covariance[None])
+        return cls((scene.shape[0], scene.shape[1]), where, scene)
+
+    def __mul__(self, other: Self) -> Self:
+        scene = self.scene if other.scene is None else other.scene
+        return replace(self, where=self.where * other.where, scene=scene)
+
+    @cached_property
+    def map(self) -> AffineMap:
+        """The most likely one."""
+        return AffineMap(self.where.marginal(0)[0], self.size)
+
+    @property
+    def covariance(self) -> Numbers:
+        """`(6, 6)` px^2, of the map's parameters."""
+        return self.where.marginal(0)[1]
+
+    @cached_property
+    def hidden(self) -> NDArray[np.bool_]:
+        """`(height, width)`: places of the scene that the frame does not show."""
+        return ~self.map.shown
+
+    def register(self, image: Image) -> tuple[Self, Image]:
+        """The likelihood of the map, and the image as the scene's picture.
+
+        The likelihood is Laplace's approximation, 1 at its peak: what the image's pixels say there is said by
+        the pixels. Where the frame is not like the scene at all, it is uniform. The picture is seen by the
+        most likely map, prediction included; where the frame does not show the scene, it is what is known of
+        it.
+
+        Parameters
+        ----------
+        image
+            `(height, width[, 3])` uint8.
+
+        Raises
+        ------
+        ValueError
+            if this factor has no scene.
+        """
+        if self.scene is None:
+            raise ValueError("view: got no scene, expected one by which frames are found")
+        grey = self.scene if self.scene.ndim == 2 else cv2.cvtColor(self.scene, cv2.COLOR_BGR2GRAY)
+        found = ScenePicture(np.asarray(grey, np.float32)).register(grey_of(image), self.map)
+        where = GaussianMessage.uniform(UNKNOWNS)
+        if found.correlation >= LEAST_CORRELATION:
+            information = np.linalg.inv(found.covariance).astype(np.float64)
+            vector = information @ found.map.parameters
+            log_scale = np.array([-0.5 * vector @ found.map.parameters])
+            where = GaussianMessage(_CAMERA, information[None], vector[None], log_scale)
+        likelihood = replace(self, where=where, scene=None)
+        beyond = np.clip(np.rint(self.scene), 0, 255).astype(np.uint8)
+        return likelihood, (self * likelihood).map.in_scene(image, beyond)

@@ -1,4 +1,4 @@
-"""Logarithms of sums of numbers whose logarithms are known."""
+"""Small formulas of densities: logarithms of sums, and Mahalanobis distances."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,3 +16,12 @@ def log_sums(values: Array, axis: int = -1) -> Array:
     sums = np.exp(values - peaks).sum(axis=axis)
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(sums) + peaks.squeeze(axis))
+
+
+Numbers = NDArray[np.float64]
+
+
+def squared_distances(off: Numbers, covariance: Numbers) -> Numbers:
+    """Squared distances `(...)` of vectors `(..., d)` from 0, by covariances `(..., d, d)`."""
+    distances: Numbers = (off * np.linalg.solve(covariance, off[..., None])[..., 0]).sum(axis=-1)
+    return distances

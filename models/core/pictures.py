@@ -1,10 +1,17 @@
-"""Drawing in pictures: what feature nodes show of a belief."""
+"""Pictures: their grey levels, and drawing in them what feature nodes show of a belief."""
 
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+
+def grey_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """`(height, width)` uint8, rows contiguous, of a grey or a BGR picture `(height, width, 3)`."""
+    grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+    return np.ascontiguousarray(grey)
+
 
 Picture = NDArray[np.uint8]
 Colour = tuple[int, int, int]
