@@ -1,4 +1,4 @@
-"""The background application: from a source of frames to masks, tracks, pictures and a report."""
+"""The background application: from a source of frames to masks, tracks, pictures and a page."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from ...chains.objects.object_trajectories import ObjectsOverTime
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models import Frame, ObjectBoxes, PixelLabels, PixelMessage, ScenePixels
-from ..drawing.boxes import OverlayWriter, draw_overlay
+from ..drawing.overlay import Draw, TracksOverlay
 from ..evaluation.predictions import FILE, write_predictions
 from ..evaluation.scoring import Scoring, scoring_of
 from ..evaluation.tracks import track_rows
-from ..events.drawing import draw_zones
 from ..events.report import Happened
 from ..events.watch import EVENTS, EventWriter, read_events
 from ..events.zones import Zones, read_zones
@@ -34,9 +33,10 @@ from ..runs.memory import BACKGROUND
 from ..runs.region import inside, read_region
 from ..runs.saved_run import SavedRun
 from ..view.film import Film, Row
-from ..view.page import View
+from ..view.page import Page
 from .job import WHOLE_FILM, BackgroundJob, Camera, Engine
 from .moving_camera import MOVES, CameraWatch
+from .page import background_page, drawn_of
 from .parameters import (
     SECTIONS,
     Parameters,
@@ -47,8 +47,6 @@ from .parameters import (
 )
 from .predictions import Predictions
 from .record import RunRecord
-from .report import write_report
-from .view import drawn_of, tracks_view
 from .whole_film import read_whole, warmed_up
 
 ENGINES: tuple[Engine, ...] = get_args(Engine)
@@ -60,7 +58,7 @@ SAMPLE = 300
 """Bytes per pixel, of the pictures in which the empty scene is found."""
 
 EVIDENCE_EVERY = 25
-"""Frames between two values of log p(I) in the report: nothing else needs that pass over the pixels."""
+"""Frames between two values of log p(I) on the page: nothing else needs that pass over the pixels."""
 
 
 def build_model(
@@ -165,7 +163,7 @@ def run_background(job: BackgroundJob) -> Outcome:
 
 
 class BackgroundRun(FilmRun[BackgroundJob]):
-    """One run: masks, tracks, and the record for the report."""
+    """One run: masks, tracks, and the record for the page."""
 
     application = "background"
     blank_is_missing = False
@@ -256,7 +254,6 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         """Read region and ground truth; find the empty scene, where that is asked for."""
         job, model = self.job, self.engine.model
         self._read_masks()
-        self.record.expect(self.source.n_frames)
         if job.engine == WHOLE_FILM:
             self.state, self._trajectories = read_whole(
                 job, self.source, model, self._with_detections, self.interruption
@@ -293,13 +290,12 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         self._read_masks()
 
     def writers(self, rate: float, after: int) -> list[Writer]:
-        """Tracks, masks and overlay."""
+        """Tracks, masks and events."""
         out = self.job.out
         self._tracks = TrackWriter(out / "tracks.txt", after)
         self._table = TrackTableWriter(out / TABLE, after)
         self._masks = MaskWriter(out, self.job.masks, rate, after)
-        self._overlay = OverlayWriter(out / "overlay.mp4", rate, after, self._draw_zones, self.show)
-        growing: list[Writer] = [self._tracks, self._table, self._masks, self._overlay]
+        growing: list[Writer] = [self._tracks, self._table, self._masks]
         if self._zones is not None:
             self._events = EventWriter(out / EVENTS, self._zones, out / TABLE, after)
             growing.append(self._events)
@@ -313,12 +309,8 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         tracks = self._trajectories.at(len(self.record.numbers))
         return Found(found.foreground, inside(self._region, tracks))
 
-    def _draw_zones(self, picture: NDArray[np.uint8]) -> None:
-        if self._zones is not None:
-            draw_zones(picture, self._zones)
-
     def take_in(self, belief: Belief, found: Found, seconds: float) -> None:
-        """Write mask and tracks, and note what the report wants."""
+        """Write mask and tracks, and note what the page wants."""
         frame = belief.frame
         self._tracks.write(frame.number, found.tracks)
         self._table.write(frame.number, frame.time, found.tracks)
@@ -326,7 +318,6 @@ class BackgroundRun(FilmRun[BackgroundJob]):
             happened = self._events.write(frame.number, frame.time, found.tracks)
             self.news = [event.in_words() for event in happened]
         self._masks.write(found.foreground, frame.number, frame.time)
-        self._overlay.add(frame, found.foreground, found.tracks)
         if self._predictions is not None:
             self._predictions.take_in(belief)
         if (said := self._camera.take_in(belief, found.foreground)) is not None:
@@ -334,25 +325,11 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         if self._scoring is not None:
             self._scoring.add(frame.number, found.foreground)
 
-        def overlay() -> NDArray[np.uint8]:
-            assert frame.image is not None
-            return draw_overlay(
-                frame.image,
-                found.foreground,
-                found.tracks,
-                {},
-                f"frame {frame.number}",
-                frame.boxes,
-                self._draw_zones,
-            )
-
         due = len(self.record.numbers) % EVIDENCE_EVERY == 0
         self.record.add(
             frame,
             found.tracks,
             found.foreground,
-            lambda: belief["background"].picture(),
-            overlay,
             belief.log_evidence if due else np.nan,
             seconds,
         )
@@ -386,27 +363,20 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         return Happened(self._zones, read_events(self.job.out / EVENTS), span)
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write predictions, the empty scene and the report."""
+        """Write predictions and the empty scene."""
         job = self.job
         if self._predictions is not None:
             write_predictions(job.out, self._predictions.records())
         if self.state.states:
-            background = self.state.states["background"].picture()
-            write_image(job.out / "background.png", background)
-            write_report(
-                job.out / "report.html",
-                self.record,
-                background,
-                self.settings,
-                summary["metrics"],
-                self.title,
-                summary["detections"],
-                self._happened,
-            )
+            write_image(job.out / "background.png", self.state.states["background"].picture())
 
     def drawn(self, belief: Belief, found: Found) -> Callable[[], Row]:
         """Boxes and outlines."""
-        return partial(drawn_of, found.foreground, found.tracks)
+        return partial(drawn_of, found.foreground, found.tracks, belief.frame.boxes)
+
+    def drawing(self) -> Draw:
+        """Foreground, boxes, trails and zones."""
+        return TracksOverlay(self._zones)
 
     def told(self, belief: Belief, found: Found) -> dict[str, object]:
         """How many are there."""
@@ -417,9 +387,10 @@ class BackgroundRun(FilmRun[BackgroundJob]):
         """The source and how it was taken."""
         return f"{Path(self.source.name).name}: {self.job.engine}"
 
-    def view(self, film: Film) -> View:
-        """Tracks over the film."""
-        return tracks_view(film, self._happened)
+    def page(self, film: Film | None, summary: Mapping[str, Any]) -> Page:
+        """Tracks over the film, and what is to be said of them."""
+        background = self.state.states["background"].picture() if self.state.states else None
+        return background_page(self.title, self.record, summary, film, background, self._happened)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Tracks, and measures against ground truth."""

@@ -22,6 +22,7 @@ from ..options.libraries import opencv_hint
 from ..runs.interruption import Outcome
 from ..runs.parallel import end_working, is_ending
 from ..runs.saved_run import STATE, about_of, check_source
+from ..view.film import FILM
 from .sources import TRACKS
 
 State = Literal["waiting", "complete", "interrupted", "lost", "failed"]
@@ -149,7 +150,7 @@ def _told(state: State, job: Job, summary: Mapping[str, Any], error: str = "") -
         summary.get("tracks"),
         summary.get("seconds"),
         summary.get("frames_per_second"),
-        thumbnail(job.out / "overlay.mp4"),
+        thumbnail(job.out / FILM),
     )
 
 

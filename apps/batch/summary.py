@@ -13,7 +13,7 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from ...models.files import read_text, write_text
-from ..reports.page import cards, paragraph, templates_in, write_page
+from ..view.page import Page, Part, paragraph, templates_in, write_page
 from .film import State, Told
 from .folders import plain_name
 from .job import INDEX, SUMMARY
@@ -154,12 +154,13 @@ def write_index(out: Path, lines: Sequence[Line]) -> None:
     states = Counter(line.told.state for line in lines)
     frames = sum(line.told.frames or 0 for line in lines)
     counted = {str(state): str(count) for state, count in sorted(states.items())}
-    parts = [cards({"films": str(len(lines)), **counted, "frames": f"{frames:,}"})]
+    parts: list[Part] = []
     if len(lines) > MOST_PICTURES:
         parts.append(paragraph(f"Pictures are shown of the first {MOST_PICTURES} films."))
     entries = [_entry(out, line, number < MOST_PICTURES) for number, line in enumerate(lines)]
     parts.append(Markup(_page.render(entries=entries)))
-    write_page(out / INDEX, out.resolve().name, [("", parts)])
+    cards = {"films": str(len(lines)), **counted, "frames": f"{frames:,}"}
+    write_page(out / INDEX, Page(out.resolve().name, cards=cards, sections=[("Films", parts)]))
 
 
 def _entry(out: Path, line: Line, pictured: bool) -> dict[str, Any]:
@@ -170,7 +171,12 @@ def _entry(out: Path, line: Line, pictured: bool) -> dict[str, Any]:
         f"{told.tracks} tracks" if told.tracks is not None else "",
         f"{told.frames_per_second:.3g} a second" if told.frames_per_second is not None else "",
     ]
-    files = {"report": "report.html", "view": "view.html", "video": "overlay.mp4", "tracks": "tracks.csv"}
+    files = {
+        "film": "view.html",
+        "comparison": "compare.html",
+        "video": "overlay.mp4",
+        "tracks": "tracks.csv",
+    }
     return {
         "name": line.folder,
         "source": line.source,

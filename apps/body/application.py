@@ -20,7 +20,7 @@ from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.body.parts import CALIBRATION_FRAMES
 from ...models.body.upper_body import PARTS
 from ...models.core.frame import Frame
-from ..drawing.overlay_video import OverlayVideo
+from ..drawing.overlay import Draw
 from ..io.film import SeenFrames
 from ..io.keypoints import Keypoints, digest_of, given_keypoints, with_keypoints
 from ..io.segments import segment_pattern
@@ -30,14 +30,13 @@ from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import BODY, KEPT_IMAGE, KEPT_SAMPLE, SAMPLE
 from ..runs.saved_run import SavedRun
 from ..view.film import Film, Row
-from ..view.page import View
+from ..view.page import Page
 from .job import LAG, BodyJob
 from .joint_files import ClickedJoints, read_joints
 from .keypoint_start import followed, shows_whom, start_from_keypoints, with_lengths
-from .relabelling import ROWS
-from .report import BodyRecord, write_body_report
+from .page import body_page, drawing, drawn_of, with_final_names
+from .record import BodyRecord
 from .start import BodyStart, SavedPerson, read_head, start_from_faces, start_from_head
-from .view import body_view, drawn_of, redrawn
 from .writer import BodyWriter, lengths
 
 _log = logging.getLogger(__name__)
@@ -57,7 +56,7 @@ def run_body(job: BodyJob) -> Outcome:
 
 
 class BodyRun(FilmRun[BodyJob]):
-    """One run: who is tracked, the poses, and the record for the report."""
+    """One run: who is tracked, the poses, and the record for the page."""
 
     application = "body"
     files = ("poses.npz", segment_pattern("poses.npz"))
@@ -190,17 +189,8 @@ class BodyRun(FilmRun[BodyJob]):
         return images
 
     def writers(self, rate: float, after: int) -> list[Writer]:
-        """Poses and overlay."""
-        self._writer = BodyWriter(
-            self.job.out,
-            self.source.size,
-            rate,
-            after,
-            self._start.body,
-            self._draws,
-            self.record,
-            self.show,
-        )
+        """Poses."""
+        self._writer = BodyWriter(self.job.out, after, self._start.body, self._draws, self.record)
         return [self._writer]
 
     def found(self, belief: Belief) -> list[TimedSamples]:
@@ -238,8 +228,17 @@ class BodyRun(FilmRun[BodyJob]):
 
     def drawn(self, belief: Belief, found: TimedSamples) -> Callable[[], Row]:
         """Joints and some samples."""
-        samples = belief.states[self._pose.name]
-        return partial(drawn_of, self._row, samples.log_evidence, samples.effective)
+        return partial(drawn_of, self._row)
+
+    def drawing(self) -> Draw:
+        """Skeletons, from the front and from the side."""
+        return drawing(self._arm)
+
+    @property
+    def _arm(self) -> float:
+        """Length of a stretched one, px."""
+        body = self._start.body
+        return body.upper_arm + body.forearm
 
     def told(self, belief: Belief, found: Any) -> dict[str, object]:
         """What of the body the image shows."""
@@ -251,42 +250,11 @@ class BodyRun(FilmRun[BodyJob]):
         """The source, and what of it is followed."""
         return f"{Path(self.source.name).name}: upper body"
 
-    def view(self, film: Film) -> View:
-        """The body over the film, and in space."""
-        body, record = self._start.body, self.record
-        shown = np.searchsorted(record.labels.numbers, film.numbers)
-        chosen = np.flatnonzero(record.labels.exchanged[shown]).tolist()
-        if chosen:
-            with np.load(self.job.out / "poses.npz") as poses:
-                columns = {name: poses[name] for name in (*ROWS, "missing", "stationary")}
-            rows = {k: {name: each[shown[k]] for name, each in columns.items()} for k in chosen}
-            film = redrawn(film, rows)
-        return body_view(film, body.upper_arm + body.forearm, record.exchanged[shown])
-
-    def _draw_anew(self) -> list[str]:
-        """Draw pictures by the final names of the hands; a sentence says where that cannot be."""
-        record, job = self.record, self.job
-        if not record.relabelled:
-            return []
-        if self._ended_early or self._read_once:
-            return ["The pictures, but not view.html, show the names of the hands as they were before."]
-        with np.load(job.out / "poses.npz") as poses:
-            rows = {name: poses[name] for name in (*ROWS, "missing", "stationary")}
-        place = {number: index for index, number in enumerate(record.numbers)}
-        width, height = self.source.size
-        image: Image = np.zeros((height, width, 3), np.uint8)
-        with (
-            open_source(job.source, job.start, job.stop, job.step) as source,
-            OverlayVideo(job.out / "overlay.mp4", self.source.rate / job.step) as video,
-        ):
-            for frame in SeenFrames(iter(source)):
-                image = image if frame.image is None else frame.image
-                if (index := place.get(frame.number)) is not None:
-                    row = {name: each[index] for name, each in rows.items()}
-                    draw = partial(self._writer.draw, frame, row, image)
-                    record.snapshots.redraw(frame.number, draw)
-                    video.write(frame, draw)
-        return []
+    def page(self, film: Film | None, summary: Mapping[str, Any]) -> Page:
+        """The body over the film and in space, and what is to be said of it."""
+        if film is not None and self.record.relabelled:
+            film = with_final_names(film, self.job.out)
+        return body_page(self.title, self.record, summary, film, self._arm)
 
     def facts(self) -> dict[str, Any]:
         """What was seen, and what is assumed of the person."""
@@ -301,12 +269,16 @@ class BodyRun(FilmRun[BodyJob]):
             "relabelled": self.record.relabelled,
             "flesh_colour": start.parts.skin is not None,
             "body": {"origin": start.origin, "lengths": lengths(start.body)},
-            "notes": [*start.notes, *self.record.notes, *self._draw_anew()],
+            "notes": [*start.notes, *self.record.notes, *self._about_video()],
         }
 
-    def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write the report."""
-        write_body_report(self.job.out / "report.html", self.record, summary, self.title)
+    def _about_video(self) -> list[str]:
+        if not (self.job.video and self.record.relabelled):
+            return []
+        return [
+            "overlay.mp4 shows the names of the hands as they were before; rsmcm export --to video has the "
+            "new ones."
+        ]
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """How much was seen."""

@@ -1,8 +1,7 @@
-"""What a run of the body application leaves: arrays and a video that grow with the frames."""
+"""What of a run of the body application grows with the frames: `poses.npz`, and the record."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +12,12 @@ from ...chains.body.fixed_lag import TimedSamples
 from ...chains.body.samples import BodySamples, moments
 from ...models.body.upper_body import JOINTS, PARTS, UpperBody
 from ...models.core.frame import Frame
-from ..drawing.overlay_video import caption
-from ..runs.pose_writer import PoseWriter
-from .hypotheses import WORTH_SAYING, hypotheses
-from .overlay import BodyOverlay, TrackedBody
+from ..io.row_writer import RowWriter
+from .hypotheses import hypotheses
+from .record import PART_JOINTS, BodyRecord
 from .relabelling import relabel
-from .report import PART_JOINTS, BodyRecord
 
 Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
 N_DRAWN = 40
@@ -39,8 +35,8 @@ FACE_AND_NECK = (0.45, 0.62)
 """Of the head's height: half axes of the ellipse about its centre in which skin need not be a hand's."""
 
 
-class BodyWriter(PoseWriter):
-    """What grows with the frames: `poses.npz`, `overlay.mp4` and the record for summary and report.
+class BodyWriter(RowWriter):
+    """What grows with the frames: `poses.npz`, and the record for summary and page.
 
     `poses.npz` holds, a row a frame: `frames` (their numbers) and `times` s; posterior means and covariances:
     `joints_2d (8, 2)` px, `joints_2d_covariances (8, 2, 2)`, `joints_3d (8, 3)`, `joints_3d_covariances (8,
@@ -59,10 +55,6 @@ class BodyWriter(PoseWriter):
     ----------
     folder
         of the results.
-    size
-        `(width, height)` px of the frames.
-    rate
-        frames per second.
     after
         number of the frame after which this run goes on; 0 for a new one.
     body
@@ -71,35 +63,28 @@ class BodyWriter(PoseWriter):
         source of the draws that are shown.
     record
         to add to.
-    show
-        is given each picture of the video, in another thread.
     """
 
     def __init__(
         self,
         folder: Path,
-        size: tuple[int, int],
-        rate: float,
         after: int,
         body: UpperBody,
         random: np.random.Generator,
         record: BodyRecord,
-        show: Callable[[Image], None] | None = None,
     ) -> None:
         known = lengths(body)
-        self._constants: dict[str, NDArray[Any]] = {
+        constants: dict[str, NDArray[Any]] = {
             "joint_names": np.array(JOINTS),
             "part_names": np.array(PARTS),
             "angle_names": np.array(ANGLE_NAMES),
             "length_names": np.array(list(known)),
             "lengths": np.array(list(known.values())),
         }
-        super().__init__(folder, size, rate, after, self._constants, show)
-        self._path = folder / "poses.npz"
+        super().__init__(folder / "poses.npz", constants, after)
         self._body = body
         self._random = random
         self._record = record
-        self._overlay = BodyOverlay(body.upper_arm + body.forearm)
 
     def add(
         self,
@@ -145,24 +130,15 @@ class BodyWriter(PoseWriter):
             "stationary": np.bool_(filtered.stationary),
             "missing": np.bool_(frame.missing),
         }
-        drawing = self.write(frame, row, partial(self.draw, frame, row))
-        self._record.add(frame, found, seen, filtered, answers, answer.evidence, seconds, overlay=drawing)
+        self.append(frame.number, row)
+        self._record.add(frame, found, seen, filtered, answers, answer.evidence, seconds)
         return row
 
-    def draw(self, frame: Frame, row: Mapping[str, Any], image: Image) -> Image:
-        """A frame's row of `poses.npz` over an image."""
-        state, second = _state(row, self._body.head_height), None
-        if row["hypotheses"][1] >= WORTH_SAYING:
-            second = row["hypothesis_joints"][1]
-            state += f"{', ' * bool(state)}or as dashed, {100 * row['hypotheses'][1]:.0f} %"
-        shown = TrackedBody(row["samples"], row["joints_3d"], row["joints_3d_covariances"], state, second)
-        return self._overlay.draw(image, shown, caption(frame))
-
     def __exit__(self, *error: Any) -> None:
-        """Complete the files, with what is known when all frames are there."""
+        """Complete the file, with what is known when all frames are there."""
         relabelled = self._record.labels.exchanged
-        self._constants["exchanged"] = self._record.exchanged
-        self._constants["relabelled"] = np.zeros_like(relabelled)
+        whole = {"exchanged": self._record.exchanged, "relabelled": np.zeros_like(relabelled)}
+        self._constants = {**self._constants, **whole}
         super().__exit__(*error)
         if relabelled.any():
             relabel(self._path, self._body, relabelled)
@@ -177,18 +153,3 @@ def _before_face(places: Array, head_height: float) -> Mask:
     """`(3,)`: which of the parts at `places` `(3, 2)` px are hands over the head."""
     away = (places - places[0]) / (np.array(FACE_AND_NECK) * head_height)
     return np.asarray((np.hypot(*away.T) < 1) & (np.arange(len(places)) > 0))
-
-
-def _state(row: Mapping[str, Any], head_height: float) -> str:
-    """What is out of the ordinary in a frame."""
-    if row["missing"]:
-        return ""  # the caption says it
-    if row["stationary"]:
-        return "nothing seen, stationary"
-    before_face = _before_face(row["joints_2d"][PART_JOINTS], head_height)
-    remarks = [
-        f"{name.replace('_', ' ')} {'before the face' if before else 'not seen'}"
-        for name, seen, before in zip(PARTS, row["seen"], before_face, strict=True)
-        if not seen
-    ]
-    return ", ".join(remarks)

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 
 from ...models.files import read_text, write_text
+from ..drawing.overlay import draw_zones
 from ..exports.track_table import TABLE, read_tracks_table
 from ..io.files import write_json
-from ..reports.page import Section, links, picture, write_page
 from ..runs.output_folder import output_folder
-from .drawing import draw_zones
+from ..view.page import Page, Section, picture, write_page
 from .report import Happened
 from .watch import COLUMNS, EVENTS, Event, Watch, line_of, read_events, sightings_of
 from .zones import read_zones
@@ -68,7 +68,8 @@ def run_events(run: Path, zones: Path) -> list[str]:
         folder.add([EVENTS, PAGE])
         write_text(run / EVENTS, "\n".join([",".join(COLUMNS), *map(line_of, found), ""]))
         happened = Happened(watched, read_events(run / EVENTS), span)  # rounded, as the run itself has it
-        write_page(run / PAGE, f"{Path(summary['source']).name}: zones and lines", _sections(run, happened))
+        title = f"{Path(summary['source']).name}: zones and lines"
+        write_page(run / PAGE, Page(title, sections=_sections(run, happened)))
         write_json(run / SUMMARY, {**summary, "events": happened.counts()})
     return [*happened.in_words(), f"results: {run / EVENTS}, {run / PAGE}"]
 
@@ -89,14 +90,13 @@ def _read_summary(path: Path) -> dict[str, Any]:
 
 
 def _sections(run: Path, happened: Happened) -> list[Section]:
-    beginning = links(run / PAGE)
     background = cv2.imread(str(run / BACKGROUND)) if (run / BACKGROUND).exists() else None
     if background is None:
-        return [("", beginning), *happened.sections()]
+        return happened.sections()
     scale = max(1.0, LEAST / max(background.shape[:2]))
     drawn = np.asarray(
         cv2.resize(background, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC), np.uint8
     )
     draw_zones(drawn, happened.zones, scale)
-    beginning.append(picture(drawn, "Zones and lines on the background at the end."))
-    return [("", beginning), *happened.sections()]
+    shown = picture(drawn, "Zones and lines on the background at the end.")
+    return [("", [shown]), *happened.sections()]

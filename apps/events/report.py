@@ -1,20 +1,17 @@
-"""What a report and a summary say of events: how many, how long, and how many were there at a time."""
+"""What a page and a summary say of events: how many, how long, and how many were there at a time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import mean
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 from markupsafe import Markup
 
-from ..reports.page import Section, paragraph, table
-from ..reports.plots import figure
-from ..reports.time_plots import BLUE, ORANGE
+from ..view import page
+from ..view.page import BLUE, ORANGE, Plot, Section, paragraph, table
 from .watch import Event, Kind
 from .zones import Line, Zones
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 MOST_ROWS = 100  # of a table
 MOST_PLOTS = 12
@@ -68,8 +65,8 @@ class Happened:
         ]
 
     def sections(self) -> list[Section]:
-        """Of the report: curves over time, crossings, dwell times."""
-        return [("Zones and lines", [self._plots(), *self._tables()])]
+        """Of the page: curves over time, crossings, dwell times."""
+        return [("Zones and lines", [*self._plots(), *self._tables()])]
 
     def _of(self, name: str) -> list[Event]:
         return [event for event in self.events if event.zone == name]
@@ -81,55 +78,29 @@ class Happened:
         directions = [event.direction for event in self._of(line.name)]
         return {name: directions.count(name) for name in (line.left_to_right, line.right_to_left)}
 
-    def _plots(self) -> Markup:
-        """How many were in each zone, and how often each line had been crossed."""
-        zones, lines = self.zones.zones[:MOST_PLOTS], self.zones.lines[:MOST_PLOTS]
-        curves: list[tuple[str, list[tuple[str, str, list[tuple[float, int]]]]]] = []
-        for zone in zones:
-            steps = [(e.moment.time, 1) for e in self._of(zone.name) if e.kind in COMES]
-            steps += [
-                (e.moment.time, -1) for e in self._of(zone.name) if e.kind in (Kind.LEFT, Kind.DISAPPEARED)
-            ]
-            curves.append((_literal(f"in {zone.name}"), [("", BLUE, steps)]))
-        for line in lines:
+    def _plots(self) -> list[Plot]:
+        """How many were in each zone, and how often each line had been crossed so far."""
+        plots = []
+        for zone in self.zones.zones[:MOST_PLOTS]:
+            of = self._of(zone.name)
+            steps = [(e.moment.time, 1) for e in of if e.kind in COMES]
+            steps += [(e.moment.time, -1) for e in of if e.kind in (Kind.LEFT, Kind.DISAPPEARED)]
+            plots.append(Plot(f"in {zone.name}", "", [self._counted(steps)]))
+        for line in self.zones.lines[:MOST_PLOTS]:
             of = self._of(line.name)
-            curves.append(
-                (
-                    _literal(f"across {line.name}"),
-                    [
-                        (_literal(name), colour, [(e.moment.time, 1) for e in of if e.direction == name])
-                        for name, colour in ((line.left_to_right, BLUE), (line.right_to_left, ORANGE))
-                    ],
-                )
-            )
+            lines = [
+                self._counted([(e.moment.time, 1) for e in of if e.direction == name], name, colour)
+                for name, colour in ((line.left_to_right, BLUE), (line.right_to_left, ORANGE))
+            ]
+            plots.append(Plot(f"across {line.name}, so far", "", lines))
+        return plots
 
-        def draw(canvas: "Figure") -> None:
-            axes = canvas.subplots(len(curves), sharex=True, squeeze=False)[:, 0]
-            for axis, (name, of) in zip(axes, curves, strict=True):
-                for label, colour, steps in of:
-                    times, numbers = [self.span[0]], [0]
-                    for time, step in sorted(steps):
-                        times.append(time)
-                        numbers.append(numbers[-1] + step)
-                    axis.plot(
-                        [*times, self.span[1]],
-                        [*numbers, numbers[-1]],
-                        color=colour,
-                        linewidth=1.4,
-                        drawstyle="steps-post",
-                        label=label,
-                    )
-                axis.set_ylabel(name)
-                axis.margins(x=0.01, y=0.12)
-                axis.set_ylim(0, max(1.0, axis.get_ylim()[1]))  # counts, also where there is none
-                axis.yaxis.get_major_locator().set_params(integer=True)
-                if len(of) > 1:
-                    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9)
-            axes[-1].set_xlabel("time in the video, s")
-            canvas.align_ylabels()
-
-        caption = "How many are in each zone, and how often each line has been crossed so far."
-        return figure(draw, (11, 1.0 + 1.6 * len(curves)), caption)
+    def _counted(self, steps: Sequence[tuple[float, int]], label: str = "", colour: str = BLUE) -> page.Line:
+        """A count over time that changes by steps: times, s, and by how much."""
+        ordered = np.array(sorted(steps), np.float64).reshape(-1, 2)
+        times = np.concatenate([[self.span[0]], ordered[:, 0], [self.span[1]]])
+        counts = np.concatenate([[0.0], np.cumsum(ordered[:, 1])])
+        return page.Line(np.append(counts, counts[-1]), label, colour, x=times, style="steps")
 
     def _tables(self) -> list[Markup]:
         parts: list[Markup] = []
@@ -167,11 +138,6 @@ class Happened:
         caption = f"The {MOST_ROWS} longest of {len(stays)}." if len(stays) > MOST_ROWS else ""
         names = ("", "zone", "identity", "from, s", "to, s", "for, s")
         return [*parts, table(names, lasted, caption)]
-
-
-def _literal(text: str) -> str:
-    """The text as a plot shows it: formulas would be between dollars, and labels with _ are left out."""
-    return f"{' ' * text.startswith('_')}{text}".replace("$", r"\$")
 
 
 def _rounded(value: float) -> str:

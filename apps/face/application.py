@@ -19,6 +19,7 @@ from ...models.face.detectors import PartDetector, default_faces
 from ...models.face.model_files import read_correspondences, read_model
 from ...models.face.morphable_model import MorphableModel
 from ...models.pixels.pixel_labels import PixelLabels
+from ..drawing.overlay import Draw, draw_face
 from ..io.point_files import read_points
 from ..io.segments import segment_pattern
 from ..io.sources.open_source import open_source
@@ -27,14 +28,14 @@ from ..runs.interruption import Outcome
 from ..runs.memory import EXPERT, FACE, FACE_EXPERT
 from ..runs.saved_run import SavedRun
 from ..view.film import Film, Row
-from ..view.page import View
+from ..view.page import Page
 from .job import FaceJob
 from .landmark_files import GivenLandmarks
-from .overlay import vertices_on_texture
-from .report import FaceRecord, write_face_report
+from .page import FaceDrawing, face_page
+from .record import FaceRecord
 from .start import FaceStart, find_face, start_from_box, start_from_landmarks
-from .view import FaceDrawing
-from .writer import FaceWriter, write_textures
+from .texture import vertices_on_texture, write_textures
+from .writer import FaceWriter
 
 _log = logging.getLogger(__name__)
 
@@ -75,7 +76,7 @@ def _given_landmarks(job: FaceJob) -> GivenLandmarks | None:
 
 
 class FaceRun(FilmRun[FaceJob]):
-    """One run: where the face is in the first frame, its poses and texture, and the record for the report."""
+    """One run: where the face is in the first frame, its poses and texture, and the record for the page."""
 
     application = "face"
     files = ("poses.npz", segment_pattern("poses.npz"), "texture.png", "texture_variance.png")
@@ -149,18 +150,8 @@ class FaceRun(FilmRun[FaceJob]):
             self._restarts = self.state.states["gflow"].relocations
 
     def writers(self, rate: float, after: int) -> list[Writer]:
-        """Poses and overlay."""
-        self._writer = FaceWriter(
-            self.job.out,
-            self.source.size,
-            rate,
-            after,
-            self._chain,
-            self._start,
-            self._given,
-            self.record,
-            self.show,
-        )
+        """Poses."""
+        self._writer = FaceWriter(self.job.out, after, self._chain, self._start, self._given, self.record)
         return [self._writer]
 
     def take_in(self, belief: Belief, found: Any, seconds: float) -> None:
@@ -175,6 +166,10 @@ class FaceRun(FilmRun[FaceJob]):
         """Pose and points."""
         return partial(self._drawing.drawn, self._row, self.record.errors[-1])
 
+    def drawing(self) -> Draw:
+        """Points of the face, and landmarks."""
+        return draw_face
+
     def told(self, belief: Belief, found: Any) -> dict[str, object]:
         """Whether the face is lost."""
         return {"face": "lost" if belief[self._chain].lost else "tracked"}
@@ -184,12 +179,14 @@ class FaceRun(FilmRun[FaceJob]):
         """The source, and what of it is followed."""
         return f"{Path(self.source.name).name}: face"
 
-    def view(self, film: Film) -> View:
-        """The face over the film, and in space."""
+    def page(self, film: Film | None, summary: Mapping[str, Any]) -> Page:
+        """The face over the film and in space, and what is to be said of it."""
         state = self.state.states["gflow"]
         morphs = self._chain.mean_pose(state).morphs[0]
         places = vertices_on_texture(self._start.model, morphs, self._chain.object.texels)
-        return self._drawing.view(film, self._textures, places)
+        layer = {} if film is None else self._drawing.layer(film, self._textures, places)
+        names = self._start.model.names
+        return face_page(self.title, self.record, summary, film, layer, names, self._textures)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """How much was lost, and the error."""
@@ -261,13 +258,6 @@ class FaceRun(FilmRun[FaceJob]):
             "texture_variance_of_white": white,
             "notes": record.notes,
         }
-
-    def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write the report."""
-        names = self._start.model.names
-        write_face_report(
-            self.job.out / "report.html", self.record, summary, names, self._textures, self.title
-        )
 
 
 def _check_inside(landmarks: Array, image: Image) -> None:

@@ -1,6 +1,6 @@
-"""What a face-tracking run leaves: arrays and a video that grow with the frames, pictures of the texture."""
+"""What of a face-tracking run grows with the frames: `poses.npz`, and the record."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,23 +9,16 @@ from numpy.typing import NDArray
 
 from ...chains.face.gflow import GFlow, GFlowState
 from ...models.core.frame import Frame
-from ..drawing.overlay_video import caption
-from ..io.files import write_image
-from ..runs.pose_writer import PoseWriter
+from ..io.row_writer import RowWriter
 from .landmark_files import GivenLandmarks
-from .overlay import FaceOverlay, TrackedFace, texture_picture
-from .report import FaceRecord
+from .record import FaceRecord
 from .start import FaceStart
 
 Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-
-SUREST = 0.01
-"""Squared grey levels below which variances of texels are not told apart (of a template it is 0)."""
 
 
-class FaceWriter(PoseWriter):
-    """What grows with the frames: `poses.npz`, `overlay.mp4` and the record for summary and report.
+class FaceWriter(RowWriter):
+    """What grows with the frames: `poses.npz`, and the record for summary and page.
 
     `poses.npz` holds, a row a frame: `frame_numbers`, `times` s; of the experts `weights (n_experts,)`,
     `rotations (n_experts, 3, 3)`, `translations (n_experts, 2)` px, `morphs (n_experts, n_bases)` px; of
@@ -40,10 +33,6 @@ class FaceWriter(PoseWriter):
     ----------
     folder
         of the results.
-    size
-        `(width, height)` px of the frames.
-    rate
-        frames per second.
     after
         number of the frame after which this run goes on; 0 for a new one.
     chain
@@ -54,29 +43,23 @@ class FaceWriter(PoseWriter):
         landmarks to compare with.
     record
         to add to.
-    show
-        is given each picture of the video, in another thread.
     """
 
     def __init__(
         self,
         folder: Path,
-        size: tuple[int, int],
-        rate: float,
         after: int,
         chain: GFlow,
         start: FaceStart,
         given: GivenLandmarks | None,
         record: FaceRecord,
-        show: Callable[[Image], None] | None = None,
     ) -> None:
         constants = {"bases": start.model.bases, "triangles": start.model.triangles}
-        super().__init__(folder, size, rate, after, constants, show)
+        super().__init__(folder / "poses.npz", constants, after)
         self._chain = chain
         self._start = start
         self._given = given
         self._record = record
-        self._overlay = FaceOverlay(start.model)
 
     def add(self, frame: Frame, state: GFlowState, seconds: float, *, restarted: bool) -> Mapping[str, Any]:
         """Take in a frame, which took the tracker so long; it may have found the face again in it.
@@ -112,8 +95,7 @@ class FaceWriter(PoseWriter):
             "reinitialised": np.bool_(restarted),
             "missing": np.bool_(frame.missing),
         }
-        face = TrackedFace(state.poses, mean, landmarks, state.lost)
-        drawn = self.write(frame, row, lambda image: self._overlay.draw(image, face, caption(frame)))
+        self.append(frame.number, row)
         self._record.add(
             frame,
             mean,
@@ -124,36 +106,5 @@ class FaceWriter(PoseWriter):
             seconds,
             lost=state.lost,
             restarted=restarted,
-            overlay=drawn,
         )
         return row
-
-
-def write_textures(folder: Path, chain: GFlow, state: GFlowState) -> tuple[float, dict[str, Image]]:
-    """Write texture and variance of the most credible expert as pictures, on the mean shape from the front.
-
-    Returns
-    -------
-    tuple
-        the variance (squared grey levels) that is white, and the pictures by their captions.
-    """
-    best = int(np.argmax(state.weights))
-    morphs = chain.mean_pose(state).morphs[0]
-    mean, variance = (
-        texture_picture(chain.model, morphs, chain.object.texels, values)
-        for values in (state.texture.mean[best, 0], state.texture.variance[best])
-    )
-    # some texels are thousands of times less sure than others: a scale of logs shows both
-    variance = np.maximum(variance, SUREST)
-    black, white = float(np.nanmin(variance)), float(np.nanmax(variance))
-    pictures = [_grey(mean, 255.0), _grey(np.log(variance / black), float(np.log(white / black)))]
-    for name, picture in zip(("texture.png", "texture_variance.png"), pictures, strict=True):
-        write_image(folder / name, picture)
-    captions = ("mean", f"variance, {black:.3g} (black) to {white:.3g} squared grey levels, on a log scale")
-    return white, dict(zip(captions, pictures, strict=True))
-
-
-def _grey(values: Array, highest: float) -> Image:
-    """A picture of values from 0 (black) to `highest` (white); black where there is none."""
-    shades = np.clip(255 * values / max(highest, 1e-12), 0, 255)
-    return np.rint(np.nan_to_num(shades)).astype(np.uint8)

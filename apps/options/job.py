@@ -111,12 +111,16 @@ class FilmJob(Job):
     live
         Show the run in the browser while it goes on, on this port of this machine, or of HOST:PORT, where
         anybody can look who gets there; 0 is any port that is free.
+    video
+        Write overlay.mp4 as well, the film in its full size with what was found drawn on it; rsmcm export
+        makes it of a finished run, at most 640 px wide or high.
     """
 
     every: OfRuns[int] = 500
     learned: Annotated[Path | None, Parameter(name="--from", group="Of every run")] = None
     seed: OfRuns[int] = 0
     live: OfRuns[str | None] = None
+    video: OfRuns[Flag] = False
 
     BOUNDS: ClassVar[Bounds] = {
         "every": (lambda frames: frames >= 1, "1 or more frames"),

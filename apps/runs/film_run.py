@@ -18,19 +18,21 @@ from ...inference import Belief, RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.numerics.threads import thread_count
+from ..drawing.overlay import Draw, OverlayVideo
 from ..io.files import write_json
 from ..io.film import SeenFrames
+from ..io.segments import segments_of
 from ..io.sources.open_source import Source, describe, open_source
 from ..live.address import read_address
-from ..live.running import Image, Running
+from ..live.running import Running
 from ..live.server import live_page
 from ..options.job import FilmJob
 from ..view.film import ROWS, Film, FilmWriter, Row, read_film
-from ..view.page import VIEW, View, write_view
+from ..view.page import VIEW, Page, write_page
 from .interruption import Interrupted, Outcome
 from .memory import check_memory
 from .progress import Progress
-from .run import Run
+from .run import OVERLAY, Run
 from .saved_run import STATE, SavedRun, check_source
 
 _log = logging.getLogger(__name__)
@@ -76,7 +78,7 @@ class FilmRun(Run[F]):
     source, engine, state
         as they are while the run goes on; `state` is that after the last frame that is answered.
     record
-        what report and summary need, with columns `numbers`, `missing` and `seconds` of the frames so far.
+        what page and summary need, with columns `numbers`, `missing` and `seconds` of the frames so far.
     before
         numbers of the frames before the one in which the track starts.
     news
@@ -161,6 +163,10 @@ class FilmRun(Run[F]):
         """What makes that which `view.html` draws on a frame; called in a thread."""
         return dict
 
+    @abstractmethod
+    def drawing(self) -> Draw:
+        """What draws the rows of `drawn` on frames, for `--video` and `--live`."""
+
     def told(self, belief: Belief, found: Any) -> Mapping[str, object]:
         """What the live page says of a frame; called for every one of them."""
         return {}
@@ -169,7 +175,6 @@ class FilmRun(Run[F]):
     def facts(self) -> dict[str, Any]:
         """What `summary.json` says beside what it says of every run."""
 
-    @abstractmethod
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write what is written once, at the end."""
 
@@ -178,9 +183,9 @@ class FilmRun(Run[F]):
         """Of the pages about the run."""
         return f"{Path(self.source.name).name}: {self.application}"
 
-    def view(self, film: Film) -> View:
-        """What `view.html` shows."""
-        return View()
+    @abstractmethod
+    def page(self, film: Film | None, summary: Mapping[str, Any]) -> Page:
+        """What is on `view.html`, with the film if there was any image."""
 
     # --- the run ---
 
@@ -190,11 +195,6 @@ class FilmRun(Run[F]):
         if way is not None and not self.job.resume and self.source.live:
             return f"--from {self.job.out / STATE} begins with what was learned"
         return way
-
-    def show(self, picture: Image) -> None:
-        """Make this what the live page shows; it must not change any more."""
-        if self._running is not None:
-            self._running.show(picture)
 
     def work(self) -> Outcome:
         """Take in all frames, and write the results; the live page shows it."""
@@ -235,8 +235,8 @@ class FilmRun(Run[F]):
             if self._running is not None:
                 self._running.finish()
             summary = self._film_summary()
-            self._write_view()
             self.finish(summary)
+            self._write_page(summary)
             write_json(job.out / "summary.json", summary)
             if not self._ended_early:
                 self._save(finished=summary)
@@ -244,11 +244,10 @@ class FilmRun(Run[F]):
             raise self._frames.error
         return self.outcome(summary, signalled=self._ended_early)
 
-    def _write_view(self) -> None:
+    def _write_page(self, summary: Mapping[str, Any]) -> None:
         out = self.job.out
-        if (out / ROWS).exists():  # or there was no image at all
-            film = read_film(out, self.source.size)
-            write_view(out / VIEW, self.title, film, len(self.record.numbers), self.view(film))
+        film = read_film(out, self.source.size) if (out / ROWS).exists() else None  # or there was no image
+        write_page(out / VIEW, self.page(film, summary))
 
     def no_frame(self, reason: str) -> Exception | Interrupted:
         """Why there is no frame to begin with: the source's own error, a signal, or `reason`."""
@@ -330,10 +329,13 @@ class FilmRun(Run[F]):
             rate = self.source.rate / job.step
             film = FilmWriter(job.out, rate, number)
             writers = [*self.writers(rate, number), film]
+            video = self._video(rate, number)
+            if video is not None:
+                writers.append(video)
             for writer in writers:
                 stack.enter_context(writer)
             for step in self.answered(self._steps(frames, writers)):
-                self._answer(step, film)
+                self._answer(step, film, video)
                 progress.update()
             if self._ended_early and not self.source.live:  # which nobody can resume
                 raise _EndedEarlyError
@@ -357,12 +359,27 @@ class FilmRun(Run[F]):
             # frames that are still held back will be answered better by a run that is resumed
             self._checkpoint(writers)
 
-    def _answer(self, step: Step, film: FilmWriter) -> None:
+    def _video(self, rate: float, after: int) -> OverlayVideo | None:
+        """The video that is asked for, and what the live page shows."""
+        path: Path | None = self.job.out / OVERLAY
+        if not (
+            self.job.video or segments_of(self.job.out / OVERLAY)
+        ):  # a run that is resumed goes on with it
+            path = None
+        show = None if self._running is None else self._running.show
+        if path is None and show is None:
+            return None
+        return OverlayVideo(path, rate, self.drawing(), after, show)
+
+    def _answer(self, step: Step, film: FilmWriter, video: OverlayVideo | None) -> None:
         """Write a frame, and show it."""
         belief, found = step.belief, step.found
         self.state = belief.state
         self.take_in(belief, found, step.seconds)
-        film.add(belief.frame, self.drawn(belief, found))
+        drawn = self.drawn(belief, found)
+        film.add(belief.frame, drawn)
+        if video is not None:
+            video.add(belief.frame, drawn)
         if self._running is not None:
             self._running.take_in(belief.frame, self.told(belief, found), self.news)
         self._unsaved += 1

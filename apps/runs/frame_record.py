@@ -1,4 +1,4 @@
-"""What summary and report need of a run, gathered frame by frame, and how that is saved with the run."""
+"""What summary and page need of a run, gathered frame by frame, and how that is saved with the run."""
 
 from array import array
 from collections.abc import Mapping
@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..reports.frame_lists import listed
-from ..reports.snapshots import Snapshots
 
 
 @dataclass(eq=False, kw_only=True)
 class FrameRecord:
-    """Columns that grow with the frames, and some pictures. Every further field is a column.
+    """Columns that grow with the frames. Every further field is a column.
 
     Parameters
     ----------
@@ -30,7 +29,6 @@ class FrameRecord:
     times: "array[float]" = field(default_factory=lambda: array("d"))
     seconds: "array[float]" = field(default_factory=lambda: array("d"))
     missing: list[int] = field(default_factory=list)
-    snapshots: Snapshots = field(default_factory=Snapshots)
 
     @property
     def notes(self) -> list[str]:
@@ -42,21 +40,16 @@ class FrameRecord:
     @classmethod
     def kinds(cls) -> dict[str, Any]:
         """What `saved` gives, for `rsmcm.inference.engine.checkpoint`."""
-        columns = {each.name: NDArray[Any] for each in fields(cls) if each.name != "snapshots"}
-        return {**columns, "snapshots": Snapshots.KINDS}
+        return {each.name: NDArray[Any] for each in fields(cls)}
 
     def saved(self) -> dict[str, Any]:
         """Everything, as arrays."""
-        columns = {name: np.array(getattr(self, name)) for name in self.kinds() if name != "snapshots"}
-        return {**columns, "snapshots": self.snapshots.saved()}
+        return {name: np.array(getattr(self, name)) for name in self.kinds()}
 
     @classmethod
     def restored(cls, saved: Mapping[str, Any]) -> Self:
         """The record of which `saved` was kept."""
         record = cls()
         for name, values in saved.items():
-            if name == "snapshots":
-                record.snapshots.restore(values)
-            else:
-                getattr(record, name).extend(values.tolist() if values.ndim == 1 else values)
+            getattr(record, name).extend(values.tolist() if values.ndim == 1 else values)
         return record

@@ -17,8 +17,10 @@ from .saved_run import STATE, saying_how_to_go_on
 
 J = TypeVar("J", bound=Job)
 
-_GROWING = ("overlay.mp4", FILM, ROWS)
-ALWAYS = (STATE, "summary.json", "report.html", VIEW, *_GROWING, *map(segment_pattern, _GROWING))
+OVERLAY = "overlay.mp4"
+
+_GROWING = (OVERLAY, FILM, ROWS)
+ALWAYS = (STATE, "summary.json", VIEW, *_GROWING, *map(segment_pattern, _GROWING))
 """Files that every run may leave."""
 
 

@@ -18,12 +18,11 @@ from ..reports.frame_lists import shortened
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.progress import Progress
 from ..runs.run import Run
-from ..view.page import VIEW, write_view
+from ..view.page import VIEW, write_page
 from .files import MODEL, SHAPES, write_shapes
 from .job import AUTO, ShapeJob
-from .report import write_shape_report
+from .page import shape_page
 from .result import LearnedShape, Numbers
-from .view import shape_view
 
 
 def run_shape(job: ShapeJob) -> Outcome:
@@ -96,9 +95,7 @@ class ShapeRun(Run[ShapeJob]):
         }
         summary = self.summary(self.job.source, found.numbers, [], facts)
         title = f"{Path(self.job.source).name}: a shape that deforms"
-        film, view = shape_view(found)
-        write_view(folder / VIEW, title, film, len(found.numbers), view)
-        write_shape_report(folder / "report.html", found, summary, title)
+        write_page(folder / VIEW, shape_page(title, found, summary))
         write_json(folder / "summary.json", summary)
         return summary
 

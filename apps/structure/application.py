@@ -4,6 +4,7 @@ import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from ...inference import Solution
 from ...inference.engine import checkpoint
 from ...models.core.frame import Frame
+from ..drawing.overlay import OverlayVideo, draw_points
 from ..evaluation.predictions import write_predictions
 from ..exports.colmap import FILES as COLMAP_FILES
 from ..exports.colmap import write_colmap
@@ -23,9 +25,9 @@ from ..reports.frame_lists import listed
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, check_memory
 from ..runs.progress import Progress
-from ..runs.run import Run
+from ..runs.run import OVERLAY, Run
 from ..runs.saved_run import STATE, about_of, check_source
-from ..view.page import VIEW, write_view
+from ..view.page import VIEW, write_page
 from .camera import camera_in_words, in_perspective, lens_of
 from .diagnosis import (
     Diagnosis,
@@ -39,15 +41,20 @@ from .diagnosis import (
 )
 from .files import point_colours, write_cameras, write_ply, write_tracks
 from .job import StructureJob
+from .page import (
+    EDGE,
+    drawn_of,
+    film_of_tracks,
+    nothing_page,
+    structure_page,
+    write_film,
+)
 from .reconstruction import (
     MOST_ROUNDS,
     Reconstruction,
     engine_for,
     reconstruction_of,
 )
-from .report import write_nothing_report, write_structure_report
-from .track_overlay import write_overlay
-from .view import EDGE, film_of_tracks, structure_view, write_film
 
 COLMAP = "colmap"
 """Folder for the perspective structure as COLMAP has it."""
@@ -195,8 +202,8 @@ class StructureRun(Run[StructureJob]):
             write_colmap(folder / COLMAP, found.perspective, found.places, found.observed, colours, images)
         write_tracks(folder / "tracks.npz", found, frames)
         write_predictions(folder, found.predictions)
-        if film.n_tracks is None:
-            write_overlay(folder / "overlay.mp4", frames, found, film.rate)
+        if film.n_tracks is None and self.job.video:
+            _write_video(folder / OVERLAY, frames, found, film.rate)
         lens = found.perspective
         facts = {
             "tracks": len(found.point_of_track),
@@ -220,9 +227,13 @@ class StructureRun(Run[StructureJob]):
             "notes": notes,
             "seconds": self.seconds(),
         }
-        summary, title = self._summary(facts), self._title
-        self._write_view(found, colours, title)
-        write_structure_report(folder / "report.html", frames, found, colours, notes, self.settings, title)
+        summary = self._summary(facts)
+        if film.n_tracks is None:
+            shown, corner = write_film(folder, frames, film.rate), EDGE
+        else:
+            shown, corner = film_of_tracks(frames, found)
+        page = structure_page(self._title, frames, found, colours, summary, shown, corner)
+        write_page(folder / VIEW, page)
         write_json(folder / "summary.json", summary)
         return summary
 
@@ -232,7 +243,7 @@ class StructureRun(Run[StructureJob]):
         return film.pictures[index].name if film.pictures else f"{film.frames[index].number:06d}.png"
 
     def _nothing(self, diagnosis: Diagnosis) -> Outcome:
-        """Say why there is no structure, in `summary.json` and a report."""
+        """Say why there is no structure, in `summary.json` and on the page."""
         self._begin_once()
         folder, film = self.job.out, self._film
         notes = [*film.notes, *diagnosis.sentences]
@@ -247,9 +258,10 @@ class StructureRun(Run[StructureJob]):
             "seconds": self.seconds(),
         }
         summary = self._summary(facts)
-        write_nothing_report(
-            folder / "report.html", film.frames, diagnosis.figures, notes, self.settings, self._title
-        )
+        seen = film.n_tracks is None and any(frame.image is not None for frame in film.frames)
+        shown = write_film(folder, film.frames, film.rate) if seen else None
+        page = nothing_page(self._title, film.frames, diagnosis.figures, summary, shown)
+        write_page(folder / VIEW, page)
         write_json(folder / "summary.json", summary)
         checkpoint.save(self._state, {"about": self.about(summary)}, {"about": dict[str, Any]})
         return self.outcome(summary)
@@ -262,15 +274,6 @@ class StructureRun(Run[StructureJob]):
     @property
     def _title(self) -> str:
         return f"{Path(self._film.name).name}: structure from motion"
-
-    def _write_view(self, found: Reconstruction, colours: NDArray[np.uint8], title: str) -> None:
-        folder, frames = self.job.out, self._film.frames
-        if self._film.n_tracks is None:
-            shown, corner = write_film(folder, frames, self._film.rate), EDGE
-        else:
-            shown, corner = film_of_tracks(frames, found)
-        view = structure_view(frames, found, colours, shown, corner)
-        write_view(folder / VIEW, title, shown, len(frames), view)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """Points, and how well they fit."""
@@ -340,6 +343,14 @@ def _images(job: StructureJob) -> Film:
         where = where if where.is_dir() else where.parent
         pictures = tuple(where / source.pictures[frame.number - 1] for frame in frames if source.pictures)
         return Film(source.name, frames, rate, None, fingerprint, tuple(notes), pictures, source.stream)
+
+
+def _write_video(path: Path, frames: Sequence[Frame], found: Reconstruction, rate: float) -> None:
+    """Write a video of all frames with their points."""
+    with Progress("overlay", len(frames)) as progress, OverlayVideo(path, rate, draw_points) as video:
+        for index, frame in enumerate(frames):
+            video.add(frame, partial(drawn_of, found, index))
+            progress.update()
 
 
 class NoShapeError(Exception):

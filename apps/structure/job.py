@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-from ..options.job import Bounds, Job
+from ..options.job import Bounds, Flag, Job, OfRuns
 
 Coherence = Literal["second-order", "none"]
 Association = Literal["dual-chain", "none"]
@@ -33,12 +33,16 @@ class StructureJob(Job):
         Focal length in px, where it is known; else pictures may state it, or it is estimated.
     resume
         Go on with the run whose results are in the folder, from its last saved round.
+    video
+        Write overlay.mp4 as well, the film with its points drawn on it; rsmcm export makes it of a finished
+        run.
     """
 
     coherence: Coherence = "second-order"
     association: Association = "dual-chain"
     camera: Camera = "auto"
     focal: float | None = None
+    video: OfRuns[Flag] = False
 
     BOUNDS: ClassVar[Bounds] = {"focal": (lambda px: 0 < px < math.inf, "px, more than 0")}
 

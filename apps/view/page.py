@@ -1,29 +1,126 @@
-"""`view.html` from a film and what is drawn over it."""
+"""What a page consists of, and how it is written: cards, tables, pictures, plots, and a film to play.
+
+A page is one HTML file that holds its film, pictures, plots, data and style itself. It asks nothing of any
+network, follows the reader's light or dark setting, and prints. What is not `Markup` already is escaped.
+"""
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import cv2
+import jinja2
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ...models.files import write_text
-from ..reports.links import links_beside
-from ..reports.page import templates_in
 from .film import Film
 
+Array = NDArray[Any]
+Image = NDArray[np.uint8]
+
 VIEW = "view.html"
+
+LINKED = {
+    VIEW: "film with what was found",
+    "overlay.mp4": "video",
+    "compare.html": "comparison",
+    "events.html": "zones and lines",
+    "tracks.csv": "tracks",
+    "events.csv": "events",
+    "structure.ply": "shape",
+    "summary.json": "summary",
+}
+"""Files beside a page that people look at, and what a link to them says."""
+
+BLUE, ORANGE, GREEN, RED = "#2f7fc1", "#d9822b", "#3a9a5b", "#d64545"
 
 SEEN, PREDICTED = 0, 1
 """Kinds of spans."""
 
-_TEMPLATES = Path(__file__).parent / "templates"
-_environment = templates_in(_TEMPLATES)
-_environment.globals["source"] = lambda name: Markup((_TEMPLATES / name).read_text(encoding="utf-8"))
+MOST_FRAMES = 20_000
+"""Of a curve over the frames of a run; beyond, it is of the means of as many frames each as need be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A line of a plot.
+
+    Parameters
+    ----------
+    values
+        `(n,)`; NaN where nothing is known, which leaves a gap.
+    label
+        what the legend calls it; empty where there is but one.
+    colour
+        as CSS has it.
+    band
+        `(n,)` lower and upper bounds about it.
+    x
+        `(n,)`; `None` for one value a frame of the run.
+    style
+        joined by lines or by steps, or dots that are not joined.
+    colours
+        of each dot, as CSS has them.
+    """
+
+    values: Array
+    label: str = ""
+    colour: str = BLUE
+    band: tuple[Array, Array] | None = None
+    x: Array | None = None
+    style: Literal["line", "steps", "dots"] = "line"
+    colours: Sequence[str] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Plot:
+    """A plot, which the page draws.
+
+    Parameters
+    ----------
+    name
+        what is shown, above it, beside the page's title.
+    unit
+        of the vertical axis.
+    lines
+        of one axis.
+    caption
+        below it.
+    axis
+        name of the horizontal axis with its unit; `None` for that of the run, where the film is marked.
+    shaded
+        stretches of the horizontal axis that are marked: beginning and end.
+    dotted
+        places on it that are marked.
+    is_map
+        whether both axes have one scale and the vertical one points down, as in pictures.
+    """
+
+    name: str
+    unit: str
+    lines: Sequence[Line]
+    caption: str = ""
+    axis: str | None = None
+    shaded: Sequence[tuple[float, float]] = ()
+    dotted: Sequence[float] = ()
+    is_map: bool = False
+
+
+def rates(seconds: Sequence[float]) -> Array:
+    """Frames a second `(n,)`, each over the 25 frames around, of the seconds that every frame took."""
+    spent, at = np.concatenate([[0.0], np.cumsum(seconds)]), np.arange(len(seconds))
+    first, after = np.maximum(at - 12, 0), np.minimum(at + 13, len(seconds))
+    return (after - first) / np.maximum(spent[after] - spent[first], 1e-9)
+
+
+Part = Markup | Plot
+Section = tuple[str, Sequence[Part]]
+"""Heading, which may be empty, and parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,58 +155,168 @@ def spans_of(seen: NDArray[np.bool_], frames: NDArray[np.int64] | None = None) -
 
 
 @dataclass(frozen=True, eq=False)
-class Plot:
-    """A curve over the frames of the film; NaN where nothing is known."""
-
-    name: str
-    unit: str
-    values: NDArray[Any]
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """What is on the page.
+class Page:
+    """What is on a page, in the order in which it is there.
 
     Parameters
     ----------
-    layers
-        by the names of their scripts in `templates/layers`, in the order of drawing, the data of each.
-    rows, plots
-        over time.
-    """
-
-    layers: Mapping[str, Any] = field(default_factory=dict)
-    rows: Sequence[TimelineRow] = ()
-    plots: Sequence[Plot] = ()
-
-
-def write_view(path: Path, title: str, film: Film, n_frames: int, view: View) -> None:
-    """Write the page.
-
-    Parameters
-    ----------
-    path
-        of the file.
     title
         heading.
+    cards
+        figures of the summary by their names, in large letters.
+    notes
+        what is out of the ordinary, a sentence each.
     film
-        its frames; with no path there is a slider over time only.
-    n_frames
-        of the whole run, which the page says if the film shows fewer.
-    view
-        what is drawn, and shown beside it.
+        to be played; `None` for a page without one.
+    layers
+        what is drawn over the film: by the names of their scripts in `templates/layers`, in the order of
+        drawing, the data of each, which is anything that JSON takes, and arrays.
+    timeline
+        what is followed over the film's frames.
+    plots
+        over the frames of the run.
+    sections
+        tables, pictures and further plots, under headings.
+    parameters
+        every setting of the run; mappings inside become dotted names.
+    numbers, times
+        of all frames of the run: 1-based, and s.
+    over
+        what the horizontal axis of the run is: its times, or the numbers of its frames.
+    """
+
+    title: str
+    cards: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+    film: Film | None = None
+    layers: Mapping[str, Any] = field(default_factory=dict)
+    timeline: Sequence[TimelineRow] = ()
+    plots: Sequence[Plot] = ()
+    sections: Sequence[Section] = ()
+    parameters: Mapping[str, object] = field(default_factory=dict)
+    numbers: Sequence[int] = ()
+    times: Sequence[float] = ()
+    over: Literal["time", "frame"] = "time"
+
+
+# --- parts of sections ---
+
+
+def paragraph(text: str) -> Markup:
+    """A paragraph of plain text."""
+    return Markup(_parts.paragraph(text))
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]], caption: str = "") -> Markup:
+    """A table; numbers are rounded to four digits and set to the right.
+
+    Raises
+    ------
+    ValueError
+        if a row has another number of cells than the header.
+    """
+    lines = list(rows)
+    for row in lines:
+        if len(row) != len(header):
+            raise ValueError(f"rows: got a row of {len(row)} cells, expected {len(header)}: {row!r}")
+    return Markup(_parts.table(header, lines, caption))
+
+
+def coloured(colour: str, text: object) -> Markup:
+    """A cell of a table: a text behind a dot of a colour, as CSS has it."""
+    return Markup('<i style="background:{}"></i>{}').format(colour, text)
+
+
+def flat(settings: Mapping[str, object], above: str = "") -> list[tuple[object, ...]]:
+    """Name and value of every setting, mappings inside with dotted names."""
+    rows: list[tuple[object, ...]] = []
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            rows += flat(value, f"{above}{name}.")
+        else:
+            rows.append((f"{above}{name}", value))
+    return rows
+
+
+def picture(image: Image, caption: str = "") -> Markup:
+    """A picture, `(height, width[, 3])` uint8, BGR."""
+    return Markup(_parts.captioned(_inlined(image, caption), caption))
+
+
+def picture_grid(rows: Sequence[tuple[str, Sequence[Image]]], columns: Sequence[str]) -> Markup:
+    """Pictures in named rows under named columns.
+
+    Raises
+    ------
+    ValueError
+        if a row has another number of pictures than there are columns.
+    """
+    lines = []
+    for name, images in rows:
+        if len(images) != len(columns):
+            raise ValueError(f"rows: got {len(images)} pictures in row {name!r}, expected {len(columns)}")
+        pictures = [
+            _inlined(image, f"{name}, {column}") for image, column in zip(images, columns, strict=True)
+        ]
+        lines.append((name, pictures))
+    return Markup(_parts.grid(lines, columns))
+
+
+def _inlined(image: Image, description: str) -> Markup:
+    """An image as part of the page: JPEG, or PNG for pictures of few values, which JPEG would smear."""
+    few = image.ndim == 2 and len(np.unique(image)) <= 16
+    kind, options = ("png", []) if few else ("jpeg", [cv2.IMWRITE_JPEG_QUALITY, 88])
+    return Markup(_parts.image(kind, encoded(image, f".{kind}", options), description))
+
+
+def encoded(image: Image, kind: str, options: Sequence[int] = ()) -> str:
+    """A picture as a file of that kind (`.png`, `.jpg`) with OpenCV's options, in base 64.
+
+    Raises
+    ------
+    ValueError
+        if a picture of this form cannot be such a file.
+    """
+    done, data = cv2.imencode(kind, image, options)
+    if not done:
+        raise ValueError(f"image: got {image.shape} {image.dtype}, which cannot be stored as {kind}")
+    return base64.b64encode(data.tobytes()).decode("ascii")
+
+
+# --- the page ---
+
+
+def write_page(path: Path, page: Page) -> None:
+    """Write a page as one HTML file.
 
     Raises
     ------
     OSError
-        if the film cannot be read or the page cannot be written; nothing half-written stays behind.
+        if its film cannot be read, or the file cannot be written; nothing half-written stays behind.
     """
-    data = {
-        "size": film.size,
-        "numbers": film.numbers.astype(np.int32),
-        "times": film.times,
-        "moments": film.moments,
-        "frames": n_frames,
+    film = page.film
+    plots: list[Plot] = list(page.plots)
+    sections = []
+    for heading, parts in page.sections:
+        placed = []
+        for part in parts:
+            if isinstance(part, Plot):
+                plots.append(part)
+                placed.append(Markup(_parts.plot(len(plots) - 1)))
+            else:
+                placed.append(part)
+        sections.append((heading, placed))
+    bins = _Bins.of(len(page.numbers))
+    data: dict[str, Any] = {
+        "title": page.title,
+        "over": page.over,
+        "run": {
+            "numbers": bins.means(page.numbers),
+            "times": bins.means(page.times),
+            "frames": len(page.numbers),
+            "each": bins.width,
+        },
+        "plots": [_plot_data(plot, bins) for plot in plots],
         "rows": [
             {
                 "id": row.identity,
@@ -117,23 +324,92 @@ def write_view(path: Path, title: str, film: Film, n_frames: int, view: View) ->
                 "colour": row.colour,
                 "spans": row.spans.astype(np.int32),
             }
-            for row in view.rows
+            for row in page.timeline
         ],
-        "plots": [
-            {"name": plot.name, "unit": plot.unit, "values": np.asarray(plot.values, np.float32)}
-            for plot in view.plots
-        ],
-        "layers": view.layers,
+        "layers": page.layers,
     }
-    inlined = "" if film.path is None else base64.b64encode(film.path.read_bytes()).decode("ascii")
-    files = links_beside(path, coming=["report.html"])
-    template = _environment.get_template("view.html")
-    write_text(
-        path,
-        template.render(
-            title=title, files=files, layers=list(view.layers), data=_json(data), film=Markup(inlined)
-        ),
+    inlined = ""
+    if film is not None:
+        data |= {
+            "size": film.size,
+            "numbers": film.numbers.astype(np.int32),
+            "times": film.times,
+            "moments": film.moments,
+        }
+        if film.path is not None:
+            inlined = base64.b64encode(film.path.read_bytes()).decode("ascii")
+    text = _environment.get_template("page.html").render(
+        page=page,
+        links=_links_beside(path),
+        sections=sections,
+        parameters=table(("parameter", "value"), flat(page.parameters)) if page.parameters else None,
+        with_data=bool(film is not None or plots),
+        data=_json(data),
+        film=Markup(inlined),
     )
+    write_text(path, text)
+
+
+def _links_beside(path: Path) -> dict[str, str]:
+    """What lies beside a page, by the names of the files: the text of the link."""
+    return {
+        name: text for name, text in LINKED.items() if name != path.name and (path.parent / name).exists()
+    }
+
+
+@dataclass(frozen=True)
+class _Bins:
+    """Frames of a run in bins of equal width, one frame each unless they are many."""
+
+    count: int
+    width: int
+
+    @classmethod
+    def of(cls, count: int) -> "_Bins":
+        return cls(count, max(1, -(-count // MOST_FRAMES)))
+
+    def means(self, values: Iterable[Any]) -> NDArray[np.float64]:
+        """Mean of the known values `(n,)` in each bin; NaN where there is none."""
+        series = np.array(list(values), np.float64)
+        if len(series) != self.count:
+            raise ValueError(f"values: got {len(series)}, expected one for each of {self.count} frames")
+        if self.width == 1:
+            return series
+        starts, known = np.arange(0, self.count, self.width), np.isfinite(series)
+        total = np.add.reduceat(np.where(known, series, 0), starts)
+        number = np.add.reduceat(known.astype(np.float64), starts)
+        return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+
+
+def _plot_data(plot: Plot, bins: _Bins) -> dict[str, Any]:
+    def values(line: Line, given: Array) -> NDArray[np.float32]:
+        return (bins.means(given) if line.x is None else np.asarray(given)).astype(np.float32)
+
+    lines = [
+        {
+            "label": line.label,
+            "colour": line.colour,
+            "style": line.style,
+            "values": values(line, line.values),
+            "band": None if line.band is None else [values(line, bound) for bound in line.band],
+            "x": None if line.x is None else np.asarray(line.x, np.float64),
+            "colours": line.colours,
+        }
+        for line in plot.lines
+    ]
+    caption = plot.caption
+    if plot.axis is None and bins.width > 1:
+        caption = f"{caption} Means over {bins.width} frames each.".strip()
+    return {
+        "name": plot.name,
+        "unit": plot.unit,
+        "lines": lines,
+        "caption": caption,
+        "axis": plot.axis,
+        "shaded": [list(each) for each in plot.shaded],
+        "dotted": list(plot.dotted),
+        "isMap": plot.is_map,
+    }
 
 
 def _json(data: Any) -> Markup:
@@ -151,3 +427,31 @@ def _packed(value: Any) -> Any:
     array = array.astype(array.dtype.newbyteorder("<"), copy=False)
     name = f"{array.dtype.kind}{array.dtype.itemsize}"
     return {"array": name, "shape": array.shape, "bytes": base64.b64encode(array.tobytes()).decode("ascii")}
+
+
+def _rounded(value: object) -> object:
+    return f"{value:.4g}" if isinstance(value, float | np.floating) else value
+
+
+def _is_numeric(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def templates_in(folder: Path) -> jinja2.Environment:
+    """Templates of HTML: what is not `Markup` is escaped, and names that are not given are errors."""
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folder),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+    )
+
+
+_TEMPLATES = Path(__file__).parent / "templates"
+_environment = templates_in(_TEMPLATES)
+_environment.globals["source"] = lambda name: Markup((_TEMPLATES / name).read_text(encoding="utf-8"))
+_environment.filters["rounded"] = _rounded
+_environment.tests["numeric"] = _is_numeric
+_parts: Any = _environment.get_template("parts.html").module

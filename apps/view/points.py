@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drawing.boxes import css_colour, identity_colour
+from ..drawing.overlay import css_colour, identity_colour
 from ..reports.evenly_spaced import evenly_spread
 from .film import Film
-from .page import Plot, TimelineRow, spans_of
+from .page import Line, Plot, TimelineRow, spans_of
 
 Numbers = NDArray[np.float64]
 
@@ -96,13 +96,17 @@ class FollowedPoints:
             for point in chosen
         ]
 
-    def plots(self, shown: NDArray[np.bool_]) -> list[Plot]:
+    def plots(self) -> list[Plot]:
         """Root mean square distance from where they were seen, and how many were."""
-        observed = self.observed[shown]
-        squares = np.where(observed, np.square(self.residuals[shown]).sum(axis=-1), 0.0).sum(axis=1)
+        observed = self.observed
+        squares = np.where(observed, np.square(self.residuals).sum(axis=-1), 0.0).sum(axis=1)
         counts = np.count_nonzero(observed, axis=1)
         errors = np.sqrt(np.where(counts > 0, squares, np.nan) / np.maximum(counts, 1))
-        return [Plot("error per point", "px", errors), Plot("points seen", "", counts)]
+        caption = "Root mean square distance (per point, not per coordinate) over those seen."
+        return [
+            Plot("error per point", "px", [Line(errors)], caption),
+            Plot("points seen", "", [Line(counts)]),
+        ]
 
 
 def ink_of(point: int) -> str:

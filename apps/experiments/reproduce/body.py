@@ -25,8 +25,8 @@ from ...body.measures import (
     pooled,
     recoveries,
 )
-from ...body.overlay import BodyOverlay
 from ...drawing.mosaic import mosaic
+from ...drawing.overlay import BodyOverlay
 from ...runs.parallel import in_parallel
 from ...scenes import signer
 from ..expectations import Expectation, over_seeds

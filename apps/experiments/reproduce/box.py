@@ -5,23 +5,19 @@ from pathlib import Path
 
 import numpy as np
 
-from ...drawing.mosaic import mosaic
+from ...drawing.overlay import draw_points
 from ...io.datasets import data_folder
 from ...runs.progress import Progress
 from ...structure.application import Film, read_film
 from ...structure.files import point_colours, write_ply
 from ...structure.job import Association, StructureJob
+from ...structure.page import drawn_of
 from ...structure.reconstruction import MOST_ROUNDS, Reconstruction, reconstruct
-from ...structure.surface_views import surface_views
-from ...structure.track_overlay import draw_points
 from ..expectations import Expectation
 from ..experiment import Experiment, Picture
 from ..record import Table
 
 SEQUENCES = ("cmu-hotel", "bobot")
-TURNS = (-40, 0, 40)
-"""Degrees by which the surface is turned to be shown."""
-
 METHODS: dict[str, Association] = {"stand-alone": "none", "dual-chain": "dual-chain"}
 
 
@@ -86,15 +82,13 @@ def reproduce_box(out: Path) -> Experiment:
             start, found = f"{name}-{result.method}", result.found
             if found.geometry != "none":
                 write_ply(out / f"{start}.ply", found, point_colours(film.frames, found))
-            views = surface_views(film.frames, found, TURNS) if found.geometry == "euclidean" else []
-            if views:
-                sheet = mosaic([(f"{name}, {result.method}", views)], [f"turned by {turn}" for turn in TURNS])
-                pictures.append(Picture(f"{start}-surface.png", sheet, f"{name}, {result.method}: surface"))
             middle = len(film.frames) // 2
-            image = film.frames[middle].image
-            if image is not None:
+            frame = film.frames[middle]
+            if frame.image is not None:
+                row = drawn_of(found, middle)
+                drawn = draw_points(frame.image, row, frame.number, frame.time, missing=False)
                 seen = f"{name}, {result.method}: dots are seen, rings predicted"
-                pictures.append(Picture(f"{start}.png", draw_points(image, found, middle), seen))
+                pictures.append(Picture(f"{start}.png", drawn, seen))
     return Experiment("Turning objects", [Table(LINE, lines)], expectations, pictures)
 
 

@@ -23,7 +23,7 @@ from ....models.body.upper_body import JOINTS, PARTS
 from ....models.core.frame import Frame
 from ....models.numerics.densities import squared_distances
 from ...body.measures import APART, HANDS, LEAST_VARIANCE, PLACES, BodyTrial, exchanged_hands
-from ...body.overlay import TrackedBody
+from ...drawing.overlay import TrackedBody
 from ...scenes import SignerScene, signer
 
 Numbers = NDArray[np.float64]

@@ -10,7 +10,7 @@ function addDetails(rows) {
 /** An element for something beside the film. */
 function addPanel(title) {
   const body = element("div", {});
-  byId("panels").append(element("section", { className: "panel", "aria-label": title }, element("h2", { textContent: title }), body));
+  byId("panels").append(element("section", { className: "card", "aria-label": title }, element("h2", { textContent: title }), body));
   return body;
 }
 

@@ -1,4 +1,4 @@
-// Everything is there: begin.
+// Everything is there: begin the player.
 
 const bytes = byId("film-bytes").textContent;
 const video = byId("video");
@@ -21,16 +21,14 @@ if (bytes) {
   clock = freeClock();
   video.remove();
 }
-if (data.frames > view.count) {
-  tell(`Frames ${view.numbers[0]} to ${view.numbers[view.count - 1]}, ${view.count} of ${data.frames}: the others are not on this page.`);
+if (data.run.frames > view.count) {
+  tell(`The film has frames ${view.numbers[0]} to ${view.numbers[view.count - 1]}, ${view.count} of ${data.run.frames}: the others are not on this page.`);
 }
 beginPlayer(clock);
 for (const row of data.rows) addRow(row);
-for (const plot of data.plots) addPlot(plot);
 layers.forEach((begin, k) => begin(Object.values(data.layers)[k]));
 beginStage();
 beginTimeline();
-beginPlots();
 beginDetails();
 beginKeys();
-view.at(0);
+beginPrint(video);

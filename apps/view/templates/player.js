@@ -68,3 +68,15 @@ function beginKeys() {
     does(event);
   });
 }
+
+/** On paper a film is the picture that it shows: not every browser prints what a video shows. */
+function beginPrint(video) {
+  const still = byId("still");
+  addEventListener("beforeprint", () => {
+    if (!video.videoWidth) return;
+    [still.width, still.height, still.hidden] = [video.videoWidth, video.videoHeight, false];
+    still.style.cssText = video.style.cssText;
+    still.getContext("2d").drawImage(video, 0, 0);
+  });
+  addEventListener("afterprint", () => { still.hidden = true; });
+}

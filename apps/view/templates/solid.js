@@ -131,3 +131,13 @@ class Solid {
     return found;
   }
 }
+
+/** A JPEG in base 64 as a texture, when it is decoded. */
+async function pixelsOf(jpeg) {
+  const image = element("img", { src: `data:image/jpeg;base64,${jpeg}` });
+  await image.decode();
+  const { naturalWidth: width, naturalHeight: height } = image;
+  const pen = element("canvas", { width, height }).getContext("2d");
+  pen.drawImage(image, 0, 0);
+  return { width, pixels: new Uint32Array(pen.getImageData(0, 0, width, height).data.buffer) };
+}

@@ -4,10 +4,10 @@ const data = unpacked(JSON.parse(byId("data").textContent));
 
 const view = {
   data,
-  size: data.size,         // [width, height] of the source, px
-  numbers: data.numbers,   // of the frames, 1-based
-  times: data.times,       // of the frames, s
-  count: data.numbers.length,
+  size: data.size,               // [width, height] of the source, px
+  numbers: data.numbers ?? [],   // of the film's frames, 1-based
+  times: data.times ?? [],       // of the film's frames, s
+  count: data.numbers?.length ?? 0,
   frame: 0,                // index of the frame that is shown
   selected: null,          // id of a row
   rows: [],

@@ -1,7 +1,7 @@
 // A reconstruction in space: points, from where the camera saw them, how sure they are.
 
-addLayers(({ geometry, reason, count, space: inSpace }) => {
-  const MOST_REGIONS = 300;
+addLayers(({ geometry, reason, count, space: inSpace, surface }) => {
+  const MOST_REGIONS = 300, SURFACE = 0xb0b0b0;
 
   const panel = addPanel("In space");
   const say = (textContent) => panel.append(element("p", { className: "quiet hint", textContent }));
@@ -21,30 +21,43 @@ addLayers(({ geometry, reason, count, space: inSpace }) => {
     const around = element("input", { type: "checkbox" });
     choices.append(element("label", {}, around, " 90 % regions"));
     if (colours) choices.append(element("label", {}, asPicture, " in the film's colours"));
+    const asSurface = element("input", { type: "checkbox" });
+    const corners = surface && { turned: new Float32Array(surface.corners.length), placed: new Float32Array(surface.corners.length) };
+    let texture = null; // the picture that the surface carries, when it is there
+    if (surface) {
+      choices.append(element("label", {}, asSurface, ` as a surface, with the picture of frame ${surface.frame}`));
+      pixelsOf(surface.picture).then((picture) => { texture = picture; space.redraw(); });
+    }
     panel.append(choices);
     const rotation = (i) => rotations.subarray(9 * i, 9 * i + 9);
     /** From where a camera looks, out of the points' middle: against its third axis. */
     const stand = (i, far) => [0, 1, 2].map((k) => centre[k] - far * reach * rotation(i)[6 + k]);
 
-    const seenByCamera = (i) => {
+    /** Places about the points' middle, turned as a camera sees them. */
+    const seenByCamera = (i, from, into) => {
       const [a, b, c, d, e, f, g, h, k] = rotation(i), [x0, y0, z0] = centre;
-      for (let v = 0; v < places.length; v += 3) {
-        const x = places[v] - x0, y = places[v + 1] - y0, z = places[v + 2] - z0;
-        turned[v] = a * x + b * y + c * z + x0;
-        turned[v + 1] = d * x + e * y + f * z + y0;
-        turned[v + 2] = g * x + h * y + k * z + z0;
+      for (let v = 0; v < from.length; v += 3) {
+        const x = from[v] - x0, y = from[v + 1] - y0, z = from[v + 2] - z0;
+        into[v] = a * x + b * y + c * z + x0;
+        into[v + 1] = d * x + e * y + f * z + y0;
+        into[v + 2] = g * x + h * y + k * z + z0;
       }
-      return turned;
+      return into;
     };
 
     const space = new Space(panel, {
       label: "The points in space", centre, reach: 1.25 * reach,
       draw(space) {
         const i = view.frame, byCamera = withCamera.checked && Number.isFinite(rotation(i)[0]);
-        const now = byCamera ? seenByCamera(i) : places;
+        const now = byCamera ? seenByCamera(i, places, turned) : places;
         solid.begin(space);
         solid.placed(now, placed);
-        solid.dots(placed, asPicture.checked ? colours : inks, radius, reach);
+        if (asSurface.checked) {
+          const at = byCamera ? seenByCamera(i, surface.corners, corners.turned) : surface.corners;
+          solid.triangles(surface.triangles, solid.placed(at, corners.placed), SURFACE, texture, surface.onPicture);
+        } else {
+          solid.dots(placed, asPicture.checked ? colours : inks, radius, reach);
+        }
         solid.end();
         if (canTurn && !byCamera) cameras(space, i);
         const k = shownAt.get(view.selected);
@@ -61,7 +74,7 @@ addLayers(({ geometry, reason, count, space: inSpace }) => {
       },
       pick(x, y) {
         const k = solid.at(x, y);
-        view.select(k < 0 ? null : points[k]);
+        view.select(k < 0 ? null : asSurface.checked ? surface.points[k] : points[k]);
       },
     });
     choices.addEventListener("change", () => space.redraw());

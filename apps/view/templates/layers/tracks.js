@@ -4,7 +4,7 @@ const TAIL_SECONDS = 2;
 const NINETY_PERCENT = 2.146; // standard deviations that hold 90 % of a Gaussian in the plane
 
 addLayers((tracks) => {
-  const { id: ids, box: boxes, seen, confidence, velocity, covariance, outline, corners, count, polygons } = tracks;
+  const { id: ids, box: boxes, seen, confidence, velocity, covariance, outline, corners, count, polygons, given, givenCount } = tracks;
   const starts = startsOf(count), shapes = startsOf(polygons), points = startsOf(corners);
   const colours = new Map(view.rows.map((row) => [row.id, row.colour]));
   const lives = new Map(view.rows.map((row) => [row.id, { frames: [], entries: [] }]));
@@ -76,6 +76,16 @@ addLayers((tracks) => {
       each(pen, i, (k, selected) => drawPath(pen, ids[k], from, i, selected ? 4 : 2.5));
     },
   });
+
+  if (given.length) {
+    const detections = startsOf(givenCount);
+    addSwitch({
+      name: "detections", key: "g", draw(pen, i) {
+        [pen.strokeStyle, pen.lineWidth] = ["#d0d0d0", 1.2 * pen.thin];
+        for (let k = detections[i]; k < detections[i + 1]; k++) pen.strokeRect(...given.subarray(4 * k, 4 * k + 4));
+      },
+    });
+  }
 
   addSwitch({
     name: "uncertainty", label: "uncertainty, 90 %", key: "u", draw(pen, i) {

@@ -1,0 +1,258 @@
+"""The page of a background run: objects and outlines over the film, tracks, numbers over time."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.core.frame import GivenBoxes
+from ..drawing.overlay import css_colour, draw_zones, identity_colour
+from ..events.report import Happened
+from ..events.watch import Event
+from ..events.zones import Zones
+from ..io.mot import TrackedObject
+from ..reports.frame_lists import listed
+from ..view.film import LONGEST_SIDE, Film, Row
+from ..view.page import (
+    Line,
+    Page,
+    Plot,
+    Section,
+    TimelineRow,
+    coloured,
+    flat,
+    paragraph,
+    picture,
+    rates,
+    spans_of,
+    table,
+)
+from .record import RunRecord, TrackHistory
+
+Image = NDArray[np.uint8]
+
+OF_TRACKS = ("id", "box", "confidence", "velocity", "seen", "covariance")
+OF_OUTLINES = ("outline", "corners")
+
+MOST_ROWS = 100
+"""Of the table of tracks."""
+LEAST_SIDE = 960
+"""px of the longer side of the picture with all paths."""
+
+
+def drawn_of(
+    foreground: NDArray[np.uint8], tracks: Sequence[TrackedObject], given: GivenBoxes | None = None
+) -> Row:
+    """What is drawn on a frame: objects, and the foreground's outlines, in px of the source.
+
+    Parameters
+    ----------
+    foreground
+        `(height, width)` uint8, 0 or 255.
+    tracks
+        objects of the frame.
+    given
+        boxes of a detector.
+    """
+    outlines = _outlines(foreground)
+    covariances = np.array([track.position_covariance for track in tracks], np.float32).reshape(-1, 4)
+    boxes = np.zeros((0, 4)) if given is None else given.xyxy
+    return {
+        "id": np.array([track.identity for track in tracks], np.int32),
+        "box": np.array([track.box for track in tracks], np.float32).reshape(-1, 4),
+        "confidence": np.array([track.confidence for track in tracks], np.float32),
+        "velocity": np.array([track.velocity for track in tracks], np.float32).reshape(-1, 2),
+        "seen": np.array([track.seen for track in tracks], np.uint8),
+        "covariance": covariances[:, [0, 1, 3]],
+        "outline": np.concatenate([np.zeros((0, 2), np.int16), *outlines]),
+        "corners": np.array([len(outline) for outline in outlines], np.int32),
+        "given": np.hstack([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]]).astype(np.float32),
+    }
+
+
+def _outlines(foreground: NDArray[np.uint8]) -> list[NDArray[np.int16]]:
+    """Polygons around the foreground, and around its holes."""
+    near = max(1.0, max(foreground.shape) / LONGEST_SIDE)  # px of the source: about one of the film
+    found, _ = cv2.findContours(foreground, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    polygons = [cv2.approxPolyDP(contour, near, closed=True)[:, 0].astype(np.int16) for contour in found]
+    return [polygon for polygon in polygons if len(polygon) > 2]
+
+
+def background_page(
+    title: str,
+    record: RunRecord,
+    summary: Mapping[str, Any],
+    film: Film | None,
+    background: Image | None,
+    happened: Happened | None = None,
+) -> Page:
+    """Fill the page of a run.
+
+    Parameters
+    ----------
+    title
+        heading.
+    record
+        numbers of all frames, and the tracks.
+    summary
+        content of `summary.json`.
+    film
+        with columns of `drawn_of`; `None` if no frame could be read.
+    background
+        `(height, width[, 3])` uint8, BGR: the picture of the background at the end.
+    happened
+        what happened to zones and lines, if there were any.
+    """
+    zones = None if happened is None else happened.zones
+    sections: list[Section] = []
+    if summary["metrics"]:
+        sections.append(("Against the ground truth", [table(("measure", "value"), flat(summary["metrics"]))]))
+    tracks: list[Any] = [_track_table(record)]
+    if background is not None:
+        text = "Where the feet went, on the background at the end: from the ring to the dot with the number."
+        tracks.insert(0, picture(draw_paths(background, record.tracks, zones), text))
+    sections.append(("Tracks", tracks))
+    if happened is not None:
+        sections += happened.sections()
+    layers, timeline = ({}, []) if film is None else (_layers(film, happened), _timeline(film))
+    return Page(
+        title,
+        cards=_cards(record, summary),
+        notes=_notes(record, summary),
+        film=film,
+        layers=layers,
+        timeline=timeline,
+        plots=_plots(record),
+        sections=sections,
+        parameters=summary["parameters"],
+        numbers=record.numbers,
+        times=record.times,
+    )
+
+
+def _cards(record: RunRecord, summary: Mapping[str, Any]) -> dict[str, str]:
+    spent, times = sum(record.seconds), record.times
+    width, height = summary["size"]
+    cards = {
+        "frames": f"{summary['frames']}",
+        "missing": f"{summary['missing_frames']}",
+        "first and last": f"{summary['first_frame']} – {summary['last_frame']}",
+        "duration": f"{times[-1] - times[0]:.1f} s" if times else "–",
+        "picture": f"{width} × {height} px",
+        "frames a second": f"{summary['frames_per_second']:.1f}",
+        "frames a second, model": f"{len(record.numbers) / spent:.1f}" if spent > 0 else "–",
+        "tracks": f"{summary['tracks']}",
+    }
+    if (given := summary["detections"]) is not None:
+        cards |= {"detections": f"{given['boxes']}", "frames with a detector": f"{given['frames']}"}
+    return cards
+
+
+def _notes(record: RunRecord, summary: Mapping[str, Any]) -> list[str]:
+    notes = list(summary["notes"])
+    if record.missing:
+        notes.append(f"Missing or unreadable, and only predicted: {listed(record.missing)}.")
+    return notes
+
+
+def _plots(record: RunRecord) -> list[Plot]:
+    times, evidence = np.array(record.times), np.array(record.log_evidence)
+    known = np.isfinite(evidence)  # it is not worked out for every frame
+    return [
+        Plot("tracks", "", [Line(np.array(record.n_tracks), style="steps")]),
+        Plot("foreground", "%", [Line(100 * np.array(record.foreground_share))]),
+        Plot("log evidence a pixel", "nats", [Line(evidence[known], x=times[known])]),
+        Plot("frames a second, model", "", [Line(rates(record.seconds))]),
+    ]
+
+
+def _track_table(record: RunRecord) -> Any:
+    if not record.tracks:
+        return paragraph("There was no track.")
+    longest = sorted(record.tracks.items(), key=lambda item: -item[1].n_frames)[:MOST_ROWS]
+    rows = [
+        (
+            coloured(css_colour(identity_colour(identity)), identity),
+            history.first,
+            history.last,
+            history.n_frames,
+            f"{history.width / history.n_frames:.0f} × {history.height / history.n_frames:.0f}",
+        )
+        for identity, history in sorted(longest)
+    ]
+    count = len(record.tracks)
+    caption = f"The {MOST_ROWS} longest of {count} tracks." if count > MOST_ROWS else ""
+    return table(("identity", "first frame", "last frame", "frames", "mean size, px"), rows, caption)
+
+
+def draw_paths(background: Image, tracks: Mapping[int, TrackHistory], zones: Zones | None = None) -> Image:
+    """Every track's path on a picture, `(height, width, 3)` uint8 with 960 px or more at its longer side."""
+    scale = max(1.0, LEAST_SIDE / max(background.shape[:2]))
+    size = (round(background.shape[1] * scale), round(background.shape[0] * scale))
+    canvas = cv2.cvtColor(background, cv2.COLOR_GRAY2BGR) if background.ndim == 2 else background
+    canvas = cv2.resize(canvas, size, interpolation=cv2.INTER_CUBIC)
+    canvas = cv2.addWeighted(canvas, 0.75, np.full_like(canvas, 128), 0.25, 0)  # paler than the paths
+    if zones is not None:
+        draw_zones(canvas, zones, scale)
+    edge = (20, 20, 20)
+    ends = {}
+    for identity, history in sorted(tracks.items()):
+        colour = identity_colour(identity)
+        points = np.rint((np.array([*history.path.kept, history.foot]) + 0.5) * scale).astype(np.int32)
+        start, ends[identity] = ((int(x), int(y)) for x, y in (points[0], points[-1]))
+        for ink, thickness in ((edge, 4), (colour, 2)):
+            cv2.polylines(canvas, [points], False, ink, thickness, cv2.LINE_AA)
+            cv2.circle(canvas, start, 6, ink, thickness, cv2.LINE_AA)
+    for identity, (x, y) in ends.items():  # above all paths
+        colour = identity_colour(identity)
+        label = str(identity)
+        beside = x + 9 if x + 9 + 12 * len(label) < size[0] else x - 9 - 12 * len(label)
+        place = (max(beside, 2), min(max(y + 5, 14), size[1] - 4))
+        for ink, radius in ((edge, 7), (colour, 5)):
+            cv2.circle(canvas, (x, y), radius, ink, cv2.FILLED, cv2.LINE_AA)
+        for ink, thickness in ((edge, 4), ((255, 255, 255), 1)):
+            cv2.putText(canvas, label, place, cv2.FONT_HERSHEY_SIMPLEX, 0.55, ink, thickness, cv2.LINE_AA)
+    return np.asarray(canvas, np.uint8)
+
+
+def _timeline(film: Film) -> list[TimelineRow]:
+    """A row for each object of the film."""
+    ids, counts = film.columns["id"], film.counts["id"]
+    order = np.argsort(ids, kind="stable")
+    frames = np.repeat(np.arange(len(counts)), counts)[order]
+    seen = film.columns["seen"][order].astype(np.bool_)
+    identities, starts = np.unique(ids[order], return_index=True)
+    ends = np.append(starts, len(ids))[1:]
+    return [
+        TimelineRow(
+            identity,
+            str(identity),
+            css_colour(identity_colour(identity)),
+            spans_of(seen[start:end], frames[start:end]),
+        )
+        for identity, start, end in zip(identities.tolist(), starts, ends, strict=True)
+    ]
+
+
+def _layers(film: Film, happened: Happened | None) -> dict[str, Any]:
+    layer = {name: film.columns[name] for name in (*OF_TRACKS, *OF_OUTLINES, "given")}
+    for name, of in (("count", "id"), ("polygons", "corners"), ("givenCount", "given")):
+        layer[name] = film.counts[of].astype(np.int32)
+    zones, events = (Zones(), ()) if happened is None else (happened.zones, happened.events)
+    shown = [event for event in events if film.numbers[0] <= event.moment.frame <= film.numbers[-1]]
+    shown.sort(key=lambda event: event.moment.time)  # a stay that ends is known late
+    return {"events": list(map(_plain, shown)), "zones": zones.plain(), "tracks": layer}
+
+
+def _plain(event: Event) -> dict[str, object]:
+    lasted = "" if event.duration is None else f"{event.duration:.1f} s"
+    return {
+        "frame": event.moment.frame,
+        "time": event.moment.time,
+        "id": event.identity,
+        "kind": event.kind.value,
+        "zone": event.zone,
+        "more": event.direction or lasted,
+    }

@@ -1,0 +1,261 @@
+"""The page of a body: skeletons over the film and in space, how sure each joint is, doubts, what was seen."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...models.body.upper_body import JOINTS, PARTS
+from ..drawing.overlay import CHAINS, TRUNK, BodyOverlay, Draw, TrackedBody, caption, css_colour
+from ..view.film import Film, Row
+from ..view.page import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    RED,
+    Line,
+    Page,
+    Plot,
+    Section,
+    TimelineRow,
+    paragraph,
+    rates,
+    spans_of,
+    table,
+)
+from .hypotheses import WORTH_SAYING
+from .record import PART_JOINTS, BodyRecord
+from .relabelling import ROWS
+
+Image = NDArray[np.uint8]
+
+SAMPLES = 12
+"""Poses of the posterior that are shown of a frame."""
+
+PER_PX = 4
+"""Their places are whole numbers of this part of a px."""
+
+HALF_90 = 1.645
+"""Standard deviations of a Gaussian to either side of its mean that hold 90 %."""
+
+COLOURS = (GREEN, BLUE, ORANGE)
+"""Of head, left and right hand, as over the film but for the head."""
+
+GREY = "#8a929e"
+"""On the page, of what is white on the pictures."""
+
+
+def drawn_of(row: Mapping[str, Any]) -> Row:
+    """What is drawn of a frame, from its row of `poses.npz`."""
+    covariances = row["joints_3d_covariances"]
+    upper = covariances[:, *np.triu_indices(3)]
+    every = len(row["samples"]) // SAMPLES
+    samples = row["samples"][::every][:SAMPLES]
+    return {
+        "joints": np.concatenate([row["joints_3d"], upper], axis=1).astype(np.float32),
+        "samples": _whole(samples),
+        "second": _whole(row["hypothesis_joints"][1]),
+        "secondWeight": row["hypotheses"][1:2].astype(np.float32),
+        "seen": row["seen"][None],
+        "missing": row["missing"][None],
+    }
+
+
+def _whole(places: NDArray[Any]) -> NDArray[np.int16]:
+    """Places as whole numbers of parts of a px, 0 where there is none."""
+    limits = np.iinfo(np.int16)
+    scaled = np.nan_to_num(np.rint(PER_PX * places), nan=0.0)
+    return np.asarray(np.clip(scaled, limits.min, limits.max).astype(np.int16))
+
+
+def with_final_names(film: Film, folder: Path) -> Film:
+    """A film with rows of `drawn_of`, hands named as in `poses.npz` at the end of the run in `folder`."""
+    with np.load(folder / "poses.npz") as poses:
+        rows = {name: poses[name] for name in (*ROWS, "frames", "missing")}
+    columns = {name: values.copy() for name, values in film.columns.items()}
+    for index, place in enumerate(np.searchsorted(rows["frames"], film.numbers)):
+        if rows["relabelled"][place]:
+            for name, values in drawn_of({name: each[place] for name, each in rows.items()}).items():
+                columns[name].reshape(len(film.numbers), -1)[index] = values.reshape(-1)
+    return replace(film, columns=columns)
+
+
+def drawing(arm: float) -> Draw:
+    """What draws rows of `drawn_of` on frames, of a body whose stretched arm is so many px long."""
+    overlay = BodyOverlay(arm)
+
+    def draw(image: Image, row: Row, number: int, time: float, *, missing: bool) -> Image:
+        return overlay.draw(image, _tracked(row), caption(number, missing=missing))
+
+    return draw
+
+
+def _tracked(row: Row) -> TrackedBody:
+    """The body of a row of `drawn_of`."""
+    joints = row["joints"].astype(np.float64)
+    covariances = np.empty((len(joints), 3, 3))
+    for k, (r, s) in enumerate(zip(*np.triu_indices(3), strict=True)):
+        covariances[:, r, s] = covariances[:, s, r] = joints[:, 3 + k]
+    seen = row["seen"][0]
+    unseen = [f"{name.replace('_', ' ')} not seen" for name, so in zip(PARTS, seen, strict=True) if not so]
+    remarks = [] if row["missing"][0] else unseen if seen.any() else ["nothing seen"]
+    weight, second = float(row["secondWeight"][0]), None
+    if weight >= WORTH_SAYING:
+        second = row["second"] / PER_PX
+        remarks.append(f"or as dashed, {100 * weight:.0f} %")
+    samples = row["samples"].reshape(-1, *joints[:, :3].shape) / PER_PX
+    return TrackedBody(samples, joints[:, :3], covariances, ", ".join(remarks), second)
+
+
+def body_page(
+    title: str, record: BodyRecord, summary: Mapping[str, Any], film: Film | None, arm: float
+) -> Page:
+    """Fill the page of a run.
+
+    Parameters
+    ----------
+    title
+        heading.
+    record
+        numbers of all frames, one at least.
+    summary
+        content of `summary.json`.
+    film
+        with columns of `drawn_of`.
+    arm
+        length of a stretched one, px.
+    """
+    layers, timeline = ({}, []) if film is None else _over_the_film(film, arm)
+    return Page(
+        title,
+        cards=_cards(summary),
+        notes=summary["notes"],
+        film=film,
+        layers=layers,
+        timeline=timeline,
+        plots=_plots(record),
+        sections=_sections(record, summary),
+        parameters=summary["parameters"],
+        numbers=record.numbers,
+        times=record.times,
+    )
+
+
+def _over_the_film(film: Film, arm: float) -> tuple[dict[str, Any], list[TimelineRow]]:
+    """What is drawn over a film and beside it, and a row for each joint."""
+    columns = film.columns
+    seen = columns["seen"] & ~columns["missing"][:, None]
+    inks = dict.fromkeys(range(len(JOINTS)), GREY)
+    bones = []
+    for colour, chain in CHAINS:
+        ink = GREY if colour == TRUNK else css_colour(colour)
+        bones += [(*bone, ink) for bone in pairwise(chain)]
+        if colour != TRUNK:
+            inks.update(dict.fromkeys(chain, ink))
+    rows = []
+    for joint in sorted(inks, key=lambda joint: joint not in PART_JOINTS):
+        there = seen[:, PART_JOINTS.index(joint)] if joint in PART_JOINTS else np.zeros(len(seen), np.bool_)
+        rows.append(TimelineRow(joint, JOINTS[joint].replace("_", " "), inks[joint], spans_of(there)))
+    joints = columns["joints"].reshape(len(seen), len(JOINTS), -1)
+    low, high = np.quantile(joints[..., :3], (0.02, 0.98), axis=(0, 1))
+    layer = {
+        "joints": columns["joints"],
+        "samples": columns["samples"],
+        "second": columns["second"],
+        "secondWeight": columns["secondWeight"],
+        "worthSaying": WORTH_SAYING,
+        "perPx": PER_PX,
+        "bones": bones,
+        "colours": [inks[joint] for joint in range(len(JOINTS))],
+        "parts": PART_JOINTS,
+        "seen": seen,
+        "arm": arm,
+        "centre": [*((low[:2] + high[:2]) / 2).tolist(), 0.0],
+        "reach": 1.2 * float(max(*(high - low)[:2] / 2, *np.abs([low[2], high[2]]))),
+    }
+    return {"body": layer}, rows
+
+
+def _cards(summary: Mapping[str, Any]) -> dict[str, str]:
+    seen = {
+        f"{name.replace('_', ' ')} seen": f"{100 * share:.0f} %" for name, share in summary["seen"].items()
+    }
+    return {
+        "frames": f"{summary['frames']}",
+        "frames a second": f"{summary['frames_per_second']:.1f}",
+        "frames a second, tracker": f"{summary['frames_per_second_of_engine']:.1f}",
+        **seen,
+        "missing": f"{summary['missing_frames']}",
+        "samples": f"{summary['parameters']['samples']}",
+    }
+
+
+def _plots(record: BodyRecord) -> list[Plot]:
+    """Curves in which periods without any feature are shaded."""
+    time_of = dict(zip(record.numbers, record.times, strict=True))
+    nothing = [(time_of[first], time_of[last]) for first, last in record.stationary_periods]
+
+    def plot(name: str, unit: str, lines: Sequence[Line], caption: str) -> Plot:
+        return Plot(name, unit, lines, caption + " Shaded: nothing was seen." * bool(nothing), shaded=nothing)
+
+    names = [name.replace("_", " ") for name in PARTS]
+    places, halves = record.of_parts(record.places), HALF_90 * record.of_parts(record.spreads)
+    plots = []
+    for axis, name in enumerate(("x, to the right", "y, down", "z, away")):
+        lines = []
+        for part, colour in enumerate(COLOURS):
+            mean, half = places[:, part, axis], halves[:, part, axis]
+            lines.append(Line(mean, names[part], colour, (mean - half, mean + half)))
+        plots.append(plot(name, "px", lines, "Posterior means, with bands that hold 90 % of a Gaussian."))
+    unsure = record.of_parts(record.unsure)
+    doubt = [
+        Line(100 * np.array(record.second), "second answer", RED),
+        *(Line(100 * unsure[:, hand], f"{names[hand]} elsewhere", COLOURS[hand]) for hand in (1, 2)),
+        Line(100 * record.exchanged, "hands exchanged", GREEN),
+    ]
+    caption = (
+        "Poses drawn from the posterior, gathered by where their hands are: the probability of the second "
+        "best answer, of answers with a hand elsewhere than in the best one, and, by the whole film, that "
+        "hands have each other's name."
+    )
+    return [
+        *plots,
+        plot("doubt", "%", doubt, caption),
+        plot(
+            "log evidence",
+            "nats",
+            [Line(np.array(record.log_evidence))],
+            "Log of the mean likelihood of a frame under its samples, up to a constant.",
+        ),
+        plot("log₁₀ of samples, effective", "", [Line(np.log10(record.effective))], "Of 1 / Σ weight²."),
+        Plot("frames a second, tracker", "", [Line(rates(record.seconds))], shaded=nothing),
+    ]
+
+
+def _sections(record: BodyRecord, summary: Mapping[str, Any]) -> list[Section]:
+    seen, body = record.of_parts(record.seen), summary["body"]
+    shown = [
+        (name.replace("_", " "), int(np.count_nonzero(seen[:, part])), f"{100 * share:.1f} %")
+        for part, (name, share) in enumerate(record.shares_seen.items())
+    ]
+    doubts = [
+        (name.replace("_", " "), each.frames, f"{100 * each.probability:.0f} %")
+        for name, stretches in record.doubts.items()
+        for each in stretches
+    ]
+    lengths = [(name.replace("_", " "), value) for name, value in body["lengths"].items()]
+    caption = "A hand before face or neck does not count, since their skin may be all that was seen."
+    sections: list[Section] = [
+        (
+            "Head and hands",
+            [table(("part", "frames in which it was seen", "of those that are not missing"), shown, caption)],
+        )
+    ]
+    if doubts:
+        sections.append(("Doubt", [table(("what", "frames", "probability at most"), doubts)]))
+    sections.append(("Body", [paragraph(body["origin"]), table(("length", "px"), lengths)]))
+    return sections

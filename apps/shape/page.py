@@ -1,0 +1,121 @@
+"""The page of a shape that deforms: points, the shape and its modes in space, weights over time."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ...inference.nonrigid.choice import BasesChoice
+from ..drawing.overlay import identity_colour
+from ..view.page import BLUE, RED, Line, Page, Plot, Section
+from ..view.points import LAYER, FollowedPoints, film_of_points, packed
+from .result import LearnedShape
+
+SIDES = (("from the front", 0, 1), ("from the right", 2, 1), ("from above", 0, 2))
+"""Title, and which of x (right), y (down) and z (away) goes to the right and which down."""
+
+MOST_MODES = 6
+"""In pictures, the largest."""
+SWING = 2.0
+"""Standard deviations to both sides of the mean, in which 95 % of weights lie."""
+
+
+def shape_page(title: str, found: LearnedShape, summary: Mapping[str, Any]) -> Page:
+    """Fill the page of a run.
+
+    Parameters
+    ----------
+    title
+        heading.
+    found
+        the shape and its tracks.
+    summary
+        content of `summary.json`.
+    """
+    learned = found.learned
+    positions = found.shapes[..., :2]
+    followed = FollowedPoints(positions, found.covariances[..., :2, :2], found.residuals, "shape and pose")
+    film, corner = film_of_points(followed.places, found.numbers, found.times.tolist())
+    shown = np.ones(len(film.numbers), np.bool_)
+    mean = learned.bases[0]
+    layer: dict[str, Any] = {
+        "modes": len(learned.bases) - 1,
+        "bases": np.concatenate([learned.bases, learned.details]).astype(np.float32),
+        "triangles": learned.model().triangles.astype(np.int32),
+        "inks": packed(np.array([identity_colour(point) for point in range(len(mean))])),
+        "rotations": learned.rotations.astype(np.float32),
+        "scales": learned.scales.astype(np.float32),
+        "weights": np.hstack([learned.weights, learned.detail_weights]).astype(np.float32),
+        "size": float(np.nanmean(learned.scales)),
+        # a shape that leans out of the mean one still fits
+        "reach": 1.25 * float(np.linalg.norm(mean - mean.mean(axis=0), axis=1).max()),
+    }
+    weights = [
+        Plot(f"weight of mode {k}", "s.d.", [Line(values)])
+        for k, values in enumerate(learned.weights.T, start=1)
+    ]
+    sections: list[Section] = [("Modes", _modes(found))]
+    if found.choice is not None:
+        sections.append(("Number of bases", [_held_out(found.choice)]))
+    return Page(
+        title,
+        cards=_cards(summary),
+        notes=summary["notes"],
+        film=film,
+        layers={LAYER: followed.over(film, shown, corner), "shape": layer},
+        timeline=followed.rows(film, shown),
+        plots=[*followed.plots(), *weights],
+        sections=sections,
+        parameters=summary["parameters"],
+        numbers=found.numbers,
+        times=found.times.tolist(),
+        over="frame",
+    )
+
+
+def _cards(summary: Mapping[str, Any]) -> dict[str, str]:
+    cards = {
+        "frames": f"{summary['frames']}",
+        "points": f"{summary['points']}",
+        "bases": f"{summary['bases']}",
+        "reprojection error per point": f"{summary['reprojection_rmse_px_per_point']:.3g} px",
+        "reprojection error per coordinate": f"{summary['reprojection_rmse_px_per_coordinate']:.3g} px",
+        "noise of a coordinate": f"{summary['noise_px_per_coordinate']:.3g} px",
+    }
+    if summary["e3d"] is not None:
+        cards["error in 3-D, e3D"] = f"{summary['e3d']:.4f}"
+    return cards
+
+
+def _modes(found: LearnedShape) -> list[Plot]:
+    """How each mode moves the points of the mean shape, from three sides."""
+    bases = found.learned.bases
+    shown = min(len(bases) - 1, MOST_MODES)
+    left_out = len(bases) - 1 - shown
+    caption = f"From {SWING:g} standard deviations below the mean (blue) to as many above it (red)."
+    caption += f" {left_out} smaller modes are not shown." if left_out else ""
+    plots = []
+    for k in range(1, shown + 1):
+        low, high = bases[0] - SWING * bases[k], bases[0] + SWING * bases[k]
+        ways = np.stack([low, high, np.full_like(low, np.nan)], axis=1).reshape(-1, 3)
+        for side, across, down in SIDES:
+            lines = [
+                Line(ways[:, down], "", "#808080", x=ways[:, across]),
+                Line(low[:, down], "", BLUE, x=low[:, across], style="dots"),
+                Line(high[:, down], "", RED, x=high[:, across], style="dots"),
+            ]
+            said = caption if not plots else ""
+            plots.append(Plot(f"mode {k}, {side}", "xyz"[down], lines, said, axis="xyz"[across], is_map=True))
+    return plots
+
+
+def _held_out(choice: BasesChoice) -> Plot:
+    """Errors at positions that were withheld, over the number of bases."""
+    candidates, errors = np.array(choice.candidates), np.asarray(choice.errors)
+    chosen = candidates == choice.bases
+    lines = [Line(errors, x=candidates), Line(errors[chosen], "", RED, x=candidates[chosen], style="dots")]
+    caption = (
+        "Root mean square error per coordinate at positions that were withheld. Chosen (red): the fewest "
+        "bases that are no worse than the best by one standard error."
+    )
+    return Plot("error of a coordinate", "px", lines, caption, axis="bases")

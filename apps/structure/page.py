@@ -1,0 +1,287 @@
+"""The page of a reconstruction: points over the film and in space, the cameras, errors over time."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay
+
+from ...models.core.frame import Frame
+from ..drawing.overlay import css_colour, identity_colour
+from ..reports.evenly_spaced import evenly_spread
+from ..view.film import Film, FilmWriter, Row, read_film
+from ..view.page import Line, Page, Plot, Section, encoded
+from ..view.points import LAYER, FollowedPoints, film_of_points, packed
+from .camera import camera_in_words
+from .files import GREY, orthographic_parts
+from .reconstruction import Numbers, Reconstruction
+
+Image = NDArray[np.uint8]
+
+MOST_POINTS = 100_000
+"""In space."""
+MOST_DRAWN, MOST_PLACES = 300, 60_000
+"""In a plot of tracks without pictures: points, and their places."""
+
+EDGE = (-0.5, -0.5)
+"""px: upper left corner of pictures, where points have the pixels' centres at whole numbers."""
+
+TRAIL_FRAMES = 12
+"""Over which points leave a trail on the video."""
+
+LONGEST_EDGE = 0.2
+"""Of triangles of the surface, by the picture's diagonal: longer ones span what belongs to nothing."""
+LEAST_SURE = 4.0
+"""Deviation, in medians over the points, beyond which a point is no corner of the surface."""
+PICTURE_SIDE = 640
+"""px of the picture that the surface carries, at most."""
+
+SIDES = (("from the front", 0, 1), ("from the right", 2, 1), ("from above", 0, 2))
+"""Title, and which of x (right), y (down) and z (away) goes to the right and which down."""
+
+
+def write_film(folder: Path, frames: Sequence[Frame], rate: float) -> Film:
+    """Write the film without drawings to the folder, and read what there is of it.
+
+    Raises
+    ------
+    OSError
+        if it cannot be written.
+    """
+    height, width = next(frame.image.shape[:2] for frame in frames if frame.image is not None)
+    with FilmWriter(folder, rate) as writer:
+        for frame in frames:
+            writer.add(frame, dict)
+    return read_film(folder, (width, height))
+
+
+def film_of_tracks(frames: Sequence[Frame], found: Reconstruction) -> tuple[Film, tuple[float, float]]:
+    """A film without pictures that is as large as the points need, and its upper left corner, px."""
+    return film_of_points(found.places, [frame.number for frame in frames], [frame.time for frame in frames])
+
+
+def drawn_of(found: Reconstruction, index: int) -> Row:
+    """What is drawn on a frame of the video: see `apps.drawing.overlay.draw_points`."""
+    frames = slice(max(0, index - TRAIL_FRAMES), index + 1)
+    seen = found.observed[frames]
+    trails = np.where(seen[..., None], found.places[frames], np.nan)
+    return {"points": found.places[index], "seen": seen[-1], "trails": trails.transpose(1, 0, 2)}
+
+
+def structure_page(
+    title: str,
+    frames: Sequence[Frame],
+    found: Reconstruction,
+    colours: NDArray[np.uint8],
+    summary: Mapping[str, Any],
+    film: Film,
+    corner: tuple[float, float] = EDGE,
+) -> Page:
+    """Fill the page of a run.
+
+    Parameters
+    ----------
+    title
+        heading.
+    frames
+        all of them.
+    found
+        points and cameras.
+    colours
+        `(n_points, 3)` BGR: of the points in space.
+    summary
+        content of `summary.json`.
+    film
+        of all frames, or of the last ones.
+    corner
+        px, in the coordinates of points: the upper left one of the film.
+    """
+    shown = np.isin([frame.number for frame in frames], film.numbers)
+    points = evenly_spread(found.n_points, MOST_POINTS)
+    residuals = np.where(found.observed[..., None], found.residuals, np.nan)
+    followed = FollowedPoints(found.positions, found.covariances, residuals, "shape and camera")
+    layer: dict[str, Any] = {
+        "geometry": found.geometry,
+        "reason": found.reason,
+        "count": found.n_points,
+        "space": None if found.geometry == "none" else _space(found, colours, points, shown),
+        "surface": _surface(frames, found) if found.geometry == "euclidean" else None,
+    }
+    sections: list[Section] = []
+    if found.geometry != "none":
+        sections.append(("Shape", three_sides(found, colours)))
+    if film.path is None:
+        sections.append(("Tracks", [tracks_plot(found)]))
+    sections.append(("Rounds", [_rounds(found)]))
+    return Page(
+        title,
+        cards=_cards(found, summary),
+        notes=summary["notes"],
+        film=film,
+        layers={LAYER: followed.over(film, shown, corner), "structure": layer},
+        timeline=followed.rows(film, shown),
+        plots=followed.plots(),
+        sections=sections,
+        parameters=summary["parameters"],
+        numbers=[frame.number for frame in frames],
+        times=[frame.time for frame in frames],
+        over="frame",
+    )
+
+
+def nothing_page(
+    title: str,
+    frames: Sequence[Frame],
+    figures: Mapping[str, float | None],
+    summary: Mapping[str, Any],
+    film: Film | None,
+) -> Page:
+    """Fill the page of a run that has found nothing: what is missing, why, and the film that it has seen.
+
+    Parameters
+    ----------
+    figures
+        what was measured, by names as they are in `summary.json`.
+    title, frames, summary, film
+        as of `structure_page`; no film where there are no pictures.
+    """
+    known = {name.replace("_", " "): f"{value:.3g}" for name, value in figures.items() if value is not None}
+    return Page(
+        title,
+        cards={"frames": f"{len(frames)}", **known},
+        notes=summary["notes"],
+        film=film,
+        parameters=summary["parameters"],
+        numbers=[frame.number for frame in frames],
+        times=[frame.time for frame in frames],
+        over="frame",
+    )
+
+
+def _cards(found: Reconstruction, summary: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        "frames": f"{summary['frames']}",
+        "points": f"{found.n_points}",
+        "observations": f"{found.n_observations}",
+        "reprojection error per point": f"{found.reprojection_error:.3g} px",
+        "reprojection error per coordinate": f"{found.reprojection_error / math.sqrt(2):.3g} px",
+        "noise of a coordinate": f"{np.sqrt(found.noise_variance):.3g} px",
+        "shape": "undetermined" if found.geometry == "none" else found.geometry,
+        "camera": camera_in_words(found),
+        "rounds": f"{len(found.objective)}",
+    }
+
+
+def three_sides(found: Reconstruction, colours: NDArray[np.uint8], name: str = "") -> list[Plot]:
+    """The points from three sides.
+
+    Parameters
+    ----------
+    found
+        of a shape that is not undetermined.
+    colours
+        `(n_points, 3)` BGR.
+    name
+        stands before the captions.
+    """
+    centred = found.shape - np.median(found.shape, axis=0)
+    # what is badly known lies anywhere, and would make everything else small
+    shown = np.all(np.abs(centred) <= 2 * np.quantile(np.abs(centred), 0.9, axis=0), axis=1)
+    inks = [css_colour(colour) for colour in colours[shown].tolist()]
+    left_out = found.n_points - np.count_nonzero(shown)
+    caption = (
+        "In px of the picture, up to scale and to reflection in depth."
+        if found.geometry == "euclidean"
+        else "Up to an affine map: lengths and angles mean nothing."
+    )
+    caption = f"{name}{caption}" + (
+        f" {left_out} of {found.n_points} points lie outside." if left_out else ""
+    )
+    return [
+        Plot(
+            side,
+            "xyz"[down],
+            [Line(centred[shown, down], x=centred[shown, across], style="dots", colours=inks)],
+            caption if not k else "",
+            axis="xyz"[across],
+            is_map=True,
+        )
+        for k, (side, across, down) in enumerate(SIDES)
+    ]
+
+
+def tracks_plot(found: Reconstruction) -> Plot:
+    """Paths of the points in the plane of the picture, where they were seen."""
+    drawn = evenly_spread(found.n_points, MOST_DRAWN)
+    chosen = evenly_spread(len(found.observed), MOST_PLACES // max(1, len(drawn)))
+    lines = []
+    for point in drawn:
+        seen = np.where(found.observed[chosen, point, None], found.places[chosen, point], np.nan)
+        lines.append(Line(seen[:, 1], "", css_colour(identity_colour(point)), x=seen[:, 0]))
+    caption = "As observed."
+    caption += f" {len(drawn)} of {found.n_points} points." if len(drawn) < found.n_points else ""
+    return Plot("tracks", "y, px", lines, caption, axis="x, px", is_map=True)
+
+
+def _rounds(found: Reconstruction) -> Plot:
+    values = np.array(found.objective)
+    ended = "It ended by itself." if found.converged else "It was ended before it converged."
+    caption = f"Log density of the model after each round of coordinate ascent. {ended}"
+    return Plot("objective", "nats", [Line(values, x=np.arange(1, len(values) + 1))], caption, axis="round")
+
+
+def _space(
+    found: Reconstruction, colours: NDArray[np.uint8], points: Sequence[int], shown: NDArray[np.bool_]
+) -> dict[str, Any]:
+    """The points in space, and from where the cameras look at them."""
+    shape = found.shape[points]
+    centre = np.median(shape, axis=0)
+    # what is badly known lies anywhere, and would make everything else small
+    reach = float(np.quantile(np.linalg.norm(shape - centre, axis=1), 0.9))
+    inks = [identity_colour(point) for point in points]
+    rotations: Numbers = np.full((np.count_nonzero(shown), 3, 3), np.nan)
+    if found.geometry == "euclidean":
+        rotations = orthographic_parts(found.cameras)[1][shown]
+    return {
+        "points": np.array(points, np.int32),
+        "places": shape.astype(np.float32),
+        "inks": packed(np.array(inks)),
+        "colours": packed(colours[points]) if (colours != GREY).any() else None,
+        "covariances": found.shape_covariances[points][:, *np.triu_indices(3)].astype(np.float32),
+        "rotations": rotations.astype(np.float32),
+        "centre": centre.tolist(),
+        "reach": reach,
+    }
+
+
+def _surface(frames: Sequence[Frame], found: Reconstruction) -> dict[str, Any] | None:
+    """Triangles between the points of the frame that shows most, and its picture, which they carry."""
+    with_image = [index for index, frame in enumerate(frames) if frame.image is not None]
+    counts = np.count_nonzero(found.observed[with_image], axis=1)
+    if not len(counts) or counts.max() < 3:
+        return None
+    index = with_image[int(counts.argmax())]
+    image = frames[index].image
+    assert image is not None
+    sure = found.deviations <= LEAST_SURE * np.median(found.deviations)
+    corners = np.flatnonzero(found.observed[index] & sure)
+    if len(corners) < 3:
+        return None
+    places = found.places[index, corners]
+    triangles = Delaunay(places).simplices
+    edges = np.linalg.norm(places[triangles] - places[np.roll(triangles, 1, axis=1)], axis=2)
+    triangles = triangles[edges.max(axis=1) <= LONGEST_EDGE * math.hypot(*image.shape[:2])]
+    scale = min(1.0, PICTURE_SIDE / max(image.shape[:2]))
+    picture = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+    return {
+        "frame": frames[index].number,
+        "points": corners.astype(np.int32),
+        "corners": found.shape[corners].astype(np.float32),
+        "triangles": triangles.astype(np.int32),
+        "onPicture": (scale * places).astype(np.float32),
+        "picture": encoded(picture, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 85]),
+    }
