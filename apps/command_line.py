@@ -117,7 +117,9 @@ def shape(job: Fields[ShapeJob]) -> int:
 
 
 @app.command
-def export(run: Path, *, to: Literal["coco", "cvat", "movement"], out: Path, overwrite: Flag = False) -> int:
+def export(
+    run: Path, *, to: Literal["coco", "cvat", "movement", "video"], out: Path, overwrite: Flag = False
+) -> int:
     """Write the results of a finished run as a file that another tool takes.
 
     Parameters
@@ -127,8 +129,9 @@ def export(run: Path, *, to: Literal["coco", "cvat", "movement"], out: Path, ove
     to
         coco: JSON with boxes, masks and identities of a background run. cvat: its MOT 1.1 (zip), which CVAT
         imports and --ground-truth reads. movement: netCDF of objects, a body or a face (needs rsmcm[xarray]).
+        video: the film with what was found drawn on it, of any run that has one.
     out
-        File to write: .json, .zip or .nc.
+        File to write: .json, .zip, .nc or .mp4.
     overwrite
         Replace the file if it is there.
     """

@@ -228,34 +228,39 @@ def _tint(canvas: Canvas, outline: NDArray[Any], corners: NDArray[Any]) -> None:
 # --- points ---
 
 
-def draw_points(image: Image, row: Row, number: int, time: float, *, missing: bool) -> Image:
-    """Draw the points of a frame: seen ones as dots with the way that they came, predicted ones as rings.
+TRAIL_FRAMES = 12
 
-    Parameters
-    ----------
-    row
-        `points (n_points, 2)` px, `seen (n_points,)`, and `trails (n_points, n_before, 2)` px, where they
-        were seen in frames until this one, NaN where they were not.
-    image, number, time, missing
-        see `Draw`.
+
+class PointsOverlay:
+    """Draws points: seen ones as dots with the way that they came, predicted ones as rings.
+
+    Frames are drawn in their order: trails are those of the twelve frames before. A row has `id (n,)`,
+    `points (n, 2)` px, and `seen (n,)`, of the same points in every frame.
     """
-    canvas = canvas_of(image)
-    height, width = canvas.shape[:2]
-    unit, margin = _unit(canvas), np.array([width, height])
-    places, seen = row["points"], row["seen"]
-    near = np.all((places > -margin) & (places < 2 * margin), axis=1)  # NaN is not near
-    radius = round(2.2 * unit * (1 << FRACTION_BITS))
-    for point in np.flatnonzero(near).tolist():
-        colour, centre = identity_colour(point), _fixed(places[point]).tolist()
-        if seen[point]:
-            trail = row["trails"][point]
-            trail = _fixed(trail[np.isfinite(trail).all(axis=1)])
-            cv2.polylines(canvas, [trail], False, colour, max(1, round(unit)), cv2.LINE_AA, FRACTION_BITS)
-            cv2.circle(canvas, centre, radius, colour, cv2.FILLED, cv2.LINE_AA, FRACTION_BITS)
-        else:
-            cv2.circle(canvas, centre, radius, colour, 1, cv2.LINE_AA, FRACTION_BITS)
-    draw_label(canvas, caption(number, missing=missing))
-    return np.asarray(canvas, np.uint8)
+
+    def __init__(self) -> None:
+        self._trail: deque[Array] = deque(maxlen=TRAIL_FRAMES + 1)
+
+    def __call__(self, image: Image, row: Row, number: int, time: float, *, missing: bool) -> Image:
+        """Draw a frame; see `Draw`."""
+        canvas = canvas_of(image)
+        height, width = canvas.shape[:2]
+        unit, margin = _unit(canvas), np.array([width, height])
+        places, seen = row["points"].astype(np.float64), row["seen"]
+        near = np.all((places > -margin) & (places < 2 * margin), axis=1)  # NaN is not near
+        self._trail.append(np.where((near & seen)[:, None], places, np.nan))
+        trails = np.stack(self._trail, axis=1)
+        radius = round(2.2 * unit * (1 << FRACTION_BITS))
+        for k in np.flatnonzero(near).tolist():
+            colour, centre = identity_colour(int(row["id"][k])), _fixed(places[k]).tolist()
+            if seen[k]:
+                trail = _fixed(trails[k][np.isfinite(trails[k]).all(axis=1)])
+                cv2.polylines(canvas, [trail], False, colour, max(1, round(unit)), cv2.LINE_AA, FRACTION_BITS)
+                cv2.circle(canvas, centre, radius, colour, cv2.FILLED, cv2.LINE_AA, FRACTION_BITS)
+            else:
+                cv2.circle(canvas, centre, radius, colour, 1, cv2.LINE_AA, FRACTION_BITS)
+        draw_label(canvas, caption(number, missing=missing))
+        return np.asarray(canvas, np.uint8)
 
 
 # --- a face ---

@@ -7,13 +7,15 @@ from typing import Literal, get_args
 from .coco import to_coco
 from .cvat import to_cvat
 from .movement import to_movement
+from .video import to_video
 
-Format = Literal["coco", "cvat", "movement"]
+Format = Literal["coco", "cvat", "movement", "video"]
 
 EXPORTS: Mapping[Format, tuple[str, Callable[[Path, Path], str]]] = {
     "coco": (".json", to_coco),
     "cvat": (".zip", to_cvat),
     "movement": (".nc", to_movement),
+    "video": (".mp4", to_video),
 }
 """How the name of the file ends, and what writes it."""
 

@@ -20,8 +20,8 @@ from .finished_run import FinishedRun
 def to_video(run: str | Path, out: str | Path) -> str:
     """Write the film of a run, what the page of the run plays, with what was found drawn on it.
 
-    Its pictures are of the size of the source, but their detail is that of `film.mp4`, whose sides are at most 640
-    px; `--video` of the run itself draws on the frames as they are.
+    Its pictures are of the size of the source, but their detail is that of `film.mp4`, whose sides are at
+    most 640 px; `--video` of the run itself draws on the frames as they are.
 
     Parameters
     ----------

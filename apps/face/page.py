@@ -145,11 +145,10 @@ def face_page(
         sections.append(("Against the given landmarks", [table(("measure", "value"), rows)]))
     pictures = picture_grid([("", list(textures.values()))], list(textures))
     sections.append(("Texture of the most credible expert at the end, on the mean shape", [pictures]))
-    timeline = (
-        []
-        if film is None
-        else [TimelineRow(0, "face", INK, spans_of(~film.columns["states"][:, :2].any(axis=1)))]
-    )
+    timeline = []
+    if film is not None:
+        lost, missing, _ = film.columns["states"].T
+        timeline = [TimelineRow(0, "face", INK, spans_of(np.asarray(~(lost | missing))))]
     return Page(
         title,
         cards=_cards(summary),

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ...chains.gflow import GFlow, GFlowState
+from ...chains.face.gflow import GFlow, GFlowState
 from ...models.face.morphable_model import MorphableModel
 from ...models.face.pose import Poses
 from ...models.face.surface_texels import SurfaceTexels

@@ -246,7 +246,7 @@ class FilmRun(Run[F]):
 
     def _write_page(self, summary: Mapping[str, Any]) -> None:
         out = self.job.out
-        film = read_film(out, self.source.size) if (out / ROWS).exists() else None  # or there was no image
+        film = read_film(out) if (out / ROWS).exists() else None  # or there was no image
         write_page(out / VIEW, self.page(film, summary))
 
     def no_frame(self, reason: str) -> Exception | Interrupted:

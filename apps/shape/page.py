@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...inference.nonrigid.choice import BasesChoice
+from ...inference.sfm.nonrigid.choice import BasesChoice
 from ..drawing.overlay import identity_colour
 from ..view.page import BLUE, RED, Line, Page, Plot, Section
 from ..view.points import LAYER, FollowedPoints, film_of_points, packed
@@ -94,7 +94,7 @@ def _modes(found: LearnedShape) -> list[Plot]:
     left_out = len(bases) - 1 - shown
     caption = f"From {SWING:g} standard deviations below the mean (blue) to as many above it (red)."
     caption += f" {left_out} smaller modes are not shown." if left_out else ""
-    plots = []
+    plots: list[Plot] = []
     for k in range(1, shown + 1):
         low, high = bases[0] - SWING * bases[k], bases[0] + SWING * bases[k]
         ways = np.stack([low, high, np.full_like(low, np.nan)], axis=1).reshape(-1, 3)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...inference import Solution
 from ...inference.engine import checkpoint
 from ...models.core.frame import Frame
-from ..drawing.overlay import OverlayVideo, draw_points
+from ..drawing.overlay import OverlayVideo, PointsOverlay
 from ..evaluation.predictions import write_predictions
 from ..exports.colmap import FILES as COLMAP_FILES
 from ..exports.colmap import write_colmap
@@ -229,7 +229,7 @@ class StructureRun(Run[StructureJob]):
         }
         summary = self._summary(facts)
         if film.n_tracks is None:
-            shown, corner = write_film(folder, frames, film.rate), EDGE
+            shown, corner = write_film(folder, frames, film.rate, found), EDGE
         else:
             shown, corner = film_of_tracks(frames, found)
         page = structure_page(self._title, frames, found, colours, summary, shown, corner)
@@ -347,7 +347,7 @@ def _images(job: StructureJob) -> Film:
 
 def _write_video(path: Path, frames: Sequence[Frame], found: Reconstruction, rate: float) -> None:
     """Write a video of all frames with their points."""
-    with Progress("overlay", len(frames)) as progress, OverlayVideo(path, rate, draw_points) as video:
+    with Progress("overlay", len(frames)) as progress, OverlayVideo(path, rate, PointsOverlay()) as video:
         for index, frame in enumerate(frames):
             video.add(frame, partial(drawn_of, found, index))
             progress.update()

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from ..drawing.overlay import css_colour, identity_colour
 from ..reports.evenly_spaced import evenly_spread
 from ..view.film import Film, FilmWriter, Row, read_film
 from ..view.page import Line, Page, Plot, Section, encoded
-from ..view.points import LAYER, FollowedPoints, film_of_points, packed
+from ..view.points import LAYER, FollowedPoints, film_of_points, most_over_film, packed
 from .camera import camera_in_words
 from .files import GREY, orthographic_parts
 from .reconstruction import Numbers, Reconstruction
@@ -30,9 +31,6 @@ MOST_DRAWN, MOST_PLACES = 300, 60_000
 EDGE = (-0.5, -0.5)
 """px: upper left corner of pictures, where points have the pixels' centres at whole numbers."""
 
-TRAIL_FRAMES = 12
-"""Over which points leave a trail on the video."""
-
 LONGEST_EDGE = 0.2
 """Of triangles of the surface, by the picture's diagonal: longer ones span what belongs to nothing."""
 LEAST_SURE = 4.0
@@ -44,19 +42,20 @@ SIDES = (("from the front", 0, 1), ("from the right", 2, 1), ("from above", 0, 2
 """Title, and which of x (right), y (down) and z (away) goes to the right and which down."""
 
 
-def write_film(folder: Path, frames: Sequence[Frame], rate: float) -> Film:
-    """Write the film without drawings to the folder, and read what there is of it.
+def write_film(
+    folder: Path, frames: Sequence[Frame], rate: float, found: Reconstruction | None = None
+) -> Film:
+    """Write the film without drawings to the folder, with the places of points, and read what there is of it.
 
     Raises
     ------
     OSError
         if it cannot be written.
     """
-    height, width = next(frame.image.shape[:2] for frame in frames if frame.image is not None)
     with FilmWriter(folder, rate) as writer:
-        for frame in frames:
-            writer.add(frame, dict)
-    return read_film(folder, (width, height))
+        for index, frame in enumerate(frames):
+            writer.add(frame, dict if found is None else partial(drawn_of, found, index))
+    return read_film(folder)
 
 
 def film_of_tracks(frames: Sequence[Frame], found: Reconstruction) -> tuple[Film, tuple[float, float]]:
@@ -65,11 +64,10 @@ def film_of_tracks(frames: Sequence[Frame], found: Reconstruction) -> tuple[Film
 
 
 def drawn_of(found: Reconstruction, index: int) -> Row:
-    """What is drawn on a frame of the video: see `apps.drawing.overlay.draw_points`."""
-    frames = slice(max(0, index - TRAIL_FRAMES), index + 1)
-    seen = found.observed[frames]
-    trails = np.where(seen[..., None], found.places[frames], np.nan)
-    return {"points": found.places[index], "seen": seen[-1], "trails": trails.transpose(1, 0, 2)}
+    """What is drawn on a frame of the video: see `PointsOverlay`."""
+    shown = evenly_spread(found.n_points, most_over_film(len(found.observed)))
+    places = found.places[index, shown].astype(np.float32)
+    return {"id": np.array(shown, np.int32), "points": places, "seen": found.observed[index, shown]}
 
 
 def structure_page(
@@ -115,7 +113,7 @@ def structure_page(
     if found.geometry != "none":
         sections.append(("Shape", three_sides(found, colours)))
     if film.path is None:
-        sections.append(("Tracks", [tracks_plot(found)]))
+        sections.append(("Tracks", [_tracks(found)]))
     sections.append(("Rounds", [_rounds(found)]))
     return Page(
         title,
@@ -214,7 +212,7 @@ def three_sides(found: Reconstruction, colours: NDArray[np.uint8], name: str = "
     ]
 
 
-def tracks_plot(found: Reconstruction) -> Plot:
+def _tracks(found: Reconstruction) -> Plot:
     """Paths of the points in the plane of the picture, where they were seen."""
     drawn = evenly_spread(found.n_points, MOST_DRAWN)
     chosen = evenly_spread(len(found.observed), MOST_PLACES // max(1, len(drawn)))

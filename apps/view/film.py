@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -56,6 +57,7 @@ class FilmWriter:
         self._worker = Worker("film", AHEAD)
         self._columns: dict[str, list[NDArray[Any]]] = {}
         self._image: Image | None = None
+        self._size = np.zeros((1, 2), np.int32)  # of the source, px
         self._n_pictures = 0  # since the last segment
         self._last = 0  # number of the last frame
 
@@ -88,11 +90,13 @@ class FilmWriter:
     def _add(self, frame: Frame, drawn: Callable[[], Row]) -> None:
         if frame.image is not None:
             self._image = _small(frame.image)
+            self._size = np.array([frame.image.shape[1::-1]], np.int32)
         if self._image is None:
             return  # nothing seen yet, not even the size
         self._video.write(self._image, frame.number, frame.time)
         self._columns.setdefault("number", []).append(np.array([frame.number]))
         self._columns.setdefault("time", []).append(np.array([frame.time]))
+        self._columns.setdefault("size", []).append(self._size)
         for name, values in drawn().items():
             self._columns.setdefault(name, []).append(values)
         self._n_pictures, self._last = self._n_pictures + 1, frame.number
@@ -156,9 +160,20 @@ class Film:
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     counts: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
 
+    @cached_property
+    def _ends(self) -> dict[str, NDArray[np.int64]]:
+        return {name: np.cumsum(counts) for name, counts in self.counts.items()}
 
-def read_film(folder: Path, size: tuple[int, int]) -> Film:
-    """Read what `FilmWriter` has written of frames of `size` (width, height) px.
+    def row(self, index: int) -> dict[str, NDArray[Any]]:
+        """What is drawn on a frame, by its index."""
+        return {
+            name: values[self._ends[name][index] - self.counts[name][index] : self._ends[name][index]]
+            for name, values in self.columns.items()
+        }
+
+
+def read_film(folder: Path) -> Film:
+    """Read what `FilmWriter` has written.
 
     Raises
     ------
@@ -170,8 +185,9 @@ def read_film(folder: Path, size: tuple[int, int]) -> Film:
         arrays = dict(file)
     columns = {name: values for name, values in arrays.items() if not name.endswith(".count")}
     numbers, times = columns.pop("number"), columns.pop("time")
+    width, height = columns.pop("size")[-1].tolist()
     counts = {name: arrays[f"{name}.count"] for name in columns}
-    return Film(path, size, numbers, times, _moments(path), columns, counts)
+    return Film(path, (width, height), numbers, times, _moments(path), columns, counts)
 
 
 def _moments(path: Path) -> NDArray[np.float64]:

@@ -115,7 +115,8 @@ def rates(seconds: Sequence[float]) -> Array:
     """Frames a second `(n,)`, each over the 25 frames around, of the seconds that every frame took."""
     spent, at = np.concatenate([[0.0], np.cumsum(seconds)]), np.arange(len(seconds))
     first, after = np.maximum(at - 12, 0), np.minimum(at + 13, len(seconds))
-    return (after - first) / np.maximum(spent[after] - spent[first], 1e-9)
+    each: Array = (after - first) / np.maximum(spent[after] - spent[first], 1e-9)
+    return each
 
 
 Part = Markup | Plot

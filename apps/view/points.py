@@ -84,7 +84,7 @@ class FollowedPoints:
 
     def tracked(self, film: Film) -> list[int]:
         """Those that are drawn over a film: evenly chosen if there are many."""
-        return evenly_spread(self.positions.shape[1], min(MOST_TRACKED, MOST_PLACES // len(film.numbers)))
+        return evenly_spread(self.positions.shape[1], most_over_film(len(film.numbers)))
 
     def rows(self, film: Film, shown: NDArray[np.bool_]) -> list[TimelineRow]:
         """Of some points, when they are seen."""
@@ -107,6 +107,11 @@ class FollowedPoints:
             Plot("error per point", "px", [Line(errors)], caption),
             Plot("points seen", "", [Line(counts)]),
         ]
+
+
+def most_over_film(n_frames: int) -> int:
+    """How many points are drawn over a film of so many frames, at most."""
+    return min(MOST_TRACKED, MOST_PLACES // n_frames)
 
 
 def ink_of(point: int) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...drawing.overlay import draw_points
+from ...drawing.overlay import PointsOverlay
 from ...io.datasets import data_folder
 from ...runs.progress import Progress
 from ...structure.application import Film, read_film
@@ -83,10 +83,12 @@ def reproduce_box(out: Path) -> Experiment:
             if found.geometry != "none":
                 write_ply(out / f"{start}.ply", found, point_colours(film.frames, found))
             middle = len(film.frames) // 2
-            frame = film.frames[middle]
-            if frame.image is not None:
-                row = drawn_of(found, middle)
-                drawn = draw_points(frame.image, row, frame.number, frame.time, missing=False)
+            overlay, drawn = PointsOverlay(), None
+            for index, frame in enumerate(film.frames[: middle + 1]):
+                if frame.image is not None:
+                    row = drawn_of(found, index)
+                    drawn = overlay(frame.image, row, frame.number, frame.time, missing=False)
+            if drawn is not None:
                 seen = f"{name}, {result.method}: dots are seen, rings predicted"
                 pictures.append(Picture(f"{start}.png", drawn, seen))
     return Experiment("Turning objects", [Table(LINE, lines)], expectations, pictures)
