@@ -116,7 +116,7 @@ def background_page(
     sections.append(("Tracks", tracks))
     if happened is not None:
         sections += happened.sections()
-    layers, timeline = ({}, []) if film is None else (_layers(film, happened), _timeline(film))
+    layers, timeline = ({}, []) if film is None else over_the_film(film, happened)
     return Page(
         title,
         cards=_cards(record, summary),
@@ -217,6 +217,18 @@ def draw_paths(background: Image, tracks: Mapping[int, TrackHistory], zones: Zon
     return np.asarray(canvas, np.uint8)
 
 
+def over_the_film(film: Film, happened: Happened | None = None) -> tuple[dict[str, Any], list[TimelineRow]]:
+    """What is drawn over a film with columns of `drawn_of`, and a row for each object."""
+    layer = {name: film.columns[name] for name in (*OF_TRACKS, *OF_OUTLINES, "given")}
+    for name, of in (("count", "id"), ("polygons", "corners"), ("givenCount", "given")):
+        layer[name] = film.counts[of].astype(np.int32)
+    zones, events = (Zones(), ()) if happened is None else (happened.zones, happened.events)
+    shown = [event for event in events if film.numbers[0] <= event.moment.frame <= film.numbers[-1]]
+    shown.sort(key=lambda event: event.moment.time)  # a stay that ends is known late
+    layers = {"events": list(map(_plain, shown)), "zones": zones.plain(), "tracks": layer}
+    return layers, _timeline(film)
+
+
 def _timeline(film: Film) -> list[TimelineRow]:
     """A row for each object of the film."""
     ids, counts = film.columns["id"], film.counts["id"]
@@ -234,16 +246,6 @@ def _timeline(film: Film) -> list[TimelineRow]:
         )
         for identity, start, end in zip(identities.tolist(), starts, ends, strict=True)
     ]
-
-
-def _layers(film: Film, happened: Happened | None) -> dict[str, Any]:
-    layer = {name: film.columns[name] for name in (*OF_TRACKS, *OF_OUTLINES, "given")}
-    for name, of in (("count", "id"), ("polygons", "corners"), ("givenCount", "given")):
-        layer[name] = film.counts[of].astype(np.int32)
-    zones, events = (Zones(), ()) if happened is None else (happened.zones, happened.events)
-    shown = [event for event in events if film.numbers[0] <= event.moment.frame <= film.numbers[-1]]
-    shown.sort(key=lambda event: event.moment.time)  # a stay that ends is known late
-    return {"events": list(map(_plain, shown)), "zones": zones.plain(), "tracks": layer}
 
 
 def _plain(event: Event) -> dict[str, object]:

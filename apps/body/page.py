@@ -129,7 +129,7 @@ def body_page(
     arm
         length of a stretched one, px.
     """
-    layers, timeline = ({}, []) if film is None else _over_the_film(film, arm)
+    layers, timeline = ({}, []) if film is None else over_the_film(film, arm)
     return Page(
         title,
         cards=_cards(summary),
@@ -145,7 +145,7 @@ def body_page(
     )
 
 
-def _over_the_film(film: Film, arm: float) -> tuple[dict[str, Any], list[TimelineRow]]:
+def over_the_film(film: Film, arm: float) -> tuple[dict[str, Any], list[TimelineRow]]:
     """What is drawn over a film and beside it, and a row for each joint."""
     columns = film.columns
     seen = columns["seen"] & ~columns["missing"][:, None]

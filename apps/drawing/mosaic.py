@@ -58,11 +58,3 @@ def mosaic(rows: Sequence[tuple[str, Sequence[Image]]], columns: Sequence[str], 
 
 def _write(sheet: Image, text: str, x: int, y: int) -> None:
     cv2.putText(sheet, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
-
-
-def small(image: Image, most: int) -> Image:
-    """A copy that is at most so many px wide, and four times as high."""
-    size = fitting(image.shape, most)
-    if size[1] >= image.shape[0]:
-        return image.copy()
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -145,16 +145,13 @@ def face_page(
         sections.append(("Against the given landmarks", [table(("measure", "value"), rows)]))
     pictures = picture_grid([("", list(textures.values()))], list(textures))
     sections.append(("Texture of the most credible expert at the end, on the mean shape", [pictures]))
-    timeline = []
-    if film is not None:
-        lost, missing, _ = film.columns["states"].T
-        timeline = [TimelineRow(0, "face", INK, spans_of(np.asarray(~(lost | missing))))]
+    layers, timeline = ({}, []) if film is None else over_the_film(film, layer)
     return Page(
         title,
         cards=_cards(summary),
         notes=summary["notes"],
         film=film,
-        layers={} if film is None else {"face": layer},
+        layers=layers,
         timeline=timeline,
         plots=_plots(record, names, film),
         sections=sections,
@@ -162,6 +159,12 @@ def face_page(
         numbers=record.numbers,
         times=record.times,
     )
+
+
+def over_the_film(film: Film, layer: Mapping[str, Any]) -> tuple[dict[str, Any], list[TimelineRow]]:
+    """What is drawn over a film with columns of `FaceDrawing.drawn`, and the row of the face."""
+    lost, missing, _ = film.columns["states"].T
+    return {"face": layer}, [TimelineRow(0, "face", INK, spans_of(np.asarray(~(lost | missing))))]
 
 
 def _cards(summary: Mapping[str, Any]) -> dict[str, str]:

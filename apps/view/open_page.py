@@ -7,8 +7,8 @@ from pathlib import Path
 
 from .page import VIEW
 
-PAGES = (VIEW, "index.html", "report.html")
-"""Of a run, of a batch of runs, of a run that has no film."""
+PAGES = (VIEW, "index.html")
+"""Of a run, of a batch of runs."""
 
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 """One of these says where a browser may be shown, but on Windows and macOS, which need none."""

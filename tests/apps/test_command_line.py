@@ -456,8 +456,8 @@ def test_control_c(scene: Path, tmp_path: Path) -> None:
     n_frames = int(printed.split()[0])
     assert 20 <= n_frames < 4000
     assert len(list((out / "foreground").glob("*.png"))) == n_frames
-    assert (out / "overlay.mp4").stat().st_size > 0
-    assert (out / "report.html").read_text().endswith("</html>\n")
+    assert (out / "film.mp4").stat().st_size > 0
+    assert (out / "view.html").read_text().endswith("</html>\n")
 
 
 def test_comparison(scene: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

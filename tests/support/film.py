@@ -6,7 +6,9 @@ from pathlib import Path
 import av
 import numpy as np
 from numpy.typing import NDArray
-from rsmcm.apps.drawing.boxes import OverlayWriter
+from rsmcm.apps.background.page import drawn_of
+from rsmcm.apps.drawing.overlay import OverlayVideo, TracksOverlay
+from rsmcm.apps.io.mot import TrackedBox
 from rsmcm.models.core.frame import Frame
 
 HEIGHT, WIDTH = 49, 63  # odd on purpose
@@ -44,9 +46,19 @@ def names(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
 
+def overlay_of(path: Path, resume_after: int = 0) -> OverlayVideo:
+    return OverlayVideo(path, 10, TracksOverlay(), resume_after)
+
+
+def add(video: OverlayVideo, number: int) -> None:
+    """Append a frame with its mask and boxes."""
+    tracks = [TrackedBox(each.identity, each.box, each.confidence) for each in boxes(number)]
+    video.add(frame(number), lambda: drawn_of(mask(number), tracks))
+
+
 def write_overlay(path: Path, first: int, last: int, every: int, resume_after: int = 0) -> None:
-    with OverlayWriter(path, 10, resume_after) as writer:
+    with overlay_of(path, resume_after) as video:
         for number in range(first, last + 1):
-            writer.add(frame(number), mask(number), boxes(number))
+            add(video, number)
             if number % every == 0:
-                writer.checkpoint()
+                video.checkpoint()

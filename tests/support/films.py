@@ -11,7 +11,7 @@ import numpy as np
 
 COMMAND = [sys.executable, "-m", "rsmcm.apps.command_line"]
 
-OF_TIMES = {"overlay.mp4", "report.html", "state.npz", "summary.json"}
+OF_TIMES = {"view.html", "state.npz", "summary.json"}
 """Results that tell of times, or are encoded in other segments where a run went on."""
 
 

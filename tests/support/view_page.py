@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from rsmcm.apps.view.film import Film, FilmWriter, Row, read_film
-from rsmcm.apps.view.page import View, write_view
+from rsmcm.apps.view.page import Page, write_page
 from rsmcm.models.core.frame import Frame
 
 from .browser import DESKTOP, Browser
@@ -19,17 +19,14 @@ if TYPE_CHECKING:
 
 
 def write_pages(
-    folder: Path, frames: Iterable[Frame], drawn: Callable[[int], Row], view: Callable[[Film], View]
+    folder: Path, frames: Iterable[Frame], drawn: Callable[[int], Row], page: Callable[[Film], Page]
 ) -> Film:
     """Write the page of frames, on the k-th of which `drawn(k)` is drawn."""
-    shape = (0, 0)
     with FilmWriter(folder, 25) as writer:
         for index, frame in enumerate(frames):
-            assert frame.image is not None
-            shape = frame.image.shape[:2]
             writer.add(frame, lambda index=index: drawn(index))  # type: ignore[misc]
-    film = read_film(folder, (shape[1], shape[0]))
-    write_view(folder / "view.html", "a page", film, len(film.numbers), view(film))
+    film = read_film(folder)
+    write_page(folder / "view.html", page(film))
     return film
 
 

@@ -112,7 +112,7 @@ def test_the_installed_command_tracks(environment: Path, tmp_path: Path) -> None
     ]  # fmt: skip
     subprocess.run(run, check=True, env=_clean(), cwd=tmp_path, timeout=MOST_SECONDS)
     assert len(list((tmp_path / "found" / "foreground").iterdir())) == 6
-    assert (tmp_path / "found" / "report.html").stat().st_size > 0
+    assert (tmp_path / "found" / "view.html").stat().st_size > 0
 
 
 def test_the_version_is_said_once() -> None:

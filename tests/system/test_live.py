@@ -129,7 +129,7 @@ def test_a_camera_with_zones_in_the_browser(scene: Scene, browser: Browser, tmp_
         shown(page, "document.getElementById('controls').hidden")
         run.process.wait(60)
         assert run.process.returncode == 1, "a camera that hangs up is lost for good"
-    assert {"view.html", "report.html", "events.csv", "film.mp4"} <= {path.name for path in out.iterdir()}
+    assert {"view.html", "events.csv", "film.mp4"} <= {path.name for path in out.iterdir()}
     check_events(scene, out, zones)
 
 
@@ -168,7 +168,7 @@ def test_face_and_body(name: str, film: Any, browser: Browser, tmp_path: Path) -
         says(page, "The run has ended")
         assert overflow(page) <= 0
         assert run.process.wait(60) in (0, 130)
-    assert (out / "report.html").exists()
+    assert (out / "view.html").exists()
 
 
 def test_results_are_the_same_bytes(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ N_FRAMES = 24
 SIZE = (200, 160)
 HEAD = JOINTS.index("head")
 
-UNEQUAL = {"overlay.mp4", "film.mp4", "view.html", "report.html", "state.npz"}
+UNEQUAL = {"film.mp4", "view.html", "state.npz"}
 """Files that tell of times, or are encoded in segments."""
 TIMES = {"seconds", "frames_per_second", "frames_per_second_of_engine"}
 

@@ -108,8 +108,8 @@ def data_of(path: Path) -> Any:
 
 
 def results(out: Path) -> dict[str, Any]:
-    """By name; reports draw how long frames took."""
-    paths = [path for path in out.rglob("*") if path.is_file() and path.name != "report.html"]
+    """By name; pages say how long frames took."""
+    paths = [path for path in out.rglob("*") if path.is_file() and path.name != "view.html"]
     return {str(path.relative_to(out)): data_of(path) for path in paths}
 
 
@@ -138,7 +138,7 @@ def test_threads_and_cores_change_no_byte(
         printed, _ = process.communicate(timeout=600)
         assert process.returncode == 0, printed
     first, *others = (results(tmp_path / way) for way in WAYS)
-    assert {"summary.json", "shapes.npz" if command == "shape" else "overlay.mp4"} <= set(first)
+    assert {"summary.json", "shapes.npz" if command == "shape" else "film.mp4"} <= set(first)
     for way, other in zip(list(WAYS)[1:], others, strict=True):
         assert set(other) == set(first), way
         assert [name for name in first if other[name] != first[name]] == [], way

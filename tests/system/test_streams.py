@@ -505,9 +505,7 @@ def test_stream_that_is_lost_for_good_leaves_results_and_exit_code_1(
     assert summary["ended_early"]
     assert summary["frames"] + summary["stream"]["dropped_frames"] == summary["last_frame"] == 30
     assert len(list((out / "foreground").iterdir())) == summary["frames"]
-    assert {"tracks.txt", "overlay.mp4", "report.html", "background.png"} <= {
-        path.name for path in out.iterdir()
-    }
+    assert {"tracks.txt", "film.mp4", "view.html", "background.png"} <= {path.name for path in out.iterdir()}
 
 
 def test_file_behind_an_address_that_is_lost_is_resumed(

@@ -7,8 +7,7 @@ import av
 import numpy as np
 import pytest
 from rsmcm.apps.drawing.mosaic import TALLEST, fitting, mosaic
-from rsmcm.apps.drawing.overlay_video import LONGEST_SIDE, enlargement
-from rsmcm.apps.reports.snapshots import small
+from rsmcm.apps.drawing.overlay import LONGEST_SIDE, enlargement
 
 from ..conftest import Command, names, summary_of
 
@@ -32,7 +31,7 @@ def film(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 def test_background(film: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert Command("background")(film, "--out", out) == 0
-    assert {"report.html", "overlay.mp4", "summary.json"} <= names(out)
+    assert {"view.html", "film.mp4", "summary.json"} <= names(out)
     assert Command("reproduce")("compare", film, "--out", tmp_path / "compared") == 0
     assert {"compare.html", "compare-pictures.png"} <= names(tmp_path / "compared")
     assert summary_of(out)["frames"] == 4
@@ -41,7 +40,7 @@ def test_background(film: Path, tmp_path: Path) -> None:
 def test_body(film: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert Command("body")(film, "--out", out, "--head", "0,0,2,2", "--samples", 20) == 0
-    assert {"report.html", "overlay.mp4", "summary.json"} <= names(out)
+    assert {"view.html", "film.mp4", "summary.json"} <= names(out)
 
 
 @pytest.mark.parametrize(("width", "height"), [*SIZES, (640, 480), (480, 640), (1, 1)])
@@ -51,9 +50,6 @@ def test_pictures_keep_their_form_and_fit(width: int, height: int) -> None:
     assert across <= 240
     assert down <= TALLEST * 240
     assert abs(across - down * width / height) <= max(1, width / height)
-    shown = small(image, 240)
-    assert shown.shape[0] <= min(height, TALLEST * 240)
-    assert shown.shape[1] <= min(width, 240)
     assert mosaic([("a", [image, image])], ["b", "c"]).shape[0] <= TALLEST * 240 + 60
     enlarged = enlargement(image, 360)
     assert enlarged == 1 or enlarged * max(width, height) <= LONGEST_SIDE

@@ -72,9 +72,9 @@ class DrawnPlot {
     const width = Math.round(this.figure.clientWidth);
     if (this.plot === null || !width || width === this.width) return;
     this.width = width;
-    const { lines, unit, name, isMap, shaded, dotted } = this.plot;
+    const { lines, unit, isMap, shaded, dotted } = this.plot;
     const xs = lines.map((line) => line.x ?? runAxis());
-    let across = rangeOf(xs), along = rangeOf(lines.flatMap(({ values, band }) => [values, ...(band ?? [])]));
+    let across = rangeOf(this.moves ? [...xs, runAxis()] : xs), along = rangeOf(lines.flatMap(({ values, band }) => [values, ...(band ?? [])]));
     // where there is room, plots over the film are aligned with the rows of what is followed
     const left = this.moves && width > 700 ? parseFloat(getComputedStyle(byId("plots")).getPropertyValue("--label")) : ROOM.left;
     const inner = width - left - ROOM.right;
@@ -110,7 +110,7 @@ class DrawnPlot {
     }
     parts.push(svg("path", { class: "grid", d: `M${left} ${ROOM.top}V${bottom}h${inner}` }));
     text(this.along, [left + inner / 2, bottom + 30], { "text-anchor": "middle" });
-    text(unit || name, [0, 0], { transform: `translate(${left - 43} ${ROOM.top + high / 2}) rotate(-90)`, "text-anchor": "middle" });
+    text(unit, [0, 0], { transform: `translate(${left - 43} ${ROOM.top + high / 2}) rotate(-90)`, "text-anchor": "middle" });
     const inside = (value) => clamped(x(value), left, left + inner);
     for (const [from, to] of shaded) {
       parts.push(svg("rect", { class: "shaded", x: inside(from), y: ROOM.top, width: Math.max(1, inside(to) - inside(from)), height: high }));

@@ -75,7 +75,7 @@ def whole(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_all_results_are_there_and_readable(whole: Path, scene: Path) -> None:
-    expected = {"foreground", "tracks.txt", "background.png", "overlay.mp4", "summary.json", "report.html"}
+    expected = {"foreground", "tracks.txt", "background.png", "film.mp4", "summary.json", "view.html"}
     expected |= {"predictions.npz", "film.mp4", "view.npz", "view.html", "state.npz", "manifest.json"}
     expected |= {"tracks.csv"}
     assert names(whole) == expected, "and no segments or unfinished files"
@@ -88,7 +88,7 @@ def test_all_results_are_there_and_readable(whole: Path, scene: Path) -> None:
     background = cv2.imread(str(whole / "background.png"))
     assert background is not None
     assert background.shape == (SIZE[1], SIZE[0], 3)
-    assert count_frames(whole / "overlay.mp4") == N_FRAMES
+    assert count_frames(whole / "film.mp4") == N_FRAMES
     summary = summary_of(whole)
     assert summary["frames"] == N_FRAMES
     assert summary["seed"] == 0
@@ -129,13 +129,13 @@ def test_interrupted_and_resumed_is_as_if_never_interrupted(
     assert outcome.signal == signal.SIGINT
     assert summary_of(tmp_path)["frames"] == stop_after
     assert summary_of(tmp_path)["ended_early"]
-    assert count_frames(tmp_path / "overlay.mp4") == stop_after
+    assert count_frames(tmp_path / "film.mp4") == stop_after
     assert len(masks_of(tmp_path)) == stop_after
-    assert (tmp_path / "report.html").exists()
+    assert (tmp_path / "view.html").exists()
 
     assert run_background(replace(job, resume=True)).signal is None
     assert_same(tmp_path, whole)
-    assert count_frames(tmp_path / "overlay.mp4") == N_FRAMES
+    assert count_frames(tmp_path / "film.mp4") == N_FRAMES
     summary = summary_of(tmp_path)
     assert summary["metrics"] == summary_of(whole)["metrics"]
     assert summary["frames"] == N_FRAMES
@@ -177,7 +177,7 @@ def test_killed_in_the_middle(scene: Path, tmp_path: Path) -> None:
     run_background(replace(job, resume=True))
     run_background(replace(job, out=tmp_path / "whole"))
     assert_same(tmp_path / "out", tmp_path / "whole")
-    assert count_frames(tmp_path / "out" / "overlay.mp4") == N_FRAMES
+    assert count_frames(tmp_path / "out" / "film.mp4") == N_FRAMES
 
 
 def test_resume_where_nothing_is_starts_a_run(scene: Path, tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_damaged_images_are_missing_frames(scene: Path, tmp_path: Path) -> None:
     assert summary["missing"] == [1, 30, 31]
     assert summary["missing_frames"] == 3
     assert len(masks_of(tmp_path / "out")) == N_FRAMES, "chains predict, and the prediction is written"
-    assert count_frames(tmp_path / "out" / "overlay.mp4") == N_FRAMES - 1, "nothing to show before frame 2"
+    assert count_frames(tmp_path / "out" / "film.mp4") == N_FRAMES - 1, "nothing to show before frame 2"
 
 
 def test_frames_of_another_size_end_the_run_with_results_until_there(scene: Path, tmp_path: Path) -> None:
@@ -206,7 +206,7 @@ def test_frames_of_another_size_end_the_run_with_results_until_there(scene: Path
     with pytest.raises(ValueError, match="frame 12 is 60x50 colour, expected 128x96"):
         run_background(BackgroundJob(str(source), out=tmp_path / "out"))
     assert summary_of(tmp_path / "out")["frames"] == 11
-    assert count_frames(tmp_path / "out" / "overlay.mp4") == 11
+    assert count_frames(tmp_path / "out" / "film.mp4") == 11
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -226,7 +226,7 @@ def test_other_engines_and_forms_of_masks(engine: Any, masks: Any, scene: Path, 
 def test_one_frame_is_enough(scene: Path, tmp_path: Path) -> None:
     run_background(BackgroundJob(str(scene / "input" / "in000001.png"), out=tmp_path))
     assert summary_of(tmp_path)["frames"] == 1
-    assert count_frames(tmp_path / "overlay.mp4") == 1
+    assert count_frames(tmp_path / "film.mp4") == 1
 
 
 def test_region_of_interest(scene: Path, whole: Path, tmp_path: Path) -> None:

@@ -73,13 +73,13 @@ def test_frames_keep_their_numbers(scene: Path, tmp_path: Path, seen: dict[int, 
 
 
 def test_all_results_tell_of_them(scene: Path, tmp_path: Path) -> None:
-    job = job_of(scene, tmp_path)
+    job = replace(job_of(scene, tmp_path), video=True)
     run_background(job)
     summary = summary_of(tmp_path)
     assert summary["detections"] == {"boxes": N_FRAMES, "frames": N_FRAMES}
     assert summary["parameters"]["detections"]["file"] == str(scene / "found.csv")
     assert summary["parameters"]["classes"] == ["car"]
-    assert "frames with a detector" in (tmp_path / "report.html").read_text()
+    assert "frames with a detector" in (tmp_path / "view.html").read_text()
     video = cv2.VideoCapture(str(tmp_path / "overlay.mp4"))
     _, shown = video.read()
     video.release()

@@ -81,11 +81,11 @@ def test_the_whole_film_shows_who_is_there_in_the_first_frame(scene: Path, whole
     table = read_tracks_table(whole)
     speed = 25 * np.diff(tracks["box"][:40, 0]).mean()
     assert table["vx"][:40].mean() == pytest.approx(speed, rel=0.1)
-    assert (whole / "overlay.mp4").exists()
+    assert (whole / "film.mp4").exists()
     summary = summary_of(whole)
     assert summary["frames"] == len(masks_of(whole)) == N_FRAMES
     assert summary["tracks"] == len(set(tracks["id"].tolist()))
-    assert "coordinate-ascent" in (whole / "report.html").read_text()
+    assert "coordinate-ascent" in (whole / "view.html").read_text()
     assert summary["metrics"]["pixels"]["F"] > 0.8
 
 

@@ -64,7 +64,7 @@ def test_results_are_those_of_single_runs(films: Path, done: Path, tmp_path: Pat
     assert [row["frames"] for row in rows(done).values()] == ["12"] * 3
     page = (done / "index.html").read_text()
     assert page.count("data:image/jpeg;base64,") == 3
-    assert 'href="film000/report.html"' in page
+    assert 'href="film000/view.html"' in page
 
 
 def test_what_is_complete_is_left_as_it_is(
@@ -190,7 +190,7 @@ def test_killed_in_the_middle(count: int, tmp_path: Path) -> None:
     films, out = write_films(tmp_path / "films", count), tmp_path / "out"
     arguments = ("batch", "background", films, "--out", out, "--jobs", 2, "--every", 2)
     process = start(*arguments)
-    wait_until(lambda: len(list(out.glob("*/report.html"))) >= count // 3)
+    wait_until(lambda: len(list(out.glob("*/view.html"))) >= count // 3)
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     assert len(rows(out)) == count, "known from the beginning"
@@ -231,8 +231,8 @@ def test_control_c(tmp_path: Path) -> None:
     assert process.returncode == 130, complaints
     assert printed.splitlines()[0] == "4 films: 0 complete, 2 interrupted, 2 waiting"
     for folder in sorted(out.glob("film*")):
-        assert (folder / "report.html").read_text().endswith("</html>\n")
-        assert (folder / "overlay.mp4").stat().st_size > 0
+        assert (folder / "view.html").read_text().endswith("</html>\n")
+        assert (folder / "film.mp4").stat().st_size > 0
         assert not (folder / ".running.json").exists()
     process = start("batch", "background", films, "--out", out, "--jobs", 2, "--masks", "none", "--every", 5)
     for _ in ("where it goes on", "after some frames"):

@@ -38,10 +38,10 @@ def test_one_worker_is_killed(tmp_path: Path) -> None:
     with cluster(2) as there:
         batch = start("batch", "background", films, "--out", out, *options, "--dask", there.address)
         victim = there.workers[0]
-        wait_until(lambda: len(list(out.glob("*/report.html"))) >= 2 and in_work(out, victim.pid))
+        wait_until(lambda: len(list(out.glob("*/view.html"))) >= 2 and in_work(out, victim.pid))
         before = {
             path: stamp
-            for summary in out.glob("*/report.html")
+            for summary in out.glob("*/view.html")
             if not (summary.parent / ".running.json").exists()
             for path, stamp in stamps(summary.parent).items()
         }

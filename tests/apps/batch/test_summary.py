@@ -35,12 +35,12 @@ def test_names_are_escaped(tmp_path: Path) -> None:
     summary = Summary(tmp_path)
     folder = tmp_path / "a b&c"  # which no batch has named
     folder.mkdir()
-    (folder / "report.html").touch()
+    (folder / "view.html").touch()
     summary.tell(Line("<script>x</script>", folder.name, Told("failed", "<b> & 'c'")))
     page = (tmp_path / "index.html").read_text()
     assert "<script" not in page
     assert "&lt;b&gt; &amp; &#39;c&#39;" in page
-    assert 'href="a%20b%26c/report.html"' in page
+    assert 'href="a%20b%26c/view.html"' in page
     assert "http" not in page
 
 

@@ -6,12 +6,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from markupsafe import Markup
 from numpy.typing import NDArray
-from rsmcm.apps.body import report as body_report
 from rsmcm.apps.body.keypoint_start import MOST_FRAMES, followed
 from rsmcm.apps.io import read_keypoints
-from rsmcm.apps.reports import time_plots
 from rsmcm.apps.scenes import SignerScene, signer
 from rsmcm.models import GivenKeypoints
 from rsmcm.models.body.upper_body import JOINTS
@@ -27,13 +24,6 @@ complaint = run.complaint
 N_FRAMES = 12
 FEW = ("--samples", "100")
 HEAD = JOINTS.index("head")
-
-
-@pytest.fixture(autouse=True)
-def no_plots(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Most of a short run's time."""
-    for module in (time_plots, body_report):
-        monkeypatch.setattr(module, "figure", lambda *_: Markup(""))
 
 
 @pytest.fixture(scope="module")

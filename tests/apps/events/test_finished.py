@@ -72,7 +72,7 @@ def test_the_run_writes_what_happened(results: Path) -> None:
     assert (zone["appeared"], zone["remained"], zone["stands"], zone["entered"]) == (1, 1, 1, 0)
     assert zone["longest_dwell"] == pytest.approx(found[-1].duration)
     assert "events.csv" in json.loads((results / "manifest.json").read_text())["files"]
-    page = (results / "report.html").read_text()
+    page = (results / "view.html").read_text()
     assert "Zones and lines" in page
     assert "in left half" in page
     assert '"name": "left half"' in re.sub(r"\s*:\s*", ": ", (results / "view.html").read_text())

@@ -11,14 +11,13 @@ import av
 import cv2
 import numpy as np
 import pytest
-from rsmcm.apps.drawing.boxes import OverlayWriter
 from rsmcm.apps.io import segmented_video
 from rsmcm.apps.io.masks import MaskWriter
 from rsmcm.apps.io.mot import TrackWriter
 from rsmcm.apps.io.segmented_video import LOSSLESS_GRAY, PLAYABLE, SegmentedVideo
 from rsmcm.apps.runs.output_folder import output_folder
 
-from ...support.film import HEIGHT, WIDTH, boxes, frame, mask, names, read_video, write_overlay
+from ...support.film import HEIGHT, WIDTH, add, boxes, mask, names, overlay_of, read_video, write_overlay
 
 
 def test_overlay_plays_in_a_browser(tmp_path: Path) -> None:
@@ -64,9 +63,9 @@ def test_interrupted_run_leaves_a_readable_video_and_resumes(tmp_path: Path) -> 
     path = tmp_path / "overlay.mp4"
 
     def interrupted() -> None:
-        with OverlayWriter(path, 10) as writer:
+        with overlay_of(path) as writer:
             for number in range(1, 100):
-                writer.add(frame(number), mask(number), boxes(number))
+                add(writer, number)
                 if number % 10 == 0:
                     writer.checkpoint()
                 if number == 17:
@@ -103,7 +102,7 @@ def test_resuming_a_finished_run_leaves_it_alone(tmp_path: Path) -> None:
     path = tmp_path / "overlay.mp4"
     write_overlay(path, 1, 10, 5)
     before = path.read_bytes()
-    with OverlayWriter(path, 10, resume_after=10):
+    with overlay_of(path, 10):
         pass
     assert path.read_bytes() == before
 
@@ -114,15 +113,14 @@ def test_kill_loses_only_what_follows_the_last_checkpoint(tmp_path: Path) -> Non
         import sys, time
         from pathlib import Path
         sys.path.insert(0, sys.argv[2])
-        from film import boxes, frame, mask
-        from rsmcm.apps.drawing.boxes import OverlayWriter
+        from film import add, boxes, mask, overlay_of
         from rsmcm.apps.io.masks import MaskWriter
         from rsmcm.apps.io.mot import TrackWriter
         folder = Path(sys.argv[1])
-        overlay, tracks = OverlayWriter(folder / "overlay.mp4", 10), TrackWriter(folder / "tracks.txt")
+        overlay, tracks = overlay_of(folder / "overlay.mp4"), TrackWriter(folder / "tracks.txt")
         masks, video = MaskWriter(folder, "png", 10), MaskWriter(folder, "video", 10)
         for number in range(1, 14):
-            overlay.add(frame(number), mask(number), boxes(number))
+            add(overlay, number)
             tracks.write(number, boxes(number))
             masks.write(mask(number), number, (number - 1) / 10)
             video.write(mask(number), number, (number - 1) / 10)
@@ -147,14 +145,14 @@ def test_kill_loses_only_what_follows_the_last_checkpoint(tmp_path: Path) -> Non
         folder.begin(["a.txt", "foreground/a.txt"])
     assert not any(".unfinished" in name for name in names(tmp_path))
     with (
-        OverlayWriter(tmp_path / "overlay.mp4", 10, 10) as overlay,
+        overlay_of(tmp_path / "overlay.mp4", 10) as overlay,
         TrackWriter(tmp_path / "tracks.txt", 10) as tracks,
         MaskWriter(tmp_path, "png", 10, 10) as masks,
         MaskWriter(tmp_path, "video", 10, 10) as video,
     ):
         assert len(list((tmp_path / "foreground").iterdir())) == 10
         for number in range(11, 21):
-            overlay.add(frame(number), mask(number), boxes(number))
+            add(overlay, number)
             tracks.write(number, boxes(number))
             masks.write(mask(number), number, (number - 1) / 10)
             video.write(mask(number), number, (number - 1) / 10)

@@ -23,7 +23,7 @@ complaint = run.complaint
 
 Numbers = NDArray[np.float64]
 
-ALWAYS = {"shapes.npz", "model.npz", "summary.json", "report.html", "view.html", "manifest.json"}
+ALWAYS = {"shapes.npz", "model.npz", "summary.json", "view.html", "manifest.json"}
 N_FRAMES, UNKNOWN = 15, 4
 
 
@@ -76,7 +76,7 @@ def test_files_and_what_is_said(source: Path, tmp_path: Path, capfd: pytest.Capt
     assert f"noise {summary['noise_px_per_coordinate']:.3g} px per coordinate" in printed
     assert f"log likelihood {summary['log_likelihood']:.6g}" in printed
     assert "1 frame shows too few points for a pose: 5." in printed
-    assert f"{out / 'report.html'}, {out / 'view.html'}" in printed
+    assert f"results: {out / 'view.html'}" in printed
     assert summary["e3d"] is summary["held_out"] is None
     assert summary["parameters"]["bases"] == N_BASES
 
@@ -117,7 +117,7 @@ def test_error_in_space(finished: Path, truth: Numbers) -> None:
     with np.load(finished / "shapes.npz") as content:
         expected = shape_error(content["shapes"], truth)
     assert summary_of(finished)["e3d"] == pytest.approx(expected)
-    assert f"{expected:.4f}" in (finished / "report.html").read_text()
+    assert f"{expected:.4f}" in (finished / "view.html").read_text()
 
 
 def test_selected_frames(source: Path, truth: Numbers, tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_number_of_bases_by_what_was_held_out(tmp_path: Path, capfd: pytest.Capt
     assert list(tried) == [2, 3]
     assert summary["bases"] in tried
     assert f"{summary['bases']} bases: the fewest that predict held-out positions" in capfd.readouterr().out
-    assert "Number of bases" in (tmp_path / "out" / "report.html").read_text()
+    assert "Number of bases" in (tmp_path / "out" / "view.html").read_text()
 
 
 def test_rivals_are_said(
@@ -162,19 +162,17 @@ def test_rivals_are_said(
     assert run(source, "--bases", 2, "--out", tmp_path) == 0
     assert "2 other shapes explain the tracks nearly as well (2.5 nats less)" in capfd.readouterr().out
     assert summary_of(tmp_path)["rivals"][1] == {"log_likelihood_gap": 7.0, "disagreement": 0.64}
-    assert "up to 64% of the shape" in (tmp_path / "report.html").read_text()
+    assert "up to 64% of the shape" in (tmp_path / "view.html").read_text()
 
 
 # --- pages --------------------------------------------------------------------------------------------------
 
 
-def test_the_report_has_everything(finished: Path) -> None:
-    report = (finished / "report.html").read_text()
-    for heading in ("Shape", "Modes", "Over time", "Parameters"):
-        assert f">{heading}</h2>" in report
-    assert "data:image/gif;base64," in report
-    assert 'href="view.html"' in report
-    assert "nan px" not in report
+def test_the_page_has_everything(finished: Path) -> None:
+    page = (finished / "view.html").read_text()
+    for heading in ("Modes", "Over time", "Parameters"):
+        assert f">{heading}</h2>" in page
+    assert "nan px" not in page
 
 
 def test_the_page_turns_and_deforms(finished: Path) -> None:
@@ -272,10 +270,10 @@ def test_control_c(
 
     def writing(*arguments: Any) -> None:
         signal.raise_signal(signal.SIGINT)
-        write_view(*arguments)
+        write_page(*arguments)
 
-    write_view = module.write_view
-    monkeypatch.setattr(module, "write_view", writing)
+    write_page = module.write_page
+    monkeypatch.setattr(module, "write_page", writing)
     assert run(source, "--bases", 2, "--out", tmp_path / "out") == 130
     assert names(tmp_path / "out") == ALWAYS
     json.loads((tmp_path / "out" / "summary.json").read_text())

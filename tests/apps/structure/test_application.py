@@ -23,7 +23,7 @@ run = Command("structure")
 complaint = run.complaint
 
 ALWAYS = {
-    "cameras.json", "tracks.npz", "predictions.npz", "summary.json", "report.html", "view.html", "state.npz",
+    "cameras.json", "tracks.npz", "predictions.npz", "summary.json", "view.html", "state.npz",
     "manifest.json",
 }  # fmt: skip
 ALONE = ("--association", "none")  # quicker, where it makes no difference
@@ -89,7 +89,7 @@ def test_files_of_a_run_on_tracks(finished: Path, tracks: NDArray[np.float64]) -
     assert summary["tracks"] == tracks.shape[1]
     assert summary["observations"] == np.count_nonzero(found["observed"])
     assert f"element vertex {n_points}\n".encode() in (finished / "structure.ply").read_bytes()
-    report = (finished / "report.html").read_text()
+    report = (finished / "view.html").read_text()
     assert report.endswith("</html>\n")
     assert 'href="view.html"' in report
 
@@ -180,12 +180,12 @@ def test_without_coherence(source: Path, tmp_path: Path) -> None:
 def test_a_film(film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert run(film, "--out", out) == 0
-    assert names(out) >= {*ALWAYS, "structure.ply", "overlay.mp4"}
+    assert names(out) >= {*ALWAYS, "structure.ply", "film.mp4"}
     summary = summary_of(out)
     assert summary["frames"] == 16
     assert summary["points"] >= 20
     assert summary["reprojection_rmse_px_per_point"] < 0.5
-    video = cv2.VideoCapture(str(out / "overlay.mp4"))
+    video = cv2.VideoCapture(str(out / "film.mp4"))
     assert sum(iter(lambda: video.read()[0], False)) == 16
     assert "16 frames" in capfd.readouterr().out
 

@@ -64,7 +64,7 @@ def test_what_is_said(finished: Path) -> None:
     assert summary["camera"] == "perspective"
     assert summary["focal_length_px"] > 0
     assert "focal length" in summary["camera_in_words"]
-    assert "perspective, focal length" in (finished / "report.html").read_text()
+    assert "perspective, focal length" in (finished / "view.html").read_text()
     assert any("The picture is taken to be" in note for note in summary["notes"])
 
 

@@ -38,7 +38,7 @@ def write(folder: Path, numbers: Iterable[int], after: int = 0, kill_at: int | N
 
 def test_every_picture_has_its_moment_and_its_row(tmp_path: Path) -> None:
     write(tmp_path, range(1, 26))
-    film = read_film(tmp_path, (WIDTH, HEIGHT))
+    film = read_film(tmp_path)
     np.testing.assert_array_equal(film.numbers, np.arange(1, 26))
     np.testing.assert_allclose(film.times, np.arange(25) / 10)
     pictures, times = read_video(tmp_path / FILM)
@@ -77,7 +77,7 @@ def test_what_lost_its_partner_in_a_kill_is_no_part_of_the_film(
     assert len(segments_of(tmp_path / FILM)) == 6
     segments_of(tmp_path / FILM)[0].unlink()  # the oldest goes, and the process dies before its rows do
     write(tmp_path, range(21, 26), after=20)
-    film = read_film(tmp_path, (WIDTH, HEIGHT))
+    film = read_film(tmp_path)
     np.testing.assert_array_equal(film.numbers, np.arange(5, 26))
     assert len(film.moments) == 21
 
@@ -95,7 +95,7 @@ def test_an_endless_stream_keeps_its_last_part(tmp_path: Path, monkeypatch: pyte
             files = [*segments_of(tmp_path / FILM), *segments_of(tmp_path / ROWS)]
             largest = max(largest, sum(path.stat().st_size for path in files))
     assert largest <= most
-    film = read_film(tmp_path, (WIDTH, HEIGHT))
+    film = read_film(tmp_path)
     assert film.numbers[-1] == 300
     assert (np.diff(film.numbers) == 1).all()
     assert 0.5 * most < (tmp_path / FILM).stat().st_size <= 1.1 * most, "no more is given up than has to be"
@@ -107,7 +107,7 @@ def test_a_missing_frame_shows_the_one_before(tmp_path: Path) -> None:
         for number in range(1, 8):
             shown = Frame(None, (number - 1) / 10, number) if number in (1, 4) else frame(number)
             writer.add(shown, dict)
-    film = read_film(tmp_path, (WIDTH, HEIGHT))
+    film = read_film(tmp_path)
     np.testing.assert_array_equal(film.numbers, np.arange(2, 8))
     pictures, _ = read_video(tmp_path / FILM)
     assert abs(float(pictures[2].mean()) - float(pictures[1].mean())) < 1

@@ -21,14 +21,14 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return asked
 
 
-def test_the_page_of_a_run_goes_before_its_report(
+def test_the_page_of_a_run_goes_before_that_of_a_batch(
     tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DISPLAY", ":0")
-    for name in ("report.html", "index.html", "view.html"):  # each is wanted more than those before
+    for name in ("index.html", "view.html"):
         (tmp_path / name).touch()
         assert open_page(tmp_path) == tmp_path / name
-    assert opened == [(tmp_path / name).as_uri() for name in ("report.html", "index.html", "view.html")]
+    assert opened == [(tmp_path / name).as_uri() for name in ("index.html", "view.html")]
 
 
 def test_without_a_screen_the_page_is_named(

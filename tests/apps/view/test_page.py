@@ -4,22 +4,35 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from markupsafe import Markup
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.events import read_events, read_zones
 from rsmcm.apps.exports import read_tracks_table
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.apps.view.film import Film, read_film
-from rsmcm.apps.view.page import Plot, TimelineRow, View, write_view
+from rsmcm.apps.view.page import (
+    MOST_FRAMES,
+    Line,
+    Page,
+    Plot,
+    TimelineRow,
+    picture,
+    picture_grid,
+    table,
+    write_page,
+)
 from rsmcm.models.core.frame import Frame
 
 from ...conftest import Command
 from ...support.browser import DESKTOP, PHONE, Browser, landmarks, overflow, reached_by_tab
+from ...support.records import MASK, PICTURE
 from ...support.view_page import ViewPage, shown_page, write_pages
 
 if TYPE_CHECKING:
@@ -80,7 +93,7 @@ def test_a_film_that_cannot_be_decoded_leaves_what_is_drawn(browser: Browser, tm
     (tmp_path / "film.mp4").write_bytes(b"no film")
     times = np.arange(count) / 5
     film = Film(tmp_path / "film.mp4", (64, 48), np.arange(1, count + 1), times, times)
-    write_view(tmp_path / "view.html", "title", film, count, View())
+    write_page(tmp_path / "view.html", page_of(film))
     with browser.page(tmp_path / "view.html") as page:
         page.get_by_text("cannot show the film").wait_for()
         page.keyboard.press("End")
@@ -91,7 +104,7 @@ def test_a_film_that_cannot_be_decoded_leaves_what_is_drawn(browser: Browser, tm
 def test_the_film_lies_under_what_is_drawn(browser: Browser, tmp_path: Path, size: tuple[int, int]) -> None:
     """A film of odd sides is encoded with a column or row more."""
     image = np.zeros((size[1], size[0], 3), np.uint8)
-    write_pages(tmp_path, (Frame(image, k / 25, k) for k in (1, 2)), lambda _: {}, lambda _: View())
+    write_pages(tmp_path, (Frame(image, k / 25, k) for k in (1, 2)), lambda _: {}, page_of)
     with shown_page(browser, tmp_path, size) as shown:
         film, drawing = (shown.page.locator(at).bounding_box() for at in ("#video", "#drawing"))
         assert film is not None
@@ -156,7 +169,7 @@ def test_a_click_on_an_object_selects_it(shown: ViewPage, page: "playwright.Page
     mine = table["id"] == identity
     assert f"frame {table['frame'][mine][0]}," in text
     assert page.locator(f"#row-{identity:.0f}").get_attribute("aria-selected") == "true"
-    assert page.get_by_label("speed over time").is_visible()
+    assert page.get_by_label("speed, px/s over time").is_visible()
     shown.click((2, 2))
     assert page.locator("[role=option][aria-selected=true]").count() == 0
 
@@ -200,11 +213,13 @@ def test_the_zoom_follows_what_is_selected(page: "playwright.Page") -> None:
 
 
 def test_a_click_on_a_plot_goes_there(shown: ViewPage, page: "playwright.Page") -> None:
-    curve = page.get_by_label("foreground over time")
-    box = curve.bounding_box()
+    curve = page.get_by_label("foreground, % over time")
+    tick, box = curve.get_by_text("2", exact=True).last.bounding_box(), curve.bounding_box()
+    assert tick is not None
     assert box is not None
-    curve.click(position={"x": box["width"] * 0.755, "y": box["height"] / 2}, force=True)
-    assert shown.frame == round(0.755 * N_FRAMES + 0.5)
+    at = tick["x"] + tick["width"] / 2 - box["x"]
+    curve.click(position={"x": at, "y": box["height"] / 3}, force=True)
+    assert shown.frame == 51, "two seconds after the first"
 
 
 def test_zones_that_are_drawn_become_a_file(shown: ViewPage, page: "playwright.Page") -> None:
@@ -265,7 +280,8 @@ def test_it_is_read_on_any_screen(browser: Browser, results: Path, size: tuple[i
         page = shown.page
         page.locator("[role=option] .label").first.click()
         assert overflow(page) <= 0
-        parts = ["Film", "Show", "Selected", "Events", "Zones and lines", "Over time", "Keys"]
+        parts = ["Film", "Show", "Selected", "Events", "Zones and lines", "Over time", "Tracks"]
+        parts += ["Zones and lines", "Parameters", "Keys"]
         assert landmarks(page) == (1, ["input: recursive-bp", *parts])
         film = page.locator("#stage").bounding_box()
         assert film is not None
@@ -282,7 +298,7 @@ def contrast(page: "playwright.Page") -> float:
             .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
         const colour = (place, what) =>
             getComputedStyle(document.querySelector(place))[what].match(/[\\d.]+/g).map(Number);
-        const [text, card] = [light(colour("dt", "color")), light(colour(".panel", "backgroundColor"))];
+        const [text, card] = [light(colour("dt", "color")), light(colour(".card", "backgroundColor"))];
         return (Math.max(text, card) + 0.05) / (Math.min(text, card) + 0.05);
     })()"""
     return float(page.evaluate(script))
@@ -311,15 +327,10 @@ class Links(HTMLParser):
             self.found.add(str(dict(attrs)["href"]))
 
 
-def test_the_pages_of_a_run_link_each_other(results: Path) -> None:
-    for name, wanted in (
-        ("view.html", {"report.html", "overlay.mp4", "tracks.csv", "events.csv"}),
-        ("report.html", {"view.html", "overlay.mp4", "tracks.csv", "events.csv"}),
-    ):
-        links = Links()
-        links.feed((results / name).read_text())
-        assert links.found == wanted
-        assert all((results / link).exists() for link in links.found)
+def test_the_page_of_a_run_links_what_lies_beside_it(results: Path) -> None:
+    links = Links()
+    links.feed((results / "view.html").read_text())
+    assert links.found == {"tracks.csv", "events.csv"}
 
 
 def test_many_rows_scroll_by_themselves(browser: Browser, tmp_path: Path) -> None:
@@ -327,7 +338,7 @@ def test_many_rows_scroll_by_themselves(browser: Browser, tmp_path: Path) -> Non
     count = 200
     film = Film(None, (64, 48), np.arange(1, count + 1), np.arange(count) / 5, np.arange(count) / 5)
     rows = [TimelineRow(k, str(k), "#00ff00", np.array([[k, k + 1, 0]])) for k in range(count - 1)]
-    write_view(tmp_path / "view.html", "title", film, count, View({}, rows))
+    write_page(tmp_path / "view.html", page_of(film, timeline=rows))
     in_sight = """(id) => {
         const box = (query) => document.querySelector(query).getBoundingClientRect();
         const [row, list, cursor] = [`#row-${id}`, ".rows", ".rows .cursor"].map(box);
@@ -353,8 +364,12 @@ def test_no_text_of_the_user_is_taken_for_a_script(browser: Browser, tmp_path: P
     film = Film(None, (64, 48), np.arange(1, count + 1), np.arange(count) / 5, np.arange(count) / 5)
     row = TimelineRow(7, bad, "#ff0000", np.array([[0, 3, 0], [4, 11, 1]]))
     values = np.where(np.arange(count) < 6, np.nan, np.arange(count))
-    view = View({}, [row], [Plot(bad, "px", values)])
-    write_view(tmp_path / "view.html", bad, film, 20, view)
+    numbers, more = np.arange(1, 21), np.append(values, np.zeros(8))
+    plots = [Plot(bad, "px", [Line(more, bad)], bad)]
+    page = Page(
+        bad, {bad: bad}, [bad], film, {}, [row], plots, [(bad, [table([bad], [[bad]], bad)])], {bad: bad}
+    )
+    write_page(tmp_path / "view.html", replace(page, numbers=numbers, times=(numbers - 1) / 5))
     with browser.page(tmp_path / "view.html") as page:
         assert page.locator("h1").text_content() == bad
         assert page.locator("video").count() == 0
@@ -362,7 +377,7 @@ def test_no_text_of_the_user_is_taken_for_a_script(browser: Browser, tmp_path: P
         page.locator("[role=option]").first.click()
         assert page.locator("#details .who").text_content() == bad
         page.keyboard.press("Home")
-        assert "–" in (page.locator(".plot").text_content() or ""), "nothing is known"
+        assert "–" in (page.locator(".plot .head").text_content() or ""), "nothing is known"
         page.locator("#play").click()
         page.wait_for_function(f"document.getElementById('clock').textContent.startsWith('frame {count},')")
 
@@ -376,7 +391,7 @@ def test_what_is_drawn_are_the_results(results: Path, tmp_path: Path, options: t
     """With every engine, and of frames as they are, where the camera moves."""
     out = tmp_path / "out"
     assert Command("background")(results.parent / "input", "--out", out, *options) == 0
-    film = read_film(out, SIZE)
+    film = read_film(out)
     assert (out / "view.html").exists()
     if "stand-alone" in options:
         assert not len(film.columns["id"])
@@ -389,26 +404,136 @@ def test_what_is_drawn_are_the_results(results: Path, tmp_path: Path, options: t
     np.testing.assert_allclose(film.columns["box"], sides, atol=0.006)
 
 
-def test_a_value_alone_is_a_dot(browser: Browser, tmp_path: Path) -> None:
-    film = Film(None, (64, 48), np.arange(1, 4), np.arange(3.0), np.arange(3.0))
-    values = np.array([np.nan, 2, np.nan])
-    write_view(tmp_path / "view.html", "title", film, 3, View({}, plots=[Plot("alone", "px", values)]))
-    with browser.page(tmp_path / "view.html") as page:
-        line = page.locator(".curve .line")
-        assert line.get_attribute("d") == "M1.5 0.0000h0"
-        assert line.evaluate("(line) => getComputedStyle(line).strokeLinecap") == "round", "it can be seen"
-
-
 def test_what_the_page_holds_is_json(results: Path) -> None:
     text = (results / "view.html").read_text()
     (held,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
-    assert json.loads(held)["frames"] == N_FRAMES
+    assert json.loads(held)["run"]["frames"] == N_FRAMES
     assert "http" not in re.sub(r"http://www\.w3\.org/\d+/svg", "", text)
 
 
 def test_nothing_half_written_stays_behind(tmp_path: Path) -> None:
     (tmp_path / "view.html").mkdir()
-    film = Film(None, (64, 48), np.arange(1, 4), np.arange(3.0), np.arange(3.0))
     with pytest.raises(OSError, match=r"view\.html"):
-        write_view(tmp_path / "view.html", "title", film, 3, View())
+        write_page(tmp_path / "view.html", Page("title"))
     assert [path.name for path in tmp_path.iterdir()] == ["view.html"]
+
+
+def test_tables_escape_text_and_round_numbers() -> None:
+    text = table(("a", "b"), [("<i>", 0.123456), (Markup("<b>2</b>"), True)], "x < y")
+    assert "&lt;i&gt;" in text
+    assert '<td class="number">0.1235</td>' in text
+    assert "<td><b>2</b></td><td>True</td>" in text
+    assert "x &lt; y" in text
+    with pytest.raises(ValueError, match="expected 2"):
+        table(("a", "b"), [(1,)])
+    with pytest.raises(ValueError, match="expected 2"):
+        picture_grid([("row", [PICTURE])], ["a", "b"])
+
+
+def test_masks_are_kept_exactly() -> None:
+    assert "image/png" in picture(MASK)
+    assert "image/jpeg" in picture(PICTURE)
+
+
+# --- plots --------------------------------------------------------------------------------------------------
+
+
+def page_of(film: Film, **more: Any) -> Page:
+    return Page("a film", film=film, numbers=film.numbers, times=film.times, **more)
+
+
+def plain_film(count: int) -> Film:
+    times = np.arange(count) / 10
+    return Film(None, (64, 48), np.arange(1, count + 1), times, times)
+
+
+def test_a_plot_has_axes_units_and_names(browser: Browser, tmp_path: Path) -> None:
+    values = np.linspace(0, 4, 50)
+    lines = [
+        Line(values, "left", "#ff0000", (values - 1, values + 1)),
+        Line(2 * values, "right", style="steps"),
+    ]
+    plot = Plot("where", "px", lines, "What it is.", shaded=[(1.0, 2.0)], dotted=[3.0])
+    write_page(tmp_path / "view.html", page_of(plain_film(50), plots=[plot]))
+    with browser.page(tmp_path / "view.html") as page:
+        head = page.locator(".plot .head").text_content() or ""
+        assert all(word in head for word in ("where", "left", "right", "a film"))
+        assert page.get_by_text("What it is.").is_visible()
+        texts = page.locator(".plot text").all_text_contents()
+        assert {"px", "time in the film, s", "0", "1", "2", "3", "4", "8"} <= set(texts)
+        for mark in ("band", "shaded", "dotted", "cursor"):
+            assert page.locator(f".plot .{mark}").count() == 1, mark
+        assert page.locator(".plot .line").count() == 2
+        ticks = page.evaluate(
+            "[...document.querySelectorAll('.plot text')].filter((text) => ['1', '4'].includes(text.textContent))"
+            ".map((text) => [text.textContent, text.getBoundingClientRect().x])"
+        )
+        (_, one), (_, four) = sorted(ticks)[0], sorted(ticks)[-1]
+        shaded = page.locator(".plot .shaded").bounding_box()
+        assert shaded is not None
+        assert shaded["width"] == pytest.approx((four - one) / 3, rel=0.02), "a second, as ticks have it"
+        page.keyboard.press("End")
+        assert "left 4 px" in (page.locator(".plot .head").text_content() or "")
+
+
+def test_plots_of_something_else(browser: Browser, tmp_path: Path) -> None:
+    """Maps have one scale, and their vertical axis points down; nothing moves with the film."""
+    square = np.array([0.0, 100, 100, 0, 0])
+    line = Line(2 * np.roll(square, 1), x=square)
+    dots = Line(np.array([10.0, 150, np.nan]), x=np.array([10.0, 90, 5]), style="dots", colours=["red"] * 3)
+    parts = [
+        Plot("map", "y, px", [line, dots], axis="x, px", is_map=True),
+        Plot("rounds", "nats", [dots], axis="round"),
+    ]
+    write_page(tmp_path / "index.html", Page("without a film", sections=[("Some", parts)]))
+    with browser.page(tmp_path / "index.html", PHONE) as page:
+        assert page.locator(".plot").count() == 2
+        box = page.locator(".plot.map .line").bounding_box()
+        assert box is not None
+        assert box["height"] / box["width"] == pytest.approx(2, rel=0.05)
+        high, low = (page.locator(".plot.map circle").nth(k).bounding_box() for k in (0, 1))
+        assert high is not None
+        assert low is not None
+        assert high["y"] < low["y"], "10 is above 150"
+        assert page.locator(".plot.map circle").count() == 2
+        assert not page.locator(".plot.moves").count()
+        assert overflow(page) <= 0
+
+
+def test_a_value_alone_is_a_dot(browser: Browser, tmp_path: Path) -> None:
+    values = np.array([np.nan, 2, np.nan])
+    write_page(tmp_path / "view.html", page_of(plain_film(3), plots=[Plot("alone", "px", [Line(values)])]))
+    with browser.page(tmp_path / "view.html") as page:
+        line = page.locator(".plot .line")
+        assert re.fullmatch(r"M[\d.]+ [\d.]+h0", line.get_attribute("d") or "")
+        assert line.evaluate("(line) => getComputedStyle(line).strokeLinecap") == "round", "it can be seen"
+
+
+def test_plots_of_long_runs_are_of_means(browser: Browser, tmp_path: Path) -> None:
+    count = 2 * MOST_FRAMES + 2
+    values = np.where(np.arange(count) % 3 == 0, np.nan, 7.0)
+    page = Page("long", plots=[Plot("seven", "px", [Line(values)])], numbers=range(1, count + 1))
+    write_page(tmp_path / "view.html", replace(page, times=np.arange(count) / 25))
+    assert (tmp_path / "view.html").stat().st_size < 1 << 20
+    with browser.page(tmp_path / "view.html") as shown:
+        assert shown.get_by_text("Means over 3 frames each.").is_visible()
+    with pytest.raises(ValueError, match=f"got 5, expected one for each of {count}"):
+        write_page(tmp_path / "view.html", replace(page, plots=[Plot("few", "", [Line(values[:5])])]))
+
+
+# --- paper --------------------------------------------------------------------------------------------------
+
+
+def test_on_paper_everything_is_there(results: Path, browser: Browser) -> None:
+    with browser.page(results / "view.html") as page:
+        page.wait_for_function("document.querySelector('video').readyState >= 2")
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        page.emulate_media(media="print")
+        assert page.locator("#still").is_visible(), "what the film shows"
+        assert not page.locator("#controls").is_visible()
+        for name in ("Over time", "Tracks", "Zones and lines", "Parameters"):
+            assert page.get_by_role("heading", name=name).last.is_visible(), name
+        assert page.locator(".plot svg").first.is_visible()
+        page.evaluate("dispatchEvent(new Event('afterprint'))")
+        assert not page.locator("#still").is_visible()
+        assert len(page.pdf(format="A4")) > 20_000

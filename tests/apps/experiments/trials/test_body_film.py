@@ -81,7 +81,7 @@ def test_the_command_on_a_generated_signer(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert [row[0] for row in results["tables"][0]["rows"]] == [0, 1]
-    assert (tmp_path / "out" / "seed-1" / "overlay.mp4").is_file()
+    assert (tmp_path / "out" / "seed-1" / "film.mp4").is_file()
     joints.write_text("frame,joint\n")
     wrong = subprocess.run(command, capture_output=True, text=True, check=False)
     assert wrong.returncode == 2

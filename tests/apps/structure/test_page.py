@@ -9,19 +9,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import Cylinder
-from rsmcm.apps.structure import view as module
+from rsmcm.apps.structure import page as module
 from rsmcm.apps.structure.files import GREY, orthographic_parts
+from rsmcm.apps.structure.page import film_of_tracks, structure_page, write_film
 from rsmcm.apps.structure.reconstruction import Reconstruction
-from rsmcm.apps.structure.view import film_of_tracks, structure_view, write_film
 from rsmcm.apps.view import points
 from rsmcm.apps.view.film import Film
-from rsmcm.apps.view.page import SEEN, write_view
+from rsmcm.apps.view.page import SEEN, Page, write_page
 
 from ...support.browser import PHONE, Browser, landmarks, overflow
 from ...support.reconstructions import SIZE, pictures, reconstruction, small_cylinder, without_images
 from ...support.view_page import Turned, ViewPage, shown_page
 
 N_FRAMES = 20
+SUMMARY = {"frames": N_FRAMES, "notes": ["Something <odd>."], "parameters": {"a": {"b": 1}}}
 COLOURS = np.random.default_rng(0).integers(0, 256, (15, 3)).astype(np.uint8)
 
 
@@ -39,7 +40,7 @@ def found(truth: Cylinder) -> Reconstruction:
 def folder(tmp_path_factory: pytest.TempPathFactory, truth: Cylinder, found: Reconstruction) -> Path:
     path, frames = tmp_path_factory.mktemp("structure"), pictures(truth, COLOURS)
     film = write_film(path, frames, 25)
-    write_view(path / "view.html", "pictures", film, N_FRAMES, structure_view(frames, found, COLOURS, film))
+    write_page(path / "view.html", structure_page("pictures", frames, found, COLOURS, SUMMARY, film))
     return path
 
 
@@ -53,8 +54,8 @@ def tracks_only(tmp_path_factory: pytest.TempPathFactory, truth: Cylinder, found
 def write_without_film(path: Path, truth: Cylinder, found: Reconstruction) -> None:
     frames = without_images(pictures(truth, COLOURS))
     film, corner = film_of_tracks(frames, found)
-    view = structure_view(frames, found, np.full_like(COLOURS, GREY), film, corner)
-    write_view(path / "view.html", "tracks", film, N_FRAMES, view)
+    page = structure_page("tracks", frames, found, np.full_like(COLOURS, GREY), SUMMARY, film, corner)
+    write_page(path / "view.html", page)
 
 
 @pytest.fixture
@@ -65,9 +66,9 @@ def shown(browser: Browser, folder: Path) -> Iterator[ViewPage]:
 
 def layer_of(truth: Cylinder, found: Reconstruction, numbers: NDArray[np.int64]) -> dict[str, Any]:
     film = Film(None, SIZE, numbers, numbers / 25, numbers / 25)
-    view = structure_view(pictures(truth, COLOURS), found, COLOURS, film)
-    layer: dict[str, Any] = {**view.layers["points"], **view.layers["structure"]}
-    for row in view.rows:
+    page = structure_page("title", pictures(truth, COLOURS), found, COLOURS, SUMMARY, film)
+    layer: dict[str, Any] = {**page.layers["points"], **page.layers["structure"]}
+    for row in page.timeline:
         seen = np.zeros(len(numbers), np.bool_)
         for first, last, kind in row.spans.tolist():
             seen[first : last + 1] = kind == SEEN
@@ -102,6 +103,78 @@ def test_a_page_is_bounded(truth: Cylinder, found: Reconstruction, monkeypatch: 
     assert len(layer["space"]["places"]) == 10
     assert len(layer["tracked"]) == 7
     np.testing.assert_allclose(layer["positions"], found.positions[:, layer["tracked"]], atol=1e-4)
+
+
+def written(truth: Cylinder, found: Reconstruction, folder: Path, *, images: bool = True) -> tuple[Page, str]:
+    frames = pictures(truth, COLOURS)
+    corner = module.EDGE
+    if images:
+        film = write_film(folder, frames, 25, found)
+    else:
+        frames = without_images(frames)
+        film, corner = film_of_tracks(frames, found)
+    page = structure_page("title", frames, found, COLOURS, SUMMARY, film, corner)
+    for name in ("a.html", "b.html"):
+        write_page(folder / name, page)
+    assert (folder / "a.html").read_bytes() == (folder / "b.html").read_bytes(), "the same for the same run"
+    return page, (folder / "a.html").read_text()
+
+
+def headings(page: Page) -> list[str]:
+    return [heading for heading, _ in page.sections]
+
+
+def test_a_page_with_everything(truth: Cylinder, found: Reconstruction, tmp_path: Path) -> None:
+    page, text = written(truth, found, tmp_path)
+    assert headings(page) == ["Shape", "Rounds"]
+    for words in ("from the front", "from above", "Something &lt;odd&gt;.", "a.b", "points seen"):
+        assert words in text
+    assert "nan px" not in text
+    surface = page.layers["structure"]["surface"]
+    corners = np.array(surface["points"])
+    np.testing.assert_allclose(surface["corners"], found.shape[corners], atol=1e-5)
+    index = surface["frame"] - 1
+    assert found.observed[index, corners].all()
+    np.testing.assert_allclose(surface["onPicture"], found.places[index, corners], atol=1e-3)
+    assert surface["triangles"].max() < len(corners)
+
+
+def test_without_images_tracks_are_plotted(truth: Cylinder, found: Reconstruction, tmp_path: Path) -> None:
+    page, text = written(truth, found, tmp_path, images=False)
+    assert headings(page) == ["Shape", "Tracks", "Rounds"]
+    assert page.layers["structure"]["surface"] is None
+    assert "data:image/jpeg" not in text
+
+
+def test_without_shape(truth: Cylinder, found: Reconstruction, tmp_path: Path) -> None:
+    page, text = written(truth, replace(found, geometry="none", reason="static"), tmp_path)
+    assert headings(page) == ["Rounds"]
+    assert "undetermined" in text
+
+
+def test_affine_shapes_say_so(truth: Cylinder, found: Reconstruction, tmp_path: Path) -> None:
+    _, text = written(truth, replace(found, geometry="affine", reason="two views"), tmp_path)
+    assert "lengths and angles mean nothing" in text
+
+
+def test_frames_in_which_nothing_was_seen(truth: Cylinder, found: Reconstruction, tmp_path: Path) -> None:
+    observed, residuals = found.observed.copy(), found.residuals.copy()
+    observed[4], residuals[4] = False, np.nan
+    some = replace(found, observed=observed, residuals=residuals)
+    assert np.isnan(some.reprojection_errors[4])
+    assert np.isfinite(some.reprojection_error)
+    page, _ = written(truth, some, tmp_path)
+    errors = page.plots[0].lines[0].values
+    assert np.isnan(errors).tolist() == [index == 4 for index in range(N_FRAMES)]
+    np.testing.assert_allclose(errors, some.reprojection_errors)
+
+
+def test_errors_are_those_of_the_residuals(truth: Cylinder, found: Reconstruction) -> None:
+    squares = np.square(truth.observed - truth.positions).sum(axis=2)[truth.visible]
+    assert found.reprojection_error == pytest.approx(25 * np.sqrt(squares.mean()))
+    weights = truth.visible.sum(axis=1)
+    mean = np.average(found.reprojection_errors**2, weights=weights)
+    assert mean == pytest.approx(found.reprojection_error**2)
 
 
 # --- in a browser -------------------------------------------------------------------------------------------

@@ -1,13 +1,12 @@
 """Zones are drawn where they are, and lines with an arrow to their right."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.drawing.boxes import draw_overlay
+from rsmcm.apps.background.page import drawn_of
+from rsmcm.apps.drawing.overlay import ZONES as COLOUR
+from rsmcm.apps.drawing.overlay import TracksOverlay, draw_zones
 from rsmcm.apps.events import Line, Zone, Zones
-from rsmcm.apps.events.drawing import COLOUR, draw_zones
 
 SIZE = (320, 240)
 SQUARE = np.array([[100.0, 100], [200, 100], [200, 200], [100, 200]])
@@ -49,6 +48,7 @@ def test_names_stay_in_the_picture_and_overlays_have_them() -> None:
     zones = Zones((Zone("a long name", corner, SIZE),), ())
     assert amber(zones)[215:, 200:290].any(), "of the name, left of the zone"
     image = np.full((240, 320, 3), 90, np.uint8)
-    drawn = draw_overlay(image, None, [], {}, "", draw_below=partial(draw_zones, zones=zones))
+    nothing = drawn_of(np.zeros((240, 320), np.uint8), [])
+    drawn = TracksOverlay(zones)(image, nothing, 1, 0.0, missing=False)
     assert like_amber(drawn)[215:, 200:290].any()
     assert (image == 90).all()

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.face.overlay import vertices_on_texture
-from rsmcm.apps.face.view import MOST_POINTS, FaceDrawing
+from rsmcm.apps.face.page import MOST_POINTS, FaceDrawing, face_page
+from rsmcm.apps.face.record import FaceRecord
+from rsmcm.apps.face.texture import vertices_on_texture
 from rsmcm.apps.scenes import face
 from rsmcm.apps.scenes.talking_face import FaceScene
 from rsmcm.apps.view.film import Film, read_film
-from rsmcm.apps.view.page import SEEN, View
+from rsmcm.apps.view.page import SEEN, Page
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.surface_texels import SurfaceTexels
@@ -58,12 +59,31 @@ def row(scene: FaceScene, index: int) -> dict[str, Any]:
     }
 
 
-def view_of(film: Film, scene: FaceScene, drawing: FaceDrawing) -> View:
+def record_of(scene: FaceScene, n_frames: int, error: float) -> FaceRecord:
+    record = FaceRecord()
+    for index in range(n_frames):
+        made, frame = row(scene, index), Frame(None, index / 25, index + 1)
+        record.add(
+            frame, scene.poses[index], made["weights"], float(made["log_evidence"]), float(made["fit"]),
+            np.nan if index == 0 else error, 0.01, lost=bool(made["lost"]), restarted=bool(made["reinitialised"]),
+        )  # fmt: skip
+    return record
+
+
+def page_of(film: Film, scene: FaceScene, drawing: FaceDrawing, error: float = 1.5) -> Page:
     morphs = scene.poses.morphs[-1]
     places = vertices_on_texture(scene.model, morphs, SurfaceTexels.dense(scene.model, 500))
     rows, columns = np.indices((480, 360))
     pictures = [(columns // 2).astype(np.uint8) + 40, (rows // 3).astype(np.uint8) + 40]
-    return drawing.view(film, dict(zip(("mean", "variance"), pictures, strict=True)), places)
+    textures = dict(zip(("mean", "variance"), pictures, strict=True))
+    record = record_of(scene, len(film.numbers), error)
+    summary = {
+        "frames": len(film.numbers), "frames_per_second": 10.0, "frames_per_second_of_engine": 12.0,
+        "lost_frames": 6, "reinitialised": [15], "missing_frames": 1, "error": None, "notes": [],
+        "parameters": {"experts": 4},
+    }  # fmt: skip
+    layer = drawing.layer(film, textures, places)
+    return face_page("a face", record, summary, film, layer, scene.model.names, textures)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +93,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, scene: FaceScene, drawing: 
         path,
         scene,
         lambda index: drawing.drawn(row(scene, index), np.nan if index == 0 else 1.5),
-        lambda film: view_of(film, scene, drawing),
+        lambda film: page_of(film, scene, drawing),
     )
     return path
 
@@ -85,22 +105,22 @@ def shown(browser: Browser, folder: Path) -> Iterator[ViewPage]:
 
 
 def test_what_is_on_the_page(folder: Path, scene: FaceScene, drawing: FaceDrawing) -> None:
-    view = view_of(read_film(folder, SIZE), scene, drawing)
-    layer = view.layers["face"]
+    page = page_of(read_film(folder), scene, drawing)
+    layer = page.layers["face"]
     points = layer["points"].reshape(N_FRAMES, -1, 5)
     np.testing.assert_allclose(points[..., :2], scene.vertices[:, layer["shown"]], atol=1e-3)
     np.testing.assert_array_equal(points[..., 2:] - (4.0, 0.0, 1.0), 0)
     assert sorted(layer["shown"]) == list(range(scene.model.n_vertices)), "all of a coarse model"
     np.testing.assert_array_equal(layer["shown"][layer["mesh"]], scene.model.triangles)
-    (row_of_face,) = view.rows
+    (row_of_face,) = page.timeline
     seen = np.zeros(N_FRAMES, np.bool_)
     for first, last, kind in row_of_face.spans.tolist():
         seen[first : last + 1] = kind == SEEN
     expected = [index not in LOST and index != MISSING for index in range(N_FRAMES)]
     np.testing.assert_array_equal(seen, expected)
-    plots = {plot.name: plot.values for plot in view.plots}
+    plots = {plot.name: plot.lines[0].values for plot in page.plots}
     np.testing.assert_allclose(plots["experts, effective"], 4)
-    np.testing.assert_allclose(plots["explained"], 90, rtol=1e-6)
+    np.testing.assert_allclose(plots["picture explained"], 90, rtol=1e-6)
     np.testing.assert_allclose(plots["points ±"], np.sqrt(5), rtol=1e-6)
     assert np.isnan(plots["error"][0])
 
@@ -124,12 +144,12 @@ def test_a_face_without_landmarks_and_errors(scene: FaceScene, drawing: FaceDraw
     made = {**row(scene, 0), "landmarks": np.zeros((0, 2))}
     plots: list[str] = []
 
-    def view(film: Film) -> View:
-        page = view_of(film, scene, drawing)
+    def filled(film: Film) -> Page:
+        page = page_of(film, scene, drawing, np.nan)
         plots.extend(plot.name for plot in page.plots)
         return page
 
-    write_pages(tmp_path, [frame], lambda _: drawing.drawn(made, np.nan), view)
+    write_pages(tmp_path, [frame], lambda _: drawing.drawn(made, np.nan), filled)
     assert "error" not in plots
     with browsing() as browser, shown_page(browser, tmp_path, SIZE) as shown:
         assert not shown.page.get_by_label("landmarks").count()

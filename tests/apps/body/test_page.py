@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.body.report import PART_JOINTS
-from rsmcm.apps.body.view import PER_PX, SAMPLES, body_view, drawn_of, redrawn
+from rsmcm.apps.body.page import PER_PX, SAMPLES, drawn_of, over_the_film, with_final_names
+from rsmcm.apps.body.record import PART_JOINTS
+from rsmcm.apps.body.relabelling import ROWS
 from rsmcm.apps.scenes import signer
 from rsmcm.apps.view.film import Film, read_film
-from rsmcm.apps.view.page import SEEN
+from rsmcm.apps.view.page import SEEN, Page
 from rsmcm.models.body.upper_body import JOINTS
 
 from ...support.browser import PHONE, Browser, landmarks, overflow, reached_by_tab
@@ -53,14 +54,19 @@ def rows(joints: NDArray[np.float64]) -> list[dict[str, Any]]:
     return made
 
 
+def page_of(film: Film) -> Page:
+    layers, timeline = over_the_film(film, ARM)
+    return Page("a body", film=film, layers=layers, timeline=timeline, numbers=film.numbers, times=film.times)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory, joints: NDArray[np.float64]) -> Path:
     path, made = tmp_path_factory.mktemp("body"), rows(joints)
     write_pages(
         path,
         signer(N_FRAMES, size=SIZE),
-        lambda index: drawn_of(made[index], -float(index), 100.0),
-        lambda film: body_view(film, ARM, np.zeros(len(film.numbers))),
+        lambda index: drawn_of(made[index]),
+        page_of,
     )
     return path
 
@@ -72,12 +78,12 @@ def shown(browser: Browser, folder: Path) -> Iterator[ViewPage]:
 
 
 def layer_of(film: Film) -> dict[str, Any]:
-    layer: dict[str, Any] = body_view(film, ARM, np.zeros(len(film.numbers))).layers["body"]
+    layer: dict[str, Any] = over_the_film(film, ARM)[0]["body"]
     return layer
 
 
 def test_what_is_on_the_page(folder: Path, joints: NDArray[np.float64]) -> None:
-    film = read_film(folder, SIZE)
+    film = read_film(folder)
     layer = layer_of(film)
     held = layer["joints"].reshape(N_FRAMES, len(JOINTS), 9)
     np.testing.assert_allclose(held[..., :3], joints, atol=1e-3)
@@ -92,10 +98,10 @@ def test_what_is_on_the_page(folder: Path, joints: NDArray[np.float64]) -> None:
 
 
 def test_rows_say_when_a_part_was_seen(folder: Path) -> None:
-    view = body_view(read_film(folder, SIZE), ARM, np.zeros(N_FRAMES))
-    assert [row.identity for row in view.rows[:3]] == sorted(PART_JOINTS)
-    assert len(view.rows) == len(JOINTS)
-    for row in view.rows:
+    _, timeline = over_the_film(read_film(folder), ARM)
+    assert [row.identity for row in timeline[:3]] == sorted(PART_JOINTS)
+    assert len(timeline) == len(JOINTS)
+    for row in timeline:
         seen = np.zeros(N_FRAMES, np.bool_)
         for first, last, kind in row.spans.tolist():
             seen[first : last + 1] = kind == SEEN
@@ -104,18 +110,17 @@ def test_rows_say_when_a_part_was_seen(folder: Path) -> None:
         if row.identity == LEFT_HAND:
             expected[list(HIDDEN)] = False
         np.testing.assert_array_equal(seen, expected, err_msg=row.label)
-    unsure = next(plot for plot in view.plots if plot.name == "left hand ±")
-    np.testing.assert_allclose(unsure.values, 5.0, rtol=1e-6)
-    evidence = next(plot for plot in view.plots if plot.name == "log evidence").values
-    np.testing.assert_array_equal(np.isnan(evidence), np.arange(N_FRAMES) == 20)
 
 
-def test_some_frames_have_other_rows(folder: Path, joints: NDArray[np.float64]) -> None:
-    film = read_film(folder, SIZE)
-    other = rows(joints + 7)[4]
-    changed = redrawn(film, {4: other})
+def test_hands_have_the_names_of_the_end(folder: Path, joints: NDArray[np.float64], tmp_path: Path) -> None:
+    film, others = read_film(folder), rows(joints + 7)
+    columns = {name: np.stack([np.asarray(row[name]) for row in others]) for name in others[0]}
+    relabelled = np.arange(N_FRAMES) == 4
+    more = {name: np.zeros(N_FRAMES) for name in ROWS - columns.keys()}
+    np.savez(tmp_path / "poses.npz", **columns, **{**more, "frames": film.numbers, "relabelled": relabelled})
+    changed = with_final_names(film, tmp_path)
     for name, before in film.columns.items():
-        after, expected = changed.columns[name], drawn_of(other, -4.0, 100.0)[name]
+        after, expected = changed.columns[name], drawn_of(others[4])[name]
         per_frame = len(before) // N_FRAMES
         kept = np.delete(np.arange(len(before)), np.arange(4 * per_frame, 5 * per_frame))
         np.testing.assert_array_equal(after[kept], before[kept])
@@ -180,7 +185,7 @@ def test_layers_are_switched(shown: ViewPage, name: str, key: str) -> None:
 
 def test_the_body_turns_in_space(shown: ViewPage, folder: Path, joints: NDArray[np.float64]) -> None:
     """Wherever it is turned to, joints are clicked where they then are."""
-    layer = layer_of(read_film(folder, SIZE))
+    layer = layer_of(read_film(folder))
     shown.show(5)
     space = shown.in_space(layer["centre"], layer["reach"])
     for across, down in ((0, 0), (70, 0), (-30, 45), (-120, -80)):
@@ -284,8 +289,8 @@ def test_a_film_of_one_frame(browser: Browser, joints: NDArray[np.float64], tmp_
     write_pages(
         tmp_path,
         [frame],
-        lambda _: drawn_of(row, 0.0, 9.0),
-        lambda film: body_view(film, ARM, np.zeros(len(film.numbers))),
+        lambda _: drawn_of(row),
+        page_of,
     )
     with shown_page(browser, tmp_path, SIZE) as page:
         page.click(joints[0, LEFT_HAND, :2])

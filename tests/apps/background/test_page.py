@@ -1,18 +1,25 @@
 """What the page of the background application is made of: outlines of the mask, spans of each track."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.apps.background.view import drawn_of, tracks_view
+from rsmcm.apps.background.page import background_page, draw_paths, drawn_of, over_the_film
+from rsmcm.apps.background.record import RunRecord, TrackHistory
+from rsmcm.apps.drawing.overlay import identity_colour
 from rsmcm.apps.events.report import Happened
 from rsmcm.apps.events.watch import Event, Kind, Moment
 from rsmcm.apps.events.zones import Zones
 from rsmcm.apps.io.mot import TrackedBox
 from rsmcm.apps.view.film import Film, Row
-from rsmcm.apps.view.page import PREDICTED, SEEN
+from rsmcm.apps.view.page import PREDICTED, SEEN, write_page
+from rsmcm.models.core.frame import GivenBoxes
+
+from ...support.records import PICTURE, SUMMARY, recorded
 
 SIZE = (96, 128)
 
@@ -48,9 +55,7 @@ def test_outlines_are_those_of_the_foreground() -> None:
 
 def test_nothing_is_drawn_where_nothing_is() -> None:
     drawn = drawn_of(np.zeros(SIZE, np.uint8), [])
-    assert {name: len(values) for name, values in drawn.items() if name != "foreground"} == {
-        name: 0 for name in drawn if name != "foreground"
-    }
+    assert not any(map(len, drawn.values()))
     assert drawn["box"].shape == (0, 4)
     assert drawn["outline"].shape == (0, 2)
 
@@ -69,15 +74,14 @@ def test_rows_tell_when_each_was_seen(life: list[list[bool | None]]) -> None:
     ]
     film = film_of(rows)
     again: list[list[bool | None]] = [[None] * 3 for _ in life]
-    view = tracks_view(film)
-    for row in view.rows:
+    _, timeline = over_the_film(film)
+    for row in timeline:
         for first, last, kind in row.spans.tolist():
             assert kind in (SEEN, PREDICTED)
             for index in range(first, last + 1):
                 assert again[index][row.identity - 1] is None, "spans do not overlap"
                 again[index][row.identity - 1] = kind == SEEN
     assert again == life
-    assert view.plots[0].values.tolist() == [sum(seen is not None for seen in frame) for frame in life]
 
 
 def test_events_are_in_the_order_of_their_times() -> None:
@@ -85,5 +89,44 @@ def test_events_are_in_the_order_of_their_times() -> None:
     rows = [drawn_of(np.zeros(SIZE, np.uint8), [TrackedBox(1, (1, 2, 3, 4))]) for _ in range(6)]
     moments = [Moment((frame - 1) / 10, frame, 0, 0) for frame in (5, 2, 4, 9)]
     events = [Event(moment, Kind.STANDS, "", 1) for moment in moments]
-    view = tracks_view(film_of(rows), Happened(Zones(), events, (0.0, 0.5)))
-    assert [event["frame"] for event in view.layers["events"]] == [2, 4, 5], "the film has no frame 9"
+    layers, _ = over_the_film(film_of(rows), Happened(Zones(), events, (0.0, 0.5)))
+    assert [event["frame"] for event in layers["events"]] == [2, 4, 5], "the film has no frame 9"
+
+
+def test_boxes_of_a_detector_are_drawn() -> None:
+    given = GivenBoxes(np.array([[10.0, 20, 30, 60]]), np.array([0.9]))
+    drawn = drawn_of(np.zeros(SIZE, np.uint8), [], given)
+    assert drawn["given"].tolist() == [[10, 20, 20, 40]], "x, y, width, height"
+
+
+def test_a_page_says_everything(tmp_path: Path) -> None:
+    """Without a film: no frame could be read."""
+    summary = {**SUMMARY, "metrics": {"F": 0.912345}, "notes": ["The camera moves."]}
+    page = background_page("Street & square", recorded(20, frozenset({5, 6})), summary, None, PICTURE)
+    write_page(tmp_path / "view.html", page)
+    text = (tmp_path / "view.html").read_text()
+    for expected in (
+        "Street &amp; square", "background.noise", "&lt;b&gt;&amp;.avi", "0.9123", "frames 5, 6", "nats",
+        "The camera moves.", "Where the feet went",
+    ):  # fmt: skip
+        assert expected in text
+    assert [path.name for path in tmp_path.iterdir()] == ["view.html"]
+
+
+@pytest.mark.parametrize(
+    "record", [RunRecord(), recorded(1), recorded(1, frozenset({1})), recorded(3, frozenset({1, 2, 3}))]
+)
+def test_a_page_of_hardly_anything(tmp_path: Path, record: RunRecord) -> None:
+    page = background_page("title", record, SUMMARY, None, PICTURE[..., 0])
+    for name in ("a.html", "b.html"):
+        write_page(tmp_path / name, page)
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+
+
+def test_paths_are_drawn_in_their_colours() -> None:
+    history = TrackHistory(first=1)
+    for number in range(50):
+        history.add(number, (2.0 * number, 30.0, 10.0, 20.0))
+    drawn = draw_paths(np.full((80, 120), 90, np.uint8), {4: history})
+    assert drawn.shape == (640, 960, 3)
+    assert np.all(drawn == identity_colour(4), axis=-1).sum() > 500
