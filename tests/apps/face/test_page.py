@@ -65,7 +65,8 @@ def record_of(scene: FaceScene, n_frames: int, error: float) -> FaceRecord:
         made, frame = row(scene, index), Frame(None, index / 25, index + 1)
         record.add(
             frame, scene.poses[index], made["weights"], float(made["log_evidence"]), float(made["fit"]),
-            np.nan if index == 0 else error, 0.01, lost=bool(made["lost"]), restarted=bool(made["reinitialised"]),
+            np.nan if index == 0 else error, 0.01, lost=bool(made["lost"]),
+            restarted=bool(made["reinitialised"]),
         )  # fmt: skip
     return record
 
