@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...inference.sfm.nonrigid.choice import BasesChoice
+from ...inference.sfm.nonrigid.learning import BasesChoice
 from ..drawing.overlay import identity_colour
 from ..view.page import BLUE, RED, Line, Page, Plot, Section
 from ..view.points import LAYER, FollowedPoints, film_of_points, packed
