@@ -15,7 +15,7 @@ nox.options.download_python = "never"
 nox.options.error_on_missing_interpreters = False  # nox lists the sessions that it left out
 
 FIRST_MET = (
-    "apps/background", "apps/io", "apps/test_command_line.py", "inference/core", "system/test_pages.py",
+    "apps/background", "apps/io", "apps/test_command_line.py", "inference/engine", "system/test_pages.py",
 )  # fmt: skip
 """Tests of what meets other libraries first: files, saved states, engines, the command line."""
 
