@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...models.body.image_features import BodyImage
 from ...models.body.poses import BodyPoses, over_bands_of
-from ...models.body.skin.colour import HIGHEST
+from ...models.body.skin_colour import HIGHEST
 from ...models.body.upper_body import UpperBody
 from .kernels.likelihood import (
     HandModel,

@@ -19,7 +19,7 @@ from ...models.core.frame import Frame
 from ...models.core.short_repr import short_repr
 from .dynamics import BodyDynamics
 from .fixed_lag import FixedLag
-from .flesh.tracks import FleshTracks
+from .flesh_state import FleshTracks
 from .hand_labelling import Labelling
 from .likelihood import PoseLikelihood
 from .samples import BodySamples

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from ...models.core.short_repr import short_repr
 from ...models.face.pose import Poses
 from .expert_background import ExpertBackground
-from .recovery.trust import Trust
 from .texture_filter import Texture
+from .trust import Trust
 
 Array = NDArray[np.float64]
 

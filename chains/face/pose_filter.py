@@ -17,18 +17,18 @@ from .background_contrast import OccludedBackground, SharedBackground, first_tru
 from .coverage import MARGIN, Coverage, widened
 from .expert_background import ExpertBackground
 from .experts import Particles, log_likelihood, propagated, resampled, sampled
+from .finder import Finder
 from .gauss_newton import find_modes
 from .gflow_state import GFlowState
 from .image_pyramid import Level, image_pyramid
 from .pose_dynamics import PoseDynamics, PosePrior
 from .pose_terms import PoseEvidence, measured_points
-from .recovery.finder import Finder
-from .recovery.search import apart, brought_to, likely_places
-from .recovery.trust import CHANCE, ROUNDING, Trust
+from .search import apart, brought_to, likely_places
 from .silhouette import Silhouette
 from .texel_noise import TexelNoise
 from .texture_filter import Texture, explained
 from .texture_likelihood import TexturedObject, TextureLikelihood
+from .trust import CHANCE, ROUNDING, Trust
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -15,15 +15,15 @@ from ..core.pictures import draw_region
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from ..numerics.threads import side_by_side
+from .bare_arms import bare_probability, hand_area
+from .clothes import ClothesColour
+from .faces import OtherFaces, face_at, largest_face, one_person
 from .image_features import BodyImage, edge_distances
 from .keypoints import SeenKeypoints
 from .part_message import PartMessage
-from .person.bare_arms import bare_probability, hand_area
-from .person.clothes import ClothesColour
-from .person.faces import OtherFaces, face_at, largest_face, one_person
-from .skin.colour import HIGHEST, SkinColour, smoothed
-from .skin.static import static_skin
 from .skin_blobs import SkinBlobs, skin_blobs
+from .skin_colour import HIGHEST, SkinColour, smoothed
+from .static_skin import static_skin
 from .upper_body import PARTS
 
 Array = NDArray[np.float64]

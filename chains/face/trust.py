@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from ....models.core.short_repr import short_repr
+from ...models.core.short_repr import short_repr
 
 LEAST_SHARE = 0.5
 """Of the usual fit, below which the object is doubted."""

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ....inference.kalman import ornstein_uhlenbeck_velocity
+from ...inference.kalman import ornstein_uhlenbeck_velocity
 
 Array = NDArray[np.float64]
 

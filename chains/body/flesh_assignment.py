@@ -6,9 +6,9 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
-from ....models.core.kernels import products
-from ....models.numerics.densities import log_sums
+from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
+from ...models.core.kernels import products
+from ...models.numerics.densities import log_sums
 from .moving_parts import MovingParts
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.short_repr import short_repr
-from ..kernels.skin_colour import blended
-from ..skin.colour import N_BINS, SkinColour, colour_counts, has_colour, log_ratio_of, looked_up_in
+from ..core.short_repr import short_repr
+from .kernels.skin_colour import blended
+from .skin_colour import N_BINS, SkinColour, colour_counts, has_colour, log_ratio_of, looked_up_in
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

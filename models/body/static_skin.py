@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .colour import SkinColour
+from .skin_colour import SkinColour
 
 Map = NDArray[np.float32]
 

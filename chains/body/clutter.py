@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.core.short_repr import short_repr
+from ...models.core.short_repr import short_repr
 
 Array = NDArray[np.float64]
 

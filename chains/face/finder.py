@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.core.frame import Frame
-from ....models.core.short_repr import PickledByFields, short_repr
-from ....models.face.detectors import PartDetector, for_height
-from ....models.face.morphable_model import MorphableModel
-from ....models.face.pose import Poses
+from ...models.core.frame import Frame
+from ...models.core.short_repr import PickledByFields, short_repr
+from ...models.face.detectors import PartDetector, for_height
+from ...models.face.morphable_model import MorphableModel
+from ...models.face.pose import Poses
 from .search import rolls
 
 Array = NDArray[np.float64]

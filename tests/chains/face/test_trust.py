@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.chains.face.recovery.trust import (
+from rsmcm.chains.face.trust import (
     CHANCE,
     CHANCE_ANYWHERE,
     LEAST_SHARE,

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.body.part_message import PartMessage
-from ....models.numerics.densities import log_sums
-from .assignment import PartOptions
+from ...models.body.part_message import PartMessage
+from ...models.numerics.densities import log_sums
+from .flesh_assignment import PartOptions
 from .moving_parts import MovingParts
 
 Array = NDArray[np.float64]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.face.recovery.finder import TURNS, DetectedFace, UprightView, poses_in_boxes
-from rsmcm.chains.face.recovery.search import brought_to, rolls
+from rsmcm.chains.face.finder import TURNS, DetectedFace, UprightView, poses_in_boxes
+from rsmcm.chains.face.search import brought_to, rolls
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.pose import Poses

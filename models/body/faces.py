@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.short_repr import short_repr
+from ..core.short_repr import short_repr
 
 Array = NDArray[np.float64]
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 from rsmcm.chains import FleshTracker
-from rsmcm.chains.body.flesh.reach import within_reach
-from rsmcm.chains.body.flesh.tracks import HANDS, FleshTracks
+from rsmcm.chains.body.flesh_state import HANDS, FleshTracks
+from rsmcm.chains.body.reach import within_reach
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import Frame
 

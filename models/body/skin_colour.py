@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from ...core.short_repr import short_repr
-from ..kernels.skin_colour import looked_up
+from ..core.short_repr import short_repr
+from .kernels.skin_colour import looked_up
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

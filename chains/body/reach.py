@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.body.upper_body import UpperBody
+from ...models.body.upper_body import UpperBody
+from .flesh_state import HANDS, HEAD, FleshTracks
 from .moving_parts import MovingParts
-from .tracks import HANDS, HEAD, FleshTracks
 
 Array = NDArray[np.float64]
 

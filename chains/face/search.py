@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.face.morphable_model import MorphableModel
-from ....models.face.pose import Poses
-from ....models.numerics.rotations import exponential
+from ...models.face.morphable_model import MorphableModel
+from ...models.face.pose import Poses
+from ...models.numerics.rotations import exponential
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ....models.core.short_repr import short_repr
-from ....models.numerics.densities import log_sums
+from ...models.core.short_repr import short_repr
+from ...models.numerics.densities import log_sums
 from .clutter import Clutter
 
 Array = NDArray[np.float64]

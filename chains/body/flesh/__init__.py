@@ -1,1 +1,0 @@
-"""Tracking of head and hands in the picture by several hypotheses."""

@@ -1,1 +1,0 @@
-"""The colour of skin, and where it is all the time."""
