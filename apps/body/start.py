@@ -8,11 +8,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.body.clothes import ClothesColour
-from ...models.body.faces import OtherFaces
 from ...models.body.parts import CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
-from ...models.body.skin_colour import SkinColour
-from ...models.body.static_skin import static_skin
+from ...models.body.person import ClothesColour, OtherFaces
+from ...models.body.skin import SkinColour, static_skin
 from ...models.body.upper_body import UpperBody
 from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import HaarFaces, PartDetector, default_faces

@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.face.finder import DetectedFace, Finder
 from ...chains.face.gflow import GFlow
+from ...chains.face.recovery import DetectedFace, Finder
 from ...inference import Belief, MultiChain, RecursiveBP
 from ...models.core.frame import Frame
 from ...models.face.built_in_model import face_model

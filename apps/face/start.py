@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...chains.face.finder import AROUND, FACE, UprightView, poses_in_boxes
+from ...chains.face.recovery import AROUND, FACE, UprightView, poses_in_boxes
 from ...models.core.frame import BoundingBox, Frame
 from ...models.face.detectors import PartDetector, for_height, of_any_pose
 from ...models.face.landmark_fit import LANDMARK_NOISE

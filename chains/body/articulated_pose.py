@@ -14,9 +14,9 @@ from ...models.body.upper_body import UpperBody
 from ...models.core.frame import Frame
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from ...models.core.short_repr import short_repr
-from .candidates import Candidates
 from .dynamics import BodyDynamics
 from .likelihood import BodyLikelihood, PoseLikelihood
+from .proposals import Candidates
 from .samples import (
     LEAST_SPREAD,
     BodySamples,

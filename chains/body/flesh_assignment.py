@@ -1,17 +1,78 @@
-"""Which thing in the picture each part of a body is, under each hypothesis: the best joint answers."""
+"""Assignment of the skin blobs of a frame to head and hands, under each hypothesis of the flesh tracker.
+
+Parts move with constant velocity in the picture. The scores of an assignment also hold what else speaks for
+a blob being a part: sides, other blobs about it, other chains.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ...inference.kalman import ornstein_uhlenbeck_velocity
+from ...models.body.part_message import PartMessage
 from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
 from ...models.core.kernels import products
 from ...models.numerics.densities import log_sums
-from .moving_parts import MovingParts
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MovingParts:
+    """Gaussians over position and velocity in the picture, any number of them.
+
+    Parameters
+    ----------
+    means
+        `(..., 4)`: x, y px and their velocities px/s.
+    covariances
+        `(..., 4, 4)`, in the same order, positive definite.
+    """
+
+    means: Array
+    covariances: Array
+
+    def moved(self, dt: float, speeds: ArrayLike, velocity_time: float) -> Self:
+        """Parts `dt` s later, whose velocities are Ornstein-Uhlenbeck processes; exact for any `dt`.
+
+        Parameters
+        ----------
+        dt
+            s.
+        speeds
+            `(...)` px/s, standard deviation of a velocity's components in the long run.
+        velocity_time
+            s, time constant of velocities.
+        """
+        motion = ornstein_uhlenbeck_velocity(dt, velocity_time).along(2)
+        return type(self)(*motion.moved(self.means, self.covariances, np.square(speeds)))
+
+    def take(self, rows: NDArray[np.intp]) -> Self:
+        """Some of them, along the first axis."""
+        return type(self)(self.means[rows], self.covariances[rows])
+
+    def given(self, positions: Array, spreads: Array) -> Self:
+        """The same if the positions have these means `(..., 2)` px and covariances `(..., 2, 2)` px^2.
+
+        The velocity is a regression on the position and an independent rest, so that covariances are sums of
+        positive ones: they stay positive definite however sure a position is.
+        """
+        spread, cross = self.covariances[..., :2, :2], self.covariances[..., 2:, :2]
+        slope = cross @ np.linalg.inv(spread)
+        rest = _symmetric(self.covariances[..., 2:, 2:] - slope @ cross.swapaxes(-1, -2))
+        lift = np.concatenate([np.broadcast_to(np.eye(2), slope.shape), slope], axis=-2)
+        means = self.means + (lift @ (positions - self.means[..., :2])[..., None])[..., 0]
+        covariances = lift @ spreads @ lift.swapaxes(-1, -2)
+        covariances[..., 2:, 2:] += rest
+        return type(self)(means, _symmetric(covariances))
+
+
+def _symmetric(matrices: Array) -> Array:
+    return 0.5 * (matrices + matrices.swapaxes(-1, -2))
+
+
 Numbers = NDArray[np.intp]
 T = TypeVar("T", bound=np.generic)
 
@@ -280,3 +341,68 @@ class Answers:
         k = len(things.labels)
         padded = np.append(things.labels, NO_LABEL)
         return np.asarray(padded[np.where(self.options <= k, self.options, self.options - k - 1)])
+
+
+LOOKS_APART = 1.0
+"""s, after which it is a new look that hands are on their own sides."""
+
+
+def log_sides(right: Array, since: Array, shoulder_width: float) -> Array:
+    """`(H, 2, k)` nats: things as left and right hand, by the side on which they are.
+
+    A hand is before its own shoulder, give or take half of their distance. As a hand stays where it is, the
+    same look again counts only as far as it was forgotten.
+
+    Parameters
+    ----------
+    right
+        `(H, k)` px: how far things are to the right of the head.
+    since
+        `(H, 2)` s since the hands were seen.
+    shoulder_width
+        px.
+    """
+    odds = right * 4 / shoulder_width
+    own = np.log(2) - np.logaddexp(0.0, np.stack([-odds, odds], axis=1))
+    return np.asarray(-np.expm1(-since[:, :, None] / LOOKS_APART) * own)
+
+
+def ratios_beside(places: Array, radii: Array, number: float, densities: Array) -> Array:
+    """`(n_parts, k, k)`: of a part that is one thing, how much more probable another is as more of that part.
+
+    Parameters
+    ----------
+    places
+        `(k, 2)` px of things.
+    radii
+        `(n_parts,)` px: standard deviations of other things of a part about it.
+    number
+        of these, on average.
+    densities
+        `(k,)` of something new there, per px^2.
+    """
+    squares = ((places[:, None] - places) ** 2).sum(axis=2)
+    width = radii[:, None, None] ** 2
+    return np.asarray(number / (2 * np.pi * width * densities) * np.exp(-0.5 * squares / width))
+
+
+def log_overlaps(options: PartOptions, message: PartMessage) -> Array:
+    """`(H, 3, n)` nats: how well each part's options fit what chains say of it, whatever other parts are."""
+    shape = options.shares.shape
+    means, covariances = (
+        values.swapaxes(0, 1).reshape(shape[1], -1, *values.shape[4:])
+        for values in (options.means, options.covariances)
+    )
+    overlaps = message.predicted.log_overlaps(means, covariances)
+    overlaps = overlaps.reshape(shape[1], shape[0], *shape[2:]).swapaxes(0, 1)
+    with np.errstate(divide="ignore"):
+        return log_sums(overlaps + np.log(options.shares), axis=2)
+
+
+def log_joint_overlaps(parts: MovingParts, message: PartMessage) -> Array:
+    """`(m,)` nats: log of the integral of what chains say times Gaussians of all parts, `(m, 3)`."""
+    n = len(message.log_hypotheses)
+    means = np.tile(parts.means[..., :2].swapaxes(0, 1), (n, 1, 1))
+    covariances = np.tile(parts.covariances[..., :2, :2].swapaxes(0, 1), (n, 1, 1, 1))
+    overlaps = message.stacked.log_overlaps(means, covariances).reshape(n, 3, -1).sum(axis=1)
+    return log_sums(overlaps + message.log_hypotheses[:, None], axis=0)

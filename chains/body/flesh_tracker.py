@@ -19,12 +19,18 @@ from ...models.core.frame import Frame
 from ...models.core.gaussian_mixtures import NO_LABEL, GaussianMixtures
 from ...models.core.short_repr import short_repr
 from ...models.numerics.densities import log_sums
-from .clutter import Clutter, ClutterMatch
-from .flesh_assignment import VISIBLE, Answers, PartOptions, Things
-from .flesh_scores import log_joint_overlaps, log_overlaps, log_sides, ratios_beside
-from .flesh_state import HANDS, HEAD, FleshTracks
-from .moving_parts import MovingParts
-from .reach import anywhere, within_reach
+from .flesh_assignment import (
+    VISIBLE,
+    Answers,
+    MovingParts,
+    PartOptions,
+    Things,
+    log_joint_overlaps,
+    log_overlaps,
+    log_sides,
+    ratios_beside,
+)
+from .flesh_state import HANDS, HEAD, Clutter, ClutterMatch, FleshTracks, anywhere, within_reach
 from .whole_film import FleshTrajectory, filtered, predicted_messages
 
 Array = NDArray[np.float64]

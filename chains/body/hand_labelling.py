@@ -25,7 +25,7 @@ from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import UpperBody
 from ...models.core.short_repr import short_repr
 from .dynamics import BodyDynamics
-from .likelihood_sampling import half_range
+from .proposals import half_range
 from .samples import BodySamples
 from .tempering import LogDensity
 

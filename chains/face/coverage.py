@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.face.morphable_model import MorphableModel
-from ...models.face.outline import Box, covered
 from ...models.face.pose import Poses
+from ...models.face.visibility import Box, covered
 from ...models.pixels.layers import Layer, LayerStack
 
 Map = NDArray[np.float32]

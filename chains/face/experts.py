@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ...inference.smc import log_sum, normalised, systematic
 from ...models.face.pose import Poses
-from .background_contrast import OccludedBackground
+from .background import OccludedBackground
 from .gauss_newton import Modes
 from .pose_dynamics import PosePrior
 from .texture_likelihood import NO_MAP, TextureLikelihood

@@ -18,13 +18,11 @@ from ...models.face.surface_texels import SurfaceTexels
 from ...models.pixels.pixel_labels import PixelLabels, PixelMessage
 from ...models.points.point_tracks import PointMessage, PointTracks
 from .coverage import Coverage
-from .finder import Finder
-from .gflow_state import GFlowState
 from .pose_dynamics import PoseDynamics
-from .pose_filter import PoseFilter, vertex_moments
+from .pose_filter import GFlowState, PoseFilter, vertex_moments
 from .pose_terms import predicted_points
-from .texel_noise import TexelNoise
-from .texture_filter import Texture
+from .recovery import Finder
+from .texture_filter import TexelNoise, Texture
 from .texture_likelihood import TexturedObject
 
 __all__ = ["GFlow", "GFlowState"]

@@ -14,8 +14,8 @@ from ...models.face.visibility import visible
 from ...models.numerics.compiled import LANES
 from ...models.numerics.threads import over_bands
 from .image_pyramid import Level
-from .kernels import normal_equations as newton_kernels
-from .kernels import warp as warp_kernels
+from .kernels import newton as newton_kernels
+from .kernels import textures as warp_kernels
 
 Array = NDArray[np.float64]
 Map = NDArray[np.float32]

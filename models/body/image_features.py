@@ -1,4 +1,4 @@
-"""What one image says of a person's upper body: faces, skin, its blobs, edges."""
+"""What one image shows of an upper body: faces, skin, blobs of skin of the size of a hand or head, edges."""
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
@@ -12,6 +12,174 @@ from ..core.gaussian_mixtures import GaussianMixtures
 from ..core.pictures import grey_of
 from ..core.short_repr import short_repr
 from .keypoints import SeenKeypoints
+
+Array = NDArray[np.float64]
+Map = NDArray[np.float32]
+
+COARSE_RADIUS = 7.0
+"""px: the radius sought in the picture that is searched, which is as much smaller as that."""
+
+CENTRE, AROUND = 0.5, 1.0
+"""Standard deviations of the two Gaussian windows whose difference is the contrast, in radii: the inner one
+lies within a hand, the outer one reaches about as far beyond."""
+
+APART, TOGETHER = 0.5, 0.55
+"""Radii: peaks are the highest within the first; of two places within the second, one is left."""
+
+LEAST_CONTRAST = 0.03
+"""Of the share of skin in the two windows; 0.4 for a lone disc."""
+
+LEVEL, PENALTY = 1.5, 2.0
+"""A place's log weight: 1.5 times the mean log odds in the inner window, less those in the outer one, less 2.
+Neither enough says much: cloth in skin's colour has a level without contrast, its corners contrast without
+level. On 16 frames of a real signer, hands had 0.6 and clutter -0.6 on average, both spread by 0.8."""
+
+OF_HEAD = 0.3
+"""As much does the head's skin count when a hand's middle is worked out."""
+
+HIDDEN_BY_HEAD = 6.0
+"""Nats: the face has such places of its own, and a hand in front of it adds no skin."""
+
+ONE_HAND = 0.9
+"""Radii^2 times pi, under a Gaussian window of one radius: more skin than one hand shows (0.55 to 0.8)."""
+
+HALF_APART = 0.55
+"""Radii: half the distance of the two hands that such a place may be."""
+
+SPREAD, ELONGATION = 0.2, 0.15
+"""A place's covariance: the first squared, in radii, and this share of the skin's own second moments."""
+
+MOST_BLOBS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class SkinBlobs:
+    """Places where a hand, or a head, may be.
+
+    Parameters
+    ----------
+    means
+        `(m, 2)` px, the strongest first.
+    covariances
+        `(m, 2, 2)` px^2: of the hand's centre.
+    log_weights
+        `(m,)`: log of the probability that a hand looks like that, over that of clutter.
+    """
+
+    means: Array
+    covariances: Array
+    log_weights: Array
+
+    @classmethod
+    def none(cls) -> "SkinBlobs":
+        """No place at all."""
+        return cls(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
+
+
+def skin_blobs(skin: Map, radius: float, heads: Array | None = None) -> SkinBlobs:
+    """Find places of a hand's size with more skin than there is around them.
+
+    Hands beside and below the face are sought in the picture without it, which would outshine them. Where
+    there is more skin than one hand shows, two that touch are listed as well.
+
+    Parameters
+    ----------
+    skin
+        `(height, width)` float32 nats: log odds of skin.
+    radius
+        px: of a hand.
+    heads
+        `(k, 4)` px: ellipses of heads that are known, centre x, y and half axes; places in them are listed,
+        with less weight.
+    """
+    scale = min(1.0, COARSE_RADIUS / radius)
+    reach = radius * scale
+    odds = np.asarray(cv2.resize(skin, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.float32)
+    # in float64: the exponential of float32 is another one on other CPUs
+    share = np.asarray(1 / (1 + np.exp(-odds, dtype=np.float64)), np.float32)
+    inside = _inside(share.shape, np.zeros((0, 4)) if heads is None else heads, scale)
+    beside = np.where(inside, np.float32(0), share)
+    places = _thinned(np.concatenate([_peaks(beside, reach), _peaks(share, reach)]), reach)
+    if not len(places):
+        return SkinBlobs.none()
+    means, moments, masses = _local(np.where(inside, np.float32(OF_HEAD) * share, share), places, reach)
+    log_weights = _log_weights(odds, places, reach)
+    log_weights -= np.where(inside[places[:, 1], places[:, 0]], HIDDEN_BY_HEAD, 0.0)
+    two = masses > ONE_HAND * np.pi * reach**2
+    along = np.linalg.eigh(moments[two])[1][:, :, 1] * (HALF_APART * reach)
+    means = np.concatenate([means, means[two] + along, means[two] - along])
+    moments = np.concatenate([moments, moments[two] / 2, moments[two] / 2])
+    log_weights = np.concatenate([log_weights, *2 * [log_weights[two] - np.log(2)]])
+    order = np.argsort(-log_weights, kind="stable")[:MOST_BLOBS]
+    covariances = (SPREAD * reach) ** 2 * np.eye(2) + ELONGATION * moments[order]
+    return SkinBlobs((means[order] + 0.5) / scale - 0.5, covariances / scale**2, log_weights[order])
+
+
+def _inside(shape: tuple[int, ...], heads: Array, scale: float) -> NDArray[np.bool_]:
+    """Pixels in any head."""
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    inside = np.zeros(shape, np.bool_)
+    for x, y, across, down in heads:
+        right, below = (columns + 0.5) / scale - 0.5 - x, (rows + 0.5) / scale - 0.5 - y
+        inside |= (right / across) ** 2 + (below / down) ** 2 < 1
+    return inside
+
+
+def _peaks(share: Map, reach: float) -> NDArray[np.int64]:
+    """`(n, 2)` columns and rows of the local maxima of contrast, the highest first."""
+    within, around = (cv2.GaussianBlur(share, (0, 0), width * reach) for width in (CENTRE, AROUND))
+    contrast = within - around
+    size = 2 * round(APART * reach) + 1
+    highest = cv2.dilate(contrast, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    rows, columns = np.nonzero((contrast == highest) & (contrast > LEAST_CONTRAST))
+    order = np.argsort(-contrast[rows, columns], kind="stable")[: 2 * MOST_BLOBS]
+    return np.stack([columns[order], rows[order]], axis=1)
+
+
+def _thinned(places: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
+    """Those that are not close to an earlier one."""
+    apart = ((places[:, None] - places[None]) ** 2).sum(axis=2) > (TOGETHER * reach) ** 2
+    kept: list[int] = []
+    for place in range(len(places)):
+        if apart[place, kept].all():
+            kept.append(place)
+    return places[kept]
+
+
+def _log_weights(odds: Map, places: NDArray[np.int64], reach: float) -> Array:
+    columns, rows = places.T
+    level = cv2.GaussianBlur(odds, (0, 0), CENTRE * reach)[rows, columns]
+    around = cv2.GaussianBlur(odds, (0, 0), AROUND * reach)[rows, columns]
+    return np.asarray(LEVEL * level - around - PENALTY, np.float64)
+
+
+def _local(share: Map, places: NDArray[np.int64], reach: float) -> tuple[Array, Array, Array]:
+    """Skin near places: its centre `(n, 2)`, second moments `(n, 2, 2)` and amount `(n,)`, in pixels."""
+    half = int(np.ceil(2.5 * reach))
+    steps = np.arange(-half, half + 1)
+    padded = np.pad(share, half)
+    patches = padded[
+        places[:, 1, None, None] + half + steps[:, None], places[:, 0, None, None] + half + steps
+    ].astype(np.float64)
+    squares = np.square(steps[:, None]) + np.square(steps)
+    near = patches * np.exp(-0.5 * squares / (0.5 * reach) ** 2)
+    shift = _centres(near, steps)
+    wide = patches * np.exp(-0.5 * squares / reach**2)
+    masses = wide.sum(axis=(1, 2))
+    centres = _centres(wide, steps)
+    right, down = steps - centres[:, :1], steps - centres[:, 1:]
+    xx = np.einsum("nij,nj->n", wide, right**2) / masses
+    yy = np.einsum("nij,ni->n", wide, down**2) / masses
+    xy = np.einsum("nij,ni,nj->n", wide, down, right) / masses
+    moments = np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
+    return places + shift, moments, masses
+
+
+def _centres(weights: Array, steps: NDArray[np.int64]) -> Array:
+    total = weights.sum(axis=(1, 2))
+    sums = np.stack([weights.sum(axis=1) @ steps, weights.sum(axis=2) @ steps], axis=1)
+    return np.asarray(sums / total[:, None], np.float64)
+
 
 Made = TypeVar("Made")
 

@@ -15,15 +15,11 @@ from ..core.pictures import draw_region
 from ..core.short_repr import short_repr
 from ..face.detectors import HaarFaces, PartDetector
 from ..numerics.threads import side_by_side
-from .bare_arms import bare_probability, hand_area
-from .clothes import ClothesColour
-from .faces import OtherFaces, face_at, largest_face, one_person
-from .image_features import BodyImage, edge_distances
+from .image_features import BodyImage, SkinBlobs, edge_distances, skin_blobs
 from .keypoints import SeenKeypoints
 from .part_message import PartMessage
-from .skin_blobs import SkinBlobs, skin_blobs
-from .skin_colour import HIGHEST, SkinColour, smoothed
-from .static_skin import static_skin
+from .person import ClothesColour, OtherFaces, bare_probability, face_at, hand_area, largest_face, one_person
+from .skin import HIGHEST, SkinColour, smoothed, static_skin
 from .upper_body import PARTS
 
 Array = NDArray[np.float64]

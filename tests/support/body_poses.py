@@ -2,8 +2,8 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rsmcm.chains.body.kernels.solids import NUMBERS, ROW, fronts, put_body
-from rsmcm.chains.body.silhouette import OUTLINE_PARTS, solid_of
+from rsmcm.chains.body.kernels.silhouette import NUMBERS, ROW, fronts, put_body
+from rsmcm.chains.body.likelihood import OUTLINE_PARTS, solid_of
 from rsmcm.models.body.poses import BodyPoses, cross, transport
 from rsmcm.models.body.upper_body import UpperBody
 from scipy.spatial.transform import Rotation

@@ -17,10 +17,9 @@ from ....chains.body.fixed_lag import BLOCK, FixedLag
 from ....chains.body.flesh_tracker import FleshTracker
 from ....chains.body.likelihood import BodyLikelihood
 from ....inference import MultiChain, RecursiveBP, RunState
-from ....models.body.image_features import BodyImage, edge_distances
+from ....models.body.image_features import BodyImage, edge_distances, skin_blobs
 from ....models.body.parts import EDGE_REACH, HAND_RADIUS, BodyParts
 from ....models.body.poses import BodyPoses
-from ....models.body.skin_blobs import skin_blobs
 from ....models.body.upper_body import UpperBody
 from ....models.core.frame import Frame
 from ....models.face.detectors import HaarFaces

@@ -13,7 +13,7 @@ from rsmcm.apps.face.record import ANGLES, FaceRecord, angles
 from rsmcm.apps.face.start import find_face, start_from_box, start_from_landmarks
 from rsmcm.apps.io import film as films
 from rsmcm.apps.scenes import face
-from rsmcm.chains.face.finder import WIDTH_OF_FACE
+from rsmcm.chains.face.recovery import WIDTH_OF_FACE
 from rsmcm.models import Frame
 from rsmcm.models.face import detectors
 from rsmcm.models.face.built_in_model import face_model

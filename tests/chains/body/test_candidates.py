@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.body.candidates import ANEW, Candidates
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics, usual_arms
+from rsmcm.chains.body.proposals import ANEW, Candidates
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.chains.body.clutter import BORN, FOUND, MOST_CLUTTER, SUREST, Clutter, ClutterMatch
+from rsmcm.chains.body.flesh_state import BORN, FOUND, MOST_CLUTTER, SUREST, Clutter, ClutterMatch
 
 PLACE = np.array([[100.0, 50.0]])
 NOTHING = np.zeros((0, 2))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rsmcm.chains.body.flesh_assignment import Answers, PartOptions, Things
-from rsmcm.chains.body.moving_parts import MovingParts
+from rsmcm.chains.body.flesh_assignment import Answers, MovingParts, PartOptions, Things
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 
 

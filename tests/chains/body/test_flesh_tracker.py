@@ -11,9 +11,9 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
+from rsmcm.chains.body.flesh_assignment import MovingParts
 from rsmcm.chains.body.flesh_state import HEAD, LEFT, MOST_HYPOTHESES, RIGHT, FleshTracks
 from rsmcm.chains.body.flesh_tracker import FleshTracker
-from rsmcm.chains.body.moving_parts import MovingParts
 from rsmcm.inference import Incoming, MultiChain, RecursiveBP
 from rsmcm.models.body.image_features import BodyImage
 from rsmcm.models.body.part_message import PartMessage

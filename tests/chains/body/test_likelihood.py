@@ -37,9 +37,9 @@ from rsmcm.chains.body.likelihood import (
     BodyLikelihood,
     edge_ratios,
     hand_model,
+    silhouettes,
     skin_maps,
 )
-from rsmcm.chains.body.silhouette import silhouettes
 from rsmcm.models.body.image_features import BodyImage, edge_distances
 from rsmcm.models.body.inverse_kinematics import arm_at, swivels
 from rsmcm.models.body.poses import BodyPoses

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from rsmcm.chains.body.dynamics import BodyDynamics
-from rsmcm.chains.body.likelihood_sampling import LikelihoodSampler, draw_mixture
+from rsmcm.chains.body.proposals import LikelihoodSampler, draw_mixture
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 from rsmcm.chains import FleshTracker
-from rsmcm.chains.body.flesh_state import HANDS, FleshTracks
-from rsmcm.chains.body.reach import within_reach
+from rsmcm.chains.body.flesh_state import HANDS, FleshTracks, within_reach
 from rsmcm.models.body.upper_body import UpperBody
 from rsmcm.models.core.frame import Frame
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.body.silhouette import OUTLINE_PARTS, Silhouettes, silhouettes
+from rsmcm.chains.body.likelihood import OUTLINE_PARTS, Silhouettes, silhouettes
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import UpperBody
 from scipy.spatial.transform import Rotation

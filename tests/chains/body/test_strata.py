@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body.dynamics import BodyDynamics
-from rsmcm.chains.body.strata import EVENLY, LEAST_MASS, MOST_STRATA, NARROW, Strata
+from rsmcm.chains.body.tempering import EVENLY, LEAST_MASS, MOST_STRATA, NARROW, Strata
 from rsmcm.inference.smc import normalised, systematic
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import UpperBody

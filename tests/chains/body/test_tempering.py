@@ -8,8 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.body import tempering
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
-from rsmcm.chains.body.strata import Strata
-from rsmcm.chains.body.tempering import Tempered, preselected, temper
+from rsmcm.chains.body.tempering import Strata, Tempered, preselected, temper
 from rsmcm.inference.smc import normalised
 from rsmcm.models.body.poses import BodyPoses
 from rsmcm.models.body.upper_body import JOINTS, UpperBody

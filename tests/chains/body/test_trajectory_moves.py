@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rsmcm.chains.body.dynamics import Ancestors, BodyDynamics
+from rsmcm.chains.body.fixed_lag import ArmProposal, moved_between
 from rsmcm.chains.body.samples import BodySamples
-from rsmcm.chains.body.trajectory_moves import ArmProposal, moved_between
 from rsmcm.inference.smc import normalised, systematic
 from rsmcm.models.body.upper_body import UpperBody
 

@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.chains.face.finder import TURNS, DetectedFace, UprightView, poses_in_boxes
-from rsmcm.chains.face.search import brought_to, rolls
+from rsmcm.chains.face.recovery import (
+    TRIED_TURNS,
+    DetectedFace,
+    UprightView,
+    brought_to,
+    poses_in_boxes,
+    rolls,
+)
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.face.built_in_model import face_model
 from rsmcm.models.face.pose import Poses
@@ -85,12 +91,12 @@ def test_confirms_what_is_there(roll: float) -> None:
     assert not finder.confirms(np.full_like(image, 128), pose)
 
 
-@pytest.mark.parametrize("roll", [0.0, TURNS[1], TURNS[2]])
+@pytest.mark.parametrize("roll", [0.0, TRIED_TURNS[1], TRIED_TURNS[2]])
 def test_finds_it_turned_in_the_end(roll: float) -> None:
     image, pose = picture(roll)
     finder = DetectedFace(MODEL, upright_faces)
     last = leaning(0.2, (60.0, 60.0), 26.0)
-    found = [finder.find(image, last, attempt) for attempt in range(2 * len(TURNS))]
+    found = [finder.find(image, last, attempt) for attempt in range(2 * len(TRIED_TURNS))]
     best = next(each for each in found if len(each) and abs(rolls(each)[0] - roll) < 0.1)
     off = MODEL.project(best)[0] - MODEL.project(pose)[0]
     assert np.linalg.norm(off, axis=1).mean() < 0.15 * pose.sizes[0]

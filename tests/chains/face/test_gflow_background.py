@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import FaceScene, face
-from rsmcm.chains.face.background_contrast import (
+from rsmcm.chains.face.background import (
+    NOISE,
     TRUST_TIME,
+    UNKNOWN_VARIANCE,
     UNSEEN,
+    WANDERING,
     BackgroundContrast,
+    ExpertBackground,
     OccludedBackground,
     SharedBackground,
     first_trust,
@@ -19,7 +23,6 @@ from rsmcm.chains.face.background_contrast import (
     units,
 )
 from rsmcm.chains.face.coverage import Coverage
-from rsmcm.chains.face.expert_background import NOISE, UNKNOWN_VARIANCE, WANDERING, ExpertBackground
 from rsmcm.chains.face.experts import log_likelihood
 from rsmcm.chains.face.gflow import GFlow, GFlowState
 from rsmcm.chains.face.image_pyramid import image_pyramid
@@ -29,9 +32,9 @@ from rsmcm.inference.engine.graph import MultiChain
 from rsmcm.inference.engine.protocols import Incoming
 from rsmcm.inference.engine.recursive_bp import RecursiveBP
 from rsmcm.models.core.frame import Frame
-from rsmcm.models.face.outline import Box, covered
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels
+from rsmcm.models.face.visibility import Box, covered
 from rsmcm.models.pixels.pixel_labels import PixelLabels, PixelMessage
 
 from ...support.surfaces import bumpy, poses_near, smooth_picture

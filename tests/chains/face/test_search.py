@@ -1,7 +1,7 @@
 """Experts begin their search apart, some of them straight ahead."""
 
 import numpy as np
-from rsmcm.chains.face.search import ASIDE, FARTHEST_AHEAD, STRAIGHT, apart
+from rsmcm.chains.face.recovery import ASIDE, FARTHEST_AHEAD, STRAIGHT, apart
 from rsmcm.models.face.pose import Poses
 
 N, BASES = 4000, 3

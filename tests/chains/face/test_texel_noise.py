@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsmcm.chains.face.texel_noise import USUAL_RATE, TexelNoise
+from rsmcm.chains.face.texture_filter import USUAL_RATE, TexelNoise
 
 variances = st.floats(1e-6, 1e6)
 gains = st.floats(0, 1)

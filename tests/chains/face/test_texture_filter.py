@@ -6,8 +6,7 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.chains.face.texel_noise import USUAL_RATE, TexelNoise
-from rsmcm.chains.face.texture_filter import UNKNOWN_VARIANCE, LearnedGain, Texture
+from rsmcm.chains.face.texture_filter import UNKNOWN_VARIANCE, USUAL_RATE, LearnedGain, TexelNoise, Texture
 
 Array = NDArray[np.float64]
 

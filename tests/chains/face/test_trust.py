@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rsmcm.chains.face.trust import (
+from rsmcm.chains.face.recovery import (
     CHANCE,
     CHANCE_ANYWHERE,
     LEAST_SHARE,

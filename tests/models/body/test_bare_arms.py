@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 from rsmcm.apps.scenes import signer
-from rsmcm.models.body.bare_arms import IN_SLEEVE, WITH_FOREARM, bare_probability, hand_area
 from rsmcm.models.body.parts import BodyParts
+from rsmcm.models.body.person import IN_SLEEVE, WITH_FOREARM, bare_probability, hand_area
 from scipy.stats import norm
 
 HEAD_HEIGHT, RADIUS = 80.0, 24.0

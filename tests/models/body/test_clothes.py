@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.apps.scenes import signer
 from rsmcm.apps.scenes.signing.signer import Sleeves
-from rsmcm.models.body.clothes import SHRINK, ClothesColour
 from rsmcm.models.body.parts import BodyParts
-from rsmcm.models.body.skin_colour import HIGHEST, SkinColour, smoothed
+from rsmcm.models.body.person import SHRINK, ClothesColour
+from rsmcm.models.body.skin import HIGHEST, SkinColour, smoothed
 from rsmcm.models.core.frame import Frame
 
 Image = NDArray[np.uint8]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.body.faces import OtherFaces, face_at, largest_face, one_person
+from rsmcm.models.body.person import OtherFaces, face_at, largest_face, one_person
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 from rsmcm.models.body.part_message import PartMessage
 from rsmcm.models.body.parts import ANYWHERE, CENTRE_OF_BOX, HEAD_OF_BOX, BodyParts
-from rsmcm.models.body.skin_colour import SkinColour
+from rsmcm.models.body.skin import SkinColour
 from rsmcm.models.core.frame import Frame
 from rsmcm.models.core.gaussian_mixtures import GaussianMixtures
 from rsmcm.models.face.detectors import HaarFaces

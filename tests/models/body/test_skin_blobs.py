@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.models.body.skin_blobs import MOST_BLOBS, SkinBlobs, skin_blobs
+from rsmcm.models.body.image_features import MOST_BLOBS, SkinBlobs, skin_blobs
 from scipy.ndimage import gaussian_filter
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.body.skin_colour import (
+from rsmcm.models.body.skin import (
     BINS,
     HIGHEST,
     N_BINS,

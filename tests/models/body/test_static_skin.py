@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.models.body.skin_colour import SkinColour
-from rsmcm.models.body.static_skin import AWAY, LEAST_FRAMES, LEVELS, static_skin
+from rsmcm.models.body.skin import AWAY, LEAST_FRAMES, LEVELS, SkinColour, static_skin
 
 Image = NDArray[np.uint8]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rsmcm.chains.face.image_pyramid import image_pyramid
-from rsmcm.chains.face.kernels.warp import OFF_PICTURE
+from rsmcm.chains.face.kernels.textures import OFF_PICTURE
 from rsmcm.chains.face.texture_likelihood import TexturedObject, TextureLikelihood
 from rsmcm.models.face.pose import Poses
 from rsmcm.models.face.surface_texels import SurfaceTexels

@@ -1,28 +1,144 @@
-"""Poses of a frame drawn from those of the frame before, some of them towards what is seen of the hands.
+"""Proposals of poses: completed from positions of head and hands, or guided by them from the frame before.
 
-Isard and Blake, "ICondensation" (1998), with likelihood sampling (RSMCM paper §4.1; Taycher and Darrell 2003)
-as what guides: most poses are moved by the dynamics alone; in the others one hand is drawn at a place that is
-said of it, from a pose that had it near there, and the arm is completed by inverse kinematics.
+Likelihood sampling (RSMCM paper §4.1; Taycher and Darrell, "Bayesian articulated tracking using single frame
+pose sampling", 2003): positions of head and hands are drawn from their mixtures. Once torso, neck and hands
+are given, an arm has two degrees of freedom left, which inverse kinematics completes.
+
+Guided sampling (Isard and Blake, "ICondensation", 1998): most poses are moved by the dynamics alone. In the
+others one hand is drawn at a place that its message names, from a pose that had it near there.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import i0e
 
-from ...inference.smc import normalised
+from ...inference.smc import normalised, systematic
 from ...models.body.inverse_kinematics import arm_at, log_volume, swivels
 from ...models.body.poses import BodyPoses
 from ...models.body.upper_body import UpperBody
 from ...models.core.gaussian_mixtures import GaussianMixtures
 from .dynamics import Ancestors, BodyDynamics
-from .kernels.guided_sampling import choose, closeness_to, guided_values
-from .likelihood_sampling import half_range
-from .strata import Strata
+from .kernels.dynamics import choose, closeness_to, guided_values
+from .tempering import Strata
 
 Array = NDArray[np.float64]
+
+MOST_ROUNDS = 40
+"""Of drawing again what the joints do not allow, which is left out before it costs much. The density of what
+is left is the same but for a factor that is common to all."""
+
+LEAST_DEPTH = 1.0
+"""px: smallest half range of a hand's depth, so that a stretched arm has a density."""
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """Poses and the density from which they were drawn.
+
+    Parameters
+    ----------
+    poses
+        all within reach and limits.
+    log_density
+        `(n,)` nats, in the measure of `BodyDynamics.log_density_anywhere`.
+    tried
+        how many were drawn, those that are impossible among them.
+    """
+
+    poses: BodyPoses
+    log_density: Array
+    tried: float
+
+
+@dataclass(frozen=True)
+class LikelihoodSampler:
+    """Draws poses of somebody of whom nothing is known from mixtures of head and hands.
+
+    Torso and neck are drawn as they are in the long run; depth of a hand, from its shoulder, and swivel of an
+    elbow evenly over all that the arm can reach.
+
+    Parameters
+    ----------
+    dynamics
+        of the body.
+    """
+
+    dynamics: BodyDynamics
+
+    @property
+    def body(self) -> UpperBody:
+        """Whose poses are drawn."""
+        return self.dynamics.body
+
+    def draw(
+        self, mixtures: GaussianMixtures, n: int, random: np.random.Generator, rounds: int = MOST_ROUNDS
+    ) -> Proposal:
+        """Draw `n` poses, or as many as turn out to be possible in so many rounds of `n`.
+
+        Parameters
+        ----------
+        mixtures
+            of head, left and right hand; proper, without flat components.
+        """
+        found: list[BodyPoses] = []
+        while sum(map(len, found)) < n and len(found) < rounds:
+            found.append(self._possible(mixtures, n, random))
+        every = BodyPoses.concatenated(found)
+        poses = every.take(slice(n))
+        tried = len(found) * n * len(poses) / max(len(every), 1)
+        return Proposal(poses, self._log_density(poses, mixtures), tried)
+
+    def _possible(self, mixtures: GaussianMixtures, n: int, random: np.random.Generator) -> BodyPoses:
+        """At most `n` poses within reach and limits, of as many draws."""
+        body = self.body
+        places = np.stack([draw_mixture(mixtures, part, n, random) for part in range(3)], axis=1)
+        turns = self.dynamics.turn_spreads * random.standard_normal((n, 6))
+        torsos, necks = turns[:, :3].copy(), turns[:, 3:].copy()
+        trunks = BodyPoses(np.zeros((n, 2)), torsos, necks, np.zeros((n, 2, 2, 3)))
+        roots = places[:, 0] - body.parts(trunks)[:, 0]
+        shoulders = body.shoulders(trunks)[:, :, :2] + roots[:, None]
+        arms = np.empty((n, 2, 2, 3))
+        possible = np.ones(n, np.bool_)
+        for side in (0, 1):
+            offsets = np.zeros((n, 3))
+            offsets[:, :2] = places[:, 1 + side] - shoulders[:, side]
+            offsets[:, 2] = half_range(body, offsets) * random.uniform(-1, 1, n)
+            arms[:, side], within = arm_at(body, side, offsets, random.uniform(-np.pi, np.pi, n))
+            possible &= within
+        poses = BodyPoses(roots, torsos, necks, arms).take(possible)
+        return poses.take(body.allowed(poses))
+
+    def _log_density(self, poses: BodyPoses, mixtures: GaussianMixtures) -> Array:
+        body = self.body
+        joints = body.joints(poses)
+        spreads = self.dynamics.turn_spreads
+        total = mixtures.log_values(joints[:, [0, 4, 7], :2]).sum(axis=1) - mixtures.log_masses.sum()
+        total -= (
+            0.5 * ((poses.turns / spreads) ** 2).sum(axis=1) + np.log(spreads).sum() + 3 * np.log(2 * np.pi)
+        )
+        for side in (0, 1):
+            offsets = joints[:, 4 + 3 * side] - joints[:, 2 + 3 * side]
+            total += log_volume(body, offsets) - np.log(4 * np.pi * half_range(body, offsets))
+        return np.asarray(total)
+
+
+def half_range(body: UpperBody, offsets: Array) -> Array:
+    """`(n,)` px: greatest depth of a hand at `offsets` `(n, 2 or 3)` px from its shoulder, either way."""
+    reach = body.upper_arm + body.forearm
+    return np.asarray(np.sqrt(np.maximum(reach**2 - (offsets[:, :2] ** 2).sum(axis=1), LEAST_DEPTH**2)))
+
+
+def draw_mixture(mixtures: GaussianMixtures, part: int, n: int, random: np.random.Generator) -> Array:
+    """`(n, 2)` px: positions of one part, whose components are all proper, in random order."""
+    chosen = random.permutation(systematic(mixtures.log_weights[part], n, random))
+    roots = np.linalg.cholesky(mixtures.covariances[part])[chosen]
+    steps = np.einsum("nxy,ny->nx", roots, random.standard_normal((n, 2)))
+    return np.asarray(mixtures.means[part][chosen] + steps)
+
 
 GUIDED = 0.35
 """Share of the poses of which a hand is drawn where it is seen."""
@@ -260,3 +376,106 @@ def _chosen(
     chosen = np.empty(n, np.int64)
     choose(choice, closeness, counts, random.random(len(counts)), chosen)
     return chosen, np.repeat(np.append(np.arange(len(shares)), -1), counts)
+
+
+ANEW = 0.1
+"""Least share of candidates that do not ask the past: who comes back elsewhere must be drawn to be found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Weighted samples of p(x_t | past), each with the pose it goes back to.
+
+    Parameters
+    ----------
+    dynamics, size, elapsed
+        of the body; `(height, width)` px of the picture; s since the frame before.
+    poses
+        n of them, all possible.
+    log_weights
+        `(n,)`; they sum to 1 once others have `weighed` them.
+    ancestors
+        n poses of the frame before; those that begin anew are their own.
+    anew
+        `(n,)`: which ones do.
+    """
+
+    dynamics: BodyDynamics
+    size: tuple[int, int]
+    elapsed: float
+    poses: BodyPoses
+    log_weights: Array
+    ancestors: BodyPoses
+    anew: NDArray[np.bool_]
+
+    @classmethod
+    def at_first(
+        cls,
+        dynamics: BodyDynamics,
+        size: tuple[int, int],
+        said: GaussianMixtures,
+        n: int,
+        random: np.random.Generator,
+        rounds: int = MOST_ROUNDS,
+    ) -> Self:
+        """Of somebody of whom nothing is known, drawn from proper mixtures of head and hands."""
+        proposal = LikelihoodSampler(dynamics).draw(said, n, random, rounds)
+        log_weights = dynamics.log_density_anywhere(proposal.poses, size) - proposal.log_density
+        log_weights -= np.log(max(proposal.tried, 1.0))
+        count = len(proposal.poses)
+        return cls(
+            dynamics, size, np.inf, proposal.poses, log_weights, proposal.poses, np.ones(count, np.bool_)
+        )
+
+    @classmethod
+    def after(
+        cls,
+        dynamics: BodyDynamics,
+        size: tuple[int, int],
+        past: Ancestors,
+        guides: Sequence[tuple[GaussianMixtures, float]],
+        said: GaussianMixtures,
+        n: int,
+        random: np.random.Generator,
+    ) -> Self:
+        """Of somebody who was seen before: most go on, guided (`GuidedSampler.draw`), some begin anew."""
+        log_elsewhere, log_stays = dynamics.log_returns(past.elapsed)
+        anew = round(max(ANEW, np.exp(log_elsewhere)) * n)
+        begun = cls.at_first(dynamics, size, said, anew, random, rounds=1)
+        went_on = GuidedSampler(dynamics).draw(past, guides, max(n - anew, 1), random)
+        return cls(
+            dynamics,
+            size,
+            past.elapsed,
+            BodyPoses.concatenated([begun.poses, went_on.poses]),
+            np.concatenate([begun.log_weights + log_elsewhere, went_on.log_weights + log_stays]),
+            BodyPoses.concatenated([begun.poses, past.poses.take(went_on.ancestors)]),
+            np.arange(len(begun.poses) + len(went_on.poses)) < len(begun.poses),
+        )
+
+    def weighed(self, log_factors: Array) -> Self:
+        """With factors `(n,)` that others say; weights are normalised."""
+        return replace(self, log_weights=normalised(self.log_weights + log_factors))
+
+    def take(self, rows: NDArray[np.int64], log_weights: Array) -> Self:
+        """Some of them, with other weights."""
+        return replace(
+            self,
+            poses=self.poses.take(rows),
+            log_weights=log_weights,
+            ancestors=self.ancestors.take(rows),
+            anew=self.anew[rows],
+        )
+
+    def log_prior(self, poses: BodyPoses, owners: NDArray[np.int64]) -> Array:
+        """`(m,)` nats of poses that go back to what candidates `owners` `(m,)` go back to, up to a constant
+        of each; minus infinity where joints forbid them."""
+        dynamics, anew = self.dynamics, self.anew[owners]
+        prior = np.full(len(poses), -np.inf)
+        begun, gone_on = np.flatnonzero(anew), np.flatnonzero(~anew)
+        if len(begun):
+            prior[begun] = dynamics.log_density_anywhere(poses.take(begun), self.size)
+        if len(gone_on):
+            before = self.ancestors.take(owners[gone_on])
+            prior[gone_on] = dynamics.log_step(poses.take(gone_on), before, self.elapsed)
+        return np.where(dynamics.body.allowed(poses), prior, -np.inf)

@@ -1,4 +1,7 @@
-"""What colour a person's skin has, learned from the person's face: no skin colour is built in."""
+"""Colour of a person's skin, learned from the face, and skin-coloured regions that never move.
+
+No skin colour is built in.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from ..core.short_repr import short_repr
-from .kernels.skin_colour import looked_up
+from .kernels.evidence import looked_up
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -178,3 +181,41 @@ def _regions(shape: tuple[int, ...], box: Array) -> tuple[NDArray[np.bool_], NDA
     face = np.hypot(across / FACE_AXES[0], (rows - y - FACE_CENTRE * height) / (FACE_AXES[1] * height)) < 1
     head = np.hypot(across / HEAD_AXES[0], (rows - y - height / 2) / (HEAD_AXES[1] * height)) < 1
     return face, ~head
+
+
+Map = NDArray[np.float32]
+
+AWAY = 0.2
+"""Share of a clip in which a pixel has to be without skin, so that skin there says anything."""
+
+LEAST_FRAMES = 8
+"""Frames, spread over a clip, from which this can be learned."""
+
+LEVELS = 16
+"""Steps of the log odds per nat, so that many frames fit into memory."""
+
+
+def static_skin(colour: SkinColour, images: Sequence[NDArray[np.uint8]]) -> Map | None:
+    """`(height, width)` nats: log odds of skin that a pixel has in nearly all frames, 0 if it has none.
+
+    How much a skin-coloured pixel speaks for a hand is its log odds less this.
+
+    Parameters
+    ----------
+    images
+        of one clip with a camera at rest, spread over its length; `None` of fewer than `LEAST_FRAMES`.
+
+    Raises
+    ------
+    ValueError
+        if they are of different sizes.
+    """
+    if len(images) < LEAST_FRAMES:
+        return None
+    sizes = {image.shape for image in images}
+    if len(sizes) > 1:
+        raise ValueError(f"images: got {len(sizes)} different sizes, expected one")
+    odds = np.stack([np.rint(LEVELS * colour.log_odds(image)).astype(np.int8) for image in images])
+    rank = int(AWAY * len(images))
+    odds.partition(rank, axis=0)
+    return np.asarray(np.maximum(odds[rank], 0) / LEVELS, np.float32)
