@@ -29,8 +29,6 @@ from .structure.job import StructureJob
 STREAM_LOST = NOTHING_FOUND = 1
 USAGE_ERROR = 2
 
-PAGES = ("report.html", "view.html")
-
 app = App(
     name="rsmcm",
     help="Multi-chain tracking: dynamic models of a scene share latent features and correct each other.",
@@ -53,8 +51,8 @@ Figures = Annotated[Path, Parameter(help="Folder for the figures.")]
 def background(job: Fields[BackgroundJob]) -> int:
     """Separate moving objects from the background, and track them.
 
-    Writes foreground masks, tracks.txt (MOT format), tracks.csv, background.png, overlay.mp4,
-    summary.json, report.html and view.html. Ctrl-C ends the run with complete results of what was processed.
+    Writes foreground masks, tracks.txt (MOT format), tracks.csv, background.png, summary.json and view.html.
+    Ctrl-C ends the run with complete results of what was processed.
     """
     from .background.application import run_background
 
@@ -65,8 +63,7 @@ def background(job: Fields[BackgroundJob]) -> int:
 def structure(job: Fields[StructureJob]) -> int:
     """Track points, and find their shape and the motion of the camera.
 
-    Writes structure.ply, cameras.json, tracks.npz, predictions.npz, summary.json, report.html and view.html,
-    and overlay.mp4 where there are images. All frames are held in memory. Where the motion does not show
+    Writes structure.ply, cameras.json, tracks.npz, predictions.npz, summary.json and view.html. All frames are held in memory. Where the motion does not show
     depth (a static camera), that is said, and there is no structure.ply. Ctrl-C ends the run with the results
     of the last whole round.
     """
@@ -79,7 +76,7 @@ def structure(job: Fields[StructureJob]) -> int:
 def face(job: Fields[FaceJob]) -> int:
     """Track a face: its pose, deformation and texture.
 
-    Writes overlay.mp4, poses.npz, texture.png, texture_variance.png, summary.json, report.html and view.html.
+    Writes poses.npz, texture.png, texture_variance.png, summary.json and view.html.
     Frames that are missing, unreadable or blank are predicted. Where the face is lost, that is said, and it
     is looked for again. Ctrl-C ends the run with complete results of what was processed.
     """
@@ -92,7 +89,7 @@ def face(job: Fields[FaceJob]) -> int:
 def body(job: Fields[BodyJob]) -> int:
     """Track a person's upper body: the pose of head and arms, in depth as well.
 
-    Writes overlay.mp4, poses.npz, summary.json, report.html and view.html. The person should face the camera,
+    Writes poses.npz, summary.json and view.html. The person should face the camera,
     best in long sleeves: hands are found by the colour of the face. It is one person's body with two hands;
     other hands and skin-coloured things compete with them. Parts that are hidden, and frames that are
     missing, unreadable or blank, are predicted, and it is said which. Ctrl-C ends the run with complete
@@ -108,8 +105,7 @@ def shape(job: Fields[ShapeJob]) -> int:
     """Learn the 3-D shape of a thing that deforms from tracks of its points, and its motion.
 
     By EM for probabilistic PCA of the shape, seen by a scaled orthographic camera. Writes shapes.npz (the
-    points in space in every frame, poses, weights), model.npz (for rsmcm face), summary.json, report.html and
-    view.html.
+    points in space in every frame, poses, weights), model.npz (for rsmcm face), summary.json and view.html.
     """
     from .shape.application import run_shape
 
@@ -305,8 +301,7 @@ app.command(batch)
 
 def _reported(job: Job, outcome: Outcome) -> Outcome:
     """Print what is to be said of a run."""
-    pages = ", ".join(str(job.out / name) for name in PAGES if (job.out / name).exists())
-    print(*outcome.words, *outcome.summary["notes"], f"results: {pages}", sep="\n")
+    print(*outcome.words, *outcome.summary["notes"], f"results: {job.out / 'view.html'}", sep="\n")
     return outcome
 
 

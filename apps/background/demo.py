@@ -70,9 +70,7 @@ def run_demo(out: Path) -> Outcome:
         names = ("method", "F", "precision", "recall", "missed objects", "ghosts", "ms a frame")
         print(in_columns(names, [[line.get(name, "") for name in names] for line in lines]))
     print(f"\nfilm:       {out / VIEW}")
-    print(f"report:     {out / 'report.html'}")
     print(f"comparison: {out / 'compare.html'}")
-    print(f"video:      {out / 'overlay.mp4'}")
     return outcome
 
 

@@ -173,7 +173,6 @@ def _entry(out: Path, line: Line, pictured: bool) -> dict[str, Any]:
     ]
     files = {
         "film": "view.html",
-        "comparison": "compare.html",
         "video": "overlay.mp4",
         "tracks": "tracks.csv",
     }

@@ -186,7 +186,7 @@ class FaceRun(FilmRun[FaceJob]):
         places = vertices_on_texture(self._start.model, morphs, self._chain.object.texels)
         layer = {} if film is None else self._drawing.layer(film, self._textures, places)
         names = self._start.model.names
-        return face_page(self.title, self.record, summary, film, layer, names, self._textures)
+        return face_page(self.title, self.record, summary, film, layer, names)
 
     def in_words(self, summary: Mapping[str, Any]) -> list[str]:
         """How much was lost, and the error."""

@@ -20,7 +20,6 @@ from ..view.page import (
     Section,
     TimelineRow,
     encoded,
-    picture_grid,
     spans_of,
     table,
 )
@@ -118,7 +117,6 @@ def face_page(
     film: Film | None,
     layer: Mapping[str, Any],
     names: Sequence[str],
-    textures: Mapping[str, Image],
 ) -> Page:
     """Fill the page of a run.
 
@@ -136,15 +134,11 @@ def face_page(
         what is drawn over it, of `FaceDrawing.layer`.
     names
         of the morph bases.
-    textures
-        pictures of equal size by their names.
     """
     sections: list[Section] = []
     if error := summary["error"]:
         rows = [(name.replace("_", " "), value) for name, value in error.items()]
         sections.append(("Against the given landmarks", [table(("measure", "value"), rows)]))
-    pictures = picture_grid([("", list(textures.values()))], list(textures))
-    sections.append(("Texture of the most credible expert at the end, on the mean shape", [pictures]))
     layers, timeline = ({}, []) if film is None else over_the_film(film, layer)
     return Page(
         title,

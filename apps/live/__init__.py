@@ -1,6 +1,6 @@
 """`--live`: a run that goes on, shown in the browser while it does.
 
 `FilmRun` opens a `server.live_page` before anything is written, and tells its `running.Running` of every
-frame; the picture is the one that is drawn for `overlay.mp4` anyway. Threads of the server ask for what is
+frame; the picture is drawn as for `overlay.mp4`. Threads of the server ask for what is
 newest: no run ever waits for somebody who looks, and nothing is encoded while nobody does.
 """

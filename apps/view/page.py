@@ -28,7 +28,6 @@ VIEW = "view.html"
 LINKED = {
     VIEW: "film with what was found",
     "overlay.mp4": "video",
-    "compare.html": "comparison",
     "events.html": "zones and lines",
     "tracks.csv": "tracks",
     "events.csv": "events",
@@ -242,25 +241,6 @@ def flat(settings: Mapping[str, object], above: str = "") -> list[tuple[object, 
 def picture(image: Image, caption: str = "") -> Markup:
     """A picture, `(height, width[, 3])` uint8, BGR."""
     return Markup(_parts.captioned(_inlined(image, caption), caption))
-
-
-def picture_grid(rows: Sequence[tuple[str, Sequence[Image]]], columns: Sequence[str]) -> Markup:
-    """Pictures in named rows under named columns.
-
-    Raises
-    ------
-    ValueError
-        if a row has another number of pictures than there are columns.
-    """
-    lines = []
-    for name, images in rows:
-        if len(images) != len(columns):
-            raise ValueError(f"rows: got {len(images)} pictures in row {name!r}, expected {len(columns)}")
-        pictures = [
-            _inlined(image, f"{name}, {column}") for image, column in zip(images, columns, strict=True)
-        ]
-        lines.append((name, pictures))
-    return Markup(_parts.grid(lines, columns))
 
 
 def _inlined(image: Image, description: str) -> Markup:

@@ -41,7 +41,7 @@ RUNS = 2
 SHARE = 0.7
 """Of the memory that is free, for processes of cameras that run all at once."""
 
-NOT_GROWING = (STATE, "report.html", "background.png", "summary.json")
+NOT_GROWING = (STATE, "background.png", "summary.json")
 """Results that are as large after many frames as after few."""
 
 MEGA = 1e6

@@ -92,7 +92,7 @@ class DrawnPlot {
     const [x0, x1] = across, [y0, y1] = along;
     const x = (value) => left + (value - x0) / (x1 - x0) * inner;
     const y = (value) => ROOM.top + (y1 - value) / (y1 - y0) * high;
-    this.scale = { left, x0, x1, inner };
+    this.scale = { left, x0, x1, inner, reach: Math.max(Math.abs(y0), Math.abs(y1)) };
     const parts = [];
     const text = (value, at, attributes = {}) => {
       const [column, row] = at;
@@ -132,7 +132,8 @@ class DrawnPlot {
     this.cursor.setAttribute("d", `M${clamped(place, left, left + inner).toFixed(1)} ${ROOM.top}v${this.high}`);
     this.plot.lines.forEach(({ values, x }, k) => {
       const value = values[lastAtMost(x ?? runAxis(), at + 1e-6)];
-      this.values[k].textContent = Number.isFinite(value) ? `${short(value)} ${this.plot.unit}` : "–";
+      const told = Math.abs(value) < 1e-6 * this.scale.reach ? 0 : value; // of what is rounded off
+      this.values[k].textContent = Number.isFinite(value) ? `${short(told)} ${this.plot.unit}` : "–";
     });
   }
 

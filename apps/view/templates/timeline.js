@@ -72,7 +72,7 @@ function beginTimeline() {
   });
   const cursor = element("div", { className: "cursor" });
   const begins = view.rows.map((row) => row.spans[0]);
-  const ascending = begins.every((first, k) => !k || begins[k - 1] <= first);
+  const ascending = begins[begins.length - 1] > begins[0] && begins.every((first, k) => !k || begins[k - 1] <= first);
   view.on("frame", (i) => {
     cursor.style.setProperty("--at", (i + 0.5) / view.count);
     if (view.selected === null && ascending) reveal(options.get(view.rows[lastAtMost(begins, i)].id));

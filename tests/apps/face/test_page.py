@@ -84,7 +84,7 @@ def page_of(film: Film, scene: FaceScene, drawing: FaceDrawing, error: float = 1
         "parameters": {"experts": 4},
     }  # fmt: skip
     layer = drawing.layer(film, textures, places)
-    return face_page("a face", record, summary, film, layer, scene.model.names, textures)
+    return face_page("a face", record, summary, film, layer, scene.model.names)
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,6 @@ from rsmcm.apps.view.page import (
     Plot,
     TimelineRow,
     picture,
-    picture_grid,
     table,
     write_page,
 )
@@ -426,8 +425,6 @@ def test_tables_escape_text_and_round_numbers() -> None:
     assert "x &lt; y" in text
     with pytest.raises(ValueError, match="expected 2"):
         table(("a", "b"), [(1,)])
-    with pytest.raises(ValueError, match="expected 2"):
-        picture_grid([("row", [PICTURE])], ["a", "b"])
 
 
 def test_masks_are_kept_exactly() -> None:
