@@ -63,9 +63,9 @@ def background(job: Fields[BackgroundJob]) -> int:
 def structure(job: Fields[StructureJob]) -> int:
     """Track points, and find their shape and the motion of the camera.
 
-    Writes structure.ply, cameras.json, tracks.npz, predictions.npz, summary.json and view.html. All frames are held in memory. Where the motion does not show
-    depth (a static camera), that is said, and there is no structure.ply. Ctrl-C ends the run with the results
-    of the last whole round.
+    Writes structure.ply, cameras.json, tracks.npz, predictions.npz, summary.json and view.html. All frames
+    are held in memory. Where the motion does not show depth (a static camera), that is said, and there is no
+    structure.ply. Ctrl-C ends the run with the results of the last whole round.
     """
     from .structure.application import run_structure
 
@@ -76,9 +76,9 @@ def structure(job: Fields[StructureJob]) -> int:
 def face(job: Fields[FaceJob]) -> int:
     """Track a face: its pose, deformation and texture.
 
-    Writes poses.npz, texture.png, texture_variance.png, summary.json and view.html.
-    Frames that are missing, unreadable or blank are predicted. Where the face is lost, that is said, and it
-    is looked for again. Ctrl-C ends the run with complete results of what was processed.
+    Writes poses.npz, texture.png, texture_variance.png, summary.json and view.html. Frames that are missing,
+    unreadable or blank are predicted. Where the face is lost, that is said, and it is looked for again.
+    Ctrl-C ends the run with complete results of what was processed.
     """
     from .face.application import run_face
 
@@ -89,11 +89,11 @@ def face(job: Fields[FaceJob]) -> int:
 def body(job: Fields[BodyJob]) -> int:
     """Track a person's upper body: the pose of head and arms, in depth as well.
 
-    Writes poses.npz, summary.json and view.html. The person should face the camera,
-    best in long sleeves: hands are found by the colour of the face. It is one person's body with two hands;
-    other hands and skin-coloured things compete with them. Parts that are hidden, and frames that are
-    missing, unreadable or blank, are predicted, and it is said which. Ctrl-C ends the run with complete
-    results of what was processed.
+    Writes poses.npz, summary.json and view.html. The person should face the camera, best in long sleeves:
+    hands are found by the colour of the face. It is one person's body with two hands; other hands and skin-
+    coloured things compete with them. Parts that are hidden, and frames that are missing, unreadable or
+    blank, are predicted, and it is said which. Ctrl-C ends the run with complete results of what was
+    processed.
     """
     from .body.application import run_body
 

@@ -13,7 +13,7 @@ from ..events.report import Happened
 from ..events.watch import Event
 from ..events.zones import Zones
 from ..io.mot import TrackedObject
-from ..reports.frame_lists import listed
+from ..runs.frame_lists import listed
 from ..view.film import LONGEST_SIDE, Film, Row
 from ..view.page import (
     Line,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...models.core.frame import Frame
-from ..reports.evenly_spaced import EvenlySpaced
+from ...models.numerics.evenly_spaced import EvenlySpaced
 
 Image = NDArray[np.uint8]
 

@@ -13,7 +13,7 @@ from ...chains.body.hand_labelling import ExchangeEvidence, HandLabels, hand_lab
 from ...chains.body.samples import BodyMoments, BodySamples
 from ...models.body.upper_body import JOINTS, PARTS
 from ...models.core.frame import Frame
-from ..reports.frame_lists import listed_periods, periods
+from ..runs.frame_lists import listed_periods, periods
 from ..runs.frame_record import FrameRecord
 from .hypotheses import WORTH_SAYING, Hypotheses
 from .relabelling import EXCHANGED_PARTS

@@ -20,7 +20,7 @@ from ...inference.validity import RecordedPredictions
 from ...models.array_files import read_arrays
 from ...models.core.gaussian_message import GaussianMessage
 from ...models.files import write_atomically
-from ..reports.evenly_spaced import evenly_spread
+from ...models.numerics.evenly_spaced import evenly_spread
 
 FILE = "predictions.npz"
 FORMAT = "rsmcm predictions 1"

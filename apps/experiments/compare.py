@@ -16,6 +16,7 @@ from ...inference import RecursiveBP
 from ...inference.engine.recursive_bp import RunState
 from ...models.core.frame import Frame
 from ...models.files import write_text
+from ...models.numerics.evenly_spaced import EvenlySpaced
 from ..background.application import Found, build_model, found_in
 from ..background.job import BackgroundJob, Camera, Engine
 from ..background.parameters import Parameters, read_parameters
@@ -25,7 +26,6 @@ from ..io.detections import given_boxes, with_boxes
 from ..io.files import write_image, write_json
 from ..io.mot import TrackedBox
 from ..io.sources.open_source import open_source
-from ..reports.evenly_spaced import EvenlySpaced
 from ..runs.interruption import Interruption, Outcome
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region

@@ -20,7 +20,7 @@ import psutil
 
 from ...models.numerics.threads import thread_count
 from ..io.files import write_json
-from ..reports.versions import versions
+from ..runs.versions import versions
 from .expectations import Expectation
 
 ROOT = Path(__file__).resolve().parents[2]

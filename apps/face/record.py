@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ...models.core.frame import Frame
 from ...models.face.pose import Poses
-from ..reports.frame_lists import listed, listed_periods, periods
+from ..runs.frame_lists import listed, listed_periods, periods
 from ..runs.frame_record import FrameRecord
 
 Array = NDArray[np.float64]

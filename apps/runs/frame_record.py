@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..reports.frame_lists import listed
+from .frame_lists import listed
 
 
 @dataclass(eq=False, kw_only=True)

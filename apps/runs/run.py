@@ -8,12 +8,12 @@ from typing import Any, ClassVar, Generic, TypeVar
 from ..first_use.ahead import compiling_ahead
 from ..io.segments import segment_pattern
 from ..options.job import Job
-from ..reports.versions import versions
 from ..view.film import FILM, ROWS
 from ..view.page import VIEW
 from .interruption import Interruption, Outcome
 from .output_folder import OutputFolder, output_folder
 from .saved_run import STATE, saying_how_to_go_on
+from .versions import versions
 
 J = TypeVar("J", bound=Job)
 

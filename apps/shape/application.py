@@ -14,7 +14,7 @@ from ...models.face.model_files import write_model
 from ..io.files import write_json
 from ..io.point_files import read_shapes, read_track_file
 from ..io.sources.open_source import Selection
-from ..reports.frame_lists import shortened
+from ..runs.frame_lists import shortened
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.progress import Progress
 from ..runs.run import Run

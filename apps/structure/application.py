@@ -21,7 +21,7 @@ from ..exports.colmap import write_colmap
 from ..io.files import write_json
 from ..io.point_files import frames_of_tracks, read_track_file
 from ..io.sources.open_source import DEFAULT_RATE, Selection, open_source
-from ..reports.frame_lists import listed
+from ..runs.frame_lists import listed
 from ..runs.interruption import Interrupted, Outcome
 from ..runs.memory import STRUCTURE, STRUCTURE_FRAME, check_memory
 from ..runs.progress import Progress

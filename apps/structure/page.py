@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from ...models.core.frame import Frame
+from ...models.numerics.evenly_spaced import evenly_spread
 from ..drawing.overlay import css_colour, identity_colour
-from ..reports.evenly_spaced import evenly_spread
 from ..view.film import Film, FilmWriter, Row, read_film
 from ..view.page import Line, Page, Plot, Section, encoded
 from ..view.points import LAYER, FollowedPoints, film_of_points, most_over_film, packed

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.numerics.evenly_spaced import evenly_spread
 from ..drawing.overlay import css_colour, identity_colour
-from ..reports.evenly_spaced import evenly_spread
 from .film import Film
 from .page import Line, Plot, TimelineRow, spans_of
 
