@@ -227,7 +227,7 @@ def test_numbers_are_in_step_with_time_whatever_happens(
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(live_reader, "time", clock)
-        reader = LiveReader(connect(), connect, reconnect)
+        reader = LiveReader(connect(), connect, reconnect)  # type: ignore[arg-type]
         everything = list(reader.frames(Selection(), clock))  # type: ignore[arg-type]
     seen = [frame for frame in everything if frame.image is not None]
     numbers, times = (np.array([getattr(frame, name) for frame in everything]) for name in ("number", "time"))

@@ -9,7 +9,7 @@ import re
 import threading
 import warnings
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from PIL import Image
 from ....models.core.frame import Frame
 from ....models.files import MOST_PIXELS
 from ...options.libraries import quiet_libraries
-from .reader import DEFAULT_RATE, Gap, Selection
+from .reader import DEFAULT_RATE, Reader, Selection
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".jpg", ".jpeg", ".jp2", ".pbm", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp"}
@@ -147,26 +147,19 @@ def _is_image(path: Path) -> bool:
     return path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
 
 
-class ImageReader:
+class ImageReader(Reader):
     """Images of one folder or glob, `rate` a second."""
 
     kind = "images"
-    live = False
     counted = True
-    truncated = False
-    lost: str | None = None
-    gaps: tuple[Gap, ...] = ()
 
     def __init__(self, source: str, folder: Path, files: list[Path], rate: float | None) -> None:
         self.name = source
-        self.total: int | None = len(files)
-        self.header_size = (0, 0)
+        self.total = self.last_number = len(files)
         self.rate = _sequence_rate(folder) if rate is None else rate
         if not (math.isfinite(self.rate) and self.rate > 0):
             raise ValueError(f"{source}: got {self.rate} frames per second, expected more than 0")
-        self.last_number = len(files)
-        self.notes: list[str] = []
-        self.pictures: Sequence[str] = [path.name for path in files]
+        self.pictures = [path.name for path in files]
         self._files = files
 
     def frames(self, selection: Selection, _stopping: threading.Event) -> Iterator[Frame]:
@@ -180,7 +173,7 @@ class ImageReader:
         if image is None:
             return None
         if image.dtype != np.uint8 and not self.notes:
-            self.notes.append(SCALED)
+            self.notes = (SCALED,)
         return to_8_bits(image)
 
     def fingerprint(self) -> dict[str, Any]:
@@ -194,9 +187,6 @@ class ImageReader:
             "count": len(self._files),
             "sha256": digest.hexdigest(),
         }
-
-    def close(self) -> None:
-        """Nothing is open."""
 
 
 def _sequence_rate(folder: Path) -> float:

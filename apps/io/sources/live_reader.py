@@ -6,14 +6,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from statistics import median
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ....models.core.frame import Frame
-from .reader import DEFAULT_RATE, Gap, Selection
+from .reader import DEFAULT_RATE, Gap, Reader, Selection
+from .video_reader import VideoReader
 
 RETRY_EVERY = 0.5  # seconds between two attempts to connect
 
@@ -27,41 +28,41 @@ LEAST_STEP = 1e-3  # seconds between two pictures, whatever is stated
 STALL = 1.0  # seconds without a picture, in a connection that goes on, that are a gap as well
 
 
-class Feed(Protocol):
-    """A connection to a camera or stream.
+class Camera:
+    """A connection to a camera, by its number."""
 
-    Attributes
-    ----------
-    name, kind, rate
-        as of a `Reader`.
-    opened_at
-        by `time.perf_counter`, when it began.
-    lost
-        why there are no more images, once they have ended.
-    """
+    kind = "camera"
+    lost: str | None = None  # why there are no more images, once they have ended
 
-    name: str
-    kind: str
-    rate: float
-    opened_at: float
-    lost: str | None
+    def __init__(self, index: int) -> None:
+        self.name = str(index)
+        self.opened_at = time.perf_counter()
+        self._capture = cv2.VideoCapture(index)
+        if not self._capture.isOpened():
+            raise OSError(f"camera {index}: cannot be opened")
+        rate = self._capture.get(cv2.CAP_PROP_FPS)
+        self.rate = rate if math.isfinite(rate) and rate > 0 else DEFAULT_RATE
+        self.header_size = (
+            int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
+            int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
+        )
 
-    @property
-    def header_size(self) -> tuple[int, int]:
-        """`(width, height)` px, 0 where only an image tells."""
-
-    def images(self) -> Iterator[tuple[float | None, NDArray[np.uint8] | None]]:
-        """Yield images as they arrive, until they end.
-
-        With each its time in seconds since the first of this connection, `None` where that is not stated; an
-        image that is damaged is `None`.
-        """
+    def images(self) -> Iterator[tuple[None, NDArray[np.uint8]]]:
+        """Yield images as they arrive, until the camera is gone; it does not say when it took them."""
+        while True:
+            arrived, image = self._capture.read()
+            if not arrived:
+                self.lost = "no more pictures come"
+                return
+            yield None, np.asarray(image, dtype=np.uint8)
 
     def fingerprint(self) -> dict[str, Any]:
-        """Return what identifies the source, as JSON."""
+        """Return its number."""
+        return {"kind": self.kind, "name": self.name}
 
     def close(self) -> None:
-        """Close the connection."""
+        """Release the device."""
+        self._capture.release()
 
 
 class _Clock:
@@ -91,7 +92,7 @@ class _Clock:
         return self._latest - self._first
 
 
-class LiveReader:
+class LiveReader(Reader):
     """What a camera or stream sends, with real times.
 
     When the connection is lost, a new one is made as soon as there is somebody to connect to. The gap is
@@ -108,19 +109,14 @@ class LiveReader:
     """
 
     live = True
-    total: int | None = None
-    counted = False
-    truncated = False
-    notes: tuple[str, ...] = ()
-    pictures: tuple[str, ...] = ()
 
-    def __init__(self, feed: Feed, connect: Callable[[], Feed], reconnect: float | None) -> None:
+    def __init__(
+        self, feed: VideoReader | Camera, connect: Callable[[], VideoReader | Camera], reconnect: float | None
+    ) -> None:
         self.name = feed.name
         self.kind = feed.kind
         self.rate = feed.rate
         self.header_size = feed.header_size
-        self.last_number = 0
-        self.lost: str | None = None
         self.gaps: list[Gap] = []
         self._fingerprint = feed.fingerprint()
         self._feed = feed
@@ -194,40 +190,3 @@ class LiveReader:
     def close(self) -> None:
         """Close the connection."""
         self._feed.close()
-
-
-class Camera:
-    """A connection to a camera, by its number."""
-
-    kind = "camera"
-
-    def __init__(self, index: int) -> None:
-        self.name = str(index)
-        self.lost: str | None = None
-        self.opened_at = time.perf_counter()
-        self._capture = cv2.VideoCapture(index)
-        if not self._capture.isOpened():
-            raise OSError(f"camera {index}: cannot be opened")
-        rate = self._capture.get(cv2.CAP_PROP_FPS)
-        self.rate = rate if math.isfinite(rate) and rate > 0 else DEFAULT_RATE
-        self.header_size = (
-            int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
-            int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
-        )
-
-    def images(self) -> Iterator[tuple[None, NDArray[np.uint8]]]:
-        """Yield images as they arrive, until the camera is gone; it does not say when it took them."""
-        while True:
-            arrived, image = self._capture.read()
-            if not arrived:
-                self.lost = "no more pictures come"
-                return
-            yield None, np.asarray(image, dtype=np.uint8)
-
-    def fingerprint(self) -> dict[str, Any]:
-        """Return its number."""
-        return {"kind": self.kind, "name": self.name}
-
-    def close(self) -> None:
-        """Release the device."""
-        self._capture.release()

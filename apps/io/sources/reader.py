@@ -1,9 +1,10 @@
 """What a reader of one kind of source is, and which of its frames are wanted."""
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from ....models.core.frame import Frame
 
@@ -69,13 +70,15 @@ class Gap:
         return f"at {self.lost_at:.1f} s for {self.back_after:.1f} s, {self.frames} frames ({self.reason})"
 
 
-class Reader(Protocol):
+class Reader(ABC):
     """One kind of source: decodes the selected frames in order, in the thread that iterates.
 
     Attributes
     ----------
     name, kind, live, rate, truncated
         as of `Source`.
+    header_size
+        `(width, height)` px, 0 where only a picture tells.
     total
         frames in the whole source as far as it is stated.
     counted
@@ -84,39 +87,35 @@ class Reader(Protocol):
         of the last frame seen, also of those not selected.
     lost
         why the connection is lost for good; `None` as long as it is not.
+    gaps
+        in which the connection was lost, so far.
+    notes
+        what is out of the ordinary, a sentence each.
+    pictures
+        names of the images' files in order, where it consists of such.
     """
 
     name: str
     kind: str
-    live: bool
     rate: float
-    total: int | None
-    counted: bool
-    truncated: bool
-    last_number: int
-    lost: str | None
+    header_size: tuple[int, int] = (0, 0)
+    live = False
+    total: int | None = None
+    counted = False
+    truncated = False
+    last_number = 0
+    lost: str | None = None
+    gaps: Sequence[Gap] = ()
+    notes: Sequence[str] = ()
+    pictures: Sequence[str] = ()
 
-    @property
-    def header_size(self) -> tuple[int, int]:
-        """`(width, height)` px, 0 where only a picture tells."""
-
-    @property
-    def pictures(self) -> Sequence[str]:
-        """Names of the images' files in order, where it consists of such."""
-
-    @property
-    def gaps(self) -> Sequence[Gap]:
-        """In which the connection was lost, so far."""
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """What is out of the ordinary, a sentence each."""
-
+    @abstractmethod
     def frames(self, selection: Selection, stopping: threading.Event) -> Iterator[Frame]:
         """Yield the selected frames, until the event is set at most."""
 
+    @abstractmethod
     def fingerprint(self) -> dict[str, Any]:
         """Return what identifies the source, as JSON."""
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027
         """Release the file or device."""

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ....models.core.frame import Frame
 from ....models.files import MOST_PIXELS
 from ....models.numerics.threads import thread_count
-from .reader import DEFAULT_RATE, Gap, Selection
+from .reader import DEFAULT_RATE, Reader, Selection
 
 MOST_RATE = 1000  # frames a second: above, FFmpeg has guessed the ticks of a clock
 NETWORK_TIMEOUT = 10.0  # seconds for which a server may be silent
@@ -37,7 +37,7 @@ _DECODING: dict[str, Any] = {} if int(av.__version__.split(".")[0]) >= 19 else {
 av.logging.set_level(None)
 
 
-class VideoReader:
+class VideoReader(Reader):
     """A video file, or an address: of a file (with an end) or of a stream (without), whose `total` is `None`.
 
     Parameters
@@ -50,17 +50,9 @@ class VideoReader:
         seconds for which a file's server may be gone: it is asked for the rest then, and nothing is missing.
     """
 
-    live = False
-    gaps: tuple[Gap, ...] = ()
-    notes: tuple[str, ...] = ()
-    pictures: tuple[str, ...] = ()
-
     def __init__(self, source: str, *, network: bool, reconnect: float | None = None) -> None:
         self.name = without_password(source)
         self.kind = "stream" if network else "video"
-        self.truncated = False
-        self.lost: str | None = None
-        self.last_number = 0
         self._path = source
         self.opened_at = time.perf_counter()
         self._container = self._opened(reconnect) if network else self._opened_file()
@@ -73,6 +65,7 @@ class VideoReader:
         # own anyway, since it runs ahead of processing.
         self._stream.thread_type = "SLICE"
         self._stream.codec_context.thread_count = thread_count()
+        self.header_size = (self._stream.codec_context.width, self._stream.codec_context.height)
         rate = self._stream.average_rate or self._stream.guessed_rate
         self.rate = float(rate) if rate and rate <= MOST_RATE else DEFAULT_RATE
         self._seconds = self._stated_seconds()
@@ -81,11 +74,6 @@ class VideoReader:
         self.counted = self._counted is not None
         if self.total is None and self._seconds is not None:
             self.total = max(1, round(self._seconds * self.rate))
-
-    @property
-    def header_size(self) -> tuple[int, int]:
-        """`(width, height)` px, as the header states."""
-        return self._stream.codec_context.width, self._stream.codec_context.height
 
     def _opened_file(self) -> av.container.InputContainer:
         try:
