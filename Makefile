@@ -72,7 +72,7 @@ bench: $(INSTALLED)
 	$(BIN)/python -m rsmcm.apps.experiments.bench
 
 reproduce: $(INSTALLED)
-	for name in $$($(BIN)/python -c 'from rsmcm.apps.experiments.reproduce import EXPERIMENTS; print(*EXPERIMENTS)'); \
+	for name in $$($(BIN)/python -c 'from rsmcm.apps.experiments import EXPERIMENTS; print(*EXPERIMENTS)'); \
 		do $(BIN)/rsmcm reproduce $$name || exit 1; done
 
 results: $(INSTALLED)

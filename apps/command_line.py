@@ -16,7 +16,7 @@ from cyclopts import App, CycloptsError, Group, Parameter, Token
 from .background.job import BackgroundJob, Camera
 from .batch.commands import batch
 from .body.job import BodyJob
-from .experiments.reproduce import EXPERIMENTS, LONG, PARALLEL, run_experiment, usual_folder
+from .experiments import EXPERIMENTS, run_experiment, usual_folder
 from .face.job import FaceJob
 from .options.complaints import about_options, convert_strictly, one_line
 from .options.job import Flag, Job
@@ -205,12 +205,13 @@ def events(run: Path, *, zones: Path) -> int:
 
 def _experiment(name: str) -> Callable[..., None]:
     """What reproduces a figure, as a command, with the options that make a difference to it."""
-    folder, parallel = usual_folder(name), Parameter(parse=name in PARALLEL)
+    entry, folder = EXPERIMENTS[name], usual_folder(name)
+    parallel = Parameter(parse=entry.parallel)
 
     def reproduced(
         *,
         out: Figures = folder,
-        long: Annotated[Flag, Parameter(parse=name in LONG, help=LONG.get(name))] = False,
+        long: Annotated[Flag, Parameter(parse=bool(entry.long), help=entry.long)] = False,
         jobs: Annotated[int | None, parallel] = None,
         dask: Annotated[str | None, parallel] = None,
     ) -> None:
@@ -226,7 +227,7 @@ def _experiment(name: str) -> Callable[..., None]:
         from .runs.parallel import chosen_workers, working
 
         with working(chosen_workers(jobs, dask)):
-            run_experiment(name, out, *([long] if name in LONG else []))
+            run_experiment(name, out, long=long)
 
     return reproduced
 
@@ -291,8 +292,8 @@ def compare(
 
 
 app.command(reproduce)
-for name, text in EXPERIMENTS.items():
-    reproduce.command(_experiment(name), name=name, help=text)
+for name, entry in EXPERIMENTS.items():
+    reproduce.command(_experiment(name), name=name, help=entry.about)
 app.register_install_completion_command(help="Install completion for the shell that is running, and exit.")
 
 

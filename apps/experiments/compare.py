@@ -23,14 +23,15 @@ from ..background.parameters import Parameters, read_parameters
 from ..drawing.mosaic import fitting, mosaic
 from ..evaluation.scoring import Scoring, scoring_of
 from ..io.detections import given_boxes, with_boxes
-from ..io.files import write_image, write_json
+from ..io.files import write_json
 from ..io.mot import TrackedBox
 from ..io.sources.open_source import open_source
 from ..runs.interruption import Interruption, Outcome
 from ..runs.progress import Progress
 from ..runs.region import inside, read_region
-from .page import picture, table, write_figure, write_page
-from .trials.baselines import CleanUp, KalmanHungarian, OpenCVSubtractor, Subtractor, component_boxes
+from .baselines import CleanUp, KalmanHungarian, OpenCVSubtractor, Subtractor, component_boxes
+from .experiment import Picture, Plot
+from .page import picture, table, write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -227,6 +228,13 @@ class Gallery:
         kept = self.moments.kept
         return [kept[round(place)] for place in np.linspace(0, len(kept) - 1, min(COLUMNS, len(kept)))]
 
+    def picture(self) -> Picture:
+        """Return Fig. 11: what was chosen, in columns."""
+        moments = self.chosen()
+        rows = [(name, [each.pictures[k] for each in moments]) for k, name in enumerate(FIGURE_ROWS)]
+        sheet = mosaic(rows, [f"frame {each.number}" for each in moments], PICTURE_WIDTH)
+        return Picture("compare-pictures.png", sheet, "Over time, as in Fig. 11 of the RSMCM paper")
+
 
 def _small(image: Image) -> Image:
     size = fitting(image.shape, PICTURE_WIDTH)
@@ -337,37 +345,35 @@ def write_comparison(folder: Path, title: str, lines: Sequence[dict[str, Any]], 
     writer.writeheader()
     writer.writerows(lines)
     write_text(folder / "compare.csv", text.getvalue())
-
-    moments = gallery.chosen()
-    rows = [(name, [each.pictures[k] for each in moments]) for k, name in enumerate(FIGURE_ROWS)]
-    sheet = mosaic(rows, [f"frame {each.number}" for each in moments], PICTURE_WIDTH)
-    write_image(folder / "compare-pictures.png", sheet)
-    parts = [table(header, [[line.get(name, "–") for name in header] for line in lines])]
+    pictures: list[Plot | Picture] = [gallery.picture()]
     if "total" in header:
-        write_figure(folder / "compare-errors.png", lambda canvas: _draw_errors(canvas, lines), (9, 4))
-        parts.append(picture(folder / "compare-errors.png", "Errors, as in Fig. 8 of the RSMCM paper"))
-    over_time = "Pictures over time, as in Fig. 11 of the RSMCM paper"
-    write_page(
-        folder / "compare.html",
-        f"{Path(title).name}: comparison",
-        [("Methods", parts), (over_time, [picture(folder / "compare-pictures.png", over_time)])],
-    )
+        pictures.insert(0, errors_plot(lines))
+    for each in pictures:
+        each.write(folder / each.name)
+    measured = table(header, [[line.get(name, "–") for name in header] for line in lines])
+    shown = [picture(folder / each.name, each.caption) for each in pictures]
+    sections = [("Methods", [measured]), ("Figures", shown)]
+    write_page(folder / "compare.html", f"{Path(title).name}: comparison", sections)
 
 
-def _draw_errors(canvas: "Figure", lines: Sequence[dict[str, Any]]) -> None:
-    """Stacked bars of the error classes, one for each method."""
-    axes = canvas.subplots()
-    left = np.zeros(len(lines))
-    names = [line["method"] for line in lines]
-    kinds = [name for name in list(ERRORS.values())[:-1] if any(line.get(name) for line in lines)]
-    for kind, colour in zip(kinds, ("#2f7fc1", "#e0a030", "#7a9e3d", "#c1453b"), strict=False):
-        values = np.array([line.get(kind, 0) for line in lines], np.float64)
-        axes.barh(names, values, left=left, color=colour, label=kind)
-        left += values
-    for place, total in enumerate(left):
-        axes.annotate(f" {total:.0f}", (total, place), va="center")
-    axes.invert_yaxis()
-    axes.margins(x=0.1)
-    axes.set_xlabel("errors")
-    if kinds:
-        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=len(kinds))
+def errors_plot(lines: Sequence[dict[str, Any]]) -> Plot:
+    """Return Fig. 8: stacked bars of the error classes, one for each method."""
+
+    def draw(canvas: "Figure") -> None:
+        axes = canvas.subplots()
+        left = np.zeros(len(lines))
+        names = [line["method"] for line in lines]
+        kinds = [name for name in list(ERRORS.values())[:-1] if any(line.get(name) for line in lines)]
+        for kind, colour in zip(kinds, ("#2f7fc1", "#e0a030", "#7a9e3d", "#c1453b"), strict=False):
+            values = np.array([line.get(kind, 0) for line in lines], np.float64)
+            axes.barh(names, values, left=left, color=colour, label=kind)
+            left += values
+        for place, total in enumerate(left):
+            axes.annotate(f" {total:.0f}", (total, place), va="center")
+        axes.invert_yaxis()
+        axes.margins(x=0.1)
+        axes.set_xlabel("errors")
+        if kinds:
+            axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=len(kinds))
+
+    return Plot("compare-errors.png", draw, (9, 4), "Errors, as in Fig. 8 of the RSMCM paper")

@@ -30,8 +30,6 @@ class Expectation:
         Of speeds, the seeds are rounds.
     quartiles
         of speeds, between which half of the rounds lie; the value is their median.
-    limit
-        what the value could be at best on this machine, NaN where nobody has worked it out.
     ratio
         whether it stays the same on a machine that does everything twice as fast.
     loaded
@@ -45,7 +43,6 @@ class Expectation:
     spread: float = math.nan
     seeds: int = 1
     quartiles: tuple[float, float] | None = None
-    limit: float = math.nan
     ratio: bool = False
     loaded: bool = False
 
@@ -68,16 +65,6 @@ class Expectation:
 
 
 HEADER = ("measure", "wanted", "measured", "±", "")
-
-
-def columns(expectations: Sequence[Expectation]) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of a table of expectations; with their limits, where there are any."""
-    rows = [list(each.cells) for each in expectations]
-    if all(math.isnan(each.limit) for each in expectations):
-        return list(HEADER), rows
-    for row, each in zip(rows, expectations, strict=True):
-        row.insert(4, "" if math.isnan(each.limit) else rounded(each.limit))
-    return ["measure", "wanted", "measured", "± or quartiles", "limit", ""], rows
 
 
 def over_seeds(judge: Callable[[Any], Sequence[Expectation]], found: Mapping[Any, Any]) -> list[Expectation]:

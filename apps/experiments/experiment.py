@@ -1,22 +1,59 @@
 """What an experiment leaves: printed tables, pictures, a record as JSON, and a page with everything."""
 
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..evaluation.text_tables import in_columns
 from ..io.files import write_image
-from .expectations import Expectation, columns
+from ..runs.parallel import in_parallel
+from .expectations import HEADER, Expectation
 from .page import picture, table, write_figure, write_page
 from .record import Record, Stopwatch, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+Cell = TypeVar("Cell", bound=Hashable)
+Method = TypeVar("Method", bound=Hashable)
+T = TypeVar("T")
+
+
+def by_seed(
+    label: str,
+    measure: Callable[[Cell, int], Mapping[Method, T]],
+    cells: Sequence[Cell],
+    seeds: Sequence[int],
+) -> dict[Cell, dict[Method, list[T]]]:
+    """Measure every cell with every seed, in several processes.
+
+    Parameters
+    ----------
+    label
+        of the progress that is shown.
+    measure
+        gives measures by method, of a cell and a seed; it can be sent to another process.
+    cells, seeds
+        what is measured: all combinations.
+
+    Returns
+    -------
+    dict
+        by cell and method, a measure for each seed: what `over_seeds` takes.
+    """
+    work = [(measure, (cell, seed)) for cell in cells for seed in seeds]
+    measured = iter(in_parallel(label, work))
+    found = {}
+    for cell in cells:
+        of_seeds = [next(measured) for _ in seeds]
+        found[cell] = {method: [each[method] for each in of_seeds] for method in of_seeds[0]}
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +84,7 @@ class Picture:
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class Findings:
     """What an experiment found.
 
     Parameters
@@ -72,7 +109,7 @@ class Experiment:
     runs: Any = None
 
 
-def run_and_publish(name: str, command: str, out: Path, run: Callable[[], Experiment]) -> None:
+def publish(name: str, command: str, out: Path, run: Callable[[], Findings]) -> None:
     """Run an experiment; print what it found, and write it with its pictures and its record into a folder.
 
     Parameters
@@ -96,12 +133,12 @@ def run_and_publish(name: str, command: str, out: Path, run: Callable[[], Experi
     record.write(out / "results.json", found.runs)
     for each in found.tables:
         print(*textwrap.wrap(each.caption, 110), in_columns(each.header, each.rows), "", sep="\n")
-    header, wanted = columns(found.expectations)
-    print(in_columns(header, wanted))
+    wanted = [each.cells for each in found.expectations]
+    print(in_columns(HEADER, wanted))
     for one in found.pictures:
         one.write(out / one.name)
     shown = [picture(out / one.name, one.caption) for one in found.pictures]
     measured = [table(each.header, each.rows, each.caption) for each in (*found.tables, *found.details)]
-    sections = [("", [table(header, wanted)]), ("Figures", shown), ("Measured", measured)]
+    sections = [("", [table(HEADER, wanted)]), ("Figures", shown), ("Measured", measured)]
     write_page(out / "index.html", found.title, [each for each in sections if each[1]])
     print(f"\npage: {out / 'index.html'}")

@@ -1,15 +1,12 @@
 """What an experiment measured, and where and when: records that are compared, kept and shown."""
 
-import ast
-import hashlib
 import json
 import math
 import os
 import platform
 import subprocess
-import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from functools import cached_property
@@ -32,9 +29,6 @@ TRACKING = ("models", "inference", "chains")
 NOT_BUSY = ("idle", "iowait", "guest", "guest_nice")
 """Times of processors that are none, or are counted as a user's already."""
 
-PLUMBING = ("models/files.py", "models/array_files.py")
-"""What of it reads and writes files, and tracks nothing."""
-
 
 @dataclass(frozen=True)
 class Provenance:
@@ -50,9 +44,6 @@ class Provenance:
         of the checkout, ten hex digits; empty for an installed package.
     changed
         whether the checkout had changes that were not committed.
-    modules, state
-        files of the code that tracks which it took, from `ROOT`, and a digest of them: it is the same as long
-        as they are, but for their docstrings.
     processor, cores, memory
         of the machine; memory in GB.
     load
@@ -69,8 +60,6 @@ class Provenance:
     seconds: float
     commit: str
     changed: bool
-    modules: Sequence[str]
-    state: str
     processor: str
     cores: int
     memory: float
@@ -84,24 +73,17 @@ class Provenance:
         """In words."""
         return f"{self.processor}, {self.cores} cores, {self.memory:.0f} GB"
 
-    def is_of(self, root: Path) -> bool:
-        """Whether the code that tracks is the same in a checkout."""
-        return self.state == joint_state(root, self.modules)
-
 
 class Stopwatch:
     """Notes where and when it was made; `provenance` adds how long it took since."""
 
     def __init__(self) -> None:
         self._started, self._busy = time.perf_counter(), _busy_elsewhere()
-        commit, changed = _commit()
-        files = [path for package in TRACKING for path in sorted((ROOT / package).rglob("*.py"))]
-        named = {path.relative_to(ROOT).as_posix(): path for path in files}
-        self._digests = {name: _digest(path) for name, path in named.items() if not name.startswith(PLUMBING)}
+        commit = git("rev-parse", "HEAD")[:10]
         self._known = {
             "date": datetime.now(UTC).isoformat(timespec="seconds"),
             "commit": commit,
-            "changed": changed,
+            "changed": bool(commit and git("status", "--porcelain", "--", *TRACKING, "apps")),
             "processor": _processor(),
             "cores": os.cpu_count() or 1,
             "memory": psutil.virtual_memory().total / 2**30,
@@ -112,16 +94,8 @@ class Stopwatch:
     def provenance(self) -> Provenance:
         """Of what was measured since."""
         seconds = time.perf_counter() - self._started
-        loaded = {Path(file).resolve() for each in list(sys.modules.values()) if (file := _file(each))}
-        taken = {name: digest for name, digest in self._digests.items() if (ROOT / name) in loaded}
-        return Provenance(
-            **self._known,
-            seconds=seconds,
-            others=max(0.0, _busy_elsewhere() - self._busy) / seconds,
-            threads=thread_count(),
-            modules=list(taken),
-            state=_joint_digest(taken),
-        )
+        others = max(0.0, _busy_elsewhere() - self._busy) / seconds
+        return Provenance(**self._known, seconds=seconds, others=others, threads=thread_count())
 
 
 def _busy_elsewhere() -> float:
@@ -131,48 +105,18 @@ def _busy_elsewhere() -> float:
     return float(busy - ours.user - ours.system - ours.children_user - ours.children_system)
 
 
-def _file(module: object) -> str | None:
-    return getattr(module, "__file__", None)
+def git(*arguments: str) -> str:
+    """What git says of the checkout; nothing for a package that is installed."""
 
+    def said(*arguments: str) -> str:
+        command = ["git", "-C", str(ROOT), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
-def _digest(path: Path) -> str:
-    """Of a file's lines but those of docstrings, which change no figure; nothing where there is no file."""
-    if not path.exists():
-        return ""
-    text = path.read_text(encoding="utf-8")
-    lines = text.splitlines()
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(
-            node, clean=False
-        ):
-            documented = node.body[0]
-            for number in range(documented.lineno - 1, documented.end_lineno or 0):
-                lines[number] = ""
-    return hashlib.sha256("\n".join(filter(None, lines)).encode()).hexdigest()
-
-
-def joint_state(root: Path, modules: Iterable[str]) -> str:
-    """Digest of files below a checkout's root, as `Provenance.state` has it."""
-    return _joint_digest({name: _digest(root / name) for name in modules})
-
-
-def _joint_digest(digests: Mapping[str, str]) -> str:
-    text = "".join(f"{name} {digest}\n" for name, digest in sorted(digests.items()))
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
-
-
-def _commit() -> tuple[str, bool]:
-    """Commit of the checkout, and whether it has changes; nothing for a package that is installed."""
     try:
-        _git("ls-files", "--error-unmatch", str(Path(__file__).resolve()))
-        return _git("rev-parse", "HEAD")[:10], bool(_git("status", "--porcelain", "--", *TRACKING, "apps"))
+        said("ls-files", "--error-unmatch", str(Path(__file__).resolve()))
+        return said(*arguments)
     except (OSError, subprocess.CalledProcessError):
-        return "", False
-
-
-def _git(*arguments: str) -> str:
-    done = subprocess.run(["git", "-C", ROOT, *arguments], capture_output=True, text=True, check=True)
-    return done.stdout.strip()
+        return ""
 
 
 def _processor() -> str:
@@ -265,7 +209,7 @@ def _expectation(content: Mapping[str, Any]) -> Expectation:
     known = {name: value for name, value in content.items() if name != "verdict"}
     if known.get("quartiles") is not None:
         known["quartiles"] = tuple(known["quartiles"])
-    return Expectation(**_with_numbers(known, "measured", "spread", "limit"))
+    return Expectation(**_with_numbers(known, "measured", "spread"))
 
 
 def _with_numbers(content: Mapping[str, Any], *names: str) -> dict[str, Any]:

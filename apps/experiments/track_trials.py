@@ -24,9 +24,9 @@ from ..io.ground_truth import BoxTruth, read_ground_truth
 from ..io.sources.open_source import open_source
 from ..runs.interruption import Interruption
 from ..runs.parallel import in_parallel
+from .baselines import CleanUp, KalmanHungarian, Setting, component_boxes
 from .compare import CHAINS, Model
 from .expectations import Expectation
-from .trials.baselines import CleanUp, KalmanHungarian, Setting, component_boxes
 
 Tracks = NDArray[np.float64]
 """`(n, 6)`: frame, identity, x, y, width, height (px)."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from docutils import nodes
 from docutils.statemachine import StringList
 from rsmcm.apps.experiments.record import Record
-from rsmcm.apps.experiments.results.pages import figures
+from rsmcm.apps.experiments.results import figures
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from PIL import Image
-from rsmcm.apps.experiments.reproduce import EXPERIMENTS, usual_folder
+from rsmcm.apps.experiments import EXPERIMENTS, usual_folder
 
 WIDTH, COLOURS = 1000, 64
 HERE = Path(__file__).parent / "figures"
@@ -25,6 +25,9 @@ def keep(drawn: Path, kept: Path) -> None:
 def main(results: Path) -> None:
     """Copy all that there are."""
     HERE.mkdir(exist_ok=True)
+    curves = results / "curves" / "curves.png"
+    if curves.exists():
+        keep(curves, HERE.with_name("curves.png"))
     for name in EXPERIMENTS:
         for drawn in sorted((results / usual_folder(name).name).glob("fig-*.png")):
             keep(drawn, HERE / f"{name}-{drawn.name}")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from rsmcm.apps.experiments.expectations import Expectation
-from rsmcm.apps.experiments.experiment import Experiment, Plot, run_and_publish
+from rsmcm.apps.experiments.experiment import Findings, Plot, publish
 from rsmcm.apps.experiments.record import Table
 
 from ..conftest import Command
@@ -58,8 +58,8 @@ def test_the_page_of_an_experiment(browser: Browser, tmp_path: Path) -> None:
     plot = Plot("plot.png", lambda canvas: canvas.subplots().plot([1, 2]), (9, 4), "What is drawn.")  # type: ignore[func-returns-value]
     measured = Table(header, [[f"method {row}", *range(11)] for row in range(5)])
     wanted = [Expectation("a long sentence about what is wanted of the error " * 3, 0.3, "<=", 0.35)]
-    found = Experiment("An experiment", [measured], wanted, [plot])
-    run_and_publish("name", "rsmcm reproduce name", tmp_path, lambda: found)
+    found = Findings("An experiment", [measured], wanted, [plot])
+    publish("name", "rsmcm reproduce name", tmp_path, lambda: found)
     check(browser, tmp_path / "index.html")
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rsmcm.apps.background.demo import N_FRAMES, write_scene
-from rsmcm.apps.experiments.reproduce import EXPERIMENTS
+from rsmcm.apps.experiments import EXPERIMENTS
 from rsmcm.apps.exports.track_table import COLUMNS
 from rsmcm.apps.scenes import sleeping_man
 

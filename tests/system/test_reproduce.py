@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from rsmcm.apps.drawing.mosaic import mosaic
 from rsmcm.apps.evaluation.masks import PixelScore, joined
 from rsmcm.apps.evaluation.text_tables import in_columns
+from rsmcm.apps.experiments import run_experiment
+from rsmcm.apps.experiments import sleeping_man as experiment
+from rsmcm.apps.experiments.baselines import SETTINGS, CleanUp, OpenCVSubtractor
 from rsmcm.apps.experiments.compare import COLUMNS, Gallery, Model, ModelSubtractor, Usual
 from rsmcm.apps.experiments.expectations import Expectation
-from rsmcm.apps.experiments.reproduce import run_experiment
-from rsmcm.apps.experiments.reproduce import sleeping_man as experiment
-from rsmcm.apps.experiments.trials.baselines import SETTINGS, CleanUp, OpenCVSubtractor
 from rsmcm.apps.scenes import sleeping_man
 from rsmcm.models.core.frame import Frame
 
@@ -82,21 +82,20 @@ def test_the_usual_pipeline_survives_missing_frames() -> None:
 
 
 def test_scores_of_a_scene_name_all_methods() -> None:
-    frames, truth = experiment._rendered(sleeping_man(8, size=SIZE, enter=0), "scene")
-    scored = list(experiment._scores_of_scene(frames, truth, SETTINGS[:1]))
-    assert [name for name, _, _ in scored] == ["feed-forward", "RSMCM", "MOG2", "MOG2"]
-    assert all(len(score.numbers) == 8 for _, _, score in scored)
-    first, second = (joined([score]) for _, _, score in scored[:2])
+    scored = experiment.scores_of_scene(sleeping_man(8, size=SIZE, enter=0), SETTINGS[:1])
+    assert [name for name, _ in scored] == ["feed-forward", "RSMCM", "MOG2", "MOG2"]
+    assert all(len(score.numbers) == 8 for score in scored.values())
+    first, second = (joined([score]) for score in list(scored.values())[:2])
     both = joined([first, second])
     assert len(both.counts) == 16
     assert joined([]).total() == PixelScore().total()
 
 
 def test_sleeping_man_figures() -> None:
-    figures = experiment._sleeping_figures(sleeping_man(61, size=SIZE))
-    assert set(figures) == {"Fig. 1", "Fig. 7"}
-    assert figures["Fig. 1"].shape == figures["Fig. 7"].shape
-    assert figures["Fig. 1"].shape[1] > 2 * 160
+    first, seventh = experiment.figures(sleeping_man(61, size=SIZE))
+    assert [first.name, seventh.name] == ["fig-1.png", "fig-7.png"]
+    assert first.image.shape == seventh.image.shape
+    assert first.image.shape[1] > 2 * 160
 
 
 def test_nothing_is_found_before_the_first_image() -> None:
@@ -109,7 +108,7 @@ def test_nothing_is_found_before_the_first_image() -> None:
 
 @pytest.mark.slow
 def test_sleeping_man_orders_the_methods(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run_experiment("sleeping-man", tmp_path, False)
+    run_experiment("sleeping-man", tmp_path)
     printed = capsys.readouterr().out
     assert "short" not in printed, printed
     assert (tmp_path / "fig-1.png").exists()

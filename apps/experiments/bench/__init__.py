@@ -1,1 +1,1 @@
-"""Speed beside peers: `python -m rsmcm.apps.experiments.bench`."""
+"""Speed beside peers, and cost as curves: `python -m rsmcm.apps.experiments.bench`."""

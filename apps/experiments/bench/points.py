@@ -1,10 +1,8 @@
-"""Speed of following points beside filterpy, simdkalman and OpenCV, all on one thread.
-
-Set `OPENBLAS_NUM_THREADS=1` (or that of your BLAS) for the peers too.
-"""
+"""Speed of following points beside filterpy, simdkalman and OpenCV, all on one thread."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,8 +15,8 @@ from ....models.points.kernels.search import GRID, NEAR, REACH, WHOLE
 from ....models.points.patches import sample_patches
 from ....models.points.point_tracks import PointTracks
 from ....models.points.search import Before, find_points
-from ...evaluation.text_tables import in_columns
-from ..expectations import HEADER, Expectation
+from ..expectations import Expectation
+from ..experiment import Findings
 from .timing import in_turns, over_rounds
 
 Numbers = NDArray[np.float64]
@@ -41,14 +39,10 @@ LEVELS = {3: 1, 10: 2}
 """Levels of OpenCV's pyramid that reach as far with the same window, each twice as far as the one below."""
 
 
-def point_expectations() -> list[Expectation]:
-    """All of them."""
-    threads = cv2.getNumThreads()
+def points() -> Findings:
+    """All of them, on one thread."""
     cv2.setNumThreads(1)
-    try:
-        return [*kalman_expectations(), *search_expectations()]
-    finally:
-        cv2.setNumThreads(threads)
+    return Findings("Points", [], [*kalman_expectations(), *search_expectations()])
 
 
 # --- Kalman filter and smoother -----------------------------------------------------------------------------
@@ -78,8 +72,7 @@ def kalman_expectations() -> list[Expectation]:
             "smoother": lambda: smooth(filtered, times, ACCELERATION),
             "filterpy": lambda: [_filterpy_filter(places[:, k]) for k in range(N_POINTS)],
             "filterpy smoother": lambda: [_filterpy_smoother(*states) for states in passed],
-            "simdkalman": lambda: _simdkalman(places, smoothed=False),
-            "simdkalman both": lambda: _simdkalman(places, smoothed=True),
+            "simdkalman": lambda: _simdkalman(places),
         },
         rounds=7,
     )
@@ -88,23 +81,16 @@ def kalman_expectations() -> list[Expectation]:
 
 def _of_filters(seconds: Mapping[str, float]) -> list[Expectation]:
     of = {name: 1e6 * value / (N_POINTS * N_FRAMES) for name, value in seconds.items()}
+    one, whole, smoother = of["frame by frame"], of["filter"], of["smoother"]
     return [
-        Expectation("Kalman filter frame by frame, us a point and step", of["frame by frame"]),
-        Expectation("Kalman filter of whole tracks, us a point and step", of["filter"]),
-        Expectation("RTS smoother, us a point and step", of["smoother"]),
-        Expectation("filterpy over filter frame by frame", of["filterpy"] / of["frame by frame"], ">=", 150),
-        Expectation("filterpy over filter of whole tracks", of["filterpy"] / of["filter"], ">=", 150),
-        Expectation(
-            "simdkalman over filter frame by frame", of["simdkalman"] / of["frame by frame"], ">=", 8
-        ),
-        Expectation("simdkalman over filter of whole tracks", of["simdkalman"] / of["filter"], ">=", 8),
-        Expectation(
-            "filterpy's smoother over RTS smoother", of["filterpy smoother"] / of["smoother"], ">=", 45
-        ),
-        Expectation(
-            "simdkalman over filter and RTS smoother",
-            of["simdkalman both"] / (of["filter"] + of["smoother"]),
-        ),
+        Expectation("Kalman filter frame by frame, us a point and step", one),
+        Expectation("Kalman filter of whole tracks, us a point and step", whole),
+        Expectation("RTS smoother, us a point and step", smoother),
+        Expectation("filterpy over filter frame by frame", of["filterpy"] / one, ">=", 150),
+        Expectation("filterpy over filter of whole tracks", of["filterpy"] / whole, ">=", 150),
+        Expectation("simdkalman over filter frame by frame", of["simdkalman"] / one, ">=", 8),
+        Expectation("simdkalman over filter of whole tracks", of["simdkalman"] / whole, ">=", 8),
+        Expectation("filterpy's smoother over RTS smoother", of["filterpy smoother"] / smoother, ">=", 45),
     ]
 
 
@@ -135,7 +121,7 @@ def _filterpy_smoother(means: Numbers, covariances: Numbers) -> object:
     return smoothed
 
 
-def _simdkalman(places: Numbers, smoothed: bool) -> object:
+def _simdkalman(places: Numbers) -> object:
     """All points' x and y as series of their own, which is the faster way for it."""
     transition, noise = _moving(1)
     series = places.reshape(N_FRAMES, -1).T
@@ -146,7 +132,7 @@ def _simdkalman(places: Numbers, smoothed: bool) -> object:
         initial_value=np.stack([series[:, 0], np.zeros(len(series))], axis=1)[:, :, None],
         initial_covariance=np.diag([FIRST**2, SPEED**2]),
         filtered=True,
-        smoothed=smoothed,
+        smoothed=False,
     )
     return result
 
@@ -169,32 +155,19 @@ def search_expectations() -> list[Expectation]:
     expectations: list[Expectation] = []
     for reach, known in REACHES.items():
         searches = _searches(first, second, corners, reach, known)
-        spent = in_turns(searches, rounds=10, turn=8)
         what = f"search for {len(corners)} patches there and back, +-{reach} px"
-        expectations += over_rounds(partial(_of_searches, what), spent)
-        for name in ("search", "PyrLK"):
-            expectations += _errors(f"{name}, +-{reach} px", searches[name](), corners + SHIFT)
+        expectations += over_rounds(partial(_of_searches, what), in_turns(searches, rounds=10, turn=8))
+        for name, search in searches.items():
+            off = np.linalg.norm(search() - corners - SHIFT, axis=1)
+            share = float((off < 0.5).mean())
+            expectations.append(Expectation(f"{name}, +-{reach} px: found within 0.5 px, share", share))
     return expectations
 
 
 def _of_searches(what: str, seconds: Mapping[str, float]) -> list[Expectation]:
     return [
         Expectation(f"{what}, ms", 1e3 * seconds["search"]),
-        Expectation(f"{what}, over a loop of matchTemplate", seconds["search"] / seconds["matchTemplate"]),
         Expectation(f"{what}, over PyrLK", seconds["search"] / seconds["PyrLK"], "<=", 0.7),
-        Expectation(
-            f"{what}, over PyrLK with its usual window of 21 px", seconds["search"] / seconds["PyrLK, 21 px"]
-        ),
-    ]
-
-
-def _errors(what: str, places: Numbers, truth: Numbers) -> list[Expectation]:
-    """How right places `(n, 2)` px are; NaN where a point was not found."""
-    off = np.linalg.norm(places - truth, axis=1)
-    return [
-        Expectation(f"{what}: found within 0.5 px, share", float((off < 0.5).mean())),
-        Expectation(f"{what}: found more than 1 px off, share", float((off > 1).mean())),
-        Expectation(f"{what}: error of those found, px", float(np.nanmedian(off))),
     ]
 
 
@@ -213,9 +186,6 @@ def _searches(
     patches = sample_patches(first, origin, SIDE)
     before = Before(first, np.ones(len(corners), np.bool_), origin)
     node = PointTracks(patch=SIDE)
-    half, window = SIDE // 2, reach + SIDE // 2
-    ways = [(first, np.rint(corners).astype(int), second, np.rint(expected).astype(int))]
-    ways.append((second, np.rint(corners + SHIFT).astype(int), first, ways[0][1]))
 
     def search() -> Numbers:
         found = find_points(second, patches, expected, covariances, node.false_alarms, node.farthest, before)
@@ -223,32 +193,16 @@ def _searches(
         places[found.seen] = found.position
         return places
 
-    def one_by_one() -> Numbers:
-        for one, places, other, middles in ways:
-            for (x, y), (u, v) in zip(places.tolist(), middles.tolist(), strict=True):
-                template = one[y - half : y + half + 1, x - half : x + half + 1]
-                seen = other[v - window : v + window + 1, u - window : u + window + 1]
-                cv2.minMaxLoc(cv2.matchTemplate(seen, template, cv2.TM_CCOEFF_NORMED))
-        return expected
-
-    def optical_flow(side: int, levels: int) -> Numbers:
-        found, there, _ = cv2.calcOpticalFlowPyrLK(
-            first, second, corners, np.empty_like(corners), winSize=(side, side), maxLevel=levels
-        )
-        again, back, _ = cv2.calcOpticalFlowPyrLK(
-            second, first, found, np.empty_like(corners), winSize=(side, side), maxLevel=levels
-        )
+    def optical_flow() -> Numbers:
+        window: Any = {"winSize": (SIDE, SIDE), "maxLevel": LEVELS[reach]}
+        found, there, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, np.empty_like(corners), **window)
+        again, back, _ = cv2.calcOpticalFlowPyrLK(second, first, found, np.empty_like(corners), **window)
         right = (there.astype(np.bool_) & back.astype(np.bool_))[:, 0] & (
             np.abs(again - corners).max(axis=1) <= NEAR + WHOLE
         )
         return np.where(right[:, None], found.astype(np.float64), np.nan)
 
-    return {
-        "search": search,
-        "matchTemplate": one_by_one,
-        "PyrLK": lambda: optical_flow(SIDE, LEVELS[reach]),
-        "PyrLK, 21 px": lambda: optical_flow(21, 3),
-    }
+    return {"search": search, "PyrLK": optical_flow}
 
 
 def _pictures() -> tuple[Grey, Grey]:
@@ -264,7 +218,3 @@ def _pictures() -> tuple[Grey, Grey]:
         for picture in (texture, moved)
     )
     return first, second
-
-
-if __name__ == "__main__":
-    print(in_columns(HEADER, [expectation.cells for expectation in point_expectations()]))

@@ -39,10 +39,6 @@ def test_provenance() -> None:
     made = Stopwatch().provenance()
     assert made.date.endswith("+00:00")
     assert 0 <= made.seconds < 10
-    assert made.is_of(ROOT)
-    assert "models/numerics/threads.py" in made.modules
-    assert not any(name in ("models/files.py", "models/array_files.py") for name in made.modules)
-    assert all(name.split("/")[0] in ("models", "inference", "chains") for name in made.modules)
     assert made.cores >= 1
     assert {"python", "rsmcm", "numpy", "opencv"} <= set(made.versions)
     assert made.machine.endswith("GB")

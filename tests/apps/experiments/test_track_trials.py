@@ -10,8 +10,8 @@ from rsmcm.apps.background.application import run_background
 from rsmcm.apps.background.demo import write_scene
 from rsmcm.apps.background.job import BackgroundJob
 from rsmcm.apps.evaluation.tracks import evaluate_tracks, track_rows
+from rsmcm.apps.experiments import run_experiment
 from rsmcm.apps.experiments import track_trials as trials
-from rsmcm.apps.experiments.reproduce import run_experiment
 from rsmcm.apps.experiments.track_trials import (
     AnnotatedFilm,
     Scored,
@@ -169,7 +169,7 @@ def test_pets_on_a_small_film(
         video.write(frame.image, frame.number, frame.time)
     video.close(finished=True)
     monkeypatch.setenv("RSMCM_DATA", str(tmp_path))
-    run_experiment("pets", tmp_path / "out", False)
+    run_experiment("pets", tmp_path / "out")
     printed = capsys.readouterr().out
     for words in (
         "IDF1 lost with the detector on every fifth frame",
@@ -177,4 +177,4 @@ def test_pets_on_a_small_film(
         "±",
     ):
         assert words in printed
-    assert (tmp_path / "out" / "compare.html").exists()
+    assert (tmp_path / "out" / "compare-pictures.png").exists()

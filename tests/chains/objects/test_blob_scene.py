@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rsmcm.apps.experiments.bench.crowd_scene import crowd
+from rsmcm.apps.scenes.crowd import crowd
 from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.chains.objects import blob_scene
 from rsmcm.inference import MultiChain, RecursiveBP

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from rsmcm.apps.experiments.bench.crowd_scene import crowd
+from rsmcm.apps.scenes.crowd import crowd
 from rsmcm.chains import AdaptiveBackground, BlobTracker
 from rsmcm.chains.objects import registration
 from rsmcm.chains.objects.kernels.records import RECORD

@@ -1,0 +1,327 @@
+"""The usual pipeline to compare with: OpenCV's background subtractors, a clean-up, Kalman and Hungarian."""
+
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from typing import Generic, Protocol, TypeVar
+
+import cv2
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from ..evaluation.tracks import box_overlap
+from ..io.sources.open_source import open_source
+from ..runs.progress import Progress
+
+T = TypeVar("T")
+
+
+class Subtractor(Protocol):
+    """Anything that tells foreground from background in one picture after the other."""
+
+    def apply(self, image: NDArray[np.uint8], /) -> NDArray[np.uint8]:
+        """Take the next `(height, width[, 3])` picture.
+
+        Returns
+        -------
+        `(height, width)`: 0 background, 255 foreground; 127 for what it takes for a shadow, if it does.
+        """
+        ...
+
+
+class OpenCVSubtractor:
+    """OpenCV's MOG2 or KNN.
+
+    Parameters
+    ----------
+    method
+        "MOG2" or "KNN".
+    history
+        frames that the model remembers.
+    threshold
+        squared distance between pixel and model from which a pixel is foreground: `varThreshold` (in
+        variances) for MOG2, `dist2Threshold` (in squared grey values) for KNN.
+
+    Raises
+    ------
+    ValueError
+        for another method.
+    """
+
+    def __init__(self, method: str, history: int, threshold: float):
+        # KNN draws from OpenCV's generator: the same run must give the same masks.
+        cv2.setRNGSeed(0)
+        if method == "MOG2":
+            self._model: cv2.BackgroundSubtractor = cv2.createBackgroundSubtractorMOG2(
+                history, threshold, True
+            )
+        elif method == "KNN":
+            self._model = cv2.createBackgroundSubtractorKNN(history, threshold, True)
+        else:
+            raise ValueError(f"method: got {method!r}, expected 'MOG2' or 'KNN'")
+
+    def apply(self, image: NDArray[np.uint8], /) -> NDArray[np.uint8]:
+        """Take the next picture; return 0 background, 127 shadow, 255 foreground."""
+        return self._model.apply(image).astype(np.uint8, copy=False)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A subtractor to be tried.
+
+    Parameters
+    ----------
+    method
+        name of the method, the same for all its settings.
+    parameters
+        what sets this one apart, for tables.
+    make
+        returns a fresh subtractor.
+    """
+
+    method: str
+    parameters: str
+    make: Callable[[], Subtractor]
+
+
+SETTINGS = tuple(
+    Setting(
+        method,
+        f"history {history}, threshold {threshold}",
+        partial(OpenCVSubtractor, method, history, threshold),
+    )
+    for method, thresholds in (("MOG2", (8, 16, 32, 64)), ("KNN", (200, 400, 800, 1600)))
+    for history in (100, 200, 500, 1000)
+    for threshold in thresholds
+)
+"""The settings of MOG2 and KNN to compare with."""
+
+
+@dataclass(frozen=True)
+class CleanUp:
+    """What is done to a mask before it is used: shadows, median, opening, closing, least area, in this order.
+
+    Parameters
+    ----------
+    keep_shadows
+        whether a shadow is foreground: dark clothes are often taken for one.
+    median, opening, closing
+        width of the window or elliptic structuring element in px; 0 for none.
+    min_area
+        px; smaller connected components (8-connected) are removed.
+    """
+
+    keep_shadows: bool = False
+    median: int = 0
+    opening: int = 0
+    closing: int = 0
+    min_area: int = 0
+
+    def apply(self, mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the cleaned `(height, width)` mask, 0 or 255."""
+        return next(_clean(mask, [self]))[1]
+
+
+CLEAN_UPS = tuple(
+    CleanUp(keep_shadows, median, opening, closing, min_area)
+    for keep_shadows, (median, opening, closing), min_area in product(
+        (False, True),
+        ((0, 0, 0), (5, 0, 0), (5, 0, 9), (0, 3, 0), (0, 3, 9), (0, 3, 15), (0, 3, 21)),
+        (100, 200, 400, 600, 800),
+    )
+)
+"""The clean-ups of which each method gets its best one."""
+
+
+@dataclass(frozen=True)
+class Row(Generic[T]):
+    """One setting with one clean-up, and the value of every evaluated frame."""
+
+    setting: Setting
+    clean_up: CleanUp
+    values: list[T]
+
+
+def sweep_subtractors(
+    frames: Callable[[], Iterable[tuple[int, NDArray[np.uint8]]]],
+    wanted: Container[int],
+    evaluate: Callable[[int, NDArray[np.uint8]], T],
+    settings: Sequence[Setting] = SETTINGS,
+    clean_ups: Sequence[CleanUp] = CLEAN_UPS,
+) -> Iterator[Row[T]]:
+    """Run every setting once over the frames, with every clean-up at the wanted ones.
+
+    One subtractor and one frame are in memory at a time.
+
+    Parameters
+    ----------
+    frames
+        starts over and yields number and picture of all frames in order; called once per setting.
+    wanted
+        the frame numbers to evaluate.
+    evaluate
+        takes a frame's number and its cleaned foreground, 0 or 255.
+    settings, clean_ups
+        what to combine.
+
+    Yields
+    ------
+    one row for each setting and clean-up, setting by setting.
+    """
+    for setting in settings:
+        subtractor = setting.make()
+        rows: dict[CleanUp, Row[T]] = {clean_up: Row(setting, clean_up, []) for clean_up in clean_ups}
+        for number, image in frames():
+            mask = subtractor.apply(image)
+            if number in wanted:
+                for clean_up, cleaned in _clean(mask, clean_ups):
+                    rows[clean_up].values.append(evaluate(number, cleaned))
+        yield from rows.values()
+
+
+def readable_images(video: str, progress: Progress) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """Yield number and picture of every frame that can be read, and count all of them as done."""
+    with open_source(video) as source:
+        for frame in source:
+            if frame.image is not None:
+                yield frame.number, frame.image
+            progress.update()
+
+
+def component_boxes(mask: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Return the bounding boxes `(n, 4)`, x, y, width, height (px), of the mask's 8-connected components."""
+    return components(mask)[:, :4]
+
+
+def components(mask: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Return box and area `(n, 5)`, x, y, width, height (px), px, of the mask's 8-connected components."""
+    return _labelled(mask)[1][1:].astype(np.float64)
+
+
+class KalmanHungarian:
+    """Tracks boxes by a Kalman filter each and the assignment of greatest overlap (SORT).
+
+    The state is centre, size (px) and the centre's velocity (px a frame).
+    A. Bewley et al., *Simple online and realtime tracking* (2016).
+
+    Parameters
+    ----------
+    least_overlap
+        IoU of predicted and found box from which they may belong together.
+    min_hits
+        finds after which a track counts.
+    max_age
+        frames without a find after which a track ends.
+    """
+
+    def __init__(self, least_overlap: float = 0.1, min_hits: int = 5, max_age: int = 20):
+        self._least_overlap = least_overlap
+        self._min_hits = min_hits
+        self._max_age = max_age
+        self._tracks: list[_BoxTrack] = []
+        self._next_identity = 1
+
+    def update(self, boxes: NDArray[np.float64] | None) -> NDArray[np.float64]:
+        """Take the next frame's boxes.
+
+        Parameters
+        ----------
+        boxes
+            `(n, 4)`: x, y, width, height (px); `None` where nobody has looked for any.
+
+        Returns
+        -------
+        `(m, 5)`: identity, x, y, width, height of the tracks found in this frame, or where nobody has looked,
+        of those that were found when somebody did, where they should be now.
+        """
+        for track in self._tracks:
+            track.predict()
+        if boxes is not None:
+            self._correct(boxes)
+        self._tracks = [track for track in self._tracks if track.age <= self._max_age]
+        found = [track for track in self._tracks if not track.lost and track.hits >= self._min_hits]
+        return np.array([[track.identity, *track.box()] for track in found]).reshape(-1, 5)
+
+    def _correct(self, boxes: NDArray[np.float64]) -> None:
+        predicted = np.array([track.box() for track in self._tracks]).reshape(-1, 4)
+        overlap = box_overlap(predicted, boxes)
+        rows, columns = linear_sum_assignment(overlap, maximize=True)
+        good = overlap[rows, columns] >= self._least_overlap
+        for track in self._tracks:
+            track.lost = True
+        for row, column in zip(rows[good], columns[good], strict=True):
+            self._tracks[row].correct(boxes[column])
+        for column in np.setdiff1d(np.arange(len(boxes)), columns[good]):
+            self._tracks.append(_BoxTrack(self._next_identity, boxes[column]))
+            self._next_identity += 1
+
+
+class _BoxTrack:
+    """One box's filter, how often it was found, how long ago, and whether it was missed the last time."""
+
+    def __init__(self, identity: int, box: NDArray[np.float64]):
+        self.identity = identity
+        self.hits = 1
+        self.age = 0
+        self.lost = False
+        self._filter = KalmanFilter(dim_x=6, dim_z=4)
+        self._filter.x[:4, 0] = _centre_and_size(box)
+        self._filter.F[[0, 1], [4, 5]] = 1
+        self._filter.H[:, :4] = np.eye(4)
+        self._filter.P = np.diag([10.0, 10, 10, 10, 100, 100])
+        # Fragments and shadows make sizes jump, so they are believed less than places.
+        self._filter.R = np.diag([4.0, 4, 16, 16])
+        self._filter.Q = np.diag([1.0, 1, 1, 1, 0.05, 0.05])
+
+    def predict(self) -> None:
+        self._filter.predict()
+        self.age += 1
+
+    def correct(self, box: NDArray[np.float64]) -> None:
+        self._filter.update(_centre_and_size(box))
+        self.hits += 1
+        self.age = 0
+        self.lost = False
+
+    def box(self) -> NDArray[np.float64]:
+        state = self._filter.x[:, 0]
+        size = np.maximum(state[2:4], 1)
+        return np.concatenate([state[:2] - size / 2, size])
+
+
+def _centre_and_size(box: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([box[:2] + box[2:] / 2, box[2:]])
+
+
+def _clean(
+    mask: NDArray[np.uint8], clean_ups: Sequence[CleanUp]
+) -> Iterator[tuple[CleanUp, NDArray[np.uint8]]]:
+    """Clean a mask in several ways; ways that differ in the least area alone share the rest of the work."""
+    groups: dict[CleanUp, list[CleanUp]] = {}
+    for clean_up in clean_ups:
+        groups.setdefault(replace(clean_up, min_area=0), []).append(clean_up)
+    for shared, group in groups.items():
+        least = 127 if shared.keep_shadows else 255
+        smooth: cv2.typing.MatLike = np.where(mask >= least, np.uint8(255), np.uint8(0))
+        if shared.median:
+            smooth = cv2.medianBlur(smooth, shared.median)
+        for operation, size in ((cv2.MORPH_OPEN, shared.opening), (cv2.MORPH_CLOSE, shared.closing)):
+            if size:
+                element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+                smooth = cv2.morphologyEx(smooth, operation, element)
+        if group == [shared]:
+            yield shared, smooth.astype(np.uint8, copy=False)
+            continue
+        labels, statistics = _labelled(smooth)
+        for clean_up in group:
+            value = np.where(statistics[:, cv2.CC_STAT_AREA] >= clean_up.min_area, np.uint8(255), np.uint8(0))
+            value[0] = 0
+            yield clean_up, value[labels]
+
+
+def _labelled(mask: cv2.typing.MatLike) -> tuple[cv2.typing.MatLike, cv2.typing.MatLike]:
+    """Return labels and statistics of 8-connected components; the default way takes three times as long."""
+    return cv2.connectedComponentsWithStatsWithAlgorithm(mask, 8, cv2.CV_32S, cv2.CCL_BBDT)[1:3]

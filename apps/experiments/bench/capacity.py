@@ -1,0 +1,155 @@
+"""How many cameras a machine carries: `python -m rsmcm.apps.experiments.bench.capacity`.
+
+A camera here is a whole run of `rsmcm background` over a film, masks as a video, and page written: read,
+decoded, tracked, encoded, saved. It is carried when it is worked off at five frames a second.
+"""
+
+import os
+import resource
+import sys
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import psutil
+from joblib import cpu_count
+from numpy.typing import NDArray
+
+from ...background.application import run_background
+from ...background.job import BackgroundJob
+from ...io.datasets import data_folder
+from ...io.segmented_video import PLAYABLE, SegmentedVideo
+from ...io.sources.open_source import open_source
+from ...runs.parallel import Workers, in_parallel, working
+from ...runs.saved_run import STATE
+from ...scenes import sleeping_man
+from ..experiment import Findings, publish
+from ..record import Table
+
+SMALL, LARGE = (640, 480), (1920, 1080)
+RATE = 5.0
+N_FRAMES = 150
+"""Of a film: half a minute."""
+
+RUNS = 2
+"""Of each process; the first one, in which loops are loaded, does not count where there is another."""
+
+SHARE = 0.7
+"""Of the memory that is free, for processes of cameras that run all at once."""
+
+HEADER = (
+    "film", "size", "processes x threads", "frames/s", "cameras at 5/s", "memory a process, MB",
+    "kB a frame read", "kB a frame written", "saved state, MB",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: its process, frames a second, and MB that the process held, of results and saved state."""
+
+    process: int
+    rate: float
+    memory: float
+    written: float
+    state: float
+
+
+def capacity() -> Findings:
+    """What processes and threads on all cores carry, of a generated street and PETS2009 S2.L1."""
+    cores = cpu_count()
+    alone, together = Workers(1, 1), Workers(cores, 1)
+    with tempfile.TemporaryDirectory() as name:
+        street, small, large = films(Path(name))
+        one = carried(small, alone)
+        room = int(SHARE * psutil.virtual_memory().available / 1e6 / one[0].memory)
+        at_once = Workers(max(cores, min(room, int(cores * one[0].rate / RATE))), 1)
+        rows = [
+            row(film, workers, carried(film, workers))
+            for film in (street, large)
+            for workers in (alone, together)
+        ]
+        rows.append(row(small, alone, one))
+        rows += [row(small, workers, carried(small, workers)) for workers in (Workers(1, cores), together)]
+        rows.append(row(small, at_once, carried(small, at_once, runs=1)))
+    caption = (
+        f"Cameras at {RATE:g} frames a second that {cores} cores carry: rsmcm background, masks as a video, "
+        "tracks and page written; in the last line each camera has a process, all at once."
+    )
+    return Findings("How many cameras a machine carries", [Table(HEADER, rows, caption)], [])
+
+
+def films(folder: Path) -> list[Path]:
+    """A street and PETS2009 S2.L1 in the small size, and the latter in the large one, written into a folder.
+
+    Another street takes the place of a film that cannot be found.
+    """
+    paths = [folder / f"{name}.mp4" for name in ("street", "pets", "pets-large")]
+    try:
+        pets = data_folder("pets2009-s2l1") / "vtest.avi"
+    except OSError:
+        pets = None
+    for path, size in zip(paths, (SMALL, SMALL, LARGE), strict=True):
+        if pets is None or path == paths[0]:
+            scene = sleeping_man(N_FRAMES, size=size, stand=40, enter=8)
+            _write(path, size, (frame.image for frame in scene))
+        else:
+            with open_source(str(pets), step=2, stop=2 * N_FRAMES) as frames:
+                _write(path, size, (frame.image for frame in frames))
+    return paths
+
+
+def _write(path: Path, size: tuple[int, int], pictures: Iterable[NDArray[np.uint8] | None]) -> None:
+    written = SegmentedVideo(path, RATE, PLAYABLE)
+    for number, picture in enumerate(pictures, start=1):
+        if picture is not None:
+            written.write(np.asarray(cv2.resize(picture, size), np.uint8), number, (number - 1) / RATE)
+    written.close(finished=True)
+
+
+def carried(film: Path, workers: Workers, runs: int = RUNS) -> list[Run]:
+    """Work off the film several times in every process; of each, the mean rate of all runs but the first."""
+    with tempfile.TemporaryDirectory() as folder, working(workers):
+        job = BackgroundJob(str(film), out=Path(), masks="video")
+        jobs = [replace(job, out=Path(folder) / str(number)) for number in range(runs * workers.jobs)]
+        label = f"{film.stem}, {workers.jobs} x {workers.threads}"
+        found: list[Run] = in_parallel(label, [(measured, (each,)) for each in jobs])
+    steady = []
+    for process in dict.fromkeys(each.process for each in found):
+        own = [each for each in found if each.process == process]
+        rate = float(np.mean([each.rate for each in own[1:] or own]))
+        steady.append(replace(own[-1], rate=rate, memory=max(each.memory for each in own)))
+    return steady
+
+
+def measured(job: BackgroundJob) -> Run:
+    """Run a job in this process."""
+    summary = run_background(job).summary
+    kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024 if sys.platform == "darwin" else 1)
+    sizes = {path.name: path.stat().st_size for path in job.out.rglob("*") if path.is_file()}
+    state = sizes.pop(STATE)
+    return Run(
+        os.getpid(),
+        summary["frames_per_second"],
+        kilobytes / 976.5625,
+        sum(sizes.values()) / 1e6,
+        state / 1e6,
+    )
+
+
+def row(film: Path, workers: Workers, found: list[Run]) -> tuple[object, ...]:
+    """A line of the table."""
+    rate, size = sum(each.rate for each in found), LARGE if "large" in film.stem else SMALL
+    return (
+        film.stem.removesuffix("-large"), f"{size[0]}x{size[1]}", f"{workers.jobs} x {workers.threads}", rate,
+        int(rate / RATE), max(each.memory for each in found), film.stat().st_size / N_FRAMES / 1e3,
+        1e3 * found[0].written / N_FRAMES, found[0].state,
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    publish(
+        "capacity", "python -m rsmcm.apps.experiments.bench.capacity", Path("results") / "capacity", capacity
+    )

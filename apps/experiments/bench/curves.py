@@ -1,0 +1,390 @@
+"""Cost as curves: over pixels, objects, points, observations, tracks, samples, experts, texels and frames."""
+
+import itertools
+import math
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+
+from ....chains import ArticulatedPose, FleshTracker, GFlow, PointTracker
+from ....chains.structure.track_association import associate_tracks
+from ....inference import Incoming, MultiChain, RecursiveBP, RunState
+from ....inference.sfm.factor_analysis.em import Posterior, expectation_maximisation
+from ....inference.sfm.factor_analysis.factorisation import around_start
+from ....inference.sfm.factor_analysis.observations import Indices, Listed, Numbers, Observations
+from ....models import Frame, PixelLabels, PixelMessage, PointTracks
+from ....models.numerics.threads import set_threads
+from ...background.application import build_model
+from ...scenes import face
+from ...scenes.crowd import crowd
+from ..expectations import Expectation
+from ..experiment import Findings, Plot
+from ..record import Table
+from . import faces
+from .background import in_steps, preloaded, subtracting
+from .bodies import BodyFilm
+from .structure import turning_points
+from .timing import in_turns, n_bytes, of_chains, over_frames
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WANTED: Mapping[str, float] = {"frames so far": 0.05, "tracks": 1.2}
+"""Powers of time by unit; of all others `LINEAR`."""
+
+LINEAR = 1.1
+PEER = "MOG2"
+N_WATCHED, GROWN = 1500, 32.0
+"""Frames of the film over which time and memory are watched, and MB by which memory may grow."""
+
+SIZES = ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
+OF_CROWD = (1920, 1080)
+OBJECTS = (1, 3, 10, 30, 100, 300)
+POINTS = (100, 1000, 10_000, 100_000)
+OBSERVATIONS = (10**3, 10**4, 10**5, 10**6, 10**7)
+TRACKS = (250, 500, 1000, 2000)
+SAMPLES = (250, 1000, 4000, 16_000)
+EXPERTS = (1, 5, 20, 80)
+TEXELS = (1000, 4000, 16_000)
+
+ROUNDS, TURN, WARM_UP, CROWD_WARM_UP = 7, 2, 16, 30
+"""All but the first in frames; a crowd of many takes longer to be found."""
+
+SIDE, SHIFT = 2560, (1.4, -0.7)
+"""px, of a picture that has corners for all points, and from frame to frame."""
+
+LENGTH = 30
+"""Frames in which a point is seen."""
+
+PIECES, PIECE = 4, 15
+"""Tracks of a point, and frames of each."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Cost at one size: seconds of several rounds, and bytes that are held, NaN where nothing is."""
+
+    size: float
+    rounds: Sequence[float]
+    memory: float = math.nan
+
+    @property
+    def seconds(self) -> float:
+        """The median over the rounds."""
+        return float(np.median(self.rounds))
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Cost over size: what is done, what there is more and more of, and its costs, from few to many."""
+
+    name: str
+    unit: str
+    points: Sequence[Cost]
+
+    @property
+    def power(self) -> tuple[float, float]:
+        """The power of the size that fits the time best (least squares of logarithms), and its standard
+        error."""
+        size, seconds = np.log([(each.size, each.seconds) for each in self.points]).T
+        size -= size.mean()
+        power = float(size @ seconds / (size @ size))
+        left = seconds - seconds.mean() - power * size
+        degrees = len(self.points) - 2
+        return power, float(np.sqrt(left @ left / degrees / (size @ size))) if degrees > 0 else math.nan
+
+    @property
+    def fixed_and_each(self) -> tuple[float, float]:
+        """Seconds that do not depend on the size, and seconds of one more, by relative least squares.
+
+        Where the first would be negative, it is 0.
+        """
+        size, seconds = np.array([(each.size, each.seconds) for each in self.points]).T
+        terms = np.stack([np.ones(len(size)), size], axis=1) / seconds[:, None]
+        fixed, each = np.linalg.lstsq(terms, np.ones(len(size)), rcond=None)[0].tolist()
+        if fixed < 0:
+            fixed, each = 0.0, float(terms[:, 1].sum() / (terms[:, 1] @ terms[:, 1]))
+        return fixed, each
+
+    @property
+    def bytes_each(self) -> float:
+        """Bytes of one more, at the largest size; NaN where nothing is held."""
+        few, many = self.points[0], self.points[-1]
+        return (many.memory - few.memory) / (many.size - few.size)
+
+    def expectation(self, bound: float | None) -> Expectation:
+        """The power, and what it should be at most."""
+        power, error = self.power
+        what = f"{self.name}: power of time in {self.unit}"
+        return Expectation(what, power, "<=", bound, error, len(self.points), ratio=True)
+
+
+def curves() -> Findings:
+    """Measure all of them: on one thread, but of bodies and faces on two, as they run."""
+    set_threads(1)
+    over_time, grown = over_frames_of_a_film(N_WATCHED)
+    found = [
+        *over_pixels(), *over_objects(), over_time, over_points(), over_observations(), over_tracks(),
+        over_samples(), of_face("experts", EXPERTS), of_face("texels", TEXELS),
+    ]  # fmt: skip
+    expectations = [
+        each.expectation(None if each.name == PEER else WANTED.get(each.unit, LINEAR)) for each in found
+    ]
+    what = f"memory grown over the last four fifths of {N_WATCHED} frames, MB"
+    expectations.append(Expectation(what, grown, "<=", GROWN))
+    fitted, points = tables(found)
+    return Findings("Cost as curves", [fitted], expectations, [plot(found)], [points])
+
+
+def tables(found: Sequence[Curve]) -> tuple[Table, Table]:
+    """What was fitted, and every point."""
+    fitted: list[Sequence[object]] = []
+    for each in found:
+        fixed, one = each.fixed_and_each
+        first, last = each.points[0].size, each.points[-1].size
+        numbers = (*each.power, 1e3 * fixed, 1e6 * one, each.bytes_each)
+        fitted.append((each.name, each.unit, first, last, *numbers))
+    points = [
+        (each.name, each.unit, point.size, 1e3 * point.seconds, point.memory / 1e6)
+        for each in found
+        for point in each.points
+    ]
+    caption = (
+        "Time to the power of the size that fits best, and, as a straight line, what does not depend on the "
+        "size and what each one costs."
+    )
+    header = ("curve", "over", "from", "to", "power", "±", "fixed, ms", "each, µs", "bytes each")
+    every = "Every point of every curve; the time is the median over rounds."
+    return Table(header, fitted, caption), Table(("curve", "over", "size", "ms", "MB"), points, every)
+
+
+def plot(found: Sequence[Curve]) -> Plot:
+    """A panel for each kind of size."""
+    panels: dict[str, list[Curve]] = {}
+    for each in found:
+        panels.setdefault(each.unit, []).append(each)
+    rows, columns = -(-len(panels) // 4), 4
+
+    def draw(canvas: "Figure") -> None:
+        axes = canvas.subplots(rows, columns, squeeze=False).reshape(-1)
+        for each, (unit, inside) in zip(axes, panels.items(), strict=False):
+            _draw_panel(each, unit, inside)
+        for empty in axes[len(panels) :]:
+            empty.set_axis_off()
+
+    return Plot("curves.png", draw, (2.9 * columns, 2.4 * rows), "Time over size.")
+
+
+def _draw_panel(axes: "Axes", unit: str, inside: Sequence[Curve]) -> None:
+    from matplotlib.ticker import NullFormatter
+
+    for curve in inside:
+        sizes = [each.size for each in curve.points]
+        axes.plot(sizes, [1e3 * each.seconds for each in curve.points], "o-", markersize=3, label=curve.name)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_minor_formatter(NullFormatter())
+    axes.tick_params(labelsize=8)
+    axes.set_xlabel(unit, fontsize=9)
+    axes.set_ylabel("ms", fontsize=9)
+    axes.legend(fontsize=8, loc="upper left", handlelength=1, borderaxespad=0)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high * 8 ** len(inside))  # room for the names
+
+
+# --- background and objects ---------------------------------------------------------------------------------
+
+
+def over_pixels() -> list[Curve]:
+    """The background alone, all chains, and MOG2, with four objects in pictures of any size."""
+    called = {"alone": "background alone", "all": "all chains", "MOG2": PEER}
+    points: dict[str, list[Cost]] = {name: [] for name in called}
+    for width, height in SIZES:
+        frames = list(crowd(4, WARM_UP + ROUNDS * TURN, (height, width)))
+        models = {"alone": build_model("stand-alone"), "all": build_model()}
+        held = {
+            name: n_bytes(RecursiveBP(model).step(RunState(), frames[0]).state.states)
+            for name, model in models.items()
+        }
+        steps = {name: in_steps(model) for name, model in models.items()}
+        steps["MOG2"] = subtracting(cv2.createBackgroundSubtractorMOG2(), 1)
+        for name, seconds in over_frames(steps, frames, TURN, WARM_UP).items():
+            points[name].append(Cost(width * height, seconds, held.get(name, math.nan)))
+    return [Curve(name, "pixels", points[key]) for key, name in called.items()]
+
+
+def over_objects() -> list[Curve]:
+    """The tracker of blobs by itself, and all chains."""
+    points: dict[str, list[Cost]] = {"blobs": [], "whole": []}
+    width, height = OF_CROWD
+    for count in OBJECTS:
+        found, state = of_chains(build_model(), crowd(count, CROWD_WARM_UP + ROUNDS * TURN, (height, width)))
+        held = {"blobs": n_bytes(state.states["blobs"]), "whole": n_bytes(state.states)}
+        for name, of_name in points.items():
+            seconds = np.array([each[name] for each in found[CROWD_WARM_UP:]])
+            of_name.append(Cost(count, seconds.reshape(ROUNDS, TURN).mean(axis=1).tolist(), held[name]))
+    at = f"{width}x{height}"
+    return [
+        Curve(f"tracker of blobs, {at}", "objects", points["blobs"]),
+        Curve(f"all chains, {at}", "objects", points["whole"]),
+    ]
+
+
+def over_frames_of_a_film(count: int) -> tuple[Curve, float]:
+    """All chains from frame to frame of a film that runs to and fro, and MB by which memory has grown.
+
+    The growth is that after the first fifth, in which libraries and buffers are still taking theirs.
+    """
+    frames, step, process = preloaded(), in_steps(build_model()), psutil.Process(os.getpid())
+    order = itertools.cycle([*frames, *reversed(frames[1:-1])])
+    seconds, memory = np.empty(count), np.empty(count)
+    for k, frame in enumerate(itertools.islice(order, count)):
+        again = Frame(frame.image, (k + 1) / 10, k + 1)
+        started = time.perf_counter()
+        step(again)
+        seconds[k] = time.perf_counter() - started
+        memory[k] = process.memory_info().rss
+    points, end = [], len(frames) // 2
+    while end <= count:
+        blocks = [float(np.median(block)) for block in np.array_split(seconds[end // 2 : end], ROUNDS)]
+        points.append(Cost(end, blocks, memory[end - 1]))
+        end *= 2
+    grown = float(memory[-1] - memory[count // 5]) / 2**20
+    return Curve("all chains, PETS2009", "frames so far", points), grown
+
+
+# --- points and structure -----------------------------------------------------------------------------------
+
+
+def over_points() -> Curve:
+    """The tracker of points, with its search there and back."""
+    noise = np.random.default_rng(0).standard_normal((SIDE + 64, SIDE + 64), np.float32)
+    picture = sum(scale * cv2.GaussianBlur(noise, (0, 0), scale) for scale in (1.0, 3.0))
+    texture = np.asarray(np.clip(128 + 60 * np.asarray(picture), 0, 255), np.uint8)
+    frames = [Frame(_moved(texture, number), number / 25, number) for number in range(1, 4 + ROUNDS)]
+    points = []
+    for count in POINTS:
+        tracker = PointTracker(n_points=count, spacing=4.0)
+        found, state = of_chains(MultiChain().connect(tracker, PointTracks(patch=5)), frames)
+        known = state.states[tracker.name].known
+        seconds = [each["whole"] for each in found[3:]]
+        points.append(Cost(int(known.alive.sum()), seconds, n_bytes(known)))
+    return Curve(f"tracker of points, {SIDE}x{SIDE}", "points", points)
+
+
+def _moved(texture: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
+    shift = np.array([[1.0, 0.0, number * SHIFT[0]], [0.0, 1.0, number * SHIFT[1] + 32]])
+    moved = cv2.warpAffine(texture, shift, (SIDE, SIDE), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    return np.asarray(moved, np.uint8)
+
+
+def over_observations() -> Curve:
+    """An iteration of EM, of tracks of 30 frames each: the difference of few and more."""
+    points = []
+    for count in OBSERVATIONS:
+        observations, start = turning(count)
+        steps: dict[str, Callable[[], object]] = {
+            str(n): partial(expectation_maximisation, observations, start, iterations=n, tolerance=-np.inf)
+            for n in (2, 7)
+        }
+        spent = in_turns(steps, ROUNDS)
+        each = (np.array(spent["7"]) - spent["2"]) / 5
+        points.append(Cost(observations.count, each.tolist(), n_bytes(observations)))
+    return Curve("an iteration of EM", "observations", points)
+
+
+def turning(count: int) -> tuple[Observations, Posterior]:
+    """So many observations of points before a turning camera, and where EM begins, near the truth.
+
+    Positions are in units of their spread already; they are made as lists, without a table of all frames and
+    points.
+    """
+    generator = np.random.default_rng(0)
+    n_frames, n_points = max(40, round(np.sqrt(count) / 2)), count // LENGTH
+    shape = generator.standard_normal((n_points, 3))
+    angle = np.linspace(0, n_frames / 50, n_frames)
+    cameras = np.zeros((n_frames, 2, 4))
+    cameras[:, 0, 0], cameras[:, 0, 2], cameras[:, 1, 1] = np.cos(angle), np.sin(angle), 1.0
+    first = generator.integers(0, n_frames - LENGTH, n_points, endpoint=True)
+    point = np.repeat(np.arange(n_points), LENGTH)
+    frame = np.repeat(first, LENGTH) + np.tile(np.arange(LENGTH), n_points)
+    listed = Listed.sorted_by(
+        point, n_points, frame, *_seen(cameras, shape, frame, point), np.ones(len(point))
+    )
+    observations = Observations(listed.transposed(n_frames), listed, np.zeros(2), 1.0, 1.0)
+    near = shape + 0.1 * generator.standard_normal(shape.shape)
+    all_frames, all_points = np.ones(n_frames, np.bool_), np.ones(n_points, np.bool_)
+    return observations, around_start(observations, cameras, near, all_frames, all_points, coherent=False)
+
+
+def _seen(cameras: Numbers, shape: Numbers, frame: Indices, point: Indices) -> tuple[Numbers, Numbers]:
+    """Coordinates of points in frames, with noise."""
+    generator = np.random.default_rng(1)
+    x, y = (
+        np.einsum("nj,nj->n", cameras[frame, row, :3], shape[point])
+        + 0.01 * generator.standard_normal(len(frame))
+        for row in range(2)
+    )
+    return x, y
+
+
+def over_tracks() -> Curve:
+    """Which tracks show one point: robust factor analysis, association, and what is read of both."""
+    points = []
+    for count in TRACKS:
+        step = partial(associate_tracks, broken_tracks(count))
+        points.append(Cost(count, in_turns({"ours": step}, 2 if count > TRACKS[1] else ROUNDS)["ours"]))
+    return Curve("association", "tracks", points)
+
+
+def broken_tracks(count: int) -> Numbers:
+    """Positions `(n_frames, count, 2)` px of points that are each followed in four pieces, NaN between."""
+    n_frames, n_points = PIECES * PIECE, count // PIECES
+    positions = turning_points(n_frames, n_points, n_frames)
+    begun = np.random.default_rng(0).integers(0, PIECE, n_points)
+    piece, since = np.divmod(np.arange(n_frames)[:, None] + begun, PIECE)
+    frame, point = np.nonzero((piece < PIECES) & (since > 0))  # lost for a frame
+    broken = np.full((n_frames, PIECES * n_points, 2), np.nan)
+    broken[frame, point + n_points * piece[frame, point]] = positions[frame, point]
+    return broken
+
+
+# --- poses --------------------------------------------------------------------------------------------------
+
+
+def over_samples() -> Curve:
+    """The chain of poses of a body: drawing, prior, likelihood."""
+    set_threads(2)
+    film, points = BodyFilm.found(), []
+    for count in SAMPLES:
+        pose = ArticulatedPose(film.body, count)
+        model = MultiChain().connect(FleshTracker(film.body), film.parts).connect(pose, film.parts)
+        found, state = of_chains(model, film.frames[: 3 + ROUNDS])
+        seconds = [each[pose.name] for each in found[3:]]
+        points.append(Cost(count, seconds, n_bytes(state.states[pose.name])))
+    return Curve("poses of a body", "samples", points)
+
+
+def of_face(unit: str, sizes: Sequence[int]) -> Curve:
+    """G-flow over experts or texels, of which the one is kept while the other grows."""
+    set_threads(2)
+    scene, points = face(faces.N_FRAMES, seed=0, size=faces.SIZE), []
+    for size in sizes:
+        experts, texels = (size, faces.TEXELS) if unit == "experts" else (faces.EXPERTS, size)
+        seconds = faces.seconds_a_frame(scene, experts, texels)
+        chain = GFlow(scene.model, scene.poses[0], experts=experts, texels=texels, spread=float(experts > 1))
+        frame = scene.frame(0)
+        others = Incoming({PixelLabels(): PixelMessage(image=frame.image)})
+        held = n_bytes(chain.update(chain.initial(frame), others))
+        points.append(Cost(size, [float(part.mean()) for part in np.array_split(seconds, ROUNDS)], held))
+    return Curve("G-flow, 640x480", unit, points)

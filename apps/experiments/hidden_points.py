@@ -1,0 +1,216 @@
+"""Points that go behind something: how many are found again in the pictures, frame by frame.
+
+`python -m rsmcm.apps.experiments.hidden_points [FILM]`
+
+A textured bar is painted over the film; where points are behind it, the same run on the film without it says.
+"""
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from cyclopts import App
+from numpy.typing import NDArray
+
+from ...chains import PointTracker, RecursiveStructure
+from ...inference import MultiChain, RecursiveBP
+from ...models import PointTracks
+from ...models.core.frame import Frame
+from ..evaluation.text_tables import in_columns
+from ..io import open_source
+from ..io.datasets import data_folder
+from ..runs.parallel import chosen_workers, in_parallel, working
+from ..scenes.random_fields import mottle
+from .expectations import HEADER, Expectation, over_seeds
+
+Numbers = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ENTER = 25
+"""Frames before the bar comes, in which points begin and a shape can be found."""
+
+SOON = 5
+"""Frames in which a point is wanted to be found again, from the first that shows its whole patch."""
+
+RIGHT = 1.5
+"""px from where the point is without the bar."""
+
+LEAST_HIDDEN = 3
+"""Frames in which a point is behind the bar for it to count."""
+
+SPEED, THICKNESS, LENGTH = (2.0, 8.0), (50.0, 150.0), (120.0, 500.0)
+"""px a frame, px and px of bars: a point is hidden for 6 to 75 frames."""
+
+MODELS = {"tracker and shape": True, "feed-forward": False}
+"""By name, whether the shape speaks to the points."""
+
+app = App(name="hidden_points", help=__doc__.splitlines()[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Refound:
+    """What a run with a bar found of points that were behind it; all `(n,)`.
+
+    Parameters
+    ----------
+    again
+        whether the point was found within `SOON` frames, where it is and under its number; of those that the
+        film without the bar shows in all these frames.
+    wrong
+        share of these frames in which it was found elsewhere.
+    false
+        share of the frames behind the bar in which a point was found nevertheless; of all hidden points.
+    """
+
+    again: Mask
+    wrong: Numbers
+    false: Numbers
+
+
+@app.default
+def main(film: Path | None = None, *, seeds: int = 10, jobs: int | None = None) -> None:
+    """Run the models on the film with and without bars, and print what they find again.
+
+    Parameters
+    ----------
+    film
+        Any source of images; CMU's hotel if not given.
+    seeds
+        How many bars, each of its own size, way and texture.
+    jobs
+        Runs at once; as many as there are cores if not given.
+    """
+    with open_source(str(film or data_folder("cmu-hotel"))) as source:
+        frames = list(source)
+    with working(chosen_workers(jobs, None)):
+        expectations = hidden_points(frames, range(seeds))
+    print(in_columns(HEADER, [expectation.cells for expectation in expectations]))
+
+
+def hidden_points(frames: Sequence[Frame], seeds: Sequence[int]) -> list[Expectation]:
+    """What is wanted of a film with bars, over all of these, and what was found."""
+    truth = {name: tracked(frames, feedback) for name, feedback in MODELS.items()}
+    runs = in_parallel("bars", [(behind_a_bar, (frames, truth, seed)) for seed in seeds])
+    return over_seeds(expectations_of, {name: [run[name] for run in runs] for name in MODELS})
+
+
+def expectations_of(found: Mapping[str, Sequence[Refound]]) -> list[Expectation]:
+    """Shares over the points of all bars."""
+    expectations = []
+    for name, runs in found.items():
+        again, wrong, false = (
+            np.concatenate([getattr(run, what) for run in runs]) for what in ("again", "wrong", "false")
+        )
+        wanted = 0.9 if MODELS[name] else None
+        expectations += [
+            Expectation(f"{name}: hidden points", len(again) / len(runs)),
+            Expectation(
+                f"{name}: found again within {SOON} frames, share", float(again.mean()), ">=", wanted
+            ),
+            Expectation(f"{name}: found elsewhere in these frames, share", float(wrong.mean())),
+            Expectation(f"{name}: found while hidden, share of frames", float(false.mean())),
+            Expectation(f"{name}: found while hidden at least once, share", float((false > 0).mean())),
+        ]
+    return expectations
+
+
+def behind_a_bar(frames: Sequence[Frame], truth: Mapping[str, Numbers], seed: int) -> dict[str, Refound]:
+    """Both models on the film with a bar, compared with what each found without it."""
+    covered, hidden = with_bar(frames, seed)
+    return {
+        name: compared(tracked(covered, feedback), truth[name], hidden) for name, feedback in MODELS.items()
+    }
+
+
+def with_bar(frames: Sequence[Frame], seed: int) -> tuple[list[Frame], Mask]:
+    """The film behind a bar, and `(n_frames, height, width)`: where that is.
+
+    Its middle passes that of the picture, within 15 % of the picture's side, in the middle of the frames
+    from `ENTER` on.
+    """
+    random = np.random.default_rng(seed)
+    angle, speed = random.uniform(0, 2 * np.pi), random.uniform(*SPEED)
+    half = 0.5 * np.array([random.uniform(*THICKNESS), random.uniform(*LENGTH)])
+    axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    first = frames[0].image
+    assert first is not None
+    height, width = first.shape[:2]
+    middle = 0.5 * np.array([width, height]) + random.uniform(-0.15, 0.15) * min(height, width) * axes[1]
+    reach = int(np.ceil(np.hypot(*half))) + 1
+    texture = np.clip(110 + 50 * mottle((2 * reach + 1, 2 * reach + 1), 10.0, 1.5, random), 0, 255)
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
+    hidden = np.zeros((len(frames), height, width), np.bool_)
+    film = []
+    for time, frame in enumerate(frames):
+        image = frame.image
+        assert image is not None
+        if time >= ENTER:
+            way = speed * (time - 0.5 * (ENTER + len(frames)))
+            place = np.rint(middle + way * axes[0]).astype(int)
+            hidden[time] = (np.abs((pixels - place) @ axes.T) <= half).all(axis=-1)
+            x, y = (pixels[hidden[time]] - place + reach).T
+            image = image.copy()
+            image[hidden[time]] = texture[y, x].astype(np.uint8).reshape(-1, *[1] * (image.ndim - 2))
+        film.append(replace(frame, image=image))
+    return film, hidden
+
+
+def tracked(frames: Sequence[Frame], feedback: bool) -> Numbers:
+    """`(n_frames, n, 2)` px: where points were found in the pictures, by number; NaN where they were not."""
+    points = PointTracks()
+    model = MultiChain().connect(PointTracker(), points)
+    model.connect(RecursiveStructure(), points, feedback=feedback)
+    views = [belief.evidence(points).view for belief in RecursiveBP(model).run(frames)]
+    found = [view.found for view in views if view is not None]
+    places = np.full((len(frames), 1 + max(each.identities.max(initial=0) for each in found), 2), np.nan)
+    for time, each in enumerate(found):
+        places[time, each.identities] = each.positions
+    return places
+
+
+def compared(found: Numbers, truth: Numbers, hidden: Mask) -> Refound:
+    """Compare what was found behind a bar with where points are without it.
+
+    Until the bar comes both runs are the same, and so are the numbers of points.
+    """
+    points = np.flatnonzero(~np.isnan(truth[ENTER - 1, :, 0]))
+    again, wrong, false = [], [], []
+    for point in points.tolist():
+        states = np.array([_state(place, mask) for place, mask in zip(truth[:, point], hidden, strict=True)])
+        behind = np.flatnonzero(states == HIDDEN)
+        if len(behind) < LEAST_HIDDEN:
+            continue
+        seen = ~np.isnan(found[:, point, 0]) if point < found.shape[1] else np.zeros(len(found), np.bool_)
+        false.append(float(seen[behind].mean()))
+        clear = behind[-1] + 1 + np.flatnonzero(states[behind[-1] + 1 :] == CLEAR)
+        if len(clear) < SOON or clear[SOON - 1] != clear[0] + SOON - 1:
+            continue
+        soon = clear[:SOON]
+        off = np.linalg.norm(found[soon, point] - truth[soon, point], axis=1) if seen.any() else np.inf
+        right = off < RIGHT
+        again.append(bool(np.any(right)))
+        wrong.append(float((seen[soon] & ~right).mean()))
+    return Refound(np.array(again, np.bool_), np.array(wrong), np.array(false))
+
+
+UNKNOWN, CLEAR, PARTLY, HIDDEN = range(4)
+
+
+def _state(place: Numbers, mask: Mask) -> int:
+    """Whether a point is behind the mask: its centre, or some of its patch."""
+    if np.isnan(place[0]):
+        return UNKNOWN
+    x, y = np.rint(place).astype(int)
+    half = PointTracks().patch // 2
+    about = mask[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1]
+    return HIDDEN if mask[y, x] else PARTLY if about.any() else CLEAR
+
+
+if __name__ == "__main__":
+    try:
+        app()
+    except (ValueError, OSError) as error:
+        print(f"hidden_points: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -1,0 +1,316 @@
+"""Collect records, and make the page of results and the figures of README and docs/scale.md: `make results`.
+
+    python -m rsmcm.apps.experiments.results [FOLDER]
+
+takes the records that experiments have left in the folders of FOLDER (`results`), keeps them without every
+run's measures in `docs/results/`, and writes `docs/results.md`, and the parts of `README.md` and
+`docs/scale.md` between their marks. Only in a checkout.
+"""
+
+import math
+import sys
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Self
+
+from ...models.files import write_text
+from ..evaluation.text_tables import rounded
+from .expectations import HEADER, Expectation
+from .record import ROOT, TRACKING, Provenance, Record, git
+
+SCALE = Path("docs") / "scale.md"
+PICTURE = "![Time over size, log scales, a panel for each kind of size](pictures/curves.png)\n"
+ELSEWHERE = {"curves": "scale.md", "capacity": "scale.md"}
+"""Records that are on another page."""
+
+INTRODUCTION = """\
+# Results
+
+Made by `make results` from what `rsmcm reproduce NAME` and `make bench` record (`docs/results/*.json`), with
+what is wanted of it beside it; only the last part is noted by hand. All parameters have the same setting for
+every sequence.
+
+± is the standard error of a figure over its n seeds, found by drawing the seeds anew (200 times); tables of
+methods say what they give. Seeds are those of a generated scene, or of noise on a film (one grey level in a
+thousandth of its pixels), for us and for all peers. Figures of one film without noise have none. "Of an
+earlier state" is what was measured before the last commit that touched `models`, `inference` or `chains`.
+What falls short is marked, and below it stands why.
+
+Speeds are medians over n rounds in which all methods had their turn, with quartiles; a ratio is that of every
+round. "Loaded" is what was measured while other processes kept more than half a core busy.
+"""
+BY_HAND = """\
+## Measured by hand, in earlier states
+
+What no command prints, or what has not been recorded yet, as it was noted at the time; bold is short of what
+was wanted. Where a record took the place of a table, that is in `docs/results/earlier.toml` only.
+"""
+
+
+@dataclass(frozen=True)
+class Documents:
+    """What pages are made from.
+
+    Parameters
+    ----------
+    records
+        by name, in the order of the notes.
+    notes
+        by a record's name, what is to be said of it.
+    chosen
+        README's figures: `what` they are called there, `record`, and `row`, their name in it.
+    earlier
+        what was measured by hand: `title`, `state`, `header`, `rows`, `text`, and `until`, names of the
+        records that take their place.
+    """
+
+    records: Mapping[str, Record]
+    notes: Mapping[str, str]
+    chosen: Sequence[Mapping[str, str]]
+    earlier: Sequence[Mapping[str, Any]]
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read records, `notes.toml` and `earlier.toml`.
+
+        Raises
+        ------
+        OSError
+            if a file cannot be read.
+        ValueError
+            if a file is no such thing, or a record has no note; one line that names it.
+        """
+        notes = _toml(folder / "notes.toml")
+        found = {record.name: record for record in map(Record.read, sorted(folder.glob("*.json")))}
+        without = found.keys() - notes["notes"].keys()
+        if without:
+            raise ValueError(f"{folder / 'notes.toml'}: no note of {', '.join(sorted(without))}")
+        records = {name: found[name] for name in notes["notes"] if name in found}
+        return cls(records, notes["notes"], notes["readme"], _toml(folder / "earlier.toml")["tables"])
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text())
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def results_page(documents: Documents, changed: str) -> str:
+    """The page of results.
+
+    Parameters
+    ----------
+    documents
+        what it is made from.
+    changed
+        when the code that tracks was changed last, ISO 8601: what was measured before is of an earlier state.
+        Empty where that is not known.
+    """
+    overview = [
+        [
+            f"[{record.title}]({ELSEWHERE.get(name, '')}#{_anchor(record.title)})",
+            f"`{record.command}`",
+            str(_count(record, "pass")),
+            str(_count(record, "short") or ""),
+        ]
+        for name, record in documents.records.items()
+    ]
+    parts = [INTRODUCTION, table(("", "command", "holds", "short"), overview)]
+    for name, record in documents.records.items():
+        if name not in ELSEWHERE:
+            note = documents.notes[name].strip()
+            parts += [f"## {record.title}\n", f"{measured_when(record, changed)}\n", figures(record)]
+            parts += [f"{note}\n"] if note else []
+            parts += _tables(record)
+    parts.append(BY_HAND)
+    parts += [_earlier(each) for each in documents.earlier if not _replaced(each, documents)]
+    return "\n".join(parts)
+
+
+def figures(record: Record) -> str:
+    """What an experiment measured, beside what is wanted of it."""
+    rows = []
+    for each in record.expectations:
+        what, wanted, measured, error, _ = each.cells
+        count = str(each.seeds) if each.seeds > 1 else ""
+        rows.append([what, _bound(wanted), measured, error, count, _verdict(each)])
+    return table([*HEADER[:4], "n", ""], rows)
+
+
+def _tables(record: Record) -> list[str]:
+    parts = []
+    for one in record.tables:
+        parts += [f"{one.caption}\n"] if one.caption else []
+        parts.append(table(one.header, [[_cell(each) for each in row] for row in one.rows]))
+    return parts
+
+
+def measured_when(record: Record, changed: str) -> str:
+    """With which command a record was made, when, where, and how busy the machine was."""
+    made = record.made
+    minutes = round(made.seconds / 60)
+    took = f"{made.seconds:.0f} s" if minutes < 2 else f"{minutes} min"
+    others = "" if math.isnan(made.others) else f", meanwhile {made.others:.1f} cores busy with others"
+    versions = ", ".join(f"{name} {version}" for name, version in made.versions.items())
+    return (
+        f"`{record.command}`; {_when(made, changed)}; {made.machine}; {took}, load before it {made.load:.1f}"
+        f"{others}; {versions}."
+    )
+
+
+def _earlier(content: Mapping[str, Any]) -> str:
+    parts = [f"### {content['title']}\n", f"{content['state'].strip()}\n"]
+    parts += [table(content["header"], content["rows"])] if "rows" in content else []
+    parts += [f"{content['text'].strip()}\n"] if "text" in content else []
+    return "\n".join(parts)
+
+
+def _replaced(content: Mapping[str, Any], documents: Documents) -> bool:
+    until = content.get("until", [])
+    return bool(until) and documents.records.keys() >= set(until)
+
+
+def readme_with(text: str, documents: Documents, changed: str) -> str:
+    """README with its figures.
+
+    Raises
+    ------
+    ValueError
+        if it lacks the marks, or a chosen figure is not in its record.
+    """
+    rows, machines = [], set()
+    for each in documents.chosen:
+        record = documents.records.get(each["record"])
+        if record is None:
+            continue
+        figure = record.by_what.get(each["row"])
+        if figure is None:
+            raise ValueError(f"readme: got {each['row']!r}, no row of the record {record.name!r}")
+        _, wanted, measured, error, _ = figure.cells
+        value = f"{measured} ± {error}" if error else measured
+        rows.append([each["what"], _bound(wanted), value, _verdict(figure), _when(record.made, changed)])
+        machines.add(record.made.machine)
+    chosen = table(("what", "wanted", "measured", "", "when, commit"), rows)
+    machine = f"On {'; '.join(sorted(machines))}. " if machines else ""
+    content = f"{chosen}\n{machine}± is the standard error over seeds."
+    return between(text, "figures", content, "README.md")
+
+
+def scale_page(text: str, records: Mapping[str, Record], changed: str) -> str:
+    """The page on scale with what was recorded of capacity and curves.
+
+    Raises
+    ------
+    ValueError
+        if the page lacks the marks.
+    """
+    parts = {"capacity": "*Not recorded yet.*\n", "curves": "*Not recorded yet.*\n"}
+    if "capacity" in records:
+        record = records["capacity"]
+        parts["capacity"] = "\n".join([*_tables(record), f"{measured_when(record, changed)}\n"])
+    if "curves" in records:
+        record = records["curves"]
+        made = f"{measured_when(record, changed)}\n"
+        parts["curves"] = "\n".join([PICTURE, figures(record), made, *_tables(record)])
+    for name, content in parts.items():
+        text = between(text, name, content, SCALE.as_posix())
+    return text
+
+
+def between(text: str, name: str, content: str, page: str) -> str:
+    """A text with other lines between the marks of a name.
+
+    Raises
+    ------
+    ValueError
+        if the marks are not there.
+    """
+    begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+    before, found, rest = text.partition(begin)
+    _, closed, after = rest.partition(end)
+    if not (found and closed):
+        raise ValueError(f"{page}: expected {begin} and {end}")
+    return f"{before}{begin}\n{content}\n{end}{after}"
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table, with a line's end behind it."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "".join(f"| {' | '.join(cell.replace('|', '&#124;') for cell in line)} |\n" for line in lines)
+
+
+def _cell(value: object) -> str:
+    return rounded(value) if isinstance(value, float) else "–" if value is None else str(value)
+
+
+def _verdict(figure: Expectation) -> str:
+    words = {"pass": "holds", "short": "**short**", "": ""}[figure.verdict]
+    return ", ".join(filter(None, (words, "loaded" if figure.loaded else "")))
+
+
+def _bound(wanted: str) -> str:
+    return wanted.replace("<=", "≤").replace(">=", "≥")
+
+
+def _count(record: Record, verdict: str) -> int:
+    return sum(each.verdict == verdict for each in record.expectations)
+
+
+def _when(made: Provenance, changed: str) -> str:
+    commit = f"`{made.commit}`" if made.commit else f"version {made.versions['rsmcm']}"
+    more = " and changes" if made.changed else ""
+    before = bool(changed) and datetime.fromisoformat(made.date) < datetime.fromisoformat(changed)
+    return f"{made.date[:10]}, {commit}{more}{', **of an earlier state**' if before else ''}"
+
+
+def _anchor(title: str) -> str:
+    return "".join(each for each in title.lower().replace(" ", "-") if each.isalnum() or each == "-")
+
+
+def collect(folder: Path, kept: Path) -> None:
+    """Keep what has been recorded in the folders of `folder`, if nothing younger is kept.
+
+    Raises
+    ------
+    OSError, ValueError
+        if a record cannot be read or written.
+    """
+    for path in sorted([*folder.glob("*/results.json"), *folder.glob("*/benchmarks.json")]):
+        record = Record.read(path)
+        place = kept / f"{record.name}.json"
+        if not place.exists() or Record.read(place).made.date < record.made.date:
+            record.write(place)
+            print(f"{record.name}: {record.made.date}")
+
+
+def write_pages(root: Path, changed: str) -> None:
+    """Write the page of results, the figures of README, and those of the page on scale, of a checkout.
+
+    Raises
+    ------
+    OSError, ValueError
+        if something cannot be read or written.
+    """
+    documents, readme, scale = Documents.read(root / "docs" / "results"), root / "README.md", root / SCALE
+    write_text(root / "docs" / "results.md", results_page(documents, changed))
+    write_text(readme, readme_with(readme.read_text(), documents, changed))
+    write_text(scale, scale_page(scale.read_text(), documents.records, changed))
+
+
+def main(folder: Path) -> int:
+    """Collect and write; 2 if a file cannot be read or written."""
+    try:
+        collect(folder, ROOT / "docs" / "results")
+        write_pages(ROOT, git("log", "-1", "--format=%cI", "--", *TRACKING))
+    except (OSError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(Path(sys.argv[1] if len(sys.argv) > 1 else "results")))

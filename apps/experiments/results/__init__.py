@@ -1,1 +1,0 @@
-"""Pages made from what experiments have recorded: `python -m rsmcm.apps.experiments.results`."""

@@ -1,1 +1,0 @@
-"""Trackers tried on generated films, and competitors."""

@@ -1,0 +1,95 @@
+"""Powers, straight lines, tables and a picture of made-up curves; observations made as lists."""
+
+import math
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from rsmcm.apps.experiments.bench.curves import (
+    LENGTH,
+    PIECE,
+    PIECES,
+    Cost,
+    Curve,
+    broken_tracks,
+    plot,
+    tables,
+    turning,
+)
+from rsmcm.inference.sfm.factor_analysis.em import expectation_maximisation
+
+SIZES = (10.0, 100.0, 1000.0, 10_000.0)
+
+
+def curve(seconds: list[float], name: str = "made up") -> Curve:
+    points = [
+        Cost(size, [0.9 * second, second, 1.2 * second], 100.0 + 8 * size)
+        for size, second in zip(SIZES, seconds, strict=True)
+    ]
+    return Curve(name, "things", points)
+
+
+def test_a_power_is_found_and_its_error_is_that_of_a_regression() -> None:
+    power, error = curve([3e-6 * size**1.5 for size in SIZES]).power
+    assert power == pytest.approx(1.5)
+    assert error == pytest.approx(0.0, abs=1e-9)
+    noisy = [1e-3 * size * factor for size, factor in zip(SIZES, (1.1, 0.8, 1.3, 0.9), strict=True)]
+    power, error = curve(noisy).power
+    coefficients, covariance = np.polyfit(np.log(SIZES), np.log(noisy), 1, cov="unscaled")
+    left = np.log(noisy) - np.polyval(coefficients, np.log(SIZES))
+    assert power == pytest.approx(coefficients[0])
+    assert error == pytest.approx(math.sqrt(covariance[0, 0] * (left @ left) / 2))
+    expectation = curve(noisy).expectation(1.1)
+    assert (expectation.measured, expectation.spread, expectation.ratio) == (power, error, True)
+
+
+def test_fixed_costs_and_those_of_each() -> None:
+    assert curve([2e-3 + 5e-6 * size for size in SIZES]).fixed_and_each == pytest.approx((2e-3, 5e-6))
+    fixed, each = curve([1e-6 * size**1.2 for size in SIZES]).fixed_and_each
+    assert fixed == 0.0
+    assert 1e-6 < each < 1e-6 * 10_000**0.2
+    assert curve([1.0] * 4).bytes_each == pytest.approx(8.0)
+
+
+def test_tables_and_picture() -> None:
+    found = [curve([1e-3 * size for size in SIZES], name) for name in ("one", "two")]
+    found += [Curve("three", unit, found[0].points) for unit in "abcde"]
+    fitted, points = tables(found)
+    assert [len(row) for row in fitted.rows] == [len(fitted.header)] * 7
+    assert list(points.rows[1]) == ["one", "things", 100.0, pytest.approx(100.0), pytest.approx(900 / 1e6)]
+    drawn = plot(found)
+    canvas = Figure(figsize=drawn.size)
+    drawn.draw(canvas)
+    shown = [axes for axes in canvas.axes if axes.axison]
+    assert [axes.get_xlabel() for axes in shown] == ["things", *"abcde"]
+    assert [len(axes.lines) for axes in shown] == [2, 1, 1, 1, 1, 1]
+    assert list(shown[0].lines[0].get_ydata()) == pytest.approx([1e3 * 1e-3 * size for size in SIZES])
+
+
+def test_the_time_is_the_median_of_the_rounds() -> None:
+    found = Cost(7, [1.0, 2.0, 3.0, 4.0, 100.0])
+    assert found.seconds == 3.0
+    assert math.isnan(found.memory)
+
+
+def test_lists_without_a_table_are_observations_like_all_others() -> None:
+    observations, start = turning(3000)
+    assert observations.count == 3000
+    assert (np.diff(observations.by_point.edges) == LENGTH).all()
+    pairs = {(f, p) for p, f in zip(observations.by_point.own, observations.by_point.other, strict=True)}
+    assert pairs == set(zip(observations.by_frame.own, observations.by_frame.other, strict=True))
+    assert (np.diff(observations.by_frame.own) >= 0).all()
+    found, history = expectation_maximisation(observations, start, iterations=200, tolerance=1e-9)
+    assert (np.diff(history) > -1e-6 * np.abs(history[:-1])).all()
+    assert np.sqrt(found.noise) < 0.02  # the noise is 0.01
+
+
+def test_broken_tracks_are_pieces_of_points() -> None:
+    positions = broken_tracks(80)
+    seen = ~np.isnan(positions).any(axis=2)
+    assert positions.shape == (PIECES * PIECE, 80, 2)
+    assert (seen.sum(axis=0) >= 1).all()
+    assert (seen.sum(axis=0) < PIECE).all()
+    of_point = seen.reshape(len(seen), PIECES, 20)
+    assert (of_point.sum(axis=1) <= 1).all()  # one track of a point at a time
+    assert (np.abs(np.diff(seen.astype(int), axis=0)).sum(axis=0) <= 2).all()  # in one stretch

@@ -1,0 +1,180 @@
+"""Body trackers compared: expectations on made-up trials, counts of samples, a run on short scenes."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from rsmcm.apps.body.measures import BodyTrial
+from rsmcm.apps.drawing.overlay import TrackedBody
+from rsmcm.apps.experiments import body, run_experiment
+
+from ...conftest import names
+
+N_FRAMES = 30
+LATER = body.LATER.format(body.RSMCM.name)
+NAMES = [body.RSMCM.name, LATER, body.SAMPLER, body.CLOUDS[0], body.LATER.format(body.CLOUDS[0])]
+NAMES += [*body.CLOUDS[1:], body.FLESH.name]
+
+
+def trial(error: float, seconds: float = 0.05, square: float = 1.0) -> BodyTrial:
+    errors = np.full((N_FRAMES, 4), error)
+    return BodyTrial(
+        errors,
+        errors + 1,
+        np.full((N_FRAMES, 2), square),
+        np.full(N_FRAMES, 300.0),
+        np.full(N_FRAMES, seconds),
+        np.zeros((N_FRAMES, 2), np.bool_),
+        np.zeros(N_FRAMES),
+        80.0,
+    )
+
+
+def half_in_region(one: BodyTrial, share: float) -> BodyTrial:
+    nees = np.ones((N_FRAMES, 2))
+    nees[: round((1 - share) * N_FRAMES)] = 9.0
+    return replace(one, nees=nees)
+
+
+def made_up(rsmcm: float, later: float, sampler: float, clouds: tuple[float, ...]) -> body.Found:
+    found = {
+        body.RSMCM.name: [trial(rsmcm)] * 2,
+        LATER: [half_in_region(trial(later, 0.06), 0.9)] * 2,
+        body.SAMPLER: [trial(sampler)] * 2,
+        body.LATER.format(body.CLOUDS[0]): [trial(2 * later)] * 2,
+        body.FLESH.name: [trial(np.nan, 0.02)] * 2,
+    }
+    for name, times, error in zip(body.CLOUDS, body.MULTIPLES, clouds, strict=True):
+        found[name] = [trial(error, 0.05 * times)] * 2
+    return found
+
+
+def test_claims_hold_where_the_paper_is_right() -> None:
+    expectations = body.expectations_of(made_up(8, 6, 20, (24, 12)))
+    assert {expectation.verdict for expectation in expectations} == {"pass", ""}
+    measured = [expectation.measured for expectation in expectations]
+    assert measured[:5] == pytest.approx([0.4, 8 / 24, 6 / 24, 0.5, body.MULTIPLES[-1]])
+    assert "more than" in expectations[4].what
+
+
+def test_claims_fall_short_where_it_is_not() -> None:
+    expectations = body.expectations_of(made_up(8, 8, 10, (9, 9)))
+    verdicts = [expectation.verdict for expectation in expectations]
+    assert verdicts[:5] == ["short", "short", "short", "", "short"]
+    assert set(verdicts[5:]) == {"pass"}
+    assert expectations[4].measured == pytest.approx(1.0)
+    assert "more than" not in expectations[4].what
+
+
+def test_the_time_to_come_near_lies_between_those_that_were_measured() -> None:
+    assert body.time_to_come_near((1, 4), (1.5, 1.0)) == pytest.approx(2.0)
+    assert body.time_to_come_near((1, 2, 4), (1.5, 1.25, 1.0)) == pytest.approx(2.0)
+    assert body.time_to_come_near((1, 4), (1.0, 0.9)) == 1
+    assert body.time_to_come_near((1, 4), (3.0, 2.0)) == 4
+
+
+def test_mis_tracks_and_exchanges_count_for_the_later_answers() -> None:
+    found = made_up(8, 6, 20, (24, 12))
+    errors = np.full((N_FRAMES, 4), 8.0)
+    errors[2:5, 1] = 60.0  # three frames
+    errors[10:25, 3] = 60.0  # fifteen, in which the hand is seen
+    exchanged = np.zeros(N_FRAMES)
+    exchanged[10:22] = 1
+    found[LATER] = [replace(found[LATER][0], errors=errors, exchanged=exchanged), found[LATER][0]]
+    recovered, *_, off, scenes = body.expectations_of(found)[5:]
+    assert recovered.measured == 0.5
+    assert "2 mis-tracks" in recovered.what
+    assert off.measured == pytest.approx(18 / 29 / 2)
+    assert scenes.measured == 1
+    assert [each.verdict for each in (recovered, off, scenes)] == ["short"] * 3
+
+
+def test_seconds_of_stretches() -> None:
+    bursts = np.where(np.arange(N_FRAMES) % 4 == 0, 0.2, 0.0)
+    assert body.seconds([replace(trial(5.0), seconds=bursts)]) == pytest.approx(0.05)
+
+
+def test_samples_of_a_time_lie_on_a_line() -> None:
+    few, many = counts = (2000, 10_000)
+    assert body.samples_in(0.030, counts, (0.030, 0.070)) == few
+    assert body.samples_in(0.070, counts, (0.030, 0.070)) == many
+    assert body.samples_in(0.050, counts, (0.030, 0.070)) == (few + many) // 2
+    assert body.samples_in(0.190, counts, (0.030, 0.070)) == pytest.approx(many + 3 * (many - few), rel=0.05)
+    assert body.samples_in(0.001, counts, (0.030, 0.070)) == body.FEWEST_SAMPLES
+    assert body.samples_in(0.035, counts, (0.030, 0.07)) == 3000, "two digits"
+
+
+def test_cells_of_what_is_not_known() -> None:
+    assert body.errors_of([trial(np.nan)])[0] == "–"
+    row = body.behaviour_of([trial(4.0, 0.1)], [trial(4.0)])
+    assert row[3] == pytest.approx(2.0)
+    assert row[-3:] == [0.0, "–", 0.0]
+    errors = body.errors_of([trial(4.0)])
+    assert errors == pytest.approx([4, 0.05, 4, 4, 4, 5, 5])
+
+
+def test_plots() -> None:
+    canvas = Figure()
+    body.draw_errors(canvas, made_up(8, 6, 20, (24, 12)))
+    assert len(canvas.axes[0].lines) == len(body.COLOURS)
+
+
+def test_every_result_stands_at_its_tracker_and_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A run with everything but the trackers themselves."""
+
+    def numbered(label: str, work: list[tuple[Any, tuple[Any, ...]]]) -> list[list[BodyTrial]]:
+        trials = []
+        for _, (trackers, scene, *shown) in work:
+            row = []
+            for place, tracker in enumerate(trackers):
+                one = trial(1.0 + place + scene["seed"] / 10, 0.01 + 1e-5 * tracker.samples)
+                pictures = {
+                    index: TrackedBody(np.ones((40, 8, 3)), np.ones((8, 3)), np.ones((8, 1, 1)) * np.eye(3))
+                    for index in (shown[0] if shown else ())
+                }
+                one = replace(one, shown=pictures)
+                later = replace(one, errors=one.errors / 2) if tracker.lag else None
+                row.append(replace(one, later=later))
+            trials.append(row)
+        return trials
+
+    monkeypatch.setattr(body, "in_parallel", numbered)
+    monkeypatch.setattr(body, "SHOWN", (1, 2))
+    monkeypatch.setattr(body, "SCENE", {"n_frames": 3, "detector_dropout": 0.2})
+    run_experiment("body", tmp_path / "out")
+    assert names(tmp_path / "out") == {"index.html", "fig-6.png", "errors.png", "results.json"}
+    record = json.loads((tmp_path / "out" / "results.json").read_text())
+    kinds = [row[:2] for row in record["tables"][2]["rows"]]
+    assert kinds == [[name, pytest.approx(0.5 + 0.95 / 2)] for name in ("usual", *body.OTHER_SCENES)]
+    results = record["runs"]
+    assert list(results) == NAMES
+    for place, name in enumerate(name for name in NAMES if "later" not in name):
+        assert results[name]["error"] == pytest.approx([1.0 + place + seed / 10 for seed in body.SEEDS])
+    assert results[LATER]["error"][0] == 0.5
+    assert results[body.CLOUDS[0]]["samples"] == 1000
+    assert results[body.CLOUDS[1]]["samples"] == 5400
+    printed = capsys.readouterr().out
+    assert "likelihood sampler" in printed
+    assert "recovered within 10 frames" in printed
+
+
+@pytest.mark.slow
+def test_short_scenes_in_earnest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(body, "SEEDS", range(2))
+    monkeypatch.setattr(body, "SCENE", {"n_frames": 18})
+    monkeypatch.setattr(body, "TIMED_FRAMES", 18)
+    monkeypatch.setattr(body, "SHOWN", (4, 9))
+    run_experiment("body", tmp_path / "out")
+    results = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
+    counts = [results[name]["samples"] for name in body.CLOUDS]
+    assert counts == sorted(counts)
+    assert all(0 < error < 300 for error in results[body.RSMCM.name]["error"])
+    assert "a hand off" in capsys.readouterr().out

@@ -1,0 +1,198 @@
+"""Trials of body trackers: measures on made-up errors, and short films in earnest."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.body.measures import (
+    HANDS,
+    PLACES,
+    BodyTrial,
+    MisTrack,
+    coverage,
+    mis_tracks,
+    pooled,
+    recoveries,
+)
+from rsmcm.apps.experiments.bench import bodies as bench
+from rsmcm.apps.experiments.body_trackers import BodyTracker, SignerFilm, in_turns
+from rsmcm.chains.body.articulated_pose import ArticulatedPose
+from rsmcm.inference import MultiChain, RecursiveBP
+from rsmcm.models.body.upper_body import JOINTS
+from rsmcm.models.numerics.threads import set_threads, thread_count
+
+RSMCM = BodyTracker("RSMCM", "rsmcm", 100)
+
+
+def errors_of(text: str) -> NDArray[np.float64]:
+    """Errors in head heights: `.` good, `-` neither good nor bad, `x` bad; the first frame is given."""
+    return np.array([{".": 0.1, "-": 0.4, "x": 0.8}[each] for each in "." + text])
+
+
+def hidden_in(n_frames: int, *frames: int) -> NDArray[np.bool_]:
+    hidden = np.zeros(n_frames, np.bool_)
+    hidden[list(frames)] = True
+    return hidden
+
+
+def trial(text: str, *hidden: int) -> BodyTrial:
+    """A trial whose left hand errs like this; everything else is right."""
+    heads = errors_of(text)
+    n = len(heads)
+    errors = np.zeros((n, 4))
+    errors[:, 1] = 50 * heads
+    seconds = np.full(n, 0.02)
+    return BodyTrial(
+        errors,
+        2 * errors,
+        np.full((n, 2), 3.0),
+        np.full(n, 70.0),
+        seconds,
+        np.stack([hidden_in(n, *hidden), hidden_in(n)], axis=1),
+        np.zeros(n),
+        50.0,
+    )
+
+
+def test_one_bad_frame_is_no_mis_track() -> None:
+    assert mis_tracks(0, errors_of("..x..x-x.."), hidden_in(11)) == []
+
+
+def test_a_mis_track_lasts_until_the_error_is_small() -> None:
+    (one,) = mis_tracks(1, errors_of("..xx-x--.."), hidden_in(11, 3, 4))
+    assert one == MisTrack(hand=1, start=3, seen=5, end=9, left=5)
+    assert one.recovered
+
+
+def test_one_after_the_other() -> None:
+    first, second = mis_tracks(0, errors_of("xx.xxx"), hidden_in(7))
+    assert (first.start, first.end) == (1, 3)
+    assert (second.start, second.end) == (4, None)
+
+
+def test_recovery_counts_from_when_the_hand_is_seen() -> None:
+    late = errors_of("." + "x" * 14 + "...")
+    assert mis_tracks(0, late, hidden_in(19))[0].recovered is False, "14 frames, all seen"
+    hidden = hidden_in(19, 2, 3, 4, 5)
+    assert mis_tracks(0, late, hidden)[0].recovered is True, "10 frames after it was seen"
+    blind = hidden_in(19, *range(2, 19))
+    assert mis_tracks(0, late, blind)[0].recovered is True, "before it was ever seen"
+
+
+def test_nothing_is_known_of_the_last_frames() -> None:
+    (one,) = mis_tracks(0, errors_of("..xxxx"), hidden_in(7))
+    assert one.recovered is None
+    (one,) = mis_tracks(0, errors_of("xxxx"), hidden_in(5, 1, 2, 3, 4))
+    assert one.recovered is None
+    (one,) = mis_tracks(0, errors_of("." + "x" * 12), hidden_in(14))
+    assert one.recovered is False
+
+
+def test_measures_leave_the_first_frame_out() -> None:
+    one = trial("..xx")
+    one.errors[0] = 1000.0
+    assert one.hands == pytest.approx(50 * (0.1 + 0.1 + 0.8 + 0.8) / 4 / 2)
+    assert one.error == pytest.approx(one.hands / 2)
+    assert one.off == 0.5
+    assert pooled([one, one], "errors").shape == (8, 4)
+
+
+def test_recoveries_and_coverage_over_scenes() -> None:
+    trials = [trial("xx..."), trial("." + "x" * 20 + "."), trial("...xx")]
+    assert recoveries(trials) == (1, 2)
+    assert coverage(trials) == 1.0
+    assert coverage([replace(trials[0], nees=np.full((6, 2), 5.0)), trials[0]]) == 0.5
+
+
+@pytest.fixture(scope="module")
+def film() -> SignerFilm:
+    return SignerFilm.of(n_frames=5, seed=2)
+
+
+def test_all_trackers_start_at_the_truth(film: SignerFilm) -> None:
+    trackers = [
+        RSMCM,
+        BodyTracker("sampler", "sampler", 100),
+        BodyTracker("cloud", "condensation", 200),
+        BodyTracker("flesh", "flesh", 0),
+    ]
+    trials = in_turns(film, trackers, shown=[0, 3])
+    for tracker, one in zip(trackers, trials, strict=True):
+        assert one.errors.shape == one.errors_3d.shape == (5, 4)
+        assert (one.seconds > 0).all()
+        assert one.hidden.shape == (5, 2)
+        assert np.isfinite(one.errors[:, HANDS]).all()
+        if tracker.system == "flesh":
+            assert np.isnan(one.error)
+            assert not one.shown
+        else:
+            np.testing.assert_allclose(one.errors_3d[0], 0, atol=1e-6)
+            assert (one.errors_3d >= one.errors - 1e-9).all()
+            assert one.shown.keys() == {0, 3}
+            assert one.shown[3].samples.shape == (40, 8, 3)
+            shown = np.linalg.norm((one.shown[3].joints - film.scene.joints[3])[PLACES, :2], axis=1)
+            np.testing.assert_allclose(one.errors[3], shown)
+
+
+def test_turns_change_nothing(film: SignerFilm) -> None:
+    other = BodyTracker("cloud", "condensation", 50)
+    alone = in_turns(film, [RSMCM])[0]
+    beside = in_turns(film, [other, RSMCM])[1]
+    np.testing.assert_array_equal(alone.errors, beside.errors)
+
+
+def test_the_sampler_is_what_it_is_without_the_flesh_tracker(film: SignerFilm) -> None:
+    body, parts = film.scene.body, film.parts
+    model, name = BodyTracker("sampler", "sampler", 100).connected(film)
+    alone = MultiChain().connect(ArticulatedPose(body, 100, seed=film.scene.seed), parts)
+    for one, other in zip(
+        RecursiveBP(model).run(film.frames), RecursiveBP(alone).run(film.frames), strict=True
+    ):
+        np.testing.assert_array_equal(one[name].log_weights, other[name].log_weights)
+
+
+def test_the_sampler_hears_nothing_of_the_flesh(film: SignerFilm) -> None:
+    model, name = BodyTracker("sampler", "sampler", 100).connected(film)
+    assert name == "pose"
+    assert set(model.chains) == {"flesh", "pose"}
+    assert model.senders("parts") == ("pose",)
+
+
+def test_film_knows_the_true_head(film: SignerFilm) -> None:
+    assert film.parts.head_height == film.scene.body.head_height
+    assert film.parts.skin is not None
+    assert len(film.frames) == 5
+    assert [JOINTS[place] for place in PLACES][1] == "left_hand"
+
+
+def test_the_benchmark_of_bodies_times_one_thread_beside_two(
+    film: SignerFilm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = bench.BodyFilm("generated", film.frames, film.scene.body, film.parts)
+    for name, value in {"SAMPLES": 50, "WARM_UP": 1, "TURN": 2}.items():
+        monkeypatch.setattr(bench, name, value)
+    monkeypatch.setattr(bench.BodyFilm, "found", lambda: one)
+    before, opencv = thread_count(), cv2.getNumThreads()
+    try:
+        rates = bench.bodies().expectations
+    finally:
+        set_threads(before)
+        cv2.setNumThreads(opencv)
+    assert len(rates) == 3
+    assert all(rate.measured > 0 and rate.seeds == 2 for rate in rates)
+    assert [rate.ratio for rate in rates] == [False, False, True]
+
+
+def test_answers_with_hindsight_are_measured_beside_the_filters(film: SignerFilm) -> None:
+    (one,) = in_turns(film, [replace(RSMCM, lag=2)], shown=[3])
+    (usual,) = in_turns(film, [RSMCM])
+    assert usual.later is None
+    assert one.later is not None
+    np.testing.assert_array_equal(one.errors, usual.errors)
+    assert one.later.errors.shape == (5, 4)
+    assert (one.later.errors[1:] != one.errors[1:]).any()
+    assert one.later.shown.keys() == {3}
+    assert (one.later.seconds > one.seconds).all()
+    np.testing.assert_array_equal(one.later.hidden, one.hidden)

@@ -1,0 +1,215 @@
+"""Trials of face trackers: measures on made-up errors, honest covariances, and a short clip in earnest."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from rsmcm.apps.experiments import experiment, experts, face_background, gain, recovery, run_experiment
+from rsmcm.apps.experiments.face_trackers import (
+    Clip,
+    Evaluation,
+    Measured,
+    Tracker,
+    as_json,
+    median,
+    n_lost,
+    normalised_square,
+    quartiles,
+    vertex_errors,
+)
+from rsmcm.models.face.built_in_model import face_model
+from rsmcm.models.face.pose import Poses
+
+from ...conftest import names
+
+SIZE, DT = 40.0, 0.04
+
+
+def evaluation(errors: list[float]) -> Evaluation:
+    values = np.array(errors, np.float64)
+    return Evaluation(values, 2 * values, np.full(len(values), np.nan), SIZE, DT)
+
+
+def test_lost_at_the_end_or_for_more_than_a_second() -> None:
+    assert not evaluation([1.0] * 60).lost
+    assert evaluation([1.0] * 60 + [21.0]).lost, "half the size is 20 px"
+    assert not evaluation([1.0] * 20 + [30.0] * 25 + [1.0] * 20).lost, "a second is not more than one"
+    assert evaluation([1.0] * 20 + [30.0] * 26 + [1.0] * 20).lost
+
+
+def test_the_first_frame_was_given_and_does_not_count() -> None:
+    one = evaluation([100.0, 1.0, 3.0])
+    assert one.error == pytest.approx(2.0)
+    assert one.error_3d == pytest.approx(4.0)
+
+
+def test_words_and_counts() -> None:
+    evaluations = [evaluation([0.0, error]) for error in (1.0, 2.0, 3.0, 40.0, 5.0)]
+    assert median(evaluations) == 3.0
+    assert quartiles(evaluations) == "3 (2-5)"
+    assert n_lost(evaluations) == 1
+    assert as_json({"one": evaluations})["one"]["lost"] == [False, False, False, True, False]
+
+
+def test_depth_offset_is_no_error_and_shift_is() -> None:
+    model = face_model(1)
+    pose = Poses.upright(np.array([[50.0, 60.0]]), np.array([30.0]), model.n_bases)
+    shifted = replace(pose, translations=pose.translations + np.array([3.0, 4.0]))
+    flat, deep = vertex_errors(model.positions(shifted), model.positions(pose))
+    assert flat[0] == pytest.approx(5.0)
+    assert deep[0] == pytest.approx(5.0)
+    turned = pose.moved(np.eye(pose.dimension)[1:2] * 0.1)
+    flat, deep = vertex_errors(model.positions(turned), model.positions(pose))
+    assert deep[0] > flat[0] > 0
+
+
+def test_normalised_square_is_one_on_average_for_honest_covariances() -> None:
+    random = np.random.default_rng(0)
+    pose = Poses.upright(np.array([[50.0, 60.0]]), np.array([30.0]), 6)
+    half = 0.02 * random.normal(size=(pose.dimension, pose.dimension))
+    covariance = half @ half.T
+    n = 400
+    errors = random.normal(size=(n, pose.dimension)) @ half.T
+    squares = [normalised_square(pose.moved(error[None]), pose, covariance) for error in errors]
+    # chi squared of n * dimension degrees of freedom by their number: four standard deviations
+    assert np.mean(squares) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (n * pose.dimension)))
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    return Clip.of(n_frames=12, seed=3, light=0.0, size=(160, 120))
+
+
+def test_oracle_is_a_floor(clip: Clip) -> None:
+    settings = {"gain": 0.05, "texels": 400, "experts": 2}
+    oracle = Tracker("oracle", settings, "oracle").run(clip)
+    own = Tracker("own", settings).run(clip)
+    taught = Tracker("taught", settings, "true").run(clip)
+    assert oracle.errors[0] == 0
+    assert oracle.error < 0.5
+    assert own.error > 0.7 * oracle.error
+    assert np.isfinite(taught.nees[1:]).all()
+    assert np.isnan(own.nees).all()
+    assert not own.lost
+
+
+def test_scattered_experts_are_as_far_as_they_should_be(clip: Clip) -> None:
+    poses = recovery.scattered(clip, np.random.default_rng(1))
+    off = clip.scene.model.project(poses) - clip.scene.vertices[0]
+    assert np.linalg.norm(off, axis=2).mean() == pytest.approx(recovery.SCATTER, rel=1e-3)
+    assert len(poses) == recovery.N_EXPERTS
+
+
+def test_a_known_texture_brings_scattered_experts_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recovery, "SCENE", {"n_frames": recovery.SOON + 1})
+    for seed in range(2):
+        assert recovery.recover(seed)[recovery.KNOWN].errors[recovery.SOON] < recovery.NEAR
+
+
+def made_up(errors: dict[str, float], usual: float, names: list[str]) -> Measured:
+    return {name: [evaluation([0.0] + [errors.get(name, usual)] * 5) for _ in range(4)] for name in names}
+
+
+def test_claims_of_experts() -> None:
+    names = [tracker.name for tracker in experts.trackers()]
+    good = made_up({experts.ONE: 5.0, experts.DENSE_FLOW: 2.0, experts.DENSE: 0.5}, 0.5, names)
+    good[experts.TAUGHT] = [replace(one, nees=np.ones(6)) for one in good[experts.TAUGHT]]
+    assert all(
+        expectation.verdict == "pass"
+        for expectation in experts.expectations_of(good)
+        if expectation.bound is not None
+    )
+    poor = {**good, experts.DENSE: [evaluation([0.0] + [25.0] * 5) for _ in range(4)]}
+    assert sum(expectation.verdict == "short" for expectation in experts.expectations_of(poor)) == 4
+    canvas = Figure()
+    experts.draw(canvas, good)
+    assert len(canvas.axes[0].lines) == len(names)
+
+
+def test_claims_of_gain() -> None:
+    names = [tracker.name for tracker in gain.trackers()]
+    steady = made_up({"0.01": 0.4, gain.LEARNED: 0.42}, 0.9, names)
+    changing = made_up({"0.999": 0.8, gain.LEARNED: 0.9}, 1.5, names)
+    expectations = gain.expectations_of({gain.STEADY: steady, gain.CHANGING: changing})
+    assert [expectation.verdict for expectation in expectations] == ["pass", "", "pass", "pass", "short"]
+    canvas = Figure()
+    gain.draw(canvas, {gain.STEADY: steady, gain.CHANGING: changing})
+    assert len(canvas.axes[0].get_xticks()) == len(gain.GAINS)
+
+
+def test_claims_of_recovery() -> None:
+    known = [recovery.Recovery(np.linspace(9.5, 0.1, 82), np.full((82, 20), 9.5), np.zeros((3, 20, 5, 2)))]
+    expectations = recovery.expectations_of({recovery.KNOWN: known, recovery.BLANK: known})
+    assert [expectation.verdict for expectation in expectations] == ["", "short", "short", "", "", ""]
+    fast = [replace(known[0], errors=np.full(82, 0.2))]
+    assert [
+        expectation.verdict
+        for expectation in recovery.expectations_of({recovery.KNOWN: fast, recovery.BLANK: known})
+    ][1:3] == ["pass", "pass"]
+    canvas = Figure()
+    pictures = [np.zeros((60, 80), np.uint8)] * 3
+    recovery.draw_experts(canvas, pictures, {recovery.KNOWN: known[0]})
+    recovery.draw_errors(Figure(), {recovery.KNOWN: known})
+    assert len(canvas.axes) == 3
+
+
+def test_claims_of_face_and_background() -> None:
+    good = {
+        condition.name: made_up({face_background.ALL: 3.0}, 1.0, list(methods))
+        for condition, methods in face_background.COMPARED
+    }
+    weak = face_background.WEAK.name
+    expectations = face_background.expectations_of(good)
+    assert [expectation.verdict for expectation in expectations] == [
+        *["pass", "short", "pass", "pass"] * 2,
+        "",
+        "",
+        "pass",
+    ]
+    assert weak in expectations[1].what
+    good[weak] = made_up({face_background.NONE: 2.0}, 1.0, list(good[weak]))
+    assert {expectation.verdict for expectation in face_background.expectations_of(good)} == {"pass", ""}
+    canvas = Figure()
+    face_background.draw(canvas, good)
+    assert [len(axis.lines) for axis in canvas.axes] == [3, 3, 3, 3, 2, 2]
+
+
+@pytest.mark.parametrize("method", [face_background.SHARED, face_background.EXACT, face_background.ALL])
+def test_a_run_with_a_background(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(face_background, "N_FRAMES", 5)
+    monkeypatch.setattr(face_background, "EXPERTS", 2)
+    one = face_background.run((face_background.CONDITIONS[-1].name, method), 1)[method]
+    assert len(one.errors) == 5
+    assert one.error < 2
+    assert one.time > 0
+    assert not one.lost
+
+
+def test_page_of_face_and_background(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every evaluation stands at its condition, method and seed."""
+    order = [
+        (condition.name, method) for condition, methods in face_background.COMPARED for method in methods
+    ]
+
+    def numbered(label: str, work: list[tuple[Any, tuple[Any, ...]]]) -> list[dict[str, Evaluation]]:
+        return [{case[1]: evaluation([0.0, 1.0 + order.index(case) + seed / 10])} for _, (case, seed) in work]
+
+    monkeypatch.setattr(experiment, "in_parallel", numbered)
+    run_experiment("face-background", tmp_path / "out")
+    assert names(tmp_path / "out") == {
+        "index.html",
+        "errors.png",
+        "results.json",
+    }
+    results = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
+    for number, (scene, method) in enumerate(order):
+        errors = [1.0 + number + seed / 10 for seed in face_background.SEEDS]
+        assert results[scene][method]["error"] == pytest.approx(errors)
+        assert results[scene][method]["lost"] == [False] * len(errors)
+    assert "the better of these" in capsys.readouterr().out

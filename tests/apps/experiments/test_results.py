@@ -1,0 +1,196 @@
+"""The page of results and README's figures are what the generator makes of the records."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rsmcm.apps.experiments.expectations import Expectation
+from rsmcm.apps.experiments.record import Record, Table
+from rsmcm.apps.experiments.results import (
+    SCALE,
+    Documents,
+    collect,
+    figures,
+    main,
+    readme_with,
+    results_page,
+    scale_page,
+    write_pages,
+)
+
+from ...support.made_up_records import MADE
+
+ROOT = Path(__file__).parents[3]
+NOTES = """
+[notes]
+second = "Why it falls | short."
+first = ""
+[[readme]]
+what = "a ratio"
+record = "first"
+row = "ratio"
+[[readme]]
+what = "not recorded yet"
+record = "third"
+row = "anything"
+"""
+EARLIER = """
+[[tables]]
+title = "Once"
+state = "One run."
+until = ["first", "third"]
+header = ["what", "noted"]
+rows = [["by hand", "2026-11-21"]]
+[[tables]]
+title = "Replaced"
+state = "One run."
+until = ["first"]
+header = ["what", "noted"]
+rows = [["never shown", "2026-11-21"]]
+"""
+
+
+BEGIN, END = "<!-- figures -->", "<!-- /figures -->"
+BEFORE, AFTER = "2026-11-22T11:00:00+02:00", "2026-11-22T09:30:00-01:00"
+"""When code was changed, by the clock of another zone: before the records were made, and after."""
+
+
+def record(name: str, *expectations: Expectation) -> Record:
+    made = replace(MADE, seconds=300.0)
+    tables = [Table(("method", "F"), [["ours", 0.87654], ["a|b", math.nan]], "All of them.")]
+    return Record(name, name.title(), f"rsmcm reproduce {name}", made, expectations, tables)
+
+
+FIRST = record("first", Expectation("ratio", 0.5, "<=", 1.0, 0.0123, 5))
+SECOND = record("second", Expectation("lost", math.nan, "<=", 0.0), Expectation("px", 3.0))
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A checkout with nothing but what pages are made from."""
+    kept = tmp_path / "docs" / "results"
+    kept.mkdir(parents=True)
+    (kept / "notes.toml").write_text(NOTES)
+    (kept / "earlier.toml").write_text(EARLIER)
+    for each in (FIRST, SECOND):
+        each.write(kept / f"{each.name}.json")
+    (tmp_path / "README.md").write_text(f"before\n{BEGIN}\nthe last ones\n{END}\nafter\n")
+    (tmp_path / SCALE).write_text((ROOT / SCALE).read_text())
+    return tmp_path
+
+
+def documents(checkout: Path) -> Documents:
+    return Documents.read(checkout / "docs" / "results")
+
+
+def test_pages_are_what_is_made_of_the_records() -> None:
+    """After a change of a record: `make results`, which also marks what is of an earlier state."""
+    found = Documents.read(ROOT / "docs" / "results")
+
+    def unmarked(text: str) -> str:
+        return text.replace(", **of an earlier state**", "")
+
+    assert unmarked((ROOT / "docs" / "results.md").read_text()) == results_page(found, "")
+    readme = unmarked((ROOT / "README.md").read_text())
+    assert readme == readme_with(readme, found, "")
+    scale = unmarked((ROOT / SCALE).read_text())
+    assert scale == scale_page(scale, found.records, "")
+
+
+def test_figures_of_readme_are_in_its_records() -> None:
+    found = Documents.read(ROOT / "docs" / "results")
+    for each in found.chosen:
+        assert each["record"] in found.notes
+    for one in found.records.values():
+        assert len(one.by_what) == len(one.expectations), one.name
+
+
+def test_page(checkout: Path) -> None:
+    page = results_page(documents(checkout), BEFORE)
+    assert page.index("## Second") < page.index("## First")
+    assert "| ratio | ≤ 1 | 0.5 | 0.012 | 5 | holds |" in page
+    assert "| lost | ≤ 0 | – |  |  | **short** |" in page
+    assert "| px |  | 3 |  |  |  |" in page
+    assert "| [Second](#second) | `rsmcm reproduce second` | 0 | 1 |" in page
+    assert "`rsmcm reproduce first`; 2026-11-22, `0123456789`; Processor, 2 cores, 24 GB; 5 min" in page
+    assert "Why it falls | short." in page
+    assert "| ours | 0.877 |\n| a&#124;b | – |" in page
+    assert "by hand" in page
+    assert "never shown" not in page
+    assert "earlier state**" not in page
+
+
+def test_records_of_another_state_are_marked(checkout: Path) -> None:
+    found = documents(checkout)
+    assert results_page(found, AFTER).count("**of an earlier state**") == 2
+    assert "**of an earlier state**" not in results_page(found, BEFORE)
+    figures = readme_with(f"{BEGIN}{END}", found, AFTER)
+    assert "`0123456789`, **of an earlier state** |" in figures
+
+
+def test_figures_in_readme(checkout: Path) -> None:
+    text = readme_with((checkout / "README.md").read_text(), documents(checkout), BEFORE)
+    assert text.startswith(f"before\n{BEGIN}\n")
+    assert text.endswith(f"\n{END}\nafter\n")
+    assert "| a ratio | ≤ 1 | 0.5 ± 0.012 | holds | 2026-11-22, `0123456789` |" in text
+    assert "the last ones" not in text
+    assert "not recorded yet" not in text
+    assert readme_with(text, documents(checkout), BEFORE) == text
+
+
+def test_what_does_not_fit_is_named(checkout: Path) -> None:
+    with pytest.raises(ValueError, match=r"README\.md: expected <!-- figures -->"):
+        readme_with("no marks", documents(checkout), BEFORE)
+    notes = checkout / "docs" / "results" / "notes.toml"
+    notes.write_text(NOTES.replace('row = "ratio"', 'row = "rato"'))
+    with pytest.raises(ValueError, match="got 'rato', no row of the record 'first'"):
+        readme_with(f"{BEGIN}{END}", documents(checkout), BEFORE)
+    record("unknown").write(notes.with_name("unknown.json"))
+    with pytest.raises(ValueError, match=r"notes\.toml: no note of unknown"):
+        documents(checkout)
+    notes.write_text("[notes")
+    with pytest.raises(ValueError, match=r"notes\.toml: "):
+        documents(checkout)
+
+
+def test_younger_records_are_collected_without_their_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, kept = tmp_path / "results" / "some-folder", tmp_path / "kept"
+    folder.mkdir(parents=True)
+    kept.mkdir()
+    FIRST.write(folder / "results.json", runs={"every": [1.0, 2.0]})
+    assert "runs" in json.loads((folder / "results.json").read_text())
+    collect(tmp_path / "results", kept)
+    assert "runs" not in json.loads((kept / "first.json").read_text())
+    assert Record.read(kept / "first.json").by_what == FIRST.by_what
+    older = replace(FIRST, made=replace(FIRST.made, date="2026-11-21T10:00:00+00:00", commit="older"))
+    older.write(folder / "results.json")
+    collect(tmp_path / "results", kept)
+    assert Record.read(kept / "first.json").made.commit == "0123456789"
+    assert capsys.readouterr().out == "first: 2026-11-22T10:00:00+00:00\n"
+
+
+def test_quartiles_and_loads_are_shown_where_they_are_known() -> None:
+    quick = Expectation("over MOG2", 0.2, "<=", 0.3, seeds=8, quartiles=(0.19, 0.22), ratio=True)
+    lines = figures(record("speeds", quick, Expectation("ms", 3.0, loaded=True))).splitlines()
+    assert lines[0] == "| measure | wanted | measured | ± | n |  |"
+    assert lines[2] == "| over MOG2 | ≤ 0.3 | 0.2 | 0.19–0.22 | 8 | holds |"
+    assert lines[3] == "| ms |  | 3 |  |  | loaded |"
+
+
+def test_pages_are_written(checkout: Path) -> None:
+    write_pages(checkout, BEFORE)
+    assert (checkout / "docs" / "results.md").read_text() == results_page(documents(checkout), BEFORE)
+    assert "a ratio" in (checkout / "README.md").read_text()
+
+
+def test_a_damaged_record_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "results.json").write_text('{"name": "one"}')
+    assert main(tmp_path) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"{tmp_path / 'one' / 'results.json'}: no record of an experiment" in said

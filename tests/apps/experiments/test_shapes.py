@@ -1,0 +1,61 @@
+"""The experiment on deformable shapes: its measures of error, its page, and public sequences."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rsmcm.apps.experiments import run_experiment, shapes
+from rsmcm.inference.sfm.nonrigid.learning import learn_shape
+
+from ...support.deforming import N_BASES, deforming
+
+Numbers = NDArray[np.float64]
+
+
+def test_measures_of_error() -> None:
+    truth = deforming()[1]
+    random = np.random.default_rng(0)
+    turned = shapes.centred(truth) @ np.linalg.qr(random.standard_normal((3, 3)))[0]
+    assert shapes.normalised_error(shapes.turned_onto(turned, truth), truth) < 1e-12
+    mirrored = truth * [1, 1, -1] + [5, 6, 7]
+    assert shapes.normalised_error(shapes.nearer_image(mirrored, truth), truth) < 1e-12
+    longer = truth.mean(axis=1, keepdims=True) + 1.25 * shapes.centred(truth)
+    assert shapes.normalised_error(longer, truth) == pytest.approx(0.25)
+
+
+def test_tables_and_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shapes, "data_folder", lambda name: tmp_path)
+    monkeypatch.setattr(shapes, "read_truth", lambda path: deforming(n_frames=20)[1])
+    monkeypatch.setattr(shapes, "BASES", {"face": N_BASES})
+    monkeypatch.setattr(shapes, "MISSING", (0.0, 0.2))
+    run_experiment("shapes", tmp_path / "out")
+    printed = capsys.readouterr().out
+    assert "face, 20% missing: 3-D error" in printed
+    assert (tmp_path / "out" / "index.html").read_text().count("<img") == 2
+
+
+def test_truth_files(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    truth = deforming(n_frames=5)[1]
+    savemat(tmp_path / "a.mat", {"P3_gt": np.concatenate([truth[..., axis] for axis in range(3)])})
+    assert (shapes.read_truth(tmp_path / "a.mat") == truth).all()
+    savemat(tmp_path / "c.mat", {"X": truth.transpose(2, 1, 0)})
+    assert (shapes.read_truth(tmp_path / "c.mat") == truth).all()
+    savemat(tmp_path / "b.mat", {"P3_gt": np.zeros((4, 5))})
+    with pytest.raises(ValueError, match=r"got \(4, 5\), expected 'P3_gt'"):
+        shapes.read_truth(tmp_path / "b.mat")
+
+
+@pytest.mark.parametrize("name", sorted(shapes.BASES))
+@pytest.mark.slow
+def test_public_sequences(name: str) -> None:
+    try:
+        truth = shapes.read_truth(shapes.sequence_file(name))
+    except OSError as missing:
+        pytest.skip(str(missing))
+    learned = learn_shape(shapes.withheld(truth[..., :2], 0.2, np.random.default_rng(0)), shapes.BASES[name])
+    assert shapes.LearnedShape(name, 0.2, learned, truth).published < shapes.PUBLISHED[name]

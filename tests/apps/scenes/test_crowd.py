@@ -1,0 +1,27 @@
+"""Crowds have as many walkers as asked for, and know their ground."""
+
+import numpy as np
+import pytest
+from rsmcm.apps.scenes.crowd import BODY, crowd
+
+
+@pytest.mark.parametrize("n_walkers", [1, 10, 40])
+def test_walkers_are_all_seen_as_far_as_they_are_in_the_picture(n_walkers: int) -> None:
+    empty, *frames = crowd(n_walkers, 3, (480, 640))
+    area = BODY[0] * BODY[1] * np.pi / 4
+    for frame in frames:
+        assert frame.image is not None
+        assert empty.image is not None
+        changed = np.abs(frame.image.astype(int) - empty.image).max(axis=2) > 20
+        assert 0.4 * n_walkers * area < changed.sum() < 1.05 * n_walkers * area
+
+
+def test_one_seed_gives_the_same_bytes() -> None:
+    one, two = (list(crowd(5, 3, (240, 320), seed=7)) for _ in range(2))
+    for frame, other in zip(one, two, strict=True):
+        np.testing.assert_array_equal(frame.image, other.image)
+
+
+def test_who_does_not_fit_in_is_refused() -> None:
+    with pytest.raises(ValueError, match="n_walkers: got 5000, expected fewer"):
+        next(crowd(5000, 2, (120, 320)))
