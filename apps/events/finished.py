@@ -1,15 +1,13 @@
 """Events of a run that is finished, from its tracks: zones can be changed without another run."""
 
-import errno
-import json
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
-from ...models.files import read_text, write_text
+from ...models.files import write_text
 from ..drawing.overlay import draw_zones
+from ..exports.finished_run import SUMMARY, FinishedRun
 from ..exports.track_table import TABLE, read_tracks_table
 from ..io.files import write_json
 from ..runs.output_folder import output_folder
@@ -19,7 +17,6 @@ from .watch import COLUMNS, EVENTS, Event, Watch, line_of, read_events, sighting
 from .zones import read_zones
 
 PAGE = "events.html"
-SUMMARY = "summary.json"
 BACKGROUND = "background.png"
 
 LEAST = 960
@@ -50,43 +47,25 @@ def run_events(run: Path, zones: Path) -> list[str]:
     OSError
         if there is no such folder or file, or it cannot be written.
     """
-    if not run.is_dir():
-        raise NotADirectoryError(errno.ENOTDIR, "expected the folder of a finished run", str(run))
-    for name in (TABLE, SUMMARY):
-        if not (run / name).exists():
-            raise ValueError(f"{run}: holds no {name}; it is written by: rsmcm background")
-    summary = _read_summary(run / SUMMARY)
-    watched = read_zones(zones, (summary["size"][0], summary["size"][1]))
-    tracks = read_tracks_table(run)
+    if run.is_dir() and not (run / TABLE).exists():
+        raise ValueError(f"{run}: holds no {TABLE}; it is written by: rsmcm background")
+    finished = FinishedRun.of(run, "background")
+    watched = read_zones(zones, finished.size)
+    tracks, numbers = read_tracks_table(run), finished.numbers
     watch, found = Watch(watched), list[Event]()
     for time, number, sightings in sightings_of(tracks):
         found += watch.take_in(time, number, sightings)
-    found += watch.end(summary["last_frame"])
-    first, last = ((summary[name] - 1) / summary["rate"] for name in ("first_frame", "last_frame"))
+    found += watch.end(numbers[-1])
+    first, last = ((number - 1) / finished.source_rate for number in (numbers[0], numbers[-1]))
     span = first, max([last, *tracks["time"][-1:].tolist()])
     with output_folder(run, "background", add=True) as folder:
         folder.add([EVENTS, PAGE])
         write_text(run / EVENTS, "\n".join([",".join(COLUMNS), *map(line_of, found), ""]))
         happened = Happened(watched, read_events(run / EVENTS), span)  # rounded, as the run itself has it
-        title = f"{Path(summary['source']).name}: zones and lines"
+        title = f"{Path(finished.source).name}: zones and lines"
         write_page(run / PAGE, Page(title, sections=_sections(run, happened)))
-        write_json(run / SUMMARY, {**summary, "events": happened.counts()})
+        write_json(run / SUMMARY, {**finished.summary, "events": happened.counts()})
     return [*happened.in_words(), f"results: {run / EVENTS}, {run / PAGE}"]
-
-
-def _read_summary(path: Path) -> dict[str, Any]:
-    """What a finished run says of itself."""
-    try:
-        summary = json.loads(read_text(path, "expected the summary of a run"))
-        width, height = summary["size"]
-        numbers = [width, height, summary["rate"], summary["first_frame"], summary["last_frame"]]
-        if not all(type(number) in (int, float) and number > 0 for number in numbers):
-            raise TypeError
-        if not isinstance(summary["source"], str):
-            raise TypeError
-    except (KeyError, TypeError, ValueError, RecursionError):
-        raise ValueError(f"{path}: got something else, expected the summary of rsmcm background") from None
-    return dict(summary)
 
 
 def _sections(run: Path, happened: Happened) -> list[Section]:

@@ -71,7 +71,9 @@ class FinishedRun:
         """
         folder = Path(folder)
         if not folder.exists():
-            raise FileNotFoundError(errno.ENOENT, "no such folder", str(folder))
+            raise FileNotFoundError(
+                errno.ENOENT, "no such folder, expected the folder of a finished run", str(folder)
+            )
         if not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "expected the folder of a finished run", str(folder))
         application, path = application_of(folder), folder / SUMMARY
@@ -98,12 +100,17 @@ class FinishedRun:
         return size[0], size[1]
 
     @property
-    def rate(self) -> float:
-        """Frames a second that were processed."""
+    def source_rate(self) -> float:
+        """Frames a second of the source."""
         rate = self.summary.get("rate")
         if not isinstance(rate, int | float) or not 1e-6 < rate < 1e6:
             raise self._wrong("rate", "frames a second")
-        return rate / self.numbers.step
+        return rate
+
+    @property
+    def rate(self) -> float:
+        """Frames a second that were processed."""
+        return self.source_rate / self.numbers.step
 
     @property
     def numbers(self) -> range:
@@ -192,7 +199,10 @@ class FinishedRun:
         return np.asarray(mask, np.uint8)
 
     def _wrong(self, name: str, expected: str) -> ValueError:
-        return ValueError(f"{self.folder / SUMMARY}: got no {name} of a film, expected {expected}")
+        return ValueError(
+            f"{self.folder / SUMMARY}: got no {name} ({expected}), expected the summary of rsmcm "
+            f"{self.application}"
+        )
 
 
 def _is_count(value: object) -> bool:

@@ -158,7 +158,8 @@ def test_what_is_wrong_is_one_line_and_loses_nothing(
     assert "expected the folder of a finished run" in fails("events", tmp_path / "none", "--zones", bad)
     assert "holds no tracks.csv; it is written by: rsmcm background" in fails("events", film, "--zones", bad)
     (tmp_path / "broken").mkdir()
-    shutil.copy(results / "tracks.csv", tmp_path / "broken")
+    for name in ("tracks.csv", "manifest.json"):
+        shutil.copy(results / name, tmp_path / "broken")
     (tmp_path / "broken" / "summary.json").write_text('{"size": [160, "a"]}')
     assert "expected the summary of rsmcm background" in fails("events", tmp_path / "broken", "--zones", bad)
     stand_alone = ("--engine", "stand-alone", "--zones", film / "zones.toml")
